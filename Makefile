@@ -1,0 +1,54 @@
+# Every target sets up its own virtual environment in .venv; nothing is installed outside it.
+PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
+
+.PHONY: help solve test lint format types check figures clean
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+solve: $(VENV)/.solve  ## set up and plan Reconnaissance B from a cold start
+	$(BIN)/python -m scp_recon.solve --init cold
+
+test: $(VENV)/.test  ## set up and run the tests on two processes
+	$(BIN)/python -m pytest -n 2
+
+lint: $(VENV)/.dev  ## lint and check the format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(VENV)/.dev  ## format, and fix what can be fixed
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+types: $(VENV)/.dev  ## check the types
+	$(BIN)/mypy
+
+check: lint types test  ## everything that a change has to pass
+
+figures: $(VENV)/.test  ## plan, and draw the README's picture from the plan
+	$(BIN)/python -m scp_recon.solve --init cold --out runs/readme
+	$(BIN)/python -m paper_figs.flyby runs/readme docs/flyby.png
+
+clean:  ## remove the environment and what it produced
+	rm -rf $(VENV) runs .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+
+$(VENV)/.venv:
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed, and none was found" >&2; exit 1; }
+	@$(PYTHON) -m venv --clear $(VENV) || { echo "$(PYTHON) cannot make a virtual environment: \
+	on Debian and Ubuntu its package python3-venv is missing" >&2; exit 1; }
+	@touch $@
+
+$(VENV)/.solve: $(VENV)/.venv pyproject.toml constraints.txt
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.test: $(VENV)/.venv pyproject.toml constraints.txt
+	$(PIP) --editable '.[report,test]'
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.venv pyproject.toml constraints.txt
+	$(PIP) --editable '.[report,test,dev]'
+	@touch $@

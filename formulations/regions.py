@@ -1,0 +1,139 @@
+"""Second-order-cone sets of a position: balls and circular cones, one per node.
+
+Both are convex, so the complement of either is described by supporting planes: for a point x the
+plane a'y = b that touches the region where it is closest to x. With it
+
+    inside(x) = b - a'x
+
+is the signed distance of x to the region's surface, positive inside (for a cone: to the infinite
+surface of the plane through the axis, which is the distance wherever the nearest point is not the
+apex). Keep-in demands inside(x) >= 0, keep-out demands inside(x) <= 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Halfspaces:
+    """Half-spaces a'y <= b: unit normals a (n, 3) and offsets b (n,)."""
+
+    normal: Array
+    offset: Array
+
+    def slack(self, point: Array) -> Array:
+        """B - a'y for points (n, 3)."""
+        return self.offset - np.einsum("ni,ni->n", self.normal, point)
+
+    def complement(self) -> Halfspaces:
+        """The closed half-spaces on the other side of the same planes."""
+        return Halfspaces(-self.normal, -self.offset)
+
+
+@dataclass(frozen=True)
+class SecondOrderCone:
+    """The set || M (y - origin) || <= c'(y - origin) + d, one per node.
+
+    Shapes: M (n, 3, 3), origin (n, 3), c (n, 3), d (n,).
+    """
+
+    matrix: Array
+    origin: Array
+    linear: Array
+    constant: Array
+
+
+def _unit(vector: Array, fallback: Array) -> Array:
+    """Unit vectors; where the vector vanishes, `fallback` (a perpendicular is not unique there)."""
+    norm = np.linalg.norm(vector, axis=-1, keepdims=True)
+    tiny = norm < 1e-14
+    return np.where(tiny, fallback, vector / np.where(tiny, 1.0, norm))
+
+
+def perpendicular(axis: Array) -> Array:
+    """Some unit vector perpendicular to each axis (n, 3)."""
+    least = np.eye(3)[np.argmin(np.abs(axis), axis=-1)]
+    return _unit(np.cross(axis, least), least)
+
+
+@dataclass(frozen=True)
+class Ball:
+    """Points within `radius` of `center` (n, 3)."""
+
+    center: Array
+    radius: float
+
+    def supporting(self, point: Array) -> Halfspaces:
+        """Half-spaces that contain the balls and touch them towards each point (n, 3)."""
+        up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), self.center.shape)
+        normal = _unit(point - self.center, up)
+        return Halfspaces(normal, np.einsum("ni,ni->n", normal, self.center) + self.radius)
+
+    def inside(self, point: Array) -> Array:
+        """Signed distance to the surface, positive inside, (n,)."""
+        return self.supporting(point).slack(point)
+
+    def second_order_cone(self) -> SecondOrderCone:
+        """|| y - center || <= radius."""
+        n = len(self.center)
+        return SecondOrderCone(
+            np.broadcast_to(np.eye(3), (n, 3, 3)),
+            self.center,
+            np.zeros((n, 3)),
+            np.full(n, self.radius),
+        )
+
+    def take(self, index: npt.NDArray[np.intp]) -> Ball:
+        """The regions of some of the nodes."""
+        return Ball(self.center[index], self.radius)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Points seen from `apex` (n, 3) within `half_angle` < pi/2 of the unit `axis` (n, 3)."""
+
+    apex: Array
+    axis: Array
+    half_angle: float
+
+    def split(self, point: Array) -> tuple[Array, Array]:
+        """Component along the axis (n,) and unit vector of the part across it (n, 3)."""
+        d = point - self.apex
+        along = np.einsum("ni,ni->n", d, self.axis)
+        return along, _unit(d - along[:, None] * self.axis, perpendicular(self.axis))
+
+    def facets(self, across: Array, half_angle: float) -> Halfspaces:
+        """Planes through the apex, `half_angle` off the axis towards the unit vectors `across`."""
+        normal = np.cos(half_angle) * across - np.sin(half_angle) * self.axis
+        return Halfspaces(normal, np.einsum("ni,ni->n", normal, self.apex))
+
+    def supporting(self, point: Array) -> Halfspaces:
+        """Half-spaces that contain the cones and touch them along the ray nearest to each point."""
+        return self.facets(self.split(point)[1], self.half_angle)
+
+    def inside(self, point: Array) -> Array:
+        """Signed distance to the surface, positive inside, (n,)."""
+        return self.supporting(point).slack(point)
+
+    def second_order_cone(self) -> SecondOrderCone:
+        """cos(theta) || (I - u u')(y - apex) || <= sin(theta) u'(y - apex)."""
+        across = np.eye(3) - self.axis[:, :, None] * self.axis[:, None, :]
+        return SecondOrderCone(
+            np.cos(self.half_angle) * across,
+            self.apex,
+            np.sin(self.half_angle) * self.axis,
+            np.zeros(len(self.apex)),
+        )
+
+    def take(self, index: npt.NDArray[np.intp]) -> Cone:
+        """The regions of some of the nodes."""
+        return Cone(self.apex[index], self.axis[index], self.half_angle)
+
+
+Region = Ball | Cone

@@ -1,0 +1,1 @@
+"""Asteroid reconnaissance flybys planned under uncertainty by sequential convex programming."""

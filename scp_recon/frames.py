@@ -1,0 +1,99 @@
+"""Rotations between J2000, the asteroid's body-fixed frame and the Sun-North frame.
+
+A matrix named `a_to_b` maps components in frame a to components in frame b.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+DAY_S = 86_400.0
+J2000_TDB = datetime(2000, 1, 1, 12)
+
+
+def unit(vector: npt.ArrayLike) -> Array:
+    """Unit vectors along the last axis."""
+    vector = np.asarray(vector, dtype=float)
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+
+
+def sun_north_to_j2000(sun_direction: Array, pole: Array) -> Array:
+    """Sun-North frame: X to the Sun, Z towards the spin pole, Y completing it; shape (3, 3).
+
+    Args:
+        sun_direction: unit vector from the body to the Sun, J2000.
+        pole: unit vector of the spin pole, J2000, not parallel to it.
+    """
+    x = unit(sun_direction)
+    y = unit(np.cross(pole, x))
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+@dataclass(frozen=True)
+class Rotation:
+    """Uniform rotation of a body by the IAU convention.
+
+    Attributes:
+        pole_ra, pole_dec: right ascension and declination of the pole, rad, J2000.
+        meridian: angle W of the prime meridian at `t = 0`, rad.
+        rate: dW/dt at `t = 0`, rad/s.
+        acceleration: d2W/dt2, rad/s^2.
+    """
+
+    pole_ra: float
+    pole_dec: float
+    meridian: float
+    rate: float
+    acceleration: float
+
+    @classmethod
+    def from_iau(
+        cls,
+        pole_ra_deg: float,
+        pole_dec_deg: float,
+        w_deg: tuple[float, float, float],
+        tdb: datetime,
+    ) -> Rotation:
+        """From the polynomial W = w0 + w1 d + w2 d^2 (degrees, d in TDB days past J2000) at `tdb`."""
+        d = (tdb - J2000_TDB).total_seconds() / DAY_S
+        w0, w1, w2 = w_deg
+        return cls(
+            pole_ra=np.deg2rad(pole_ra_deg),
+            pole_dec=np.deg2rad(pole_dec_deg),
+            meridian=np.deg2rad((w0 + w1 * d + w2 * d**2) % 360.0),
+            rate=np.deg2rad(w1 + 2.0 * w2 * d) / DAY_S,
+            acceleration=np.deg2rad(2.0 * w2) / DAY_S**2,
+        )
+
+    @property
+    def pole(self) -> Array:
+        """Unit vector of the spin pole, J2000."""
+        return self.body_to_j2000(0.0)[:, 2]
+
+    def body_to_j2000(self, time_s: Any) -> Array:
+        """Rotation matrices at times after the epoch, shape (..., 3, 3).
+
+        The transpose of R3(W) R1(90 deg - dec) R3(90 deg + ra), Archinal et al. 2018, fig. 1.
+        """
+        t = np.asarray(time_s, dtype=float)
+        w = self.meridian + self.rate * t + 0.5 * self.acceleration * t**2
+        node = np.array([-np.sin(self.pole_ra), np.cos(self.pole_ra), 0.0])
+        pole = np.array(
+            [
+                np.cos(self.pole_dec) * np.cos(self.pole_ra),
+                np.cos(self.pole_dec) * np.sin(self.pole_ra),
+                np.sin(self.pole_dec),
+            ]
+        )
+        across = np.cross(pole, node)
+        c, s = np.cos(w)[..., None], np.sin(w)[..., None]
+        x = c * node + s * across
+        y = -s * node + c * across
+        return np.stack([x, y, np.broadcast_to(pole, x.shape)], axis=-1)

@@ -1,0 +1,251 @@
+"""The solution file: its schema, and how it is read and written whole or not at all.
+
+SI units, J2000, body-centred. `docs/solution_file.md` describes every key.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from scp_recon.errors import InputError
+from scp_recon.scenario import Scenario
+from scp_recon.status import Status
+
+SCHEMA = "scp_recon.solution/1"
+FILE_NAME = "solution.json"
+Vector = tuple[float, float, float]
+
+
+class Part(BaseModel):
+    """Frozen; keys that are not known here are kept out."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Burn(Part):
+    """An impulse."""
+
+    t_s: float
+    dv_m_s: Vector
+
+
+class Nodes(Part):
+    """Mean and covariance on the grid, after the burn where one falls on the node."""
+
+    t_s: list[float]
+    state: list[list[float]]
+    covariance: list[list[list[float]]]
+
+
+class StageSummary(Part):
+    """One run of the SCP."""
+
+    name: str
+    status: str
+    total_dv_m_s: float
+    iterations: int
+
+
+class ConstraintResult(Part):
+    """The smallest margin of a constraint, >= 0 where satisfied.
+
+    In P2 the margin of a state constraint is what is left of the distance to the facet after the
+    quantile times the standard deviation; in P3 the mean's distance to the region.
+    """
+
+    name: str
+    kind: Literal["keep_in", "keep_out", "burn"]
+    worst_margin_m_or_rad: float
+    unit: Literal["m", "m/s"]
+    worst_t_s: float
+    facets: int
+
+
+class ViolationAmount(Part):
+    """What the buffers of one constraint hold."""
+
+    max: float
+    total: float
+    unit: Literal["m", "m/s"]
+
+
+class Violation(Part):
+    """What all buffers hold; velocities count as metres over one unit of time."""
+
+    max: float
+    total: float
+    by_constraint: dict[str, ViolationAmount]
+
+
+class IterationRecord(Part):
+    """One SCP iteration: merits in m/s, radius in m/s, violation and defect in m."""
+
+    stage: str
+    k: int
+    merit: float
+    predicted: float
+    actual: float
+    accepted: bool
+    trust_radius: float
+    max_violation: float
+    max_defect: float
+    solver_s: float
+
+
+class TimingSummary(Part):
+    """Seconds."""
+
+    total: float
+    setup: float
+    linearise: float
+    canonicalise: float
+    conic_solver: float
+    other: float
+
+
+class MeanMargin(Part):
+    """Margin of an original constraint for the mean, between the nodes too."""
+
+    name: str
+    worst_margin: float
+    unit: Literal["m", "rad"]
+    worst_t_s: float
+
+
+class JointProbability(Part):
+    """Probability of a joint constraint at the time when it is smallest, by Monte Carlo."""
+
+    name: str
+    worst_t_s: float
+    estimate: float
+    low: float
+    high: float
+
+
+class Verification(Part):
+    """An independent look at the result; `failed` names what keeps it from being ok."""
+
+    terminal_position_error_m: float
+    terminal_velocity_error_m_s: float
+    max_defect: float
+    covariance_error: float
+    mean_margins: list[MeanMargin]
+    samples: int
+    confidence: float
+    probabilities: list[JointProbability]
+    failed: list[str]
+    ok: bool
+
+
+class UnitScales(Part):
+    """Units in which violations of different kinds are compared."""
+
+    length_m: float
+    time_s: float
+
+
+class Solution(Part):
+    """Everything about one plan; its file can be solved again from itself."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    status: str
+    message: str
+    problem: Literal["P3", "P2"]
+    init: str
+    formulation: str
+    algorithm: str
+    solver: str
+    total_dv_m_s: float
+    burns: list[Burn]
+    nodes: Nodes
+    stages: list[StageSummary]
+    constraints: list[ConstraintResult]
+    violation: Violation
+    iterations: list[IterationRecord]
+    timing_s: TimingSummary
+    units: UnitScales
+    verification: Verification | None
+    scenario: Scenario
+
+    @property
+    def burns_m_s(self) -> npt.NDArray[np.float64]:
+        """Burns as an array, shape (m, 3)."""
+        return np.array([burn.dv_m_s for burn in self.burns])
+
+    def write(self, folder: Path) -> Path:
+        """Write `solution.json` into a folder; an old file stays whole until the new one is.
+
+        Raises:
+            OSError: if the folder cannot be written.
+        """
+        entries: dict[str, Any] = {"schema": SCHEMA, **self.model_dump(mode="json")}
+        lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in entries.items()]
+        return write_atomically(folder / FILE_NAME, "{\n" + ",\n".join(lines) + "\n}\n")
+
+
+def write_atomically(path: Path, text: str) -> Path:
+    """Write beside the target and rename, so that a reader sees the old file or the new one."""
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).replace(path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+    return path
+
+
+def is_solution(data: object) -> bool:
+    """Whether parsed JSON claims to be a solution file of any version."""
+    return isinstance(data, Mapping) and str(data.get("schema", "")).startswith(
+        "scp_recon.solution/"
+    )
+
+
+def read_solution(path: Path) -> Solution:
+    """Read a solution file, or the one in a folder.
+
+    Raises:
+        InputError: if there is none, it is of another version or it is damaged.
+    """
+    file = path / FILE_NAME if path.is_dir() else path
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        reason = (error.strerror or "unreadable").lower()
+        raise InputError(f"solution {file}", reason, "must be a readable solution file") from None
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"solution {file}", f"no JSON ({error})", "must be a solution file"
+        ) from None
+    if not is_solution(data) or data["schema"] != SCHEMA:
+        given = data.get("schema", "no schema") if isinstance(data, dict) else "no object"
+        raise InputError(f"solution {file}", repr(given), f"schema must be {SCHEMA!r}")
+    try:
+        # Through JSON again: strict fields such as tuples and dates read from it as written to it.
+        solution = Solution.model_validate_json(json.dumps(data))
+        Status.named(solution.status)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        entry = ".".join(str(part) for part in first["loc"])
+        given = repr(first["input"])[:80] if first["type"] != "missing" else "nothing"
+        raise InputError(f"solution {file}: {entry}", given, first["msg"]) from None
+    except ValueError:
+        allowed = ", ".join(status.value.name for status in Status)
+        raise InputError(
+            f"solution {file}: status", repr(data["status"]), f"must be one of {allowed}"
+        ) from None
+    return solution

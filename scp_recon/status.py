@@ -1,0 +1,75 @@
+"""Every way in which planning can end."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import NamedTuple
+
+
+class Outcome(NamedTuple):
+    """What a status says.
+
+    Attributes:
+        name: in the solution file.
+        message: what happened, in one sentence.
+        remedy: what to try next.
+        exit_code: of the command line.
+    """
+
+    name: str
+    message: str
+    remedy: str
+    exit_code: int
+
+
+class Status(Enum):
+    """How a stage or a plan ended; each member is its own message."""
+
+    CONVERGED = Outcome(
+        "converged",
+        "Converged: stationary, every constraint of the problem holds, no buffer is in use.",
+        "",
+        0,
+    )
+    INFEASIBLE = Outcome(
+        "infeasible",
+        "Infeasible: stationary at the least violation that was found from here.",
+        "Relax the constraints named above, ask a lower p_chance, or start from another --init.",
+        3,
+    )
+    MAX_ITERATIONS = Outcome(
+        "max_iterations",
+        "Not converged: the iteration limit came first.",
+        "Start from this solution with --init.",
+        4,
+    )
+    STALLED = Outcome(
+        "stalled",
+        "Not converged: the trust region collapsed before the iterate became stationary.",
+        "Start from another --init; if it recurs the linearisation is poor: use a finer grid.",
+        4,
+    )
+    SOLVER_FAILED = Outcome(
+        "solver_failed",
+        "Not converged: the conic solver gave no usable answer in any trust region tried.",
+        "Check the scenario's magnitudes, or start from another --init.",
+        4,
+    )
+    INTERRUPTED = Outcome(
+        "interrupted",
+        "Interrupted: this is the best iterate so far, not a solution.",
+        "Go on from it with --init.",
+        130,
+    )
+
+    @classmethod
+    def named(cls, name: str) -> Status:
+        """The status of that name.
+
+        Raises:
+            ValueError: if there is none.
+        """
+        for status in cls:
+            if status.value.name == name:
+                return status
+        raise ValueError(f"no status is named {name!r}")

@@ -1,0 +1,228 @@
+"""Verification that shares no code path with the solver.
+
+The plan's burns are flown with an adaptive eighth-order integrator at tight tolerance, the STM by
+the variational equations with a complex-step gravity gradient; every original constraint (not its
+polytope) is evaluated between the nodes too, and every joint probability is estimated by Monte
+Carlo of the nonlinear dynamics. Common ground is only the acceleration itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import solve_ivp
+
+from scp_recon import geometry
+from scp_recon.forces import ForceModel, acceleration
+from scp_recon.mission import Mission
+from scp_recon.montecarlo import proportion_interval, sample_positions
+from scp_recon.solution import JointProbability, MeanMargin, Solution, Verification
+
+Array = npt.NDArray[np.float64]
+
+SAMPLES, SEED, CONFIDENCE = 10_000, 0, 0.95
+MARGIN_STEP_S = 10.0
+POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
+COVARIANCE_LIMIT = 1e-6
+MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3}
+"""Between nodes a constraint that binds at them may dip below by this much."""
+MARGIN_PER_SAMPLE_ARC = 4
+
+Margins = dict[str, tuple[Literal["m", "rad"], Array]]
+
+
+def verify(mission: Mission, solution: Solution) -> Verification:
+    """Check a solution against its mission; the answer holds figures and what failed."""
+    burns, times = solution.burns_m_s, np.array(solution.nodes.t_s)
+    states = np.array(solution.nodes.state)
+    fine = np.arange(0.0, mission.times_s[-1], MARGIN_STEP_S)
+    flown = _fly(mission, burns, np.union1d(times, fine))
+    at_nodes = np.searchsorted(flown.times, times)
+    stored = np.array(solution.nodes.covariance)
+    final = np.abs(flown.states[-1] - mission.final_state)
+    margins = _mean_margins(mission, flown)
+    probabilities = _joint_probabilities(mission, burns)
+    figures = {
+        "terminal_position_error_m": float(np.linalg.norm(final[:3])),
+        "terminal_velocity_error_m_s": float(np.linalg.norm(final[3:])),
+        "max_defect": float(np.abs(flown.states[at_nodes, :3] - states[:, :3]).max()),
+        "covariance_error": _covariance_error(mission, stored, flown.covariances[at_nodes]),
+    }
+    limits = (POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M, COVARIANCE_LIMIT)
+    failed = [
+        name for (name, value), most in zip(figures.items(), limits, strict=True) if value > most
+    ]
+    failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
+    if solution.problem == "P2":
+        asked = mission.scenario.risk.p_chance
+        failed += [f"P({p.name})" for p in probabilities if p.estimate < asked]
+    return Verification(
+        **figures,
+        mean_margins=margins,
+        samples=SAMPLES,
+        confidence=CONFIDENCE,
+        probabilities=probabilities,
+        failed=failed,
+        ok=not failed,
+    )
+
+
+@dataclass(frozen=True)
+class _Flown:
+    """A re-integrated flight, after the burns: times (n,), states (n, 6), covariances (n, 6, 6)."""
+
+    times: Array
+    states: Array
+    covariances: Array
+
+
+def _fly(mission: Mission, burns: Array, times: Array) -> _Flown:
+    """Burn to burn, so that the integrator never steps over a jump."""
+    firing = mission.scenario.burns.times_s
+    beta = mission.scenario.uncertainty.execution_error
+    scale = np.concatenate([mission.units.state, np.ones(36)])
+    states, covariances = np.empty((len(times), 6)), np.empty((len(times), 6, 6))
+    state, covariance = mission.initial_state.copy(), np.diag(mission.initial_sigma**2)
+    for i, begin in enumerate(firing):
+        state[3:] += burns[i]
+        covariance[3:, 3:] += np.diag((beta * burns[i]) ** 2)
+        if i + 1 == len(firing):
+            break
+        # The leg's last time is overwritten by the next leg's first, after the burn.
+        leg = (times >= begin) & (times <= firing[i + 1])
+        answer = solve_ivp(
+            lambda _, y: variational_rate(y, mission.forces),
+            (begin, firing[i + 1]),
+            np.concatenate([state, np.eye(6).ravel()]),
+            method="DOP853",
+            t_eval=times[leg],
+            rtol=1e-12,
+            atol=1e-13 * scale,
+        )
+        stm = answer.y[6:].T.reshape(-1, 6, 6)
+        states[leg] = answer.y[:6].T
+        covariances[leg] = stm @ covariance @ stm.transpose(0, 2, 1)
+        state, covariance = states[leg][-1].copy(), covariances[leg][-1].copy()
+    states[-1], covariances[-1] = state, covariance
+    return _Flown(times, states, covariances)
+
+
+def variational_rate(y: Array, forces: ForceModel) -> Array:
+    """d/dt of the state and the flattened STM, shape (42,).
+
+    The gravity gradient is a complex step of the acceleration: exact to roundoff and independent of
+    the closed forms that the planner uses.
+    """
+    step = 1e-20
+    r = y[:3, None] + 1j * step * np.eye(3)
+    columns = np.stack(acceleration(r[0], r[1], r[2], forces))
+    stm = y[6:].reshape(6, 6)
+    stm_rate = np.concatenate([stm[3:], columns.imag / step @ stm[:3]])
+    return np.concatenate([y[3:6], columns.real[:, 0], stm_rate.ravel()])
+
+
+def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
+    """Largest error of a node's covariance relative to its largest entry, in scaled units."""
+    units = np.outer(mission.units.state, mission.units.state)
+    size = np.abs(flown / units).max(axis=(1, 2))
+    error = np.abs((stored - flown) / units).max(axis=(1, 2))
+    return float((error / np.maximum(size, np.finfo(float).tiny)).max())
+
+
+def _geometry_margins(mission: Mission, times: Array, position: Array) -> Margins:
+    """Margins of the original observation constraints at times (n,), positions (n, ..., 3)."""
+    limits = mission.scenario.observation
+    track = geometry.track(mission.site, mission.rotation, times)
+    extra = (slice(None),) + (None,) * (position.ndim - 2)
+    site = geometry.SiteTrack(track.position[extra], track.normal[extra])
+    sun = mission.sun_direction(times)[extra]
+    distance = geometry.distance(position, site)
+    emission = geometry.emission(position, site)
+    phase = geometry.phase(position, site, sun)
+    margins: Margins = {
+        "site_distance_min": ("m", distance - limits.site_distance_min_m),
+        "site_distance_max": ("m", limits.site_distance_max_m - distance),
+        "emission_min": ("rad", emission - np.deg2rad(limits.emission_min_deg)),
+        "emission_max": ("rad", np.deg2rad(limits.emission_max_deg) - emission),
+        "phase_min": ("rad", phase - np.deg2rad(limits.phase_min_deg)),
+        "battery_observation": (
+            "rad",
+            phase - np.deg2rad(mission.scenario.battery.observation_cone_deg),
+        ),
+    }
+    if limits.phase_max_deg is not None:
+        margins["phase_max"] = ("rad", np.deg2rad(limits.phase_max_deg) - phase)
+    return margins
+
+
+def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
+    first, last = mission.schedule.window_s
+    window = (flown.times >= first) & (flown.times <= last)
+    times = flown.times[window]
+    found = [
+        MeanMargin(
+            name=name,
+            unit=unit,
+            worst_margin=float(margin.min()),
+            worst_t_s=float(times[np.argmin(margin)]),
+        )
+        for name, (unit, margin) in _geometry_margins(
+            mission, times, flown.states[window, :3]
+        ).items()
+    ]
+    radius = np.linalg.norm(flown.states[:, :3], axis=1) - mission.scenario.safety.radius_min_m
+    safety = MeanMargin(
+        name="safety_radius",
+        unit="m",
+        worst_margin=float(radius.min()),
+        worst_t_s=float(flown.times[np.argmin(radius)]),
+    )
+    return [safety, *found]
+
+
+JOINT: dict[str, Callable[[str], bool]] = {
+    "site_distance": lambda name: name.startswith("site_distance"),
+    "emission": lambda name: name.startswith("emission"),
+    "phase": lambda name: name.startswith("phase"),
+    "battery_observation": lambda name: name == "battery_observation",
+}
+"""Which margins make up each joint chance constraint: Echigo et al., eqs. (21) to (25)."""
+
+
+def _joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability]:
+    """By Monte Carlo at the window's nodes and between them, and for safety at every node."""
+    window = mission.times_s[mission.window_nodes]
+    step = np.diff(window)[:, None] / MARGIN_PER_SAMPLE_ARC
+    between = (window[:-1, None] + step * np.arange(1, MARGIN_PER_SAMPLE_ARC)).ravel()
+    observed = np.union1d(window, between)
+    times = np.union1d(observed, mission.times_s)
+    positions = sample_positions(mission, burns, times, SAMPLES, SEED)
+    seen = np.searchsorted(times, observed)
+    margins = _geometry_margins(mission, observed, positions[seen])
+    holds = {
+        joint: np.all([m >= 0.0 for name, (_, m) in margins.items() if belongs(name)], axis=0)
+        for joint, belongs in JOINT.items()
+    }
+    radius = np.linalg.norm(positions, axis=2)
+    safe = radius >= mission.scenario.safety.radius_min_m
+    return [
+        _worst("safety_radius", times, safe),
+        *(_worst(joint, observed, held) for joint, held in holds.items()),
+    ]
+
+
+def _worst(name: str, times: Array, holds: npt.NDArray[np.bool_]) -> JointProbability:
+    counts = holds.sum(axis=1)
+    at = int(np.argmin(counts))
+    low, high = proportion_interval(int(counts[at]), holds.shape[1], CONFIDENCE)
+    return JointProbability(
+        name=name,
+        worst_t_s=float(times[at]),
+        estimate=float(counts[at] / holds.shape[1]),
+        low=low,
+        high=high,
+    )

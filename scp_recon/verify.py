@@ -1,0 +1,44 @@
+"""Verify a solution again: `python -m scp_recon.verify DIR`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from scp_recon import report
+from scp_recon.errors import InputError
+from scp_recon.mission import Mission
+from scp_recon.solution import read_solution
+from scp_recon.solve import BAD_INPUT, NOT_VERIFIED
+from scp_recon.status import Status
+from scp_recon.verification import verify
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0 if verified, else 4."""
+    p = argparse.ArgumentParser(prog="python -m scp_recon.verify", description=__doc__)
+    p.add_argument(
+        "solution", type=Path, metavar="DIR", help="folder with a solution.json, or the file"
+    )
+    options = p.parse_args(arguments)
+    console, errors = Console(), Console(stderr=True)
+    try:
+        solution = read_solution(options.solution)
+        mission = Mission.from_scenario(solution.scenario)
+        report.show_solution(console, solution)
+        verification = verify(mission, solution)
+        report.show_verification(console, mission, verification)
+    except InputError as error:
+        errors.print(f"error: {error}", style="red", markup=False, highlight=False)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        return Status.INTERRUPTED.value.exit_code
+    return 0 if verification.ok else NOT_VERIFIED
+
+
+if __name__ == "__main__":
+    sys.exit(main())
