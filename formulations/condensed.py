@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import cvxpy as cp
 import numpy as np
 
@@ -19,6 +21,8 @@ class Condensed:
         nodes: nodes whose outputs are wanted.
         with_factor: whether the outputs carry the covariance factor.
     """
+
+    clarabel: ClassVar[dict[str, float]] = {}
 
     def __init__(
         self, problem: FlybyProblem, burns: cp.Variable, nodes: Nodes, with_factor: bool

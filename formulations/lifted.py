@@ -11,6 +11,8 @@ a tenth of its size. The dynamics are one product of a block-sparse parameter wi
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
@@ -22,6 +24,9 @@ from formulations.regions import Array
 
 class Lifted:
     """The textbook form; arguments as for `Condensed`."""
+
+    # With the default 1e-8 its factorisation breaks down short of the tolerances.
+    clarabel: ClassVar[dict[str, float]] = {"static_regularization_constant": 1e-7}
 
     def __init__(
         self, problem: FlybyProblem, burns: cp.Variable, nodes: Nodes, with_factor: bool

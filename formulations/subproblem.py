@@ -31,6 +31,11 @@ class StateModel(Protocol):
     """How mean and factor follow from the burns: what distinguishes one formulation from another."""
 
     @property
+    def clarabel(self) -> dict[str, float]:
+        """Clarabel's settings, where the defaults do not serve."""
+        ...
+
+    @property
     def outputs(self) -> cp.Expression:
         """Position and factor rows of the used nodes, shape (3 n, 1 + c)."""
         ...
@@ -65,6 +70,10 @@ DYNAMICS_WEIGHT = 10.0
 
 SMALL_BURN = 1e-2
 """Of `dv_max`; see `Subproblem.solve`."""
+
+
+TOLERANCES = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9)
+"""Tighter than Clarabel's 1e-8, so that late, small predicted reductions still mean something."""
 
 
 class SubproblemError(RuntimeError):
@@ -170,6 +179,7 @@ class Subproblem:
         steady = np.linalg.norm(burns, axis=1, keepdims=True) > turning
         for parameter, cone in zip(self._cone_normals, self.problem.burn_cones(), strict=True):
             parameter.value = np.where(steady, cone.supporting(burns).normal, 0.0)
+        settings = TOLERANCES | self._model.clarabel if self._solver == "CLARABEL" else {}
         start = perf_counter()
         try:
             # An inaccurate answer is judged by the ratio test, not by a warning on the terminal.
@@ -177,9 +187,7 @@ class Subproblem:
                 warnings.filterwarnings("ignore", message="Solution may be inaccurate")
                 # CVXPY's own canonicalisation of sparse parameters trips over its own advice.
                 warnings.filterwarnings("ignore", message="Reading from a sparse CVXPY expression")
-                merit = self.program.solve(
-                    solver=self._solver, canon_backend="COO", **_tolerances(self._solver)
-                )
+                merit = self.program.solve(solver=self._solver, canon_backend="COO", **settings)
         except cp.SolverError as error:
             raise SubproblemError(str(error)) from error
         burns = self._burns.value
@@ -187,9 +195,3 @@ class Subproblem:
             raise SubproblemError(f"{self._solver} ended with status {self.program.status}")
         solver_s = self.program.solver_stats.solve_time or 0.0
         return Step(burns, float(merit), solver_s, perf_counter() - start - solver_s)
-
-
-def _tolerances(solver: str) -> dict[str, float]:
-    """Tighter than Clarabel's 1e-8, so that late, small predicted reductions are still meaningful."""
-    names = ("tol_gap_abs", "tol_gap_rel", "tol_feas")
-    return dict.fromkeys(names, 1e-9) if solver == "CLARABEL" else {}

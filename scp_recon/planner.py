@@ -29,7 +29,7 @@ class Stage:
     """A run of the SCP on one problem.
 
     Attributes:
-        name: "P3", "P2", "P2 facets 2", ...
+        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...
         result: how it ended and where.
         subproblem: of which it was; it knows the constraints' margins.
         facets: of P2, None for P3.
@@ -114,7 +114,7 @@ def plan(
         for round_ in range(2, facet_rounds + 2):
             if final.result.status is Status.INTERRUPTED:
                 break
-            again = solve_p2(f"P2 facets {round_}", final.result.lin)
+            again = solve_p2(f"P2.{round_}", final.result.lin)
             if not _better(again, final):
                 break
             final = again

@@ -76,7 +76,7 @@ def live_iterations(console: Console, mission: Mission) -> Iterator[Observer]:
         def observe(stage: str, record: Record) -> None:
             r = iteration_record(mission, stage, record)
             if record.failure:
-                table.add_row(stage, str(r.k), Text(record.failure, style="yellow"))
+                table.add_row(stage, str(r.k), Text("solver failed", style="yellow"))
             else:
                 table.add_row(
                     stage,
@@ -162,11 +162,11 @@ def show_verification(console: Console, mission: Mission, verification: Verifica
     for heading in ("worst margin", "at s"):
         table.add_column(heading, justify="right")
     for m in v.mean_margins:
-        margin = (
-            f"{m.worst_margin:+.1f} m"
-            if m.unit == "m"
-            else f"{np.rad2deg(m.worst_margin):+.2f} deg"
-        )
+        margin = {
+            "m": f"{m.worst_margin:+.1f} m",
+            "m/s": f"{m.worst_margin:+.4f} m/s",
+            "rad": f"{np.rad2deg(m.worst_margin):+.2f} deg",
+        }[m.unit]
         table.add_row(m.name, margin, f"{m.worst_t_s:.0f}")
     console.print(table)
     table = Table(box=None, header_style="bold", pad_edge=False)

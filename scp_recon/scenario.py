@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
 from scp_recon.errors import InputError
 
@@ -236,6 +237,10 @@ def load_scenario(path: Path | None = None, overrides: Sequence[str] = ()) -> Sc
 
 def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Scenario:
     """Validate a scenario given as nested tables, after merging its base and the overrides."""
+    if not {"base", *Scenario.model_fields} & set(data):
+        raise InputError(
+            "scenario", "none of its entries", 'must be complete or have base = "recon_b"'
+        )
     merged = _with_base(data)
     for override in overrides:
         merged = _merge(merged, _parse_override(override))
@@ -304,16 +309,21 @@ def _parse_override(override: str) -> dict[str, Any]:
 
 def _input_error(error: ValidationError) -> InputError:
     """One message for everything that is wrong, the first problem giving the entry."""
-    problems = [_describe(dict(problem)) for problem in error.errors(include_url=False)]
-    unique = list(dict.fromkeys(problems))
-    entry, given, allowed = unique[0]
-    more = [f"{e}: got {g}; {a}" for e, g, a in unique[1:MAX_PROBLEMS_SHOWN]]
-    if len(unique) > MAX_PROBLEMS_SHOWN:
-        more.append(f"... and {len(unique) - MAX_PROBLEMS_SHOWN} more")
-    return InputError(entry, given, "\n".join([allowed, *more]))
+    allowed: dict[tuple[str, str], list[str]] = {}
+    for problem in error.errors(include_url=False):
+        entry, given, rule = _describe(dict(problem))
+        rules = allowed.setdefault((entry, given), [])
+        if rule not in rules:
+            rules.append(rule)
+    (entry, given), *others = allowed
+    more = [f"{e}: got {g}; {', or '.join(allowed[e, g])}" for e, g in others]
+    if len(more) >= MAX_PROBLEMS_SHOWN:
+        more[MAX_PROBLEMS_SHOWN - 1 :] = [f"... and {len(more) - MAX_PROBLEMS_SHOWN + 1} more"]
+    return InputError(entry, given, "\n".join([", or ".join(allowed[entry, given]), *more]))
 
 
 def _describe(problem: dict[str, Any]) -> tuple[str, str, str]:
+    """Entry, what was given and what is allowed, from one of Pydantic's errors."""
     kind = problem["type"]
     location = [part for part in problem["loc"] if not _is_union_branch(part)]
     entry = ".".join(str(part) for part in location) or "scenario"
@@ -321,10 +331,11 @@ def _describe(problem: dict[str, Any]) -> tuple[str, str, str]:
         return entry, "an unknown entry", _suggestion(location)
     if kind == "missing":
         return entry, "nothing", "this entry is required (or name a base)"
-    given = problem["input"]
-    text = "these values" if isinstance(given, dict) else repr(given)[:80]
-    message = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return entry, text, f"must be {message}" if "must" not in message else message
+    given = "these values" if isinstance(problem["input"], dict) else repr(problem["input"])[:80]
+    bounds = _bounds(location) if kind.startswith(("greater_than", "less_than")) else ""
+    message = bounds or problem["msg"].removeprefix("Value error, ")
+    message = message.removeprefix("Input should be ").replace("an object", "a table")
+    return entry, given, message if "must" in message else f"must be {message}"
 
 
 def _is_union_branch(part: str | int) -> bool:
@@ -332,15 +343,42 @@ def _is_union_branch(part: str | int) -> bool:
     return isinstance(part, str) and ("[" in part or part in ("int", "constrained-int"))
 
 
-def _suggestion(location: list[str | int]) -> str:
-    """The nearest known key beside an unknown one, else all of them."""
+def _field(location: list[str | int]) -> FieldInfo | None:
+    """The scenario's field at a location, if it is a plain one."""
     model: Any = Scenario
-    for part in location[:-1]:
-        field = model.model_fields.get(part) if hasattr(model, "model_fields") else None
+    field = None
+    for part in location:
+        field = getattr(model, "model_fields", {}).get(part)
         model = field.annotation if field else None
-    known = list(getattr(model, "model_fields", {}))
-    if not known:
-        return "nothing is allowed below this entry"
-    near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]}?" if near else f"must be one of {', '.join(known)}"
-    return f"{hint} (units are part of the key)" if near else hint
+    return field
+
+
+def _bounds(location: list[str | int]) -> str:
+    """Both ends of a field's range, where one end alone was broken."""
+    words = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at most"}
+    field = _field(location)
+    rules = [
+        f"{words[name]} {getattr(rule, name):g}"
+        for rule in (field.metadata if field else [])
+        for name in words
+        if hasattr(rule, name)
+    ]
+    return " and ".join(rules)
+
+
+def _suggestion(location: list[str | int]) -> str:
+    """The entry that an unknown one may have been meant for, else those beside it."""
+    tables = {name: field.annotation for name, field in Scenario.model_fields.items()}
+    paths = [
+        f"{table}.{key}"
+        for table, model in tables.items()
+        for key in getattr(model, "model_fields", {})
+    ]
+    written = ".".join(str(part) for part in location)
+    by_key = {path.split(".")[1]: path for path in paths}
+    near = difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
+    near = near or difflib.get_close_matches(str(location[-1]), by_key, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean {by_key.get(near[0], near[0])}? (units are part of the key)"
+    beside = getattr(tables.get(str(location[0])), "model_fields", None) if location[1:] else tables
+    return f"must be one of {', '.join(beside or tables)}"

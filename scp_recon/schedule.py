@@ -158,7 +158,6 @@ def _too_short(
     leg: Leg,
     sun_leg: float,
 ) -> InputError:
-    gap = leg.start_s - previous.end_s
     early, late = intervals[burn]
     moved = (
         f"between {early:g} s and {late:g} s with the others kept"
@@ -171,7 +170,7 @@ def _too_short(
         f"burns.times_s.{burn}",
         f"{times_s[burn]:g} s",
         f"rule 'a sun-pointing leg lasts at least one slew and one recharge, {sun_leg:g} s' is "
-        f"broken: {gap:g} s are left between {previous.mode} mode, which ends at "
-        f"{previous.end_s:g} s, and {leg.mode} mode, which must start at {leg.start_s:g} s; "
+        f"broken: {previous.mode} mode ends at {previous.end_s:g} s and {leg.mode} mode must start at "
+        f"{leg.start_s:g} s; "
         f"this burn may be {moved}",
     )

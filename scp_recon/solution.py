@@ -117,7 +117,7 @@ class MeanMargin(Part):
 
     name: str
     worst_margin: float
-    unit: Literal["m", "rad"]
+    unit: Literal["m", "rad", "m/s"]
     worst_t_s: float
 
 

@@ -28,9 +28,10 @@ SAMPLES, SEED, CONFIDENCE = 10_000, 0, 0.95
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
 COVARIANCE_LIMIT = 1e-6
-MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3}
+MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
 """Between nodes a constraint that binds at them may dip below by this much."""
-MARGIN_PER_SAMPLE_ARC = 4
+NO_BURN_M_S = 1e-6
+SAMPLED_PARTS_PER_ARC = 4
 
 Margins = dict[str, tuple[Literal["m", "rad"], Array]]
 
@@ -44,7 +45,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     at_nodes = np.searchsorted(flown.times, times)
     stored = np.array(solution.nodes.covariance)
     final = np.abs(flown.states[-1] - mission.final_state)
-    margins = _mean_margins(mission, flown)
+    margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
     probabilities = _joint_probabilities(mission, burns)
     figures = {
         "terminal_position_error_m": float(np.linalg.norm(final[:3])),
@@ -184,6 +185,36 @@ def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
     return [safety, *found]
 
 
+def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:
+    """Size of the planned burns and their angle from the Sun line, either way."""
+    times = np.array(mission.scenario.burns.times_s)
+    size = mission.scenario.burns.dv_max_m_s - np.linalg.norm(burns, axis=1)
+    angle = geometry.angle(burns, mission.sun_direction(times))
+    cone = np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
+    # A burn of next to nothing needs no attitude.
+    burning = np.linalg.norm(burns, axis=1) > NO_BURN_M_S
+    off_sun = np.where(burning, np.minimum(angle, np.pi - angle) - cone, np.inf)
+    at = int(np.argmin(off_sun))
+    margins = [
+        MeanMargin(
+            name="dv_max",
+            unit="m/s",
+            worst_margin=float(size.min()),
+            worst_t_s=float(times[np.argmin(size)]),
+        )
+    ]
+    if np.isfinite(off_sun[at]):
+        margins.append(
+            MeanMargin(
+                name="dv_battery",
+                unit="rad",
+                worst_margin=float(off_sun[at]),
+                worst_t_s=float(times[at]),
+            )
+        )
+    return margins
+
+
 JOINT: dict[str, Callable[[str], bool]] = {
     "site_distance": lambda name: name.startswith("site_distance"),
     "emission": lambda name: name.startswith("emission"),
@@ -196,8 +227,8 @@ JOINT: dict[str, Callable[[str], bool]] = {
 def _joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability]:
     """By Monte Carlo at the window's nodes and between them, and for safety at every node."""
     window = mission.times_s[mission.window_nodes]
-    step = np.diff(window)[:, None] / MARGIN_PER_SAMPLE_ARC
-    between = (window[:-1, None] + step * np.arange(1, MARGIN_PER_SAMPLE_ARC)).ravel()
+    step = np.diff(window)[:, None] / SAMPLED_PARTS_PER_ARC
+    between = (window[:-1, None] + step * np.arange(1, SAMPLED_PARTS_PER_ARC)).ravel()
     observed = np.union1d(window, between)
     times = np.union1d(observed, mission.times_s)
     positions = sample_positions(mission, burns, times, SAMPLES, SEED)
