@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Literal
-
-import numpy as np
 
 from formulations.facets import Facets, choose_facets, included_rows
 from formulations.lifting import Linearisation
@@ -74,51 +72,76 @@ def plan(
         observe: called after each iteration with the stage's name and the record.
     """
     started = perf_counter()
-    timing = Timing()
-    stages: list[Stage] = []
-    algorithm = TrustRegion()
+    work = _Work(mission, formulation, observe or (lambda _, __: None))
+    try:
+        final = work.solve_p3(guess)
+        if problem == "P2":
+            final = work.solve_p2("P2", final.result.lin)
+            for round_ in range(2, facet_rounds + 2):
+                again = work.solve_p2(f"P2.{round_}", final.result.lin)
+                if not _better(again, final):
+                    break
+                final = again
+    except KeyboardInterrupt:
+        if not work.stages:
+            raise
+        final = work.interrupted()
+    return Plan(tuple(work.stages), final, work.timing, perf_counter() - started)
 
-    def solve(name: str, rows: Rows, start: Linearisation, facets: Facets | None) -> Stage:
-        begin = perf_counter()
-        subproblem = Subproblem(mission.problem, rows, formulation)
-        timing.setup += perf_counter() - begin
-        result = run(
-            subproblem,
-            mission.dynamics,
-            start,
-            algorithm,
-            lambda record: observe(name, record) if observe else None,
-        )
-        timing.add(result.timing)
-        stages.append(Stage(name, result, subproblem, facets, algorithm.feasible))
-        return stages[-1]
 
-    def solve_p2(name: str, start: Linearisation) -> Stage:
-        lin = start
+@dataclass
+class _Work:
+    """What accumulates while the stages are solved."""
+
+    mission: Mission
+    formulation: str
+    observe: Observer
+    stages: list[Stage] = field(default_factory=list)
+    timing: Timing = field(default_factory=Timing)
+    algorithm: TrustRegion = field(default_factory=TrustRegion)
+
+    def solve_p3(self, guess: Iterate) -> Stage:
+        """P3 from a guess."""
+        start = self.mission.dynamics.linearise(self.mission.problem, guess)
+        return self._run("P3", P3Rows(self.mission.problem), start, None)
+
+    def solve_p2(self, name: str, start: Linearisation) -> Stage:
+        """P2 with the facets chosen at the start, restoring those that should not be left out."""
+        mission, lin = self.mission, start
         facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
         margin = facets.margin(lin.iterate.mean, lin.factor)
         included = included_rows(margin, CLEARANCE_M / mission.units.length_m)
         while True:
             rows = P2Rows(mission.problem, facets, included)
-            stage = solve(name, rows, lin, facets)
-            missed = rows.missed(stage.result.lin, algorithm.feasible)
-            if stage.result.status is Status.INTERRUPTED or not missed.any():
+            stage = self._run(name, rows, lin, facets)
+            missed = rows.missed(stage.result.lin, self.algorithm.feasible)
+            if not missed.any():
                 return stage
             included, lin = included | missed, stage.result.lin
 
-    final = solve(
-        "P3", P3Rows(mission.problem), mission.dynamics.linearise(mission.problem, guess), None
-    )
-    if problem == "P2" and final.result.status is not Status.INTERRUPTED:
-        final = solve_p2("P2", final.result.lin)
-        for round_ in range(2, facet_rounds + 2):
-            if final.result.status is Status.INTERRUPTED:
-                break
-            again = solve_p2(f"P2.{round_}", final.result.lin)
-            if not _better(again, final):
-                break
-            final = again
-    return Plan(tuple(stages), final, timing, perf_counter() - started)
+    def _run(self, name: str, rows: Rows, start: Linearisation, facets: Facets | None) -> Stage:
+        """One run of the SCP; an interrupted one ends the work."""
+        begin = perf_counter()
+        subproblem = Subproblem(self.mission.problem, rows, self.formulation)
+        self.timing.setup += perf_counter() - begin
+        result = run(
+            subproblem,
+            self.mission.dynamics,
+            start,
+            self.algorithm,
+            lambda record: self.observe(name, record),
+        )
+        self.timing.add(result.timing)
+        self.stages.append(Stage(name, result, subproblem, facets, self.algorithm.feasible))
+        if result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return self.stages[-1]
+
+    def interrupted(self) -> Stage:
+        """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
+        solved = [s for s in self.stages if s.facets and s.result.status is Status.CONVERGED]
+        best = (solved or self.stages)[-1]
+        return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
 
 
 def _better(new: Stage, old: Stage) -> bool:
@@ -126,4 +149,4 @@ def _better(new: Stage, old: Stage) -> bool:
     if new.result.status is not old.result.status:
         return new.result.status is Status.CONVERGED
     merits = [s.subproblem.merit(s.result.lin, TrustRegion().weight) for s in (new, old)]
-    return bool(np.diff(merits)[0] > 0.0)
+    return merits[0] < merits[1]

@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         errors.print(f"error: {error}", style="red", markup=False, highlight=False)
         return BAD_INPUT
     except KeyboardInterrupt:
-        errors.print("interrupted before there was anything to keep", style="red")
+        errors.print("interrupted", style="red")
         return Status.INTERRUPTED.value.exit_code
 
 
