@@ -22,7 +22,7 @@ from scp_recon import geometry
 from scp_recon.errors import InputError
 from scp_recon.frames import sun_north_to_j2000
 from scp_recon.mission import Mission
-from scp_recon.montecarlo import sample_positions
+from scp_recon.sampling import sample_positions
 from scp_recon.solution import Solution, read_solution
 
 Array = npt.NDArray[np.float64]

@@ -7,7 +7,9 @@ the exact derivatives of the discrete map, not approximations of those of the co
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -36,20 +38,35 @@ def propagate(
     state: Array, duration: Array | float, forces: ForceModel, substeps: int = 1
 ) -> Array:
     """Carry states over their arcs; `state` (..., 6), `duration` broadcast against (...)."""
+
+    def autonomous(r: Array, _: Any) -> Array:
+        return np.stack(acceleration(r[0], r[1], r[2], forces))
+
+    return rk4(state, duration, autonomous, substeps)
+
+
+def rk4(
+    state: Array,
+    duration: Array | float,
+    rate: Callable[[Array, Any], Array],
+    substeps: int,
+) -> Array:
+    """Fourth-order Runge-Kutta for an acceleration of the position (3, ...) and the elapsed time.
+
+    `state` has shape (..., 6) and `duration` broadcasts against (...).
+    """
     r = np.moveaxis(np.asarray(state)[..., :3], -1, 0)
     v = np.moveaxis(np.asarray(state)[..., 3:], -1, 0)
     h = np.asarray(duration) / substeps
-    for _ in range(substeps):
-        a1 = np.stack(acceleration(r[0], r[1], r[2], forces))
+    for k in range(substeps):
+        t = k * h
+        a1 = rate(r, t)
         v2 = v + 0.5 * h * a1
-        r2 = r + 0.5 * h * v
-        a2 = np.stack(acceleration(r2[0], r2[1], r2[2], forces))
+        a2 = rate(r + 0.5 * h * v, t + 0.5 * h)
         v3 = v + 0.5 * h * a2
-        r3 = r + 0.5 * h * v2
-        a3 = np.stack(acceleration(r3[0], r3[1], r3[2], forces))
+        a3 = rate(r + 0.5 * h * v2, t + 0.5 * h)
         v4 = v + h * a3
-        r4 = r + h * v3
-        a4 = np.stack(acceleration(r4[0], r4[1], r4[2], forces))
+        a4 = rate(r + h * v3, t + h)
         r = r + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
         v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
     return np.moveaxis(np.concatenate([r, v]), 0, -1)

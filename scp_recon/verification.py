@@ -8,23 +8,23 @@ Carlo of the nonlinear dynamics. Common ground is only the acceleration itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from scp_recon import geometry
+from scp_recon.estimates import CONFIDENCE, proportion
 from scp_recon.forces import ForceModel, acceleration
 from scp_recon.mission import Mission
-from scp_recon.montecarlo import proportion_interval, sample_positions
+from scp_recon.observing import joint_margins, observation_margins
+from scp_recon.sampling import sample_positions
 from scp_recon.solution import JointProbability, MeanMargin, Solution, Verification
 
 Array = npt.NDArray[np.float64]
 
-SAMPLES, SEED, CONFIDENCE = 10_000, 0, 0.95
+SAMPLES, SEED = 10_000, 0
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
 COVARIANCE_LIMIT = 1e-6
@@ -32,8 +32,6 @@ MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
 """Between nodes a constraint that binds at them may dip below by this much."""
 NO_BURN_M_S = 1e-6
 SAMPLED_PARTS_PER_ARC = 4
-
-Margins = dict[str, tuple[Literal["m", "rad"], Array]]
 
 
 def verify(mission: Mission, solution: Solution) -> Verification:
@@ -134,32 +132,6 @@ def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
     return float((error / np.maximum(size, np.finfo(float).tiny)).max())
 
 
-def _geometry_margins(mission: Mission, times: Array, position: Array) -> Margins:
-    """Margins of the original observation constraints at times (n,), positions (n, ..., 3)."""
-    limits = mission.scenario.observation
-    track = geometry.track(mission.site, mission.rotation, times)
-    extra = (slice(None),) + (None,) * (position.ndim - 2)
-    site = geometry.SiteTrack(track.position[extra], track.normal[extra])
-    sun = mission.sun_direction(times)[extra]
-    distance = geometry.distance(position, site)
-    emission = geometry.emission(position, site)
-    phase = geometry.phase(position, site, sun)
-    margins: Margins = {
-        "site_distance_min": ("m", distance - limits.site_distance_min_m),
-        "site_distance_max": ("m", limits.site_distance_max_m - distance),
-        "emission_min": ("rad", emission - np.deg2rad(limits.emission_min_deg)),
-        "emission_max": ("rad", np.deg2rad(limits.emission_max_deg) - emission),
-        "phase_min": ("rad", phase - np.deg2rad(limits.phase_min_deg)),
-        "battery_observation": (
-            "rad",
-            phase - np.deg2rad(mission.scenario.battery.observation_cone_deg),
-        ),
-    }
-    if limits.phase_max_deg is not None:
-        margins["phase_max"] = ("rad", np.deg2rad(limits.phase_max_deg) - phase)
-    return margins
-
-
 def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
     first, last = mission.schedule.window_s
     window = (flown.times >= first) & (flown.times <= last)
@@ -171,7 +143,7 @@ def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
             worst_margin=float(margin.min()),
             worst_t_s=float(times[np.argmin(margin)]),
         )
-        for name, (unit, margin) in _geometry_margins(
+        for name, (unit, margin) in observation_margins(
             mission, times, flown.states[window, :3]
         ).items()
     ]
@@ -215,15 +187,6 @@ def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:
     return margins
 
 
-JOINT: dict[str, Callable[[str], bool]] = {
-    "site_distance": lambda name: name.startswith("site_distance"),
-    "emission": lambda name: name.startswith("emission"),
-    "phase": lambda name: name.startswith("phase"),
-    "battery_observation": lambda name: name == "battery_observation",
-}
-"""Which margins make up each joint chance constraint: Echigo et al., eqs. (21) to (25)."""
-
-
 def _joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability]:
     """By Monte Carlo at the window's nodes and between them, and for safety at every node."""
     window = mission.times_s[mission.window_nodes]
@@ -233,27 +196,23 @@ def _joint_probabilities(mission: Mission, burns: Array) -> list[JointProbabilit
     times = np.union1d(observed, mission.times_s)
     positions = sample_positions(mission, burns, times, SAMPLES, SEED)
     seen = np.searchsorted(times, observed)
-    margins = _geometry_margins(mission, observed, positions[seen])
-    holds = {
-        joint: np.all([m >= 0.0 for name, (_, m) in margins.items() if belongs(name)], axis=0)
-        for joint, belongs in JOINT.items()
-    }
+    joint = joint_margins(mission, observed, positions[seen])
     radius = np.linalg.norm(positions, axis=2)
     safe = radius >= mission.scenario.safety.radius_min_m
     return [
         _worst("safety_radius", times, safe),
-        *(_worst(joint, observed, held) for joint, held in holds.items()),
+        *(_worst(name, observed, margin >= 0.0) for name, margin in joint.items()),
     ]
 
 
 def _worst(name: str, times: Array, holds: npt.NDArray[np.bool_]) -> JointProbability:
     counts = holds.sum(axis=1)
     at = int(np.argmin(counts))
-    low, high = proportion_interval(int(counts[at]), holds.shape[1], CONFIDENCE)
+    estimate = proportion(int(counts[at]), holds.shape[1])
     return JointProbability(
         name=name,
         worst_t_s=float(times[at]),
-        estimate=float(counts[at] / holds.shape[1]),
-        low=low,
-        high=high,
+        estimate=estimate.value,
+        low=estimate.low,
+        high=estimate.high,
     )

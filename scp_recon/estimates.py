@@ -1,0 +1,101 @@
+"""Estimates with confidence intervals, from tallies of bounded size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import binom, binomtest, t
+
+Array = npt.NDArray[np.float64]
+
+CONFIDENCE = 0.95
+
+
+class Estimate(NamedTuple):
+    """A value and the ends of its confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def proportion(successes: int, samples: int) -> Estimate:
+    """Probability with its Clopper-Pearson interval."""
+    interval = binomtest(successes, samples).proportion_ci(CONFIDENCE, method="exact")
+    return Estimate(successes / samples, float(interval.low), float(interval.high))
+
+
+@dataclass(frozen=True)
+class Tally:
+    """A sample of one quantity, kept as a histogram and the means of equal batches.
+
+    Attributes:
+        edges: of the bins, ascending, shape (b + 1,); values beyond fall into the outer bins.
+        counts: shape (b,).
+        batch_means: means of the batches added so far.
+        batch_sizes: and how many values each had.
+    """
+
+    edges: Array
+    counts: npt.NDArray[np.int64]
+    batch_means: tuple[float, ...] = ()
+    batch_sizes: tuple[int, ...] = ()
+
+    @classmethod
+    def empty(cls, low: float, high: float, resolution: float) -> Tally:
+        """No values yet; bins of `resolution` from `low` to `high`."""
+        bins = max(1, int(np.ceil((high - low) / resolution)))
+        return cls(np.linspace(low, high, bins + 1), np.zeros(bins, dtype=np.int64))
+
+    def add(self, values: Array) -> Tally:
+        """The tally with one more batch."""
+        inside = np.clip(values, self.edges[0], self.edges[-1])
+        return Tally(
+            self.edges,
+            self.counts + np.histogram(inside, self.edges)[0],
+            (*self.batch_means, float(values.mean())),
+            (*self.batch_sizes, len(values)),
+        )
+
+    @property
+    def samples(self) -> int:
+        """Number of values."""
+        return sum(self.batch_sizes)
+
+    def mean(self) -> Estimate:
+        """Mean with Student's interval over the batch means; infinite with a single batch."""
+        weights = np.array(self.batch_sizes, dtype=float)
+        means = np.array(self.batch_means)
+        value = float(np.average(means, weights=weights))
+        n = len(means)
+        if n < 2:
+            return Estimate(value, -np.inf, np.inf)
+        variance = float(np.average((means - value) ** 2, weights=weights)) / (n - 1)
+        half = float(t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1)) * np.sqrt(variance)
+        return Estimate(value, value - half, value + half)
+
+    def quantile(self, probability: float) -> Estimate:
+        """Quantile with the distribution-free interval between two order statistics.
+
+        The number of values below the true quantile is binomial, whatever the distribution.
+        """
+        n = self.samples
+        tail = 0.5 * (1.0 - CONFIDENCE)
+        ranks = (
+            probability * n,
+            float(binom.ppf(tail, n, probability)),
+            float(binom.ppf(1.0 - tail, n, probability)) + 1.0,
+        )
+        cumulative = np.concatenate([[0.0], np.cumsum(self.counts)])
+        value, low, high = (self._at_rank(min(rank, n), cumulative) for rank in ranks)
+        return Estimate(value, low, high)
+
+    def _at_rank(self, rank: float, cumulative: Array) -> float:
+        """Where the cumulative count reaches a rank; a full bin's upper edge for the top one."""
+        at = int(np.searchsorted(cumulative, max(rank, 1.0), side="left"))
+        inside = (rank - cumulative[at - 1]) / (cumulative[at] - cumulative[at - 1])
+        width = self.edges[at] - self.edges[at - 1]
+        return float(self.edges[at - 1] + np.clip(inside, 0.0, 1.0) * width)
