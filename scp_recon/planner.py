@@ -12,6 +12,8 @@ from formulations.lifting import Linearisation
 from formulations.problem import Iterate
 from formulations.rows import P2Rows, P3Rows, Rows
 from formulations.subproblem import Subproblem
+from scp_recon.errors import InputError
+from scp_recon.guess import ballistic
 from scp_recon.mission import Mission
 from scp_recon.scp import Record, Result, Timing, TrustRegion, run
 from scp_recon.status import Status
@@ -62,6 +64,8 @@ def plan(
 ) -> Plan:
     """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
+    Where P3 does not converge from the guess it is tried once more from the ballistic arc.
+
     Args:
         mission: what to plan.
         guess: initial iterate, which may have defects.
@@ -75,6 +79,8 @@ def plan(
     work = _Work(mission, formulation, observe or (lambda _, __: None))
     try:
         final = work.solve_p3(guess)
+        if final.result.status is not Status.CONVERGED:
+            final = work.retry_p3(final)
         if problem == "P2":
             final = work.solve_p2("P2", final.result.lin)
             for round_ in range(2, facet_rounds + 2):
@@ -100,10 +106,22 @@ class _Work:
     timing: Timing = field(default_factory=Timing)
     algorithm: TrustRegion = field(default_factory=TrustRegion)
 
-    def solve_p3(self, guess: Iterate) -> Stage:
+    def solve_p3(self, guess: Iterate, name: str = "P3") -> Stage:
         """P3 from a guess."""
         start = self.mission.dynamics.linearise(self.mission.problem, guess)
-        return self._run("P3", P3Rows(self.mission.problem), start, None)
+        return self._run(name, P3Rows(self.mission.problem), start, None)
+
+    def retry_p3(self, failed: Stage) -> Stage:
+        """P3 once more from the ballistic arc; the better of the two.
+
+        A straight line may pass through the body's centre, where nothing can be linearised.
+        """
+        try:
+            guess = ballistic(self.mission)
+        except InputError:
+            return failed
+        again = self.solve_p3(guess, "P3.2")
+        return again if _better(again, failed) else failed
 
     def solve_p2(self, name: str, start: Linearisation) -> Stage:
         """P2 with the facets chosen at the start, restoring those that should not be left out."""
@@ -145,7 +163,7 @@ class _Work:
 
 
 def _better(new: Stage, old: Stage) -> bool:
-    """Whether a facet round is worth keeping: first feasible, then cheaper."""
+    """Whether a run is worth keeping instead: first converged, then cheaper."""
     if new.result.status is not old.result.status:
         return new.result.status is Status.CONVERGED
     merits = [s.subproblem.merit(s.result.lin, TrustRegion().weight) for s in (new, old)]

@@ -13,7 +13,7 @@ from time import perf_counter
 from typing import Protocol
 
 from formulations.lifting import Linearisation
-from formulations.subproblem import Subproblem, SubproblemError
+from formulations.subproblem import Step, Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.status import Status
 
@@ -121,7 +121,7 @@ class TrustRegion:
 
     initial_radius: float = 3.0
     weight: float = 10.0
-    weight_max: float = 10_000.0
+    weight_max: float = 1_000.0
     stationary: float = 1e-6
     feasible: float = 1e-6
     max_iterations: int = 50
@@ -147,6 +147,7 @@ class TrustRegion:
         timing.linearise += perf_counter() - start
         try:
             answer = subproblem.solve(state.radius, state.weight)
+            self._check(answer, state)
         except SubproblemError as error:
             # A smaller trust region is a better conditioned problem.
             record = _record(subproblem, state, k, failure=str(error))
@@ -192,6 +193,15 @@ class TrustRegion:
         if state.stationary:
             return Status.INFEASIBLE if state.weight >= self.weight_max else None
         return Status.STALLED if state.radius < self.COLLAPSED else None
+
+    def _check(self, answer: Step, state: State) -> None:
+        """Standing still is always possible: an answer that is worse by its own model is none.
+
+        Raises:
+            SubproblemError: if it is.
+        """
+        if answer.merit > state.merit + self.stationary * max(1.0, abs(state.merit)):
+            raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
 
     def _is_stationary(self, record: Record) -> bool:
         """No step within a unit radius promises a reduction that is worth one.
