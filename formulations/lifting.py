@@ -35,6 +35,15 @@ def propagate_factor(problem: FlybyProblem, stm: Array, burns: Array) -> Array:
     return factor
 
 
+class LinearisationError(ArithmeticError):
+    """The dynamics have no finite derivatives at an iterate."""
+
+
+def _require_finite(*parts: Array) -> None:
+    if not all(np.isfinite(part).all() for part in parts):
+        raise LinearisationError("the dynamics have no finite derivatives at the iterate")
+
+
 @dataclass(frozen=True)
 class Linearisation:
     """An iterate with the derivatives of its arcs and its covariance factor."""
@@ -75,6 +84,9 @@ def condense(lin: Linearisation, *, curvature: bool = True) -> Sensitivity:
     Args:
         lin: where to linearise; its defects are closed by the affine map.
         curvature: keep the STMs' dependence on the mean (the T_k term).
+
+    Raises:
+        LinearisationError: if they are not finite.
     """
     problem, z = lin.problem, lin.iterate.burns.ravel()
     nodes, columns, nz = problem.n_nodes, problem.factor_columns, len(z)
@@ -99,6 +111,7 @@ def condense(lin: Linearisation, *, curvature: bool = True) -> Sensitivity:
             for axis in range(3):
                 column = problem.columns_of_burn(i).start + axis
                 d_factor[k, 3 + axis, column, 3 * i + axis] = problem.execution_error
+    _require_finite(d_mean, d_factor)
     return Sensitivity(
         lin.iterate.mean + d_mean[..., nz] - d_mean[..., :nz] @ z,
         d_mean[..., :nz],
@@ -155,6 +168,9 @@ def compose(lin: Linearisation, nodes: Nodes) -> ComposedArcs:
     With A, T, d of the next arc, D the deviation so far and P the STM so far,
     D' = A D + d and dP' = A dP + (T . D) P: the product rule, once for the part that the starting
     deviation causes (tensor) and once for the part that the defects cause (shift_stm).
+
+    Raises:
+        LinearisationError: if they are not finite.
     """
     n = len(nodes) - 1
     composed = ComposedArcs(
@@ -172,4 +188,5 @@ def compose(lin: Linearisation, nodes: Nodes) -> ComposedArcs:
             stm, shift = a @ stm, a @ shift + defects[k]
         composed.stm[arc], composed.shift[arc] = stm, shift
         composed.shift_stm[arc], composed.tensor[arc] = shift_stm, tensor
+    _require_finite(composed.stm, composed.shift, composed.shift_stm, composed.tensor)
     return composed

@@ -21,7 +21,7 @@ from formulations.condensed import Condensed
 from formulations.frozen_covariance import FrozenCovariance
 from formulations.frozen_stm import FrozenStm
 from formulations.lifted import Lifted
-from formulations.lifting import Linearisation
+from formulations.lifting import Linearisation, LinearisationError
 from formulations.problem import FlybyProblem, Nodes
 from formulations.regions import Array
 from formulations.rows import Margins, Rows
@@ -77,7 +77,7 @@ TOLERANCES = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9)
 
 
 class SubproblemError(RuntimeError):
-    """The conic solver gave no usable answer; the message holds its words."""
+    """There is no usable answer; the message says why, in the conic solver's words if it has any."""
 
 
 @dataclass(frozen=True)
@@ -161,9 +161,16 @@ class Subproblem:
         return amounts | {name: np.maximum(-row.margin, 0.0) for name, row in rows}
 
     def update(self, lin: Linearisation) -> None:
-        """Set every parameter for an iterate."""
+        """Set every parameter for an iterate.
+
+        Raises:
+            SubproblemError: if the dynamics cannot be linearised there.
+        """
         self._reference.value = lin.iterate.burns
-        self._model.update(lin)
+        try:
+            self._model.update(lin)
+        except LinearisationError as error:
+            raise SubproblemError(str(error)) from error
         self.rows.update(lin)
 
     def solve(self, radius: float, weight: float) -> Step:

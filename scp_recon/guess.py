@@ -146,14 +146,16 @@ def _read_table(path: Path) -> Array:
     try:
         lines = [x for x in path.read_text(encoding="utf-8").splitlines() if not x.startswith("#")]
         reader = csv.DictReader(lines)
-        names = [n for pair in COLUMNS.items() for n in pair if n in (reader.fieldnames or [])]
+        given = list(reader.fieldnames or [])
+        names = [name for pair in COLUMNS.items() for name in pair if name in given]
+        missing = [long for short, long in COLUMNS.items() if (short in given) == (long in given)]
         table = np.array([[float(row[name]) for name in names] for row in reader])
     except OSError as error:
         reason = (error.strerror or "unreadable").lower()
         raise InputError(f"--init {path}", reason, "must be a readable file") from None
     except (UnicodeDecodeError, ValueError, TypeError, csv.Error) as error:
         raise InputError(f"--init {path}", str(error), "must be a table of numbers") from None
-    if len(names) != len(COLUMNS) or not len(table) or not np.all(np.isfinite(table)):
+    if missing or not len(table) or not np.all(np.isfinite(table)):
         raise InputError(
             f"--init {path}",
             f"columns {', '.join(names) or 'none that is known'}",

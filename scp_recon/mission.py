@@ -21,7 +21,7 @@ from scp_recon import geometry
 from scp_recon.dynamics import Dynamics
 from scp_recon.forces import ForceModel, cannonball_srp
 from scp_recon.frames import Rotation, sun_north_to_j2000, unit
-from scp_recon.scenario import Scenario
+from scp_recon.scenario_schema import Scenario
 from scp_recon.schedule import Schedule, find_window, make_schedule
 
 Array = npt.NDArray[np.float64]

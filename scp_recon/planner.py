@@ -81,7 +81,7 @@ def plan(
         final = work.solve_p3(guess)
         if final.result.status is not Status.CONVERGED:
             final = work.retry_p3(final)
-        if problem == "P2":
+        if problem == "P2" and final.result.status is not Status.SOLVER_FAILED:
             final = work.solve_p2("P2", final.result.lin)
             for round_ in range(2, facet_rounds + 2):
                 again = work.solve_p2(f"P2.{round_}", final.result.lin)
@@ -107,8 +107,11 @@ class _Work:
     algorithm: TrustRegion = field(default_factory=TrustRegion)
 
     def solve_p3(self, guess: Iterate, name: str = "P3") -> Stage:
-        """P3 from a guess."""
-        start = self.mission.dynamics.linearise(self.mission.problem, guess)
+        """P3 from a guess; whatever it says, the flight starts where the problem does."""
+        problem, mean = self.mission.problem, guess.mean.copy()
+        mean[0] = problem.initial_state
+        mean[0, 3:] += guess.burns[0]
+        start = self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
         return self._run(name, P3Rows(self.mission.problem), start, None)
 
     def retry_p3(self, failed: Stage) -> Stage:

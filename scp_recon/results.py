@@ -71,15 +71,20 @@ def iteration_record(mission: Mission, stage: str, record: Record) -> IterationR
     return IterationRecord(
         stage=stage,
         k=record.k,
-        merit=record.merit * speed,
-        predicted=record.predicted * speed,
-        actual=record.actual * speed,
+        merit=_finite(record.merit * speed),
+        predicted=_finite(record.predicted * speed),
+        actual=_finite(record.actual * speed),
         accepted=record.accepted,
         trust_radius=record.trust_radius * speed,
-        max_violation=record.max_violation * length,
-        max_defect=record.max_defect * length,
+        max_violation=_finite(record.max_violation * length),
+        max_defect=_finite(record.max_defect * length),
         solver_s=record.solver_s,
     )
+
+
+def _finite(value: float) -> float:
+    """A diverged figure as the largest number there is: JSON knows no infinity."""
+    return float(np.nan_to_num(value, nan=np.finfo(float).max))
 
 
 def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]:

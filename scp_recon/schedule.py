@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 
 from scp_recon.errors import InputError
-from scp_recon.scenario import Scenario, ScheduleRules
+from scp_recon.scenario_schema import Scenario, ScheduleRules
 
 Array = npt.NDArray[np.float64]
 SCAN_STEP_S = 20.0
@@ -143,7 +143,7 @@ def make_schedule(
         if leg.start_s - previous.end_s < sun_leg - 1e-6:
             # The burn that ends the short leg; before the observation, the one that starts it.
             burn = index if index < observation_at else index - 1
-            raise _too_short(burn, times_s, intervals, previous, leg, sun_leg)
+            raise _too_short(burn, times_s, window_s, intervals, previous, leg, sun_leg)
         if leg.start_s > previous.end_s:
             legs.append(Leg(Mode.SUN_POINTING, previous.end_s, leg.start_s))
         legs.append(leg)
@@ -153,24 +153,29 @@ def make_schedule(
 def _too_short(
     burn: int,
     times_s: tuple[float, ...],
+    window_s: tuple[float, float],
     intervals: list[tuple[float, float]],
     previous: Leg,
     leg: Leg,
     sun_leg: float,
 ) -> InputError:
-    early, late = intervals[burn]
-    moved = (
-        f"between {early:g} s and {late:g} s with the others kept"
-        if early <= late < np.inf
-        else f"from {early:g} s on with the others kept"
-        if early <= late
-        else "nowhere with the others kept"
+    rule = (
+        f"rule 'a sun-pointing leg lasts at least one slew and one recharge, {sun_leg:g} s' is "
+        f"broken: {previous.mode} mode ends at {previous.end_s:g} s and {leg.mode} mode must start "
+        f"at {leg.start_s:g} s"
     )
+    if burn == 0:  # which cannot move: the window has to
+        given = f"[{window_s[0]:g}, {window_s[1]:g}] s"
+        return InputError("observation.window_s", given, f"{rule}; it must open later")
+    early, late = intervals[burn]
+    if early > late:
+        moved = "nowhere"
+    elif late < np.inf:
+        moved = f"between {early:g} s and {late:g} s"
+    else:
+        moved = f"from {early:g} s on"
     return InputError(
         f"burns.times_s.{burn}",
         f"{times_s[burn]:g} s",
-        f"rule 'a sun-pointing leg lasts at least one slew and one recharge, {sun_leg:g} s' is "
-        f"broken: {previous.mode} mode ends at {previous.end_s:g} s and {leg.mode} mode must start at "
-        f"{leg.start_s:g} s; "
-        f"this burn may be {moved}",
+        f"{rule}; with the others kept this burn may be {moved}",
     )

@@ -128,7 +128,7 @@ class TrustRegion:
 
     ACCEPT, SHRINK_BELOW, GROW_ABOVE = 0.01, 0.25, 0.7
     SHRINK, GROW = 0.25, 3.0
-    COLLAPSED = 1e-9
+    COLLAPSED, VERDICT_RADIUS = 1e-9, 1e-2
     FAILURES_MAX = 5
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
@@ -142,10 +142,10 @@ class TrustRegion:
         """Linearise, solve, fly, judge by the ratio of actual to predicted reduction."""
         if state.stationary:
             state = self._raise_weight(subproblem, state)
-        start = perf_counter()
-        subproblem.update(state.lin)
-        timing.linearise += perf_counter() - start
         try:
+            start = perf_counter()
+            subproblem.update(state.lin)
+            timing.linearise += perf_counter() - start
             answer = subproblem.solve(state.radius, state.weight)
             self._check(answer, state)
         except SubproblemError as error:
@@ -182,7 +182,11 @@ class TrustRegion:
             step=step,
             solver_s=answer.solver_s,
         )
-        return replace(new, stationary=self._is_stationary(record)), record
+        stationary = self._is_stationary(record)
+        if stationary and state.radius < self.VERDICT_RADIUS:
+            # Within a tiny radius the solver's rounding hides what there is to gain: look again.
+            return replace(new, radius=self.VERDICT_RADIUS), record
+        return replace(new, stationary=stationary), record
 
     def terminate(self, state: State, record: Record) -> Status | None:
         """Stop when stationary; small steps alone prove nothing."""

@@ -5,19 +5,20 @@ SI units, J2000, body-centred. `docs/solution_file.md` describes every key.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
+from uuid import uuid4
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from scp_recon.errors import InputError
-from scp_recon.scenario import Scenario
+from scp_recon.scenario_schema import Scenario
 from scp_recon.status import Status
 
 SCHEMA = "scp_recon.solution/1"
@@ -44,6 +45,19 @@ class Nodes(Part):
     t_s: list[float]
     state: list[list[float]]
     covariance: list[list[list[float]]]
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        n = len(self.t_s)
+        if n < 2 or any(b <= a for a, b in itertools.pairwise(self.t_s)):
+            raise ValueError("nodes.t_s must be at least two ascending times")
+        if len(self.state) != n or any(len(state) != 6 for state in self.state):
+            raise ValueError(f"nodes.state must hold 6 numbers for each of {n} times")
+        rows = [row for matrix in self.covariance for row in matrix]
+        square = all(len(matrix) == 6 for matrix in self.covariance)
+        if len(self.covariance) != n or not square or any(len(row) != 6 for row in rows):
+            raise ValueError(f"nodes.covariance must hold 6 by 6 numbers for each of {n} times")
+        return self
 
 
 class StageSummary(Part):
@@ -177,6 +191,12 @@ class Solution(Part):
     verification: Verification | None
     scenario: Scenario
 
+    @model_validator(mode="after")
+    def _burns_of_scenario(self) -> Self:
+        if len(self.burns) != len(self.scenario.burns.times_s):
+            raise ValueError("there must be as many burns as the scenario has firing times")
+        return self
+
     @property
     def burns_m_s(self) -> npt.NDArray[np.float64]:
         """Burns as an array, shape (m, 3)."""
@@ -195,15 +215,15 @@ class Solution(Part):
 
 def write_atomically(path: Path, text: str) -> Path:
     """Write beside the target and rename, so that a reader sees the old file or the new one."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    beside = path.with_name(f".{path.name}.{uuid4().hex}")
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
+        with beside.open("x", encoding="utf-8") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
-        Path(name).replace(path)
+        beside.replace(path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        beside.unlink(missing_ok=True)
         raise
     return path
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from formulations.problem import Iterate
@@ -16,7 +17,8 @@ from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
 from scp_recon.results import make_solution
-from scp_recon.scenario import Scenario, base_names, load_scenario, validate_scenario
+from scp_recon.scenario import base_names, load_scenario, validate_scenario
+from scp_recon.scenario_schema import Scenario
 from scp_recon.solution import Solution, read_solution, write_atomically
 from scp_recon.status import Status
 from scp_recon.verification import verify
@@ -110,6 +112,13 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
             formulation=options.formulation,
             facet_rounds=options.facet_rounds,
             observe=observe,
+        )
+    lin = result.final.result.lin
+    if not (np.isfinite(lin.iterate.mean).all() and np.isfinite(lin.factor).all()):
+        raise InputError(
+            "scenario",
+            "magnitudes for which the dynamics are not finite along the guess",
+            "the units of body, boundary and burns must fit together",
         )
     solution = make_solution(mission, result, options.init, options.formulation)
     # Written before it is verified, so that an interrupt from here on loses nothing.

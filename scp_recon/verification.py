@@ -42,19 +42,21 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     flown = _fly(mission, burns, np.union1d(times, fine))
     at_nodes = np.searchsorted(flown.times, times)
     stored = np.array(solution.nodes.covariance)
+    defects = np.abs(flown.states[at_nodes] - states) / mission.units.state * mission.units.length_m
     final = np.abs(flown.states[-1] - mission.final_state)
     margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
     probabilities = _joint_probabilities(mission, burns)
     figures = {
         "terminal_position_error_m": float(np.linalg.norm(final[:3])),
         "terminal_velocity_error_m_s": float(np.linalg.norm(final[3:])),
-        "max_defect": float(np.abs(flown.states[at_nodes, :3] - states[:, :3]).max()),
+        "max_defect": float(defects.max()),
         "covariance_error": _covariance_error(mission, stored, flown.covariances[at_nodes]),
     }
     limits = (POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M, COVARIANCE_LIMIT)
     failed = [
         name for (name, value), most in zip(figures.items(), limits, strict=True) if value > most
     ]
+    failed += _inconsistencies(mission, solution)
     failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
     if solution.problem == "P2":
         asked = mission.scenario.risk.p_chance
@@ -68,6 +70,18 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         failed=failed,
         ok=not failed,
     )
+
+
+def _inconsistencies(mission: Mission, solution: Solution) -> list[str]:
+    """Parts of a solution that contradict its scenario or each other."""
+    contradictions = {
+        "burns.t_s": [b.t_s for b in solution.burns] != list(mission.scenario.burns.times_s),
+        "nodes.t_s": not np.array_equal(solution.nodes.t_s, mission.times_s),
+        "total_dv_m_s": not np.isclose(
+            np.linalg.norm(solution.burns_m_s, axis=1).sum(), solution.total_dv_m_s, atol=1e-12
+        ),
+    }
+    return [name for name, contradicts in contradictions.items() if contradicts]
 
 
 @dataclass(frozen=True)
