@@ -89,10 +89,6 @@ class Ball:
             np.full(n, self.radius),
         )
 
-    def take(self, index: npt.NDArray[np.intp]) -> Ball:
-        """The regions of some of the nodes."""
-        return Ball(self.center[index], self.radius)
-
 
 @dataclass(frozen=True)
 class Cone:
@@ -130,10 +126,6 @@ class Cone:
             np.sin(self.half_angle) * self.axis,
             np.zeros(len(self.apex)),
         )
-
-    def take(self, index: npt.NDArray[np.intp]) -> Cone:
-        """The regions of some of the nodes."""
-        return Cone(self.apex[index], self.axis[index], self.half_angle)
 
 
 Region = Ball | Cone
