@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import ConvexHull
 
+from formulations.regions import perpendicular, reject, unit
+
 Array = npt.NDArray[np.float64]
 
 
@@ -86,17 +88,18 @@ def inner_pyramid_angle(half_angle: float, facets: int) -> float:
 def turn(start: Array, end: Array) -> Array:
     """Smallest rotations that carry the unit vector `start` (3,) to the unit vectors `end` (n, 3).
 
-    Rodrigues' formula in the form I + [v] + [v]^2 / (1 + c); antiparallel vectors turn about some
-    perpendicular axis. Shape (n, 3, 3).
+    Rodrigues' formula in the form I + [v] + [v]^2 / (1 + c), shape (n, 3, 3). Where the two point
+    apart it loses its digits, so the half-turn about the same axis is taken out first; antiparallel
+    vectors turn about some perpendicular axis.
     """
-    c = end @ start
-    v = np.cross(start, end)
+    start = np.broadcast_to(start, end.shape)
+    apart = np.einsum("ni,ni->n", start, end) < 0.0
+    axis = unit(reject(np.cross(start, end), start), perpendicular(start))
+    half_turn = 2.0 * axis[:, :, None] * axis[:, None, :] - np.eye(3)
+    first = np.where(apart[:, None, None], half_turn, np.eye(3))
+    start = np.where(apart[:, None], -start, start)
+    v, c = np.cross(start, end), np.einsum("ni,ni->n", start, end)
     cross = np.zeros((len(end), 3, 3))
     cross[:, [2, 0, 1], [1, 2, 0]] = v
     cross[:, [1, 2, 0], [2, 0, 1]] = -v
-    opposite = c < -1.0 + 1e-12
-    scale = np.where(opposite, 0.0, 1.0 / np.where(opposite, 1.0, 1.0 + c))
-    rotation = np.eye(3) + cross + scale[:, None, None] * (cross @ cross)
-    least = np.eye(3)[np.argmin(np.abs(start))]
-    axis = np.cross(start, least) / np.linalg.norm(np.cross(start, least))
-    return np.where(opposite[:, None, None], 2.0 * np.outer(axis, axis) - np.eye(3), rotation)
+    return (np.eye(3) + cross + cross @ cross / (1.0 + c)[:, None, None]) @ first

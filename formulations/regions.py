@@ -49,17 +49,30 @@ class SecondOrderCone:
     constant: Array
 
 
-def _unit(vector: Array, fallback: Array) -> Array:
-    """Unit vectors; where the vector vanishes, `fallback` (a perpendicular is not unique there)."""
+def unit(vector: Array, fallback: Array) -> Array:
+    """Unit vectors; where the vector vanishes, `fallback` (a direction is not unique there)."""
     norm = np.linalg.norm(vector, axis=-1, keepdims=True)
-    tiny = norm < 1e-14
-    return np.where(tiny, fallback, vector / np.where(tiny, 1.0, norm))
+    zero = norm == 0.0
+    return np.where(zero, fallback, vector / np.where(zero, 1.0, norm))
+
+
+def reject(vector: Array, axis: Array) -> Array:
+    """Part of each vector across a unit axis, (n, 3); zero where only rounding is left of it.
+
+    Taken twice: rounding leaves a part along the axis that counts where little is left across.
+    """
+    across = vector
+    for _ in range(2):
+        across = across - np.einsum("ni,ni->n", across, axis)[:, None] * axis
+    size = np.linalg.norm(vector, axis=-1, keepdims=True)
+    left = np.linalg.norm(across, axis=-1, keepdims=True) > 4.0 * np.finfo(float).eps * size
+    return np.where(left, across, 0.0)
 
 
 def perpendicular(axis: Array) -> Array:
     """Some unit vector perpendicular to each axis (n, 3)."""
     least = np.eye(3)[np.argmin(np.abs(axis), axis=-1)]
-    return _unit(np.cross(axis, least), least)
+    return unit(np.cross(axis, least), least)
 
 
 @dataclass(frozen=True)
@@ -72,7 +85,7 @@ class Ball:
     def supporting(self, point: Array) -> Halfspaces:
         """Half-spaces that contain the balls and touch them towards each point (n, 3)."""
         up = np.broadcast_to(np.array([0.0, 0.0, 1.0]), self.center.shape)
-        normal = _unit(point - self.center, up)
+        normal = unit(point - self.center, up)
         return Halfspaces(normal, np.einsum("ni,ni->n", normal, self.center) + self.radius)
 
     def inside(self, point: Array) -> Array:
@@ -102,7 +115,7 @@ class Cone:
         """Component along the axis (n,) and unit vector of the part across it (n, 3)."""
         d = point - self.apex
         along = np.einsum("ni,ni->n", d, self.axis)
-        return along, _unit(d - along[:, None] * self.axis, perpendicular(self.axis))
+        return along, unit(reject(d, self.axis), perpendicular(self.axis))
 
     def facets(self, across: Array, half_angle: float) -> Halfspaces:
         """Planes through the apex, `half_angle` off the axis towards the unit vectors `across`."""
