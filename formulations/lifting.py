@@ -35,6 +35,10 @@ def propagate_factor(problem: FlybyProblem, stm: Array, burns: Array) -> Array:
     return factor
 
 
+FLOWN = 1e-9
+"""Largest defect of an arc that obeys the dynamics."""
+
+
 class LinearisationError(ArithmeticError):
     """The dynamics have no finite derivatives at an iterate."""
 
@@ -57,6 +61,11 @@ class Linearisation:
     def at(cls, problem: FlybyProblem, iterate: Iterate, arcs: ArcDerivatives) -> Linearisation:
         """Linearise at an iterate whose arcs have been propagated."""
         return cls(problem, iterate, arcs, propagate_factor(problem, arcs.stm, iterate.burns))
+
+    @property
+    def is_flown(self) -> bool:
+        """Whether the means obey the dynamics, whatever final state they lead to."""
+        return bool(np.abs(self.defects[:-1]).max() <= FLOWN)
 
     @property
     def defects(self) -> Array:

@@ -1,8 +1,8 @@
 """Sequential convex programming: linearise, solve, fly, compare, and move the trust region.
 
-Each iterate is flown: the burns that a subproblem answers are rolled out through the nonlinear
-dynamics, so that the only defect that can remain is at the final state. The first iterate may be
-any guess, with defects everywhere.
+Each iterate is flown: what a subproblem answers is made to obey the nonlinear dynamics, so that the
+only defect that can remain is at the final state. The guess alone may have defects everywhere; there
+is nothing in it to go back to, so the step from it is always taken.
 """
 
 from __future__ import annotations
@@ -130,6 +130,7 @@ class TrustRegion:
     SHRINK, GROW = 0.25, 3.0
     COLLAPSED, VERDICT_RADIUS = 1e-9, 1e-2
     FAILURES_MAX = 5
+    GUESS_RADIUS = 3.0
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start with a radius in which each burn may become the largest allowed."""
@@ -146,8 +147,11 @@ class TrustRegion:
             start = perf_counter()
             subproblem.update(state.lin)
             timing.linearise += perf_counter() - start
-            answer = subproblem.solve(state.radius, state.weight)
-            self._check(answer, state)
+            guess = not state.lin.is_flown
+            radius = max(state.radius, self.GUESS_RADIUS) if guess else state.radius
+            answer = subproblem.solve(radius, state.weight)
+            if not guess:
+                self._check(answer, state)
         except SubproblemError as error:
             # A smaller trust region is a better conditioned problem.
             record = _record(subproblem, state, k, failure=str(error))
@@ -163,9 +167,9 @@ class TrustRegion:
         predicted, actual = state.merit - answer.merit, state.merit - trial_merit
         step = float(abs(answer.burns - state.lin.iterate.burns).max())
         ratio = actual / predicted if predicted > 0.0 else 0.0
-        accepted = ratio > self.ACCEPT
+        accepted = guess or ratio > self.ACCEPT
         radius = state.radius
-        if ratio < self.SHRINK_BELOW:
+        if ratio < self.SHRINK_BELOW and not guess:
             radius = self.SHRINK * min(radius, step)
         elif ratio > self.GROW_ABOVE and step > 0.99 * radius:
             radius = self.GROW * radius
@@ -182,7 +186,7 @@ class TrustRegion:
             step=step,
             solver_s=answer.solver_s,
         )
-        stationary = self._is_stationary(record)
+        stationary = self._is_stationary(record) and not guess
         if stationary and state.radius < self.VERDICT_RADIUS:
             # Within a tiny radius the solver's rounding hides what there is to gain: look again.
             return replace(new, radius=self.VERDICT_RADIUS), record

@@ -57,7 +57,7 @@ class Status(Enum):
     )
     INTERRUPTED = Outcome(
         "interrupted",
-        "Interrupted: this is the best iterate so far, not a solution.",
+        "Interrupted: this is the best iterate so far; it need not be a solution.",
         "Go on from it with --init.",
         130,
     )

@@ -1,0 +1,47 @@
+"""The default mission, planned and verified once for all tests of this wing."""
+
+from __future__ import annotations
+
+import pytest
+
+from scp_recon import guess
+from scp_recon.mission import Mission
+from scp_recon.planner import Plan, plan
+from scp_recon.results import make_solution
+from scp_recon.scenario import Scenario, load_scenario
+from scp_recon.solution import Solution
+from scp_recon.verification import Verification, verify
+
+from .support import CommandLine, run_solve
+
+
+@pytest.fixture(scope="session")
+def scenario() -> Scenario:
+    return load_scenario()
+
+
+@pytest.fixture(scope="session")
+def mission(scenario: Scenario) -> Mission:
+    return Mission.from_scenario(scenario)
+
+
+@pytest.fixture(scope="session")
+def default_plan(mission: Mission) -> Plan:
+    """Cold start, condensed, facets from P3."""
+    return plan(mission, guess.cold(mission))
+
+
+@pytest.fixture(scope="session")
+def solution(mission: Mission, default_plan: Plan) -> Solution:
+    return make_solution(mission, default_plan, "cold", "condensed")
+
+
+@pytest.fixture(scope="session")
+def verification(mission: Mission, solution: Solution) -> Verification:
+    return verify(mission, solution)
+
+
+@pytest.fixture(scope="session")
+def default_run(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
+    """`python -m scp_recon.solve --init cold`, once."""
+    return run_solve(tmp_path_factory.mktemp("default"), "--init", "cold")

@@ -1,0 +1,106 @@
+"""What several tests of this wing use: reference data, missions, and an integrator of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.integrate import solve_ivp
+
+from scp_recon import solve
+from scp_recon.forces import ForceModel, acceleration
+from scp_recon.mission import Mission
+from scp_recon.scenario import load_scenario
+
+Array = npt.NDArray[np.float64]
+
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+"""Reference data beside the project; tests that need it are skipped where it is absent."""
+
+EPOCH_ET = 632_910_797.184
+"""2020-01-21T20:33:17.184 TDB in TDB seconds past J2000: 7324 days, 30797.184 s past noon."""
+
+
+def shared(name: str) -> Path:
+    path = SHARED / name
+    if not path.exists():
+        pytest.skip(f"reference data {path} is absent")
+    return path
+
+
+def constants() -> dict[str, Any]:
+    data: dict[str, Any] = json.loads(shared("scenario_constants.json").read_text("utf-8"))
+    return data
+
+
+def mission_of(*overrides: str) -> Mission:
+    return Mission.from_scenario(load_scenario(None, overrides))
+
+
+def integrate(
+    forces: ForceModel, state: Array, times: Sequence[float] | Array, rtol: float = 1e-12
+) -> Array:
+    """States at `times` by SciPy's DOP853, the first at times[0]; an oracle for the flow map."""
+
+    def rate(_: float, y: Array) -> Array:
+        return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces)])
+
+    answer = solve_ivp(
+        rate, (times[0], times[-1]), state, "DOP853", times, rtol=rtol, atol=rtol * 1e-3
+    )
+    return answer.y.T
+
+
+def fly(mission: Mission, burns_m_s: Array, times: Array) -> Array:
+    """Mean states, after the burns, at `times`, which contain every burn's."""
+    firing = mission.scenario.burns.times_s
+    states = np.empty((len(times), 6))
+    state = mission.initial_state.copy()
+    for i, begin in enumerate(firing):
+        state[3:] += burns_m_s[i]
+        states[times == begin] = state
+        if i + 1 < len(firing):
+            leg = (times >= begin) & (times <= firing[i + 1])
+            flown = integrate(mission.forces, state, times[leg])
+            states[leg] = flown
+            state = flown[-1].copy()
+    return states
+
+
+def burns_of(mission: Mission, burns: Array) -> Array:
+    """Nondimensional burns in m/s."""
+    return burns * mission.units.speed_m_s
+
+
+@dataclass(frozen=True)
+class CommandLine:
+    """A run of `python -m scp_recon.solve`, in this process."""
+
+    exit_code: int
+    output: str
+    errors: str
+    folder: Path
+
+
+def run_solve(folder: Path, *arguments: str) -> CommandLine:
+    """The command line with its two streams captured, as a terminal 200 columns wide."""
+    output, errors = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.redirect_stdout(output),
+        contextlib.redirect_stderr(errors),
+    ):
+        patch.setenv("COLUMNS", "200")
+        try:
+            code = solve.main([*arguments, "--out", str(folder)])
+        except SystemExit as end:  # argparse ends this way
+            code = int(end.code or 0)
+    return CommandLine(code, output.getvalue(), errors.getvalue(), folder)

@@ -1,0 +1,167 @@
+"""The house's floors: who may import whom, and the library's manners at import."""
+
+from __future__ import annotations
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).parents[2]
+LIBRARY = ("formulations", "scp_recon")
+COMMANDS = {"scp_recon.solve", "scp_recon.verify", "scp_recon.montecarlo"}
+UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
+
+
+def module_name(path: Path) -> str:
+    return ".".join(path.relative_to(PROJECT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def modules(package: str) -> list[Path]:
+    found = sorted((PROJECT / package).rglob("*.py"))
+    assert len(found) > 5
+    return found
+
+
+def imports(path: Path, *, at_import: bool = False) -> set[str]:
+    """Every module that a file imports, wherever in the file; or at import only."""
+    tree = ast.parse(path.read_text("utf-8"))
+    nodes = tree.body if at_import else list(ast.walk(tree))
+    found: set[str] = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively"
+            assert node.module is not None
+            # `from package import module` names the module in the second place.
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return found
+
+
+def roots(path: Path) -> set[str]:
+    return {name.split(".")[0] for name in imports(path)}
+
+
+@pytest.mark.parametrize("path", modules("formulations"), ids=module_name)
+def test_formulations_imports_nothing_of_the_other_wings(path: Path) -> None:
+    assert not roots(path) & {"scp_recon", *UPPER_FLOORS}
+
+
+@pytest.mark.parametrize("path", modules("formulations"), ids=module_name)
+def test_formulations_knows_no_file_format(path: Path) -> None:
+    assert not roots(path) & {"json", "tomllib", "csv", "pathlib", "pydantic", "rich"}
+
+
+@pytest.mark.parametrize("path", modules("scp_recon"), ids=module_name)
+def test_scp_recon_imports_nothing_from_the_floors_above(path: Path) -> None:
+    assert not roots(path) & set(UPPER_FLOORS)
+
+
+def test_there_are_no_circles() -> None:
+    graph = {
+        module_name(path): imports(path)
+        for package in (*LIBRARY, "paper_figs")
+        for path in sorted((PROJECT / package).rglob("*.py"))
+    }
+    graph = {name: targets & graph.keys() - {name} for name, targets in graph.items()}
+    # A package that only holds its docstring is no room.
+    while ground := [name for name, targets in graph.items() if not targets]:
+        graph = {
+            name: targets - set(ground) for name, targets in graph.items() if name not in ground
+        }
+    assert not graph, f"circle among {sorted(graph)}"
+
+
+@pytest.mark.parametrize(
+    "path", [path for package in LIBRARY for path in modules(package)], ids=module_name
+)
+def test_the_library_neither_prints_nor_asks(path: Path) -> None:
+    called = {
+        node.func.id
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
+    assert not called & {"print", "input", "breakpoint"}
+
+
+@pytest.mark.parametrize(
+    "path", [path for package in LIBRARY for path in modules(package)], ids=module_name
+)
+def test_nothing_global_is_set(path: Path) -> None:
+    text = path.read_text("utf-8")
+    for setting in ("np.seterr(", "np.random.seed(", "warnings.simplefilter(", "os.environ["):
+        assert setting not in text
+    tree = ast.parse(text)
+    assert not any(isinstance(node, ast.Global) for node in ast.walk(tree))
+    guarded = {
+        inside
+        for node in ast.walk(tree)
+        if isinstance(node, ast.With) and "catch_warnings" in ast.unparse(node.items[0])
+        for inside in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "warnings.filterwarnings":
+            assert node in guarded, "a warnings filter outside catch_warnings"
+
+
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+QUIET_IMPORT = """
+import importlib, json, random, sys, warnings
+import clarabel, cvxpy, numpy as np, pydantic, rich.console, rich.live, scipy.integrate
+import scipy.interpolate, scipy.optimize, scipy.spatial, scipy.stats
+def state():
+    return [np.geterr(), list(map(repr, warnings.filters)), np.get_printoptions(),
+            repr(np.random.get_state()), repr(random.getstate()), repr(sys.excepthook)]
+before = state()
+for name in json.loads(sys.argv[1] if len(sys.argv) > 1 else {modules!r}):
+    importlib.import_module(name)
+after = state()
+assert before == after, [(a, b) for a, b in zip(before, after) if a != b]
+"""
+
+
+def test_importing_the_library_is_silent_and_changes_nothing_global() -> None:
+    names = [module_name(path) for package in LIBRARY for path in modules(package)]
+    optional = {"casadi", "matplotlib", "spiceypy", "Basilisk"}
+    needed = [
+        name
+        for name, path in zip(
+            names, [p for package in LIBRARY for p in modules(package)], strict=True
+        )
+        if not {root.split(".")[0] for root in imports(path, at_import=True)} & optional
+    ]
+    assert set(needed) >= COMMANDS | {"formulations.subproblem", "scp_recon.planner"}
+    run = run_python(QUIET_IMPORT.format(modules=json.dumps(needed)))
+    assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_the_main_job_needs_nothing_heavy_at_import(command: str) -> None:
+    heavy = ["casadi", "matplotlib", "spiceypy", "pandas", "Basilisk", "ipywidgets", "hypothesis"]
+    run = run_python(f"import sys, {command}; print(*(set({heavy}) & set(sys.modules)))")
+    assert (run.returncode, run.stdout.strip(), run.stderr) == (0, "", "")
+
+
+def test_no_reference_data_is_copied_into_the_project() -> None:
+    shared = PROJECT.parent / "shared" / "data"
+    if not shared.exists():
+        pytest.skip(f"reference data {shared} is absent")
+    originals = {path.read_bytes() for path in shared.iterdir() if path.is_file()}
+    for folder in (*LIBRARY, "tests", "paper_figs"):
+        for path in (PROJECT / folder).rglob("*"):
+            if path.is_file() and path.suffix not in {".pyc", ".py"}:
+                assert path.read_bytes() not in originals, path

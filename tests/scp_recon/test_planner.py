@@ -1,0 +1,321 @@
+"""The three stages on the real scenario: what they must reach."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+
+import numpy as np
+import pytest
+
+from formulations.facets import choose_facets, included_rows
+from formulations.problem import Iterate
+from formulations.rows import P2Rows
+from formulations.subproblem import Subproblem
+from scp_recon import guess, planner
+from scp_recon.mission import Mission
+from scp_recon.planner import CLEARANCE_M, Plan, Stage, plan
+from scp_recon.results import make_solution
+from scp_recon.scp import Record, Result, TrustRegion, run
+from scp_recon.solution import Solution
+from scp_recon.status import Status
+
+from .support import burns_of, mission_of
+
+TIGHT = ("polytopes.ball=tangent", "polytopes.cone=12")
+
+
+def total_dv(mission: Mission, stage: Stage) -> float:
+    return stage.result.lin.iterate.total_dv * mission.units.speed_m_s
+
+
+def assert_no_buffer_is_used(mission: Mission, of: Plan) -> None:
+    violation = make_solution(mission, of, "cold", "condensed").violation
+    assert (violation.max, violation.total, violation.by_constraint) == (0.0, 0.0, {})
+
+
+@pytest.fixture(scope="module")
+def two_rounds(mission: Mission) -> Plan:
+    return plan(mission, guess.cold(mission), facet_rounds=1)
+
+
+@pytest.fixture(scope="module")
+def tight_mission() -> Mission:
+    return mission_of(*TIGHT)
+
+
+@pytest.fixture(scope="module")
+def tight(tight_mission: Mission) -> Plan:
+    return plan(tight_mission, guess.cold(tight_mission))
+
+
+# --- the issue's targets ------------------------------------------------------------------------
+
+
+def test_p3_cold(mission: Mission, default_plan: Plan) -> None:
+    stage = default_plan.stages[0]
+    assert stage.name == "P3"
+    assert stage.result.status is Status.CONVERGED
+    assert total_dv(mission, stage) == pytest.approx(0.1078, rel=0.01)
+    assert len(stage.result.records) <= 12
+
+
+def test_p2_with_the_papers_polytopes(mission: Mission, default_plan: Plan) -> None:
+    stage = default_plan.final
+    assert stage is default_plan.stages[-1]
+    assert stage.name == "P2"
+    assert stage.result.status is Status.CONVERGED
+    assert total_dv(mission, stage) <= 0.1420
+    assert len(stage.result.records) <= 8
+    assert_no_buffer_is_used(mission, default_plan)
+    # Certainty costs: P2 contains P3's constraints.
+    assert total_dv(mission, stage) > 1.1 * total_dv(mission, default_plan.stages[0])
+
+
+def test_p2_with_the_facets_chosen_again(mission: Mission, two_rounds: Plan) -> None:
+    assert total_dv(mission, two_rounds.final) <= 0.1390
+    assert two_rounds.final.result.status is Status.CONVERGED
+    assert len(two_rounds.stages) == 3
+    assert all(len(stage.result.records) <= 8 for stage in two_rounds.stages[1:])
+    assert_no_buffer_is_used(mission, two_rounds)
+
+
+def test_p2_with_tight_polytopes(tight_mission: Mission, tight: Plan) -> None:
+    assert total_dv(tight_mission, tight.final) <= 0.1135
+    assert tight.final.result.status is Status.CONVERGED
+    assert len(tight.final.result.records) <= 8
+    assert_no_buffer_is_used(tight_mission, tight)
+
+
+def test_the_prototypes_numbers(mission: Mission, default_plan: Plan, two_rounds: Plan) -> None:
+    # mission.md section 5: IPOPT on the same grid.
+    assert total_dv(mission, default_plan.stages[0]) == pytest.approx(0.10777, rel=2e-3)
+    assert total_dv(mission, default_plan.final) == pytest.approx(0.1400, rel=2e-3)
+    assert total_dv(mission, two_rounds.final) == pytest.approx(0.1376, rel=2e-3)
+
+
+# --- starts -------------------------------------------------------------------------------------
+
+
+def test_warm_and_cold_meet_in_the_same_p3(mission: Mission, default_plan: Plan) -> None:
+    warm = plan(mission, guess.ballistic(mission), problem="P3")
+    assert warm.final.result.status is Status.CONVERGED
+    assert [stage.name for stage in warm.stages] == ["P3"]
+    assert total_dv(mission, warm.final) == pytest.approx(
+        total_dv(mission, default_plan.stages[0]), rel=1e-5
+    )
+
+
+def test_a_solution_started_from_itself_stays(mission: Mission, solution: Solution) -> None:
+    again = plan(mission, guess.from_burns(mission, solution.burns_m_s))
+    assert again.final.result.status is Status.CONVERGED
+    # P3 is flat at its optimum: its burns, and with them the facets, are known less well than its
+    # cost.
+    assert total_dv(mission, again.final) == pytest.approx(solution.total_dv_m_s, rel=1e-4)
+
+
+def test_every_plan_starts_at_the_initial_state(mission: Mission, default_plan: Plan) -> None:
+    """mu_0 = x_0 + B dv_0."""
+    for stage in default_plan.stages:
+        iterate = stage.result.lin.iterate
+        start = mission.problem.initial_state.copy()
+        start[3:] += iterate.burns[0]
+        np.testing.assert_allclose(iterate.mean[0], start, rtol=0.0, atol=1e-12)
+
+
+def test_a_guess_that_starts_elsewhere_is_brought_to_the_initial_state(
+    mission: Mission, default_plan: Plan
+) -> None:
+    """A table of states need not begin where the flight does; the plan must."""
+    arc = guess.ballistic(mission)
+    aside = arc.mean.copy()
+    aside[:, :3] += 20.0 / mission.units.length_m
+    found = plan(mission, Iterate(arc.burns, aside), problem="P3").final
+    first = found.result.lin.iterate.mean[0, :3]
+    np.testing.assert_allclose(first, mission.problem.initial_state[:3], rtol=0.0, atol=1e-9)
+    assert found.result.status is Status.CONVERGED
+    assert total_dv(mission, found) == pytest.approx(
+        total_dv(mission, default_plan.stages[0]), rel=1e-5
+    )
+
+
+# --- stages and facets --------------------------------------------------------------------------
+
+
+def test_facets_are_those_of_the_p3_solution(mission: Mission, default_plan: Plan) -> None:
+    p3, p2 = default_plan.stages
+    lin = p3.result.lin
+    facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
+    assert p3.facets is None
+    assert p2.facets is not None
+    np.testing.assert_array_equal(p2.facets.normal, facets.normal)
+    np.testing.assert_array_equal(p2.facets.offset, facets.offset)
+
+
+def test_a_facet_round_is_kept_only_while_it_is_cheaper(
+    mission: Mission, default_plan: Plan
+) -> None:
+    many = plan(mission, guess.cold(mission), facet_rounds=3)
+    kept = [stage for stage in many.stages if stage.facets is not None]
+    costs = [total_dv(mission, stage) for stage in kept]
+    at = kept.index(many.final)
+    assert all(after < before for before, after in itertools.pairwise(costs[: at + 1]))
+    assert len(kept) - 1 <= at + 1  # the first that is not cheaper ends the rounds
+    assert total_dv(mission, many.final) < total_dv(mission, default_plan.final)
+    assert many.final.result.status is Status.CONVERGED
+
+
+def test_every_facet_holds_at_the_solution_those_left_out_too(
+    mission: Mission, default_plan: Plan
+) -> None:
+    final = default_plan.final
+    assert final.facets is not None
+    lin = final.result.lin
+    margin = final.facets.margin(lin.iterate.mean, lin.factor)
+    assert margin.min() >= -TrustRegion.feasible
+    start = default_plan.stages[0].result.lin
+    left_out = ~included_rows(
+        final.facets.margin(start.iterate.mean, start.factor),
+        CLEARANCE_M / mission.units.length_m,
+    )
+    assert left_out.any()  # screening did something
+
+
+def test_facets_wrongly_left_out_are_restored(
+    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without any clearance only what P3 violates is known at first."""
+    monkeypatch.setattr(planner, "CLEARANCE_M", 0.0)
+    screened = plan(mission, guess.cold(mission))
+    assert len(screened.stages) > 2  # something had to be restored
+    assert screened.final.result.status is Status.CONVERGED
+    assert_no_buffer_is_used(mission, screened)
+    final = screened.final
+    assert final.facets is not None
+    margin = final.facets.margin(final.result.lin.iterate.mean, final.result.lin.factor)
+    assert margin.min() >= -TrustRegion.feasible
+    assert total_dv(mission, final) == pytest.approx(
+        total_dv(mission, default_plan.final), rel=1e-5
+    )
+
+
+# --- formulations -------------------------------------------------------------------------------
+
+
+def solve_p2(mission: Mission, default_plan: Plan, formulation: str) -> tuple[Result, Subproblem]:
+    start, facets = default_plan.stages[0].result.lin, default_plan.final.facets
+    assert facets is not None
+    margin = facets.margin(start.iterate.mean, start.factor)
+    included = included_rows(margin, CLEARANCE_M / mission.units.length_m)
+    subproblem = Subproblem(mission.problem, P2Rows(mission.problem, facets, included), formulation)
+    result = run(subproblem, mission.dynamics, start, TrustRegion(), lambda _: None)
+    return result, subproblem
+
+
+def test_lifted_and_condensed_agree_at_convergence(mission: Mission, default_plan: Plan) -> None:
+    lifted, _ = solve_p2(mission, default_plan, "lifted")
+    assert lifted.status is Status.CONVERGED
+    condensed = default_plan.final.result
+    assert lifted.lin.iterate.total_dv == pytest.approx(condensed.lin.iterate.total_dv, rel=1e-6)
+
+
+def test_frozen_stm_stops_where_the_exact_model_goes_on(
+    mission: Mission, default_plan: Plan
+) -> None:
+    """Why the product rule is kept: without it the answer is no solution of P2."""
+    frozen, subproblem = solve_p2(mission, default_plan, "frozen-stm")
+    exact = default_plan.final.result
+    weight = TrustRegion.weight
+    assert subproblem.merit(frozen.lin, weight) > subproblem.merit(exact.lin, weight) + 1e-5
+    assert len(frozen.records) > len(exact.records)
+
+
+def test_an_unknown_formulation_is_an_error(mission: Mission) -> None:
+    with pytest.raises(KeyError):
+        plan(mission, guess.cold(mission), formulation="folded")
+
+
+# --- manners ------------------------------------------------------------------------------------
+
+
+def test_planning_prints_nothing_and_leaves_global_state_alone(
+    mission: Mission, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rng, errors, filters = np.random.get_state(), np.geterr(), list(warnings.filters)  # noqa: NPY002
+    plan(mission, guess.cold(mission))
+    after = np.random.get_state()  # noqa: NPY002
+    np.testing.assert_array_equal(rng[1], after[1])
+    assert np.geterr() == errors
+    assert warnings.filters == filters
+    assert capfd.readouterr() == ("", "")
+
+
+def test_planning_twice_gives_the_same_plan(mission: Mission, default_plan: Plan) -> None:
+    again = plan(mission, guess.cold(mission))
+    # To the last bits that a conic solver on several threads may leave open.
+    np.testing.assert_allclose(
+        again.final.result.lin.iterate.burns,
+        default_plan.final.result.lin.iterate.burns,
+        rtol=0.0,
+        atol=1e-8,
+    )
+
+
+def test_iterations_are_observed_with_their_stage(mission: Mission) -> None:
+    seen: list[tuple[str, Record]] = []
+    found = plan(
+        mission, guess.cold(mission), observe=lambda stage, record: seen.append((stage, record))
+    )
+    told = [(stage.name, record) for stage in found.stages for record in stage.result.records]
+    assert seen == told
+
+
+@pytest.mark.parametrize("when", ["P3", "P2"])
+def test_an_interrupt_ends_with_the_best_stage_marked_as_interrupted(
+    mission: Mission, default_plan: Plan, when: str
+) -> None:
+    def ctrl_c(stage: str, record: Record) -> None:
+        if stage == when and record.k == 2:
+            raise KeyboardInterrupt
+
+    found = plan(mission, guess.cold(mission), observe=ctrl_c)
+    assert found.final.result.status is Status.INTERRUPTED
+    assert found.final.name == when
+    assert len(found.final.result.records) == 2
+    expected = default_plan.stages[0 if when == "P3" else 1].result.records[1]
+    assert found.final.result.lin.iterate.total_dv == pytest.approx(expected.total_dv, rel=1e-9)
+
+
+def test_an_interrupt_between_two_stages_keeps_the_first(
+    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ctrl_c(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(planner, "choose_facets", ctrl_c)
+    found = plan(mission, guess.cold(mission))
+    assert found.final.result.status is Status.INTERRUPTED
+    np.testing.assert_allclose(
+        burns_of(mission, found.final.result.lin.iterate.burns),
+        burns_of(mission, default_plan.stages[0].result.lin.iterate.burns),
+    )
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["body.gm_m3_s2=4.89e9"],  # km^3/s^2 converted the wrong way round
+        ["body.gm_m3_s2=1e300"],
+        # kilometres in the place of metres
+        [
+            "boundary.initial_position_m=[0.0702, -1.0963, 0.4064]",
+            "boundary.final_position_m=[0.0199, 1.1287, -0.1409]",
+        ],
+    ],
+    ids=["GM", "overflow", "kilometres"],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_hopeless_magnitudes_end_in_a_status(overrides: list[str]) -> None:
+    mission = mission_of(*overrides)
+    found = plan(mission, guess.cold(mission), problem="P3")
+    assert found.final.result.status is not Status.CONVERGED
