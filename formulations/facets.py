@@ -152,7 +152,8 @@ def _most_probable(candidates: list[Halfspaces], point: Array, factor: Array) ->
     offset = np.stack([plane.offset for plane in candidates])
     slack = offset - np.einsum("mni,ni->mn", normal, point)
     deviation = np.linalg.norm(np.einsum("mni,nic->mnc", normal, factor), axis=2)
-    best = np.argmax(slack / np.maximum(deviation, np.finfo(float).tiny), axis=0)
+    # Without spread the quotient is a very large number of the slack's sign and order.
+    best = np.argmax(slack / np.maximum(deviation, 1e-150), axis=0)
     nodes = np.arange(len(point))
     return Halfspaces(normal[best, nodes], offset[best, nodes])
 

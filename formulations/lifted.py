@@ -37,7 +37,8 @@ class Lifted:
     ) -> None:
         self._problem = problem
         self._nodes = np.union1d(nodes, problem.burn_nodes)
-        self._columns = factor_columns_used(problem, nodes) if with_factor else 0
+        factor = with_factor and len(nodes) > 0
+        self._columns = factor_columns_used(problem, nodes) if factor else 0
         self._arcs = len(self._nodes) - 1
         # The factor is needed up to the last node that a constraint looks at.
         self._factor_arcs = int(np.searchsorted(self._nodes, nodes[-1])) if self._columns else 0
