@@ -158,9 +158,18 @@ def _most_probable(candidates: list[Halfspaces], point: Array, factor: Array) ->
     return Halfspaces(normal[best, nodes], offset[best, nodes])
 
 
-def included_rows(margin: Array, clearance: float) -> npt.NDArray[np.bool_]:
+def included_rows(
+    facets: Facets, margin: Array, clearance: float, nodes_max: int
+) -> npt.NDArray[np.bool_]:
     """Facets that the convex program needs to know: those within `clearance` of binding.
 
-    The others are checked after the solve and restored if one of them turned out to matter.
+    Of more than `nodes_max` nodes that have any, those nearest to binding. The others are checked
+    after the solve and restored if one of them turned out to matter.
     """
-    return np.asarray(margin < clearance)
+    near = np.asarray(margin < clearance)
+    nodes = np.unique(facets.node[near])
+    if len(nodes) <= nodes_max:
+        return near
+    nearest = np.array([margin[near & (facets.node == node)].min() for node in nodes])
+    kept = nodes[np.argsort(nearest)[:nodes_max]]
+    return near & np.isin(facets.node, kept)

@@ -51,9 +51,11 @@ class SecondOrderCone:
 
 def unit(vector: Array, fallback: Array) -> Array:
     """Unit vectors; where the vector vanishes, `fallback` (a direction is not unique there)."""
-    norm = np.linalg.norm(vector, axis=-1, keepdims=True)
-    zero = norm == 0.0
-    return np.where(zero, fallback, vector / np.where(zero, 1.0, norm))
+    largest = np.abs(vector).max(axis=-1, keepdims=True)
+    zero = largest == 0.0
+    scaled = vector / np.where(zero, 1.0, largest)  # whose square neither overflows nor vanishes
+    norm = np.linalg.norm(scaled, axis=-1, keepdims=True)
+    return np.where(zero, fallback, scaled / np.where(zero, 1.0, norm))
 
 
 def reject(vector: Array, axis: Array) -> Array:

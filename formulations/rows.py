@@ -77,7 +77,9 @@ class P3Rows:
         buffers: cp.Expression = cp.Constant(0.0)
         for c in self._constraints:
             first = 3 * np.searchsorted(self.nodes, c.nodes)
-            pick = sp.csr_array(np.eye(outputs.shape[0])[(first[:, None] + np.arange(3)).ravel()])
+            picked = (first[:, None] + np.arange(3)).ravel()
+            indices, shape = (np.arange(len(picked)), picked), (len(picked), outputs.shape[0])
+            pick = sp.csr_array((np.ones(len(picked)), indices), shape=shape)
             position = cp.reshape(pick @ outputs[:, 0], (len(c.nodes), 3), order="C")
             buffer = cp.Variable(len(c.nodes), nonneg=True)
             buffers += cp.sum(buffer)

@@ -19,6 +19,7 @@ from formulations.regions import Ball, Cone
 from formulations.risk import boole
 from scp_recon import geometry
 from scp_recon.dynamics import Dynamics
+from scp_recon.errors import InputError
 from scp_recon.forces import ForceModel, cannonball_srp
 from scp_recon.frames import Rotation, sun_north_to_j2000, unit
 from scp_recon.scenario_schema import Scenario
@@ -75,8 +76,15 @@ class Mission:
         """Resolve a scenario.
 
         Raises:
-            InputError: if there is no window or a firing time breaks a rule of the schedule.
+            InputError: if there is no window, a firing time breaks a rule of the schedule, or there
+                would be too many nodes.
         """
+        if scenario.duration_s / scenario.grid.step_max_s > NODES_MAX:
+            raise InputError(
+                "grid.step_max_s",
+                f"{scenario.grid.step_max_s:g} s",
+                f"must leave at most {NODES_MAX} nodes in the flight of {scenario.duration_s:g} s",
+            )
         body = scenario.body
         rotation = Rotation.from_iau(
             body.pole_ra_deg,
@@ -241,6 +249,10 @@ class Mission:
 
 RK4_STEP_MAX_S = 240.0
 """Keeps the planner within a millimetre of an adaptive integration over the default flight."""
+
+
+NODES_MAX = 3000
+"""Beyond it a plan would take minutes and gigabytes."""
 
 
 def sun_direction(scenario: Scenario, time_s: npt.ArrayLike) -> Array:

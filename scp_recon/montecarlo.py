@@ -216,7 +216,7 @@ def parser() -> argparse.ArgumentParser:
         default="componentwise",
         help="of the burns: the paper's, or magnitude and pointing (default: componentwise)",
     )
-    p.add_argument("--seed", type=int, default=0, metavar="S", help="default: 0")
+    p.add_argument("--seed", type=_seed, default=0, metavar="S", help="default: 0")
     p.add_argument(
         "--workers", type=_workers, default=1, metavar="N", help="processes (default: 1)"
     )
@@ -226,6 +226,12 @@ def parser() -> argparse.ArgumentParser:
 def _samples(text: str) -> int:
     if not text.isdigit() or not 20 <= int(text) <= 1_000_000_000:
         raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 20 to 1e9")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if not text.isdigit() or int(text) >= 2**63:
+        raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 0 to 2^63 - 1")
     return int(text)
 
 

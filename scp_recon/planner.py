@@ -20,6 +20,9 @@ from scp_recon.status import Status
 
 Observer = Callable[[str, Record], None]
 
+PROGRAM_NODES_MAX = 48
+"""Nodes in the convex program of P2 to begin with: its memory grows with them times the factor."""
+
 CLEARANCE_M = 200.0
 """Facets farther than this from binding stay out of the convex program, and are checked after it."""
 
@@ -131,7 +134,8 @@ class _Work:
         mission, lin = self.mission, start
         facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
         margin = facets.margin(lin.iterate.mean, lin.factor)
-        included = included_rows(margin, CLEARANCE_M / mission.units.length_m)
+        clearance = CLEARANCE_M / mission.units.length_m
+        included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
         while True:
             rows = P2Rows(mission.problem, facets, included)
             stage = self._run(name, rows, lin, facets)
@@ -162,6 +166,8 @@ class _Work:
         """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
         solved = [s for s in self.stages if s.facets and s.result.status is Status.CONVERGED]
         best = (solved or self.stages)[-1]
+        if best.facets is None:
+            best = min(self.stages, key=_merit)
         return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
 
 
@@ -169,5 +175,8 @@ def _better(new: Stage, old: Stage) -> bool:
     """Whether a run is worth keeping instead: first converged, then cheaper."""
     if new.result.status is not old.result.status:
         return new.result.status is Status.CONVERGED
-    merits = [s.subproblem.merit(s.result.lin, TrustRegion().weight) for s in (new, old)]
-    return merits[0] < merits[1]
+    return _merit(new) < _merit(old)
+
+
+def _merit(stage: Stage) -> float:
+    return stage.subproblem.merit(stage.result.lin, TrustRegion().weight)

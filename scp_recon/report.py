@@ -26,9 +26,13 @@ def show_mission(console: Console, mission: Mission) -> None:
     first, last = schedule.window_s
     origin = "given" if scenario.observation.window_s else "from incidence and local solar time"
     console.print(
-        f"[bold]{scenario.name}[/bold]: {scenario.body.name}, site {scenario.site.name}, "
-        f"boundary states in {scenario.boundary.frame}, p_chance {scenario.risk.p_chance:g}, "
-        f"execution error {scenario.uncertainty.execution_error:g}"
+        Text(scenario.name, style="bold")
+        + Text(
+            f": {scenario.body.name}, site {scenario.site.name}, "
+            f"boundary states in {scenario.boundary.frame}, p_chance {scenario.risk.p_chance:g}, "
+            f"execution error {scenario.uncertainty.execution_error:g}",
+            style="not bold",
+        )
     )
     console.print(
         f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})", highlight=False
@@ -105,8 +109,8 @@ def show_solution(console: Console, solution: Solution) -> None:
     colour = "green" if status is Status.CONVERGED else "red"
     iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
     console.print(
-        Text(f"\n{solution.problem} {solution.status}", style=f"bold {colour}")
-        + Text(f": {solution.message}", style="not bold")
+        Text(f"\n{solution.problem}: ", style=f"bold {colour}")
+        + Text(solution.message, style="not bold")
     )
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("burn", "time s", "x m/s", "y m/s", "z m/s", "size m/s"):
@@ -136,7 +140,7 @@ def show_solution(console: Console, solution: Solution) -> None:
         amount = solution.violation.by_constraint.get(c.name)
         table.add_row(
             c.name,
-            f"{c.worst_margin_m_or_rad:+.4f} {c.unit}",
+            f"{round(c.worst_margin_m_or_rad, 4) + 0.0:+.4f} {c.unit}",
             f"{c.worst_t_s:.0f}",
             str(c.facets or ""),
             Text(f"{amount.max:.4g} {amount.unit}", style="red") if amount else "",

@@ -26,7 +26,14 @@ from scp_recon.solution import (
 FINAL_STATE = "final_state"
 
 
-def make_solution(mission: Mission, plan: Plan, init: str, formulation: str) -> Solution:
+def make_solution(
+    mission: Mission,
+    plan: Plan,
+    init: str,
+    formulation: str,
+    algorithm: str = "scvx",
+    solver: str = "CLARABEL",
+) -> Solution:
     """Collect a plan into the solution file's form, not yet verified."""
     lin, units = plan.final.result.lin, mission.units
     burns = lin.iterate.burns * units.speed_m_s
@@ -38,8 +45,8 @@ def make_solution(mission: Mission, plan: Plan, init: str, formulation: str) -> 
         problem="P3" if plan.final.facets is None else "P2",
         init=init,
         formulation=formulation,
-        algorithm="scvx",
-        solver="CLARABEL",
+        algorithm=algorithm,
+        solver=solver,
         total_dv_m_s=float(np.linalg.norm(burns, axis=1).sum()),
         burns=[
             Burn(t_s=time, dv_m_s=tuple(burn.tolist()))

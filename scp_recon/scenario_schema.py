@@ -34,6 +34,7 @@ NonZeroVector = Annotated[Vector, AfterValidator(_not_zero)]
 OffCentre = Annotated[Vector, AfterValidator(_off_centre)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+FlightTime = Annotated[float, Field(ge=0, le=1e7)]
 ConeAngle = Annotated[float, Field(gt=0, lt=90)]
 
 
@@ -109,7 +110,7 @@ class Boundary(Section):
 class Burns(Section):
     """Firing times, the first at zero and the last at the end of the flight."""
 
-    times_s: Annotated[tuple[NonNegative, ...], Field(min_length=2, max_length=64)]
+    times_s: Annotated[tuple[FlightTime, ...], Field(min_length=2, max_length=64)]
     dv_max_m_s: Positive
 
     @field_validator("times_s")

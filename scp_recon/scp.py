@@ -111,11 +111,11 @@ class TrustRegion:
     radius. All quantities are nondimensional.
 
     Attributes:
-        initial_radius: first bound on the change of a burn component, in units of `dv_max`.
+        initial_radius: first bound on the change of a burn component, in units of speed.
         weight: first penalty weight; exact when above every multiplier.
         weight_max: tried once more with before calling a case infeasible.
         stationary: largest predicted reduction, against the merit and a unit radius, to stop at.
-        feasible: largest violation that counts as none: 1e-6 of the initial radius is a millimetre.
+        feasible: largest violation that counts as none: 1e-6 of the unit of length is a millimetre.
         max_iterations: limit.
     """
 
@@ -133,9 +133,8 @@ class TrustRegion:
     GUESS_RADIUS = 3.0
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
-        """Start with a radius in which each burn may become the largest allowed."""
-        radius = self.initial_radius
-        return State(lin, subproblem.merit(lin, self.weight), radius, self.weight)
+        """Start from the guess."""
+        return State(lin, subproblem.merit(lin, self.weight), self.initial_radius, self.weight)
 
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing

@@ -10,12 +10,12 @@ import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 from uuid import uuid4
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from scp_recon.errors import InputError
 from scp_recon.scenario_schema import Scenario
@@ -23,7 +23,7 @@ from scp_recon.status import Status
 
 SCHEMA = "scp_recon.solution/1"
 FILE_NAME = "solution.json"
-Vector = tuple[float, float, float]
+Speed = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
 class Part(BaseModel):
@@ -36,7 +36,7 @@ class Burn(Part):
     """An impulse."""
 
     t_s: float
-    dv_m_s: Vector
+    dv_m_s: tuple[Speed, Speed, Speed]
 
 
 class Nodes(Part):
@@ -151,6 +151,7 @@ class Verification(Part):
     terminal_position_error_m: float
     terminal_velocity_error_m_s: float
     max_defect: float
+    sample_error_m: float
     covariance_error: float
     mean_margins: list[MeanMargin]
     samples: int

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
-import numpy as np
+from pydantic import ValidationError
 from rich.console import Console
 
 from formulations.problem import Iterate
@@ -15,7 +15,7 @@ from formulations.subproblem import FORMULATIONS
 from scp_recon import guess, report
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
-from scp_recon.planner import plan
+from scp_recon.planner import Observer, Plan, plan
 from scp_recon.results import make_solution
 from scp_recon.scenario import base_names, load_scenario, validate_scenario
 from scp_recon.scenario_schema import Scenario
@@ -24,6 +24,7 @@ from scp_recon.status import Status
 from scp_recon.verification import verify
 
 BAD_INPUT, NOT_VERIFIED = 2, 4
+Planning = Callable[[Mission, Iterate, Observer], Plan]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -57,10 +58,16 @@ def parser() -> argparse.ArgumentParser:
         help="with uncertainty, or without it (default: P2)",
     )
     p.add_argument(
+        "--method",
+        choices=("scp", "ipopt"),
+        default="scp",
+        help="sequential convex programming, or the nonlinear programs by IPOPT (default: scp)",
+    )
+    p.add_argument(
         "--formulation",
-        choices=sorted(FORMULATIONS),
-        default="condensed",
-        help="of the convex subproblem (default: condensed)",
+        metavar="NAME",
+        help=f"with scp {', '.join(FORMULATIONS)} (default: condensed); with ipopt printed, tuned, "
+        "shooting (default: tuned)",
     )
     p.add_argument(
         "--facet-rounds",
@@ -94,33 +101,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         errors.print(f"error: {error}", style="red", markup=False, highlight=False)
         return BAD_INPUT
+    except MemoryError:
+        errors.print("error: not enough memory: take a larger grid.step_max_s", style="red")
+        return BAD_INPUT
     except KeyboardInterrupt:
-        errors.print("interrupted", style="red")
+        errors.print("\ninterrupted", style="red")
         return Status.INTERRUPTED.value.exit_code
 
 
 def _solve(options: argparse.Namespace, console: Console) -> int:
+    name, label, make_plan = _method(options)
     mission, start = _inputs(options)
     _check_writable(options.out)
     report.show_mission(console, mission)
     console.print()
     with report.live_iterations(console, mission) as observe:
-        result = plan(
-            mission,
-            start,
-            problem=options.problem,
-            formulation=options.formulation,
-            facet_rounds=options.facet_rounds,
-            observe=observe,
-        )
-    lin = result.final.result.lin
-    if not (np.isfinite(lin.iterate.mean).all() and np.isfinite(lin.factor).all()):
+        result = make_plan(mission, start, observe)
+    try:
+        solution = make_solution(mission, result, options.init, name, *label)
+    except ValidationError:  # which only numbers that are not finite can cause
         raise InputError(
             "scenario",
             "magnitudes for which the dynamics are not finite along the guess",
             "the units of body, boundary and burns must fit together",
-        )
-    solution = make_solution(mission, result, options.init, options.formulation)
+        ) from None
     # Written before it is verified, so that an interrupt from here on loses nothing.
     path = _write(solution, options.out)
     report.show_solution(console, solution)
@@ -133,6 +137,49 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
     report.show_verification(console, mission, verification)
     report.show_files(console, path)
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
+
+
+def _method(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning]:
+    """The formulation's name, the algorithm and solver, and what makes the plan."""
+    if options.method == "scp":
+        name = _one_of(options.formulation or "condensed", FORMULATIONS)
+
+        def by_scp(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+            return plan(
+                mission,
+                start,
+                problem=options.problem,
+                formulation=name,
+                facet_rounds=options.facet_rounds,
+                observe=observe,
+            )
+
+        return name, ("scvx", "CLARABEL"), by_scp
+    if options.facet_rounds:
+        raise InputError(
+            "--facet-rounds", str(options.facet_rounds), "must be 0 with --method ipopt"
+        )
+    try:
+        from formulations.nlp import VARIANTS
+        from scp_recon import ipopt
+    except ModuleNotFoundError as error:
+        if error.name != "casadi":
+            raise
+        raise InputError(
+            "--method", "ipopt", "needs CasADi: install the extra scp_recon[ipopt]"
+        ) from None
+    variant = _one_of(options.formulation or "tuned", VARIANTS)
+
+    def by_ipopt(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+        return ipopt.plan(mission, start, problem=options.problem, variant=variant, observe=observe)
+
+    return variant, ("interior point", "IPOPT"), by_ipopt
+
+
+def _one_of(name: str, known: Collection[str]) -> str:
+    if name not in known:
+        raise InputError("--formulation", repr(name), f"must be one of {', '.join(known)}")
+    return name
 
 
 def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:

@@ -34,7 +34,7 @@ class Status(Enum):
     INFEASIBLE = Outcome(
         "infeasible",
         "Infeasible: stationary at the least violation that was found from here.",
-        "Relax the constraints named above, ask a lower p_chance, or start from another --init.",
+        "Relax the constraints that are violated, ask a lower p_chance, or start from another --init.",
         3,
     )
     MAX_ITERATIONS = Outcome(

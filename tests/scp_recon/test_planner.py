@@ -14,7 +14,7 @@ from formulations.rows import P2Rows
 from formulations.subproblem import Subproblem
 from scp_recon import guess, planner
 from scp_recon.mission import Mission
-from scp_recon.planner import CLEARANCE_M, Plan, Stage, plan
+from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Stage, plan
 from scp_recon.results import make_solution
 from scp_recon.scp import Record, Result, TrustRegion, run
 from scp_recon.solution import Solution
@@ -175,8 +175,10 @@ def test_every_facet_holds_at_the_solution_those_left_out_too(
     assert margin.min() >= -TrustRegion.feasible
     start = default_plan.stages[0].result.lin
     left_out = ~included_rows(
+        final.facets,
         final.facets.margin(start.iterate.mean, start.factor),
         CLEARANCE_M / mission.units.length_m,
+        PROGRAM_NODES_MAX,
     )
     assert left_out.any()  # screening did something
 
@@ -206,7 +208,8 @@ def solve_p2(mission: Mission, default_plan: Plan, formulation: str) -> tuple[Re
     start, facets = default_plan.stages[0].result.lin, default_plan.final.facets
     assert facets is not None
     margin = facets.margin(start.iterate.mean, start.factor)
-    included = included_rows(margin, CLEARANCE_M / mission.units.length_m)
+    clearance = CLEARANCE_M / mission.units.length_m
+    included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
     subproblem = Subproblem(mission.problem, P2Rows(mission.problem, facets, included), formulation)
     result = run(subproblem, mission.dynamics, start, TrustRegion(), lambda _: None)
     return result, subproblem

@@ -83,7 +83,7 @@ def test_it_shows_every_iteration_of_every_stage(default_run: CommandLine) -> No
 
 def test_it_shows_the_verdict_the_burns_and_every_constraint(default_run: CommandLine) -> None:
     shown, solution = flat(default_run.output), read_solution(default_run.folder)
-    assert "converged" in shown
+    assert "Converged" in shown
     assert f"{solution.total_dv_m_s:.6f} m/s" in shown
     for burn in solution.burns:
         assert f"{burn.t_s:g}" in shown
@@ -197,7 +197,7 @@ def test_infeasible_never_claims_success(infeasible_run: CommandLine) -> None:
     assert not solution.verification.ok
     verdicts = [line.strip() for line in infeasible_run.output.splitlines()]
     assert "verified" not in verdicts
-    assert not any(line.startswith("P2 converged") for line in verdicts)
+    assert not any(line.startswith("P2: Converged") for line in verdicts)
 
 
 # --- bad input ----------------------------------------------------------------------------------
@@ -355,7 +355,7 @@ def test_ctrl_c_leaves_the_best_iterate_marked_as_such(tmp_path: Path) -> None:
     merits = [iteration.merit for iteration in solution.iterations]
     assert merits[-1] == min(merits)
     assert solution.stages[-1].total_dv_m_s == pytest.approx(solution.total_dv_m_s)
-    assert "interrupted" in run.output
+    assert "Interrupted" in run.output
     assert "solution.json" in run.output.replace("\n", "")
 
 

@@ -1,0 +1,377 @@
+"""Facets of chance constraints: inside or around their region, turned to the guess, chosen well."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.spatial import HalfspaceIntersection
+from scipy.stats import norm
+
+from formulations.facets import (
+    Facets,
+    Polytopes,
+    choose_facets,
+    included_rows,
+    inner_facets,
+    outer_facets,
+)
+from formulations.polytopes import ball, paper_ball
+from formulations.problem import FlybyProblem, StateConstraint
+from formulations.regions import Ball, Cone, Halfspaces, Region
+from tests.helpers import Array, constrain, generators, random_flyby, random_unit
+
+EXACT = 1e-9
+"""Rounding, and Qhull's vertices, of numbers of order one."""
+
+ball_shapes = st.sampled_from([paper_ball(), *map(ball, (4, 5, 8, 13, 24, 48))])
+polytopes = st.builds(Polytopes, ball_shapes, st.integers(3, 32))
+generous = st.builds(Polytopes, st.one_of(st.none(), ball_shapes), st.integers(3, 32))
+
+
+@st.composite
+def balls(draw: st.DrawFn) -> Ball:
+    return Ball(draw(generators).normal(size=(1, 3)), draw(st.floats(0.01, 2.0)))
+
+
+@st.composite
+def cones(draw: st.DrawFn) -> Cone:
+    rng = draw(generators)
+    return Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), draw(st.floats(0.02, 1.5)))
+
+
+points = generators.map(lambda rng: 2.0 * rng.normal(size=(1, 3)))
+
+
+def stacked(facets: list[Halfspaces]) -> tuple[Array, Array]:
+    """Normals (m, 3) and offsets (m,) at a single node."""
+    return np.vstack([f.normal for f in facets]), np.concatenate([f.offset for f in facets])
+
+
+def vertices(facets: list[Halfspaces], interior: Array) -> Array:
+    normal, offset = stacked(facets)
+    return HalfspaceIntersection(np.column_stack([normal, -offset]), interior).intersections
+
+
+def edges(facets: list[Halfspaces]) -> Array:
+    """Unit vectors along the edges of a pyramid: all that two of its planes span and all allow."""
+    normal, _ = stacked(facets)
+    lines = np.array([np.cross(a, b) for a, b in itertools.combinations(normal, 2)])
+    size = np.linalg.norm(lines, axis=1)
+    rays = np.vstack([lines, -lines])[np.tile(size > 1e-9, 2)]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return rays[np.all(rays @ normal.T <= 1e-10, axis=1)]
+
+
+def off_axis(cone: Cone, rays: Array) -> Array:
+    across = np.linalg.norm(np.cross(rays, cone.axis[0]), axis=1)
+    return np.arctan2(across, rays @ cone.axis[0])
+
+
+def faced(region: Region, point: Array) -> tuple[Array, Array]:
+    """The place on the surface that faces a point, and the outward normal there.
+
+    On a ball where the line of sight from its centre leaves it; on a cone one unit from the apex.
+    """
+    if isinstance(region, Ball):
+        sight = (point - region.center)[0]
+        assume(np.linalg.norm(sight) > 1e-3)
+        sight /= np.linalg.norm(sight)
+        return region.center[0] + region.radius * sight, sight
+    d, axis, angle = (point - region.apex)[0], region.axis[0], region.half_angle
+    side = d - (d @ axis) * axis
+    assume(np.linalg.norm(side) > 1e-3)
+    side /= np.linalg.norm(side)
+    ray = np.cos(angle) * axis + np.sin(angle) * side
+    return region.apex[0] + ray, np.cos(angle) * side - np.sin(angle) * axis
+
+
+# --- inside -------------------------------------------------------------------------------------
+
+
+@given(balls(), polytopes, points)
+def test_inner_facets_of_a_ball_bound_a_polytope_inside_it(
+    region: Ball, shapes: Polytopes, point: Array
+) -> None:
+    corners = vertices(inner_facets(region, shapes, point), region.center[0])
+    assert np.linalg.norm(corners - region.center, axis=1).max() <= region.radius * (1.0 + EXACT)
+
+
+@given(balls(), polytopes, points)
+def test_inner_facets_of_a_ball_turn_a_vertex_on_it_to_the_line_of_sight(
+    region: Ball, shapes: Polytopes, point: Array
+) -> None:
+    normal, offset = stacked(inner_facets(region, shapes, point))
+    slack = offset - normal @ faced(region, point)[0]
+    assert slack.min() == pytest.approx(0.0, abs=EXACT)
+    assert np.sum(slack < EXACT) >= 3
+
+
+@given(cones(), polytopes, points)
+def test_inner_facets_of_a_cone_bound_a_pyramid_inside_it(
+    region: Cone, shapes: Polytopes, point: Array
+) -> None:
+    facets = inner_facets(region, shapes, point)
+    normal, offset = stacked(facets)
+    assert offset == pytest.approx(normal @ region.apex[0], abs=EXACT)
+    rays = edges(facets)
+    assert len(rays) == shapes.cone_facets
+    assert np.all(off_axis(region, rays) <= region.half_angle + EXACT)
+    assert np.all(normal @ region.axis[0] < 0.0)  # the pyramid holds the axis: it is not empty
+
+
+@given(cones(), polytopes, points)
+def test_inner_facets_of_a_cone_turn_an_edge_on_it_to_the_line_of_sight(
+    region: Cone, shapes: Polytopes, point: Array
+) -> None:
+    normal, offset = stacked(inner_facets(region, shapes, point))
+    slack = offset - normal @ faced(region, point)[0]
+    assert slack.min() == pytest.approx(0.0, abs=EXACT)
+    assert np.sum(slack < EXACT) == 2
+
+
+# --- around -------------------------------------------------------------------------------------
+
+
+@given(balls(), polytopes, points)
+def test_outer_facets_of_a_ball_bound_a_polytope_around_it(
+    region: Ball, shapes: Polytopes, point: Array
+) -> None:
+    facets = outer_facets(region, shapes, point)
+    normal, offset = stacked(facets)
+    # The farthest point of a ball along a unit normal is a radius from its centre.
+    assert np.linalg.norm(normal, axis=1) == pytest.approx(1.0, abs=EXACT)
+    assert offset == pytest.approx(normal @ region.center[0] + region.radius, abs=EXACT)
+    vertices(facets, region.center[0])  # bounded, or Qhull fails
+
+
+@given(cones(), polytopes, points)
+def test_outer_facets_of_a_cone_bound_a_pyramid_around_it(
+    region: Cone, shapes: Polytopes, point: Array
+) -> None:
+    facets = outer_facets(region, shapes, point)
+    normal, offset = stacked(facets)
+    assert offset == pytest.approx(normal @ region.apex[0], abs=EXACT)
+    # The ray of a cone that is highest along a normal lies in the plane of axis and normal.
+    along = normal @ region.axis[0]
+    across = np.linalg.norm(np.cross(normal, region.axis[0]), axis=1)
+    highest = along * np.cos(region.half_angle) + across * np.sin(region.half_angle)
+    assert np.all(highest <= EXACT)
+    assert np.all(off_axis(region, edges(facets)) >= region.half_angle - EXACT)
+
+
+@given(st.one_of(balls(), cones()), polytopes, points)
+def test_one_outer_facet_faces_the_point_and_touches_the_region_there(
+    region: Region, shapes: Polytopes, point: Array
+) -> None:
+    place, outward = faced(region, point)
+    normal, offset = stacked(outer_facets(region, shapes, point))
+    best = np.argmax(normal @ outward)
+    assert normal[best] == pytest.approx(outward, abs=EXACT)
+    assert offset[best] == pytest.approx(outward @ place, abs=EXACT)
+
+
+@given(st.one_of(balls(), cones()), polytopes, points)
+def test_the_inner_polytope_lies_inside_the_outer_one(
+    region: Region, shapes: Polytopes, point: Array
+) -> None:
+    inner = inner_facets(region, shapes, point)
+    normal, offset = stacked(outer_facets(region, shapes, point))
+    if isinstance(region, Ball):
+        inside = vertices(inner, region.center[0])
+    else:
+        inside = region.apex[0] + np.vstack([edges(inner), np.zeros(3)])
+    assert np.all(inside @ normal.T <= offset + EXACT)
+
+
+# --- tangent ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("facets", [inner_facets, outer_facets])
+@given(balls(), points)
+def test_the_tangent_facet_stands_alone_and_touches_the_ball_at_the_line_of_sight(
+    facets: Callable[..., list[Halfspaces]], region: Ball, point: Array
+) -> None:
+    place, outward = faced(region, point)
+    normal, offset = stacked(facets(region, Polytopes(None, 4), point))
+    assert normal == pytest.approx(outward[None], abs=EXACT)
+    assert offset == pytest.approx(normal @ place, abs=EXACT)
+
+
+# --- choosing -----------------------------------------------------------------------------------
+
+
+def problem_with(*constraints: StateConstraint) -> FlybyProblem:
+    problem = random_flyby(np.random.default_rng(0)).problem
+    return replace(problem, constraints=constraints)
+
+
+@st.composite
+def beliefs(draw: st.DrawFn) -> tuple[Array, Array]:
+    """Means (9, 6) and factors (9, 6, c), of any rank."""
+    rng = draw(generators)
+    columns = draw(st.integers(1, 9))
+    spread = 10.0 ** draw(st.floats(-3.0, 0.0))
+    return 2.0 * rng.normal(size=(9, 6)), spread * rng.normal(size=(9, 6, columns))
+
+
+def spread_over(region: Region, nodes: Array) -> Region:
+    """The same region at several nodes."""
+    n = len(nodes)
+    if isinstance(region, Ball):
+        return Ball(np.repeat(region.center, n, axis=0), region.radius)
+    return Cone(
+        np.repeat(region.apex, n, axis=0), np.repeat(region.axis, n, axis=0), region.half_angle
+    )
+
+
+@given(st.one_of(balls(), cones()), generous, beliefs())
+def test_of_a_keep_out_polytope_the_most_probable_facet_is_chosen(
+    region: Region, shapes: Polytopes, belief: tuple[Array, Array]
+) -> None:
+    mean, factor = belief
+    nodes = np.array([1, 4, 7])
+    constraint = StateConstraint("out", nodes, spread_over(region, nodes), "out", 0.8)
+    chosen = choose_facets(problem_with(constraint), shapes, mean, factor)
+    assert np.array_equal(chosen.node, nodes)
+    for row, k in enumerate(nodes):
+        # log of the probability to be on the inner side: exact even where it is next to nothing.
+        normal, offset = stacked(outer_facets(region, shapes, mean[[k], :3]))
+        covariance = factor[k, :3] @ factor[k, :3].T
+        sigma = np.sqrt(np.einsum("mi,ij,mj->m", normal, covariance, normal))
+        failing = norm.logcdf(offset, loc=normal @ mean[k, :3], scale=sigma)
+        a = -chosen.normal[row]
+        found = norm.logcdf(
+            -chosen.offset[row], loc=a @ mean[k, :3], scale=np.sqrt(a @ covariance @ a)
+        )
+        assert found <= failing.min() + 1e-6 * abs(failing.min())
+        # It is a facet of the polytope, seen from the other side.
+        assert np.min(np.abs(np.column_stack([normal - a, offset + chosen.offset[row]])).max(1)) < (
+            EXACT
+        )
+
+
+@given(st.one_of(balls(), cones()), generous, beliefs())
+def test_without_spread_the_facet_with_the_most_room_is_chosen(
+    region: Region, shapes: Polytopes, belief: tuple[Array, Array]
+) -> None:
+    mean, factor = belief
+    nodes = np.array([2])
+    constraint = StateConstraint("out", nodes, region, "out", 0.8)
+    chosen = choose_facets(problem_with(constraint), shapes, mean, 0.0 * factor)
+    normal, offset = stacked(outer_facets(region, shapes, mean[nodes, :3]))
+    room = normal @ mean[2, :3] - offset
+    assert chosen.offset - chosen.normal @ mean[2, :3] == pytest.approx(room.max(), abs=EXACT)
+
+
+def test_without_spread_the_facet_with_the_most_room_is_chosen_in_any_units() -> None:
+    nodes, mean = np.array([0]), np.array([[0.0, 0.0, 1000.0, 0.0, 0.0, 0.0]])
+    region = Ball(np.zeros((1, 3)), 1.0)
+    constraint = StateConstraint("out", nodes, region, "out", 0.8)
+    chosen = choose_facets(
+        problem_with(constraint), Polytopes(paper_ball(), 4), mean, np.zeros((1, 6, 6))
+    )
+    assert chosen.offset - chosen.normal @ mean[0, :3] == pytest.approx(999.0)
+
+
+@given(st.floats(0.5, 0.99), st.one_of(balls(), cones()), generous, beliefs())
+def test_keep_in_facets_share_the_risk_and_keep_out_facets_take_it_whole(
+    probability: float, region: Region, shapes: Polytopes, belief: tuple[Array, Array]
+) -> None:
+    nodes = np.array([3, 5])
+    regions = spread_over(region, nodes)
+    constraints = [
+        StateConstraint(keep, nodes, regions, keep, probability) for keep in ("in", "out")
+    ]
+    facets = choose_facets(problem_with(*constraints), shapes, *belief)
+    risk = norm.sf(facets.quantile)
+    for index, keep in enumerate(("in", "out")):
+        for k in nodes:
+            of_one = (facets.constraint == index) & (facets.node == k)
+            assert risk[of_one].sum() == pytest.approx(1.0 - probability, abs=1e-12)
+            assert risk[of_one] == pytest.approx(risk[of_one].mean())  # uniformly
+            if keep == "out":
+                assert of_one.sum() == 1
+            elif isinstance(region, Cone):
+                assert of_one.sum() == shapes.cone_facets
+            else:
+                assert of_one.sum() == (1 if shapes.ball is None else len(shapes.ball.normals))
+
+
+@given(generators, polytopes)
+def test_facets_are_those_of_their_constraint_and_node(
+    rng: np.random.Generator, shapes: Polytopes
+) -> None:
+    flyby = constrain(rng, random_flyby(rng))
+    lin = flyby.perturbed(rng, 0.1, 0.0)
+    facets = choose_facets(flyby.problem, shapes, lin.iterate.mean, lin.factor)
+    for index, constraint in enumerate(flyby.problem.constraints):
+        own = facets.constraint == index
+        assert set(facets.node[own]) == set(constraint.nodes)
+        alone = choose_facets(
+            replace(flyby.problem, constraints=(constraint,)), shapes, lin.iterate.mean, lin.factor
+        )
+        for field in ("node", "normal", "offset", "quantile"):
+            assert np.array_equal(getattr(facets, field)[own], getattr(alone, field))
+
+
+# --- margins ------------------------------------------------------------------------------------
+
+
+@given(generators, beliefs())
+def test_a_facets_deviation_is_that_of_the_covariance_along_it(
+    rng: np.random.Generator, belief: tuple[Array, Array]
+) -> None:
+    mean, factor = belief
+    node, normal = rng.integers(0, 9, 20), random_unit(rng, 20)
+    facets = Facets(
+        np.zeros(20, dtype=int), node, normal, rng.normal(size=20), rng.uniform(0, 3, 20)
+    )
+    covariance = (factor @ factor.transpose(0, 2, 1))[node, :3, :3]
+    sigma = np.sqrt(np.einsum("mi,mij,mj->m", normal, covariance, normal))
+    assert facets.deviation(factor) == pytest.approx(sigma, rel=1e-6)
+    distance = facets.offset - np.sum(normal * mean[node, :3], axis=1)
+    expected = distance - facets.quantile * sigma
+    assert facets.margin(mean, factor) == pytest.approx(expected, rel=1e-6, abs=EXACT)
+
+
+def facets_at(nodes: list[int]) -> Facets:
+    n = len(nodes)
+    zero = np.zeros(n, dtype=np.intp)
+    return Facets(zero, np.array(nodes, dtype=np.intp), np.zeros((n, 3)), np.zeros(n), np.zeros(n))
+
+
+rows_to_screen = st.lists(st.tuples(st.integers(0, 9), st.floats(-1.0, 1.0)), max_size=20)
+
+
+@given(rows_to_screen, st.floats(0.0, 0.5))
+def test_every_facet_nearer_to_binding_than_the_clearance_is_included(
+    rows: list[tuple[int, float]], clearance: float
+) -> None:
+    facets, margins = facets_at([node for node, _ in rows]), [margin for _, margin in rows]
+    included = included_rows(facets, np.array(margins), clearance, 10)
+    assert included.dtype == np.bool_
+    assert included.tolist() == [margin < clearance for margin in margins]
+
+
+@given(rows_to_screen, st.floats(0.0, 0.5), st.integers(1, 5))
+def test_of_too_many_nodes_those_nearest_to_binding_are_included(
+    rows: list[tuple[int, float]], clearance: float, most: int
+) -> None:
+    facets, margins = facets_at([node for node, _ in rows]), np.array([m for _, m in rows])
+    everything = included_rows(facets, margins, clearance, 10)
+    included = included_rows(facets, margins, clearance, most)
+    kept = set(facets.node[included].tolist())
+    assert len(kept) == min(most, len(set(facets.node[everything].tolist())))
+    assert not (included & ~everything).any()
+
+    def nearest(node: int) -> float:
+        return float(margins[everything & (facets.node == node)].min())
+
+    dropped = set(facets.node[everything].tolist()) - kept
+    assert all(nearest(a) <= nearest(b) for a in kept for b in dropped)

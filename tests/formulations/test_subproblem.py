@@ -1,0 +1,479 @@
+"""Convex subproblems: convex, compiled once, exact at their iterate, and alike in every form."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from cvxpy.reductions.solvers.solving_chain import SolvingChain
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from formulations import subproblem as module
+from formulations.facets import Polytopes, choose_facets
+from formulations.frozen_covariance import FrozenCovariance
+from formulations.frozen_stm import FrozenStm
+from formulations.lifting import Linearisation, condense, propagate_factor
+from formulations.polytopes import ball
+from formulations.problem import FlybyProblem, Iterate
+from formulations.rows import P2Rows, P3Rows, Rows
+from formulations.subproblem import FORMULATIONS, Subproblem, SubproblemError
+from scp_recon import guess
+from scp_recon.mission import Mission
+from scp_recon.planner import Plan, plan
+from scp_recon.scenario import load_scenario
+from scp_recon.scp import TrustRegion
+from scp_recon.status import Status
+from tests.helpers import Array, Flyby, constrain, generators, random_flyby
+
+CONDENSED = ["condensed", "frozen-stm", "frozen-covariance"]
+FROZEN = ["frozen-stm", "frozen-covariance"]
+WEIGHT = TrustRegion.weight
+TIGHT = dict.fromkeys(module.TOLERANCES, 1e-11)
+"""Of the conic solver, where two programs for the same problem are compared and not its accuracy."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A mission with its plan, and iterates to look at."""
+
+    mission: Mission
+    plan: Plan
+
+    @property
+    def problem(self) -> FlybyProblem:
+        return self.mission.problem
+
+    @property
+    def p2_rows(self) -> P2Rows:
+        rows = self.plan.final.subproblem.rows
+        assert isinstance(rows, P2Rows)
+        return rows
+
+    def rows(self, name: str) -> Rows:
+        if name == "P3":
+            return P3Rows(self.problem)
+        return P2Rows(self.problem, self.p2_rows.facets, self.p2_rows.included)
+
+    def at(self, name: str) -> Linearisation:
+        """Linearised at the guess or the solution of that name."""
+        if name in ("P3", "P2"):
+            return self.solved(name)
+        if name == "missed":
+            astray = 0.003 * np.random.default_rng(0).normal(size=(4, 3))  # m/s
+            burns = self.solved("P3").iterate.burns * self.mission.units.speed_m_s + astray
+            iterate = guess.from_burns(self.mission, burns)
+        else:
+            iterate = getattr(guess, name)(self.mission)
+        start = self.problem.initial_state + np.r_[0.0, 0.0, 0.0, iterate.burns[0]]
+        iterate = Iterate(iterate.burns, np.vstack([start, iterate.mean[1:]]))
+        return self.mission.dynamics.linearise(self.problem, iterate)
+
+    def solved(self, name: str) -> Linearisation:
+        return next(stage.result.lin for stage in self.plan.stages if stage.name == name)
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    mission = Mission.from_scenario(load_scenario())
+    found = plan(mission, guess.cold(mission))
+    assert [stage.result.status for stage in found.stages] == [Status.CONVERGED] * 2
+    return Case(mission, found)
+
+
+Build = Callable[[str, str], Subproblem]
+
+
+@pytest.fixture(scope="module")
+def build(case: Case) -> Build:
+    """Subproblems by formulation and name, each compiled once."""
+    built: dict[tuple[str, str], Subproblem] = {}
+
+    def get(formulation: str, name: str) -> Subproblem:
+        key = formulation, name
+        if key not in built:
+            built[key] = Subproblem(case.problem, case.rows(name), formulation)
+        return built[key]
+
+    return get
+
+
+# --- convex, and compiled once ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_programs_are_disciplined_convex_and_parametrised(
+    build: Build, formulation: str, name: str
+) -> None:
+    assert build(formulation, name).program.is_dcp(dpp=True)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+def test_programs_are_compiled_once_and_only_parameters_change(
+    case: Case, formulation: str, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subproblem = Subproblem(case.problem, case.rows(name), formulation)
+    compilations = []
+    compile_ = SolvingChain.apply
+
+    def count(self: SolvingChain, *args: object) -> object:
+        compilations.append(args)
+        return compile_(self, *args)
+
+    monkeypatch.setattr(SolvingChain, "apply", count)
+    program, sizes, values = subproblem.program, [], []
+    for around in ("ballistic", "P3", "P2"):
+        subproblem.update(case.at(around))
+        subproblem.solve(0.5, WEIGHT)
+        assert subproblem.program is program
+        sizes.append([(v.id, v.shape) for v in (*program.variables(), *program.parameters())])
+        values.append([norm_of(parameter) for parameter in program.parameters()])
+    assert sizes[1:] == sizes[:-1]
+    assert values[0] != values[1] != values[2]
+    assert len(compilations) == 1
+
+
+def norm_of(parameter: cp.Parameter) -> float:
+    if parameter.attributes["sparsity"]:
+        return float(np.linalg.norm(parameter.value_sparse.data))
+    return float(np.linalg.norm(parameter.value))
+
+
+# --- exact at the iterate -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("around", ["missed", "P3", "P2"])
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_without_a_step_the_model_predicts_the_nonlinear_merit(
+    case: Case, build: Build, formulation: str, name: str, around: str
+) -> None:
+    subproblem, lin = build(formulation, name), case.at(around)
+    assert np.abs(lin.defects[:-1]).max() < 1e-12  # a flown iterate; the model would close them
+    subproblem.update(lin)
+    merit = subproblem.merit(lin, WEIGHT)
+    assert subproblem.solve(1e-12, WEIGHT).merit == pytest.approx(merit, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "around"), [("P3", "missed"), ("P2", "missed"), ("P3", "P2"), ("P2", "P3")]
+)
+def test_the_predicted_merit_errs_quadratically_in_the_step(
+    case: Case, build: Build, name: str, around: str
+) -> None:
+    subproblem, lin = build("condensed", name), case.at(around)
+    subproblem.update(lin)
+    errors = []
+    for radius in (1e-3, 1e-4):
+        step = subproblem.solve(radius, WEIGHT)
+        mean = case.mission.dynamics.rollout(case.problem.initial_state, step.burns)
+        flown = case.mission.dynamics.linearise(case.problem, Iterate(step.burns, mean))
+        errors.append(abs(subproblem.merit(flown, WEIGHT) - step.merit))
+    assert errors[0] > 1e-6 * subproblem.merit(lin, WEIGHT)  # so that an order can be observed
+    assert np.log10(errors[0] / errors[1]) >= 1.8
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+def test_the_merit_is_the_total_delta_v_plus_the_weighted_violations(
+    case: Case, build: Build, name: str
+) -> None:
+    subproblem, lin = build("condensed", name), case.at("cold")
+    amounts = subproblem.violations(lin)
+    constraints = {c.name for c in case.problem.constraints}
+    assert set(amounts) == {"dynamics", "dv_max", "dv_battery"} | constraints
+    violation = module.DYNAMICS_WEIGHT * np.abs(lin.defects).sum()
+    if name == "P3":
+        for c in case.problem.constraints:
+            inside = c.region.inside(lin.iterate.mean[c.nodes, :3])
+            violation += np.maximum(-inside if c.keep == "in" else inside, 0.0).sum()
+    else:
+        facets, used = case.p2_rows.facets, case.p2_rows.included
+        margin = facets.margin(lin.iterate.mean, lin.factor)[used]
+        violation += np.maximum(-margin, 0.0).sum()
+    # Burns of 1e-10 m/s are below every limit, but may lie in the battery's cone.
+    assert subproblem.merit(lin, 1e3) == pytest.approx(1e3 * violation, rel=1e-6)
+    assert subproblem.merit(lin, 0.0) == pytest.approx(lin.iterate.total_dv)
+
+
+# --- every form of the same problem -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "around"),
+    [("P3", "cold"), ("P3", "ballistic"), ("P3", "P2"), ("P2", "ballistic"), ("P2", "P3")],
+)
+def test_lifted_and_condensed_have_the_same_solution(
+    case: Case, build: Build, name: str, around: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "TOLERANCES", TIGHT)
+    lin, speed = case.at(around), case.mission.units.speed_m_s
+    steps = []
+    for formulation in ("condensed", "lifted"):
+        subproblem = build(formulation, name)
+        subproblem.update(lin)
+        steps.append(subproblem.solve(TrustRegion.initial_radius, WEIGHT))
+    condensed, lifted = steps
+    assert lifted.merit == pytest.approx(condensed.merit, rel=1e-6)
+    assert speed * lifted.burns == pytest.approx(speed * condensed.burns, abs=1e-6)  # m/s
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+def test_lifted_and_condensed_agree_where_the_final_state_is_out_of_reach(
+    case: Case, build: Build, name: str
+) -> None:
+    merits = []
+    for formulation in ("condensed", "lifted"):
+        subproblem = build(formulation, name)
+        subproblem.update(case.at("missed"))
+        merits.append(subproblem.solve(1e-3, WEIGHT).merit)
+    assert merits[1] == pytest.approx(merits[0], rel=1e-6)
+
+
+def random_subproblems(
+    rng: np.random.Generator, name: str, formulations: list[str], keeps: tuple[str, ...]
+) -> tuple[Flyby, Linearisation, list[Subproblem]]:
+    flyby = constrain(rng, random_flyby(rng, nodes=7), keeps)
+    lin = flyby.perturbed(rng, 0.1, 0.05)
+    shapes = Polytopes(ball(8), 4)
+    facets = choose_facets(flyby.problem, shapes, lin.iterate.mean, lin.factor)
+    every = np.ones(len(facets.node), dtype=np.bool_)
+    built = []
+    for formulation in formulations:
+        problem = flyby.problem
+        rows = P3Rows(problem) if name == "P3" else P2Rows(problem, facets, every)
+        built.append(Subproblem(problem, rows, formulation))
+        built[-1].update(lin)
+    return flyby, lin, built
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@settings(max_examples=10)
+@given(generators, st.sampled_from([("in",), ("out",), ("in", "out")]))
+def test_lifted_and_condensed_agree_on_random_flybys(
+    name: str, rng: np.random.Generator, keeps: tuple[str, ...]
+) -> None:
+    _, _, (condensed, lifted) = random_subproblems(rng, name, ["condensed", "lifted"], keeps)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "TOLERANCES", TIGHT)
+        merits = [subproblem.solve(2.0, WEIGHT).merit for subproblem in (condensed, lifted)]
+    assert merits[1] == pytest.approx(merits[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_two_burns_on_linear_arcs_are_what_the_boundary_demands(formulation: str) -> None:
+    flyby = random_flyby(np.random.default_rng(5), nodes=8, burns=2, curvature=0.0)
+    problem = flyby.problem
+    total = np.eye(6)
+    for stm in flyby.waves.linear:
+        total = stm @ total
+    kick = np.eye(6)[:, 3:]
+    drift = problem.final_state - total @ problem.initial_state
+    burns = np.linalg.solve(np.hstack([total @ kick, kick]), drift).reshape(2, 3)
+    # Away from the battery's cones, which would forbid the only solution.
+    sun = np.cross(burns, [0.3, 0.5, -0.7])
+    problem = replace(problem, sun=sun / np.linalg.norm(sun, axis=1, keepdims=True))
+    subproblem = Subproblem(problem, P3Rows(problem), formulation)
+    lin = flyby.waves.linearise(problem, flyby.waves.rollout(problem, np.zeros((2, 3))))
+    subproblem.update(lin)
+    step = subproblem.solve(10.0, 100.0)
+    assert step.burns == pytest.approx(burns, abs=1e-6)
+    assert step.merit == pytest.approx(np.linalg.norm(burns, axis=1).sum(), rel=1e-6)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_p2_without_facets_near_binding_is_p3_without_constraints(
+    case: Case, formulation: str
+) -> None:
+    unconstrained = replace(case.problem, constraints=())
+    none = np.zeros_like(case.p2_rows.included)
+    lin, merits = case.at("P3"), []
+    for rows in (P3Rows(unconstrained), P2Rows(case.problem, case.p2_rows.facets, none)):
+        subproblem = Subproblem(case.problem, rows, formulation)
+        subproblem.update(lin)
+        merits.append(subproblem.solve(1.0, WEIGHT).merit)
+    assert merits[1] == pytest.approx(merits[0], rel=1e-6)
+
+
+@pytest.mark.parametrize("formulation", CONDENSED)
+def test_p3_is_the_same_in_every_condensed_form(case: Case, build: Build, formulation: str) -> None:
+    merits = []
+    for other in ("condensed", formulation):
+        subproblem = build(other, "P3")
+        subproblem.update(case.at("ballistic"))
+        merits.append(subproblem.solve(1.0, WEIGHT).merit)
+    assert merits[1] == pytest.approx(merits[0], rel=1e-9)
+
+
+def test_facets_left_out_are_missed_exactly_where_the_iterate_violates_them(case: Case) -> None:
+    lin, facets = case.at("cold"), case.p2_rows.facets
+    margin = facets.margin(lin.iterate.mean, lin.factor)
+    violated = margin < -1e-6
+    included = np.random.default_rng(0).uniform(size=len(margin)) < 0.5
+    missed = P2Rows(case.problem, facets, included).missed(lin, 1e-6)
+    assert np.array_equal(missed, violated & ~included)
+    assert missed.any()
+
+
+# --- what is frozen -----------------------------------------------------------------------------
+
+
+def frozen(kind: type[FrozenStm | FrozenCovariance], lin: Linearisation) -> tuple[Array, ...]:
+    """Mean and factor that a frozen form models for other burns than the iterate's."""
+    problem = lin.problem
+    nodes = np.arange(problem.n_nodes)
+    model = kind(problem, cp.Variable((problem.n_burns, 3)), nodes, True)
+    s, burns = model.sensitivity(lin), other_burns(lin)
+    z = burns.ravel()
+    return s.mean_constant + s.mean_jacobian @ z, s.factor_constant + s.factor_jacobian @ z
+
+
+def other_burns(lin: Linearisation) -> Array:
+    return lin.iterate.burns + np.random.default_rng(3).normal(size=lin.iterate.burns.shape)
+
+
+@settings(max_examples=20)
+@given(generators)
+def test_frozen_stm_moves_the_factor_with_the_burns_by_the_iterates_stms(
+    rng: np.random.Generator,
+) -> None:
+    lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
+    expected = propagate_factor(lin.problem, lin.arcs.stm, other_burns(lin))
+    assert frozen(FrozenStm, lin)[1] == pytest.approx(expected, rel=1e-9, abs=1e-11)
+
+
+@settings(max_examples=20)
+@given(generators)
+def test_frozen_covariance_keeps_the_iterates_factor_whatever_the_burns(
+    rng: np.random.Generator,
+) -> None:
+    lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
+    assert np.array_equal(frozen(FrozenCovariance, lin)[1], lin.factor)
+
+
+@pytest.mark.parametrize("kind", [FrozenStm, FrozenCovariance])
+@settings(max_examples=20)
+@given(generators)
+def test_frozen_forms_model_the_mean_in_full(
+    kind: type[FrozenStm | FrozenCovariance], rng: np.random.Generator
+) -> None:
+    lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
+    s = condense(lin)
+    expected = s.mean_constant + s.mean_jacobian @ other_burns(lin).ravel()
+    assert frozen(kind, lin)[0] == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+def test_the_full_model_promises_nothing_at_the_solution_of_p2(
+    case: Case, build: Build, formulation: str
+) -> None:
+    assert promised(case, build(formulation, "P2")) <= TrustRegion.stationary
+
+
+@pytest.mark.parametrize("formulation", FROZEN)
+def test_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(
+    case: Case, build: Build, formulation: str
+) -> None:
+    assert promised(case, build(formulation, "P2")) >= 10.0 * TrustRegion.stationary
+
+
+def promised(case: Case, subproblem: Subproblem) -> float:
+    """Reduction of the merit, relative, that the model predicts within a unit radius."""
+    lin = case.at("P2")
+    subproblem.update(lin)
+    merit = subproblem.merit(lin, WEIGHT)
+    return (merit - subproblem.solve(1.0, WEIGHT).merit) / merit
+
+
+# --- penalty ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+def test_at_convergence_every_buffer_is_zero(case: Case, build: Build, name: str) -> None:
+    lin, subproblem = case.at(name), build("condensed", name)
+    assert max(v.max(initial=0.0) for v in subproblem.violations(lin).values()) <= 1e-8
+    subproblem.update(lin)
+    step = subproblem.solve(1.0, WEIGHT)
+    buffers = step.merit - np.linalg.norm(step.burns, axis=1).sum()
+    assert buffers == pytest.approx(0.0, abs=1e-7 * step.merit)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+def test_the_penalty_is_exact_at_convergence_a_larger_weight_changes_nothing(
+    case: Case, build: Build, name: str
+) -> None:
+    lin, subproblem = case.at(name), build("condensed", name)
+    subproblem.update(lin)
+    for weight in (WEIGHT, 2.0 * WEIGHT, 10.0 * WEIGHT):
+        step = subproblem.solve(1.0, weight)
+        assert step.merit == pytest.approx(lin.iterate.total_dv, rel=1e-6)
+
+
+def test_a_weight_below_the_multipliers_is_not_exact(case: Case, build: Build) -> None:
+    lin, subproblem = case.at("P2"), build("condensed", "P2")
+    subproblem.update(lin)
+    assert subproblem.solve(1.0, 1e-2).merit < 0.9 * lin.iterate.total_dv
+
+
+# --- trust region and failures ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("radius", [1e-3, 0.1])
+def test_no_component_of_a_burn_moves_by_more_than_the_radius(
+    case: Case, build: Build, name: str, radius: float
+) -> None:
+    lin, subproblem = case.at("ballistic"), build("condensed", name)
+    subproblem.update(lin)
+    step = subproblem.solve(radius, WEIGHT).burns - lin.iterate.burns
+    assert np.abs(step).max() == pytest.approx(radius, rel=1e-4)  # the guess is far: it binds
+
+
+def test_a_larger_trust_region_never_promises_less(case: Case, build: Build) -> None:
+    subproblem = build("condensed", "P3")
+    subproblem.update(case.at("ballistic"))
+    merits = [subproblem.solve(radius, WEIGHT).merit for radius in (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)]
+    assert all(after <= before * (1.0 + 1e-8) for before, after in itertools.pairwise(merits))
+    assert merits[-1] < merits[0]
+
+
+def test_a_solver_that_fails_raises_our_own_error_with_its_words(
+    case: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subproblem = Subproblem(case.problem, case.rows("P3"), "condensed")
+    subproblem.update(case.at("P3"))
+
+    def fail(**_: object) -> float:
+        raise cp.SolverError("it broke down")
+
+    monkeypatch.setattr(subproblem.program, "solve", fail)
+    with pytest.raises(SubproblemError, match="it broke down") as caught:
+        subproblem.solve(1.0, WEIGHT)
+    assert isinstance(caught.value.__cause__, cp.SolverError)
+
+
+@pytest.mark.parametrize("answer", [None, np.nan, np.inf])
+def test_a_solver_without_a_finite_answer_raises_our_own_error(
+    case: Case, answer: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subproblem = Subproblem(case.problem, case.rows("P3"), "condensed")
+    subproblem.update(case.at("P3"))
+
+    def solve(**_: object) -> float:
+        (burns,) = (v for v in subproblem.program.variables() if v.shape == (4, 3))
+        burns.save_value(None if answer is None else np.full((4, 3), answer))
+        return np.inf
+
+    monkeypatch.setattr(subproblem.program, "solve", solve)
+    with pytest.raises(SubproblemError, match="CLARABEL ended with status"):
+        subproblem.solve(1.0, WEIGHT)
+
+
+def test_an_unknown_formulation_is_refused(case: Case) -> None:
+    with pytest.raises(KeyError, match="unheard of"):
+        Subproblem(case.problem, case.rows("P3"), "unheard of")

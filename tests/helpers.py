@@ -1,0 +1,153 @@
+"""Small random flybys, with arcs whose derivatives are known in closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from hypothesis import strategies as st
+
+from formulations.lifting import Linearisation
+from formulations.problem import FlybyProblem, Iterate, StateConstraint
+from formulations.regions import Ball, Cone
+
+Array = npt.NDArray[np.float64]
+
+generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)
+"""Random generators for what is built rather than drawn."""
+
+
+def random_unit(rng: np.random.Generator, *shape: int) -> Array:
+    vector = rng.normal(size=(*shape, 3))
+    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+
+
+def random_rotation(rng: np.random.Generator) -> Array:
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.linalg.det(q)
+
+
+@dataclass(frozen=True)
+class Arcs:
+    """End states, STMs and second-order tensors."""
+
+    state: Array
+    stm: Array
+    tensor: Array
+
+
+@dataclass(frozen=True)
+class Waves:
+    """Arcs F_k(x) = A_k x + W_k sin(V_k x), (n, 6, 6) each; linear where W is zero."""
+
+    linear: Array
+    amplitude: Array
+    frequency: Array
+
+    def propagate(self, k: int, state: Array) -> Array:
+        return self.linear[k] @ state + self.amplitude[k] @ np.sin(self.frequency[k] @ state)
+
+    def derivatives(self, start: Array) -> Arcs:
+        w, v = self.amplitude, self.frequency
+        phase = np.einsum("kij,kj->ki", v, start)
+        return Arcs(
+            state=np.array([self.propagate(k, x) for k, x in enumerate(start)]),
+            stm=self.linear + np.einsum("kim,km,kmj->kij", w, np.cos(phase), v),
+            tensor=-np.einsum("kim,km,kmj,kml->kijl", w, np.sin(phase), v, v),
+        )
+
+    def rollout(self, problem: FlybyProblem, burns: Array, defects: Array | float = 0.0) -> Iterate:
+        """Node means mu_{k+1} = F_k(mu_k) + B dv_i - d_k with prescribed defects (n, 6)."""
+        kicks = np.zeros((problem.n_nodes, 6))
+        kicks[problem.burn_nodes, 3:] = burns
+        defects = np.broadcast_to(defects, (problem.n_nodes - 1, 6))
+        mean = [problem.initial_state + kicks[0]]
+        for k in range(problem.n_nodes - 1):
+            mean.append(self.propagate(k, mean[-1]) + kicks[k + 1] - defects[k])
+        return Iterate(burns, np.array(mean))
+
+    def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
+        return Linearisation.at(problem, iterate, self.derivatives(iterate.mean[:-1]))
+
+    def in_coordinates(self, matrix: Array) -> Waves:
+        """The same arcs for states y = matrix x."""
+        inverse = np.linalg.inv(matrix)
+        return Waves(
+            matrix @ self.linear @ inverse, matrix @ self.amplitude, self.frequency @ inverse
+        )
+
+
+@dataclass(frozen=True)
+class Flyby:
+    """A problem, its dynamics, and burns that reach its final state."""
+
+    problem: FlybyProblem
+    waves: Waves
+    burns: Array
+
+    def perturbed(self, rng: np.random.Generator, size: float, defect: float) -> Linearisation:
+        """Linearised at burns and defects that are random, of about the given sizes."""
+        burns = self.burns + size * rng.normal(size=self.burns.shape)
+        defects = defect * rng.normal(size=(self.problem.n_nodes - 1, 6))
+        return self.waves.linearise(self.problem, self.waves.rollout(self.problem, burns, defects))
+
+
+def random_flyby(
+    rng: np.random.Generator, *, nodes: int = 9, burns: int = 3, curvature: float = 0.1
+) -> Flyby:
+    """Drifts of about one unit of length with random forces; no constraints.
+
+    Args:
+        rng: randomness.
+        nodes: of the grid.
+        burns: at the first, the last, and random nodes between.
+        curvature: size of the arcs' nonlinear part; 0 makes them linear.
+    """
+    n = nodes - 1
+    drift = np.eye(6) + np.eye(6, k=3) / n
+    waves = Waves(
+        drift + 0.2 * rng.normal(size=(n, 6, 6)) / n,
+        curvature * rng.normal(size=(n, 6, 6)),
+        0.5 * rng.normal(size=(n, 6, 6)),
+    )
+    between = 1 + rng.choice(nodes - 2, burns - 2, replace=False)
+    problem = FlybyProblem(
+        n_nodes=nodes,
+        burn_nodes=np.array([0, *sorted(between), n]),
+        initial_state=rng.normal(size=6),
+        final_state=np.zeros(6),
+        initial_factor=0.02 * rng.normal(size=(6, int(rng.integers(1, 7)))),
+        execution_error=float(rng.uniform(0.01, 0.1)),
+        dv_max=3.0,
+        sun=random_unit(rng, burns),
+        dv_cone=float(rng.uniform(0.1, 0.5)),
+        constraints=(),
+    )
+    kicks = 0.5 * rng.normal(size=(burns, 3))
+    final = waves.rollout(problem, kicks).mean[-1]
+    return Flyby(replace(problem, final_state=final), waves, kicks)
+
+
+def constrain(
+    rng: np.random.Generator, flyby: Flyby, keeps: Sequence[str] = ("in", "out")
+) -> Flyby:
+    """The flyby with balls and cones at some nodes, near its reference trajectory."""
+    problem = flyby.problem
+    track = flyby.waves.rollout(problem, flyby.burns).mean[:, :3]
+    constraints = []
+    for keep in keeps:
+        for shape in ("ball", "cone"):
+            chosen = np.sort(rng.choice(problem.n_nodes, 3, replace=False))
+            away = random_unit(rng, 3)
+            if shape == "ball":
+                distance = 0.5 if keep == "in" else 1.0
+                region: Ball | Cone = Ball(track[chosen] - distance * away, 0.8)
+            else:
+                side = np.cross(away, random_unit(rng, 3))
+                offset = 0.2 if keep == "in" else 1.0
+                apex = track[chosen] - away - offset * side
+                region = Cone(apex, away, 0.6)
+            constraints.append(StateConstraint(f"{shape}_{keep}", chosen, region, keep, 0.8))
+    return replace(flyby, problem=replace(problem, constraints=tuple(constraints)))

@@ -1,0 +1,272 @@
+"""Chance constraints: a facet's condition is its probability, and facets imply their region."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal, norm, qmc
+
+from formulations.facets import Facets, Polytopes, choose_facets
+from formulations.polytopes import ball, inner_pyramid_angle, paper_ball
+from formulations.problem import FlybyProblem, StateConstraint
+from formulations.regions import Ball, Cone, Region
+from formulations.risk import boole, quantile
+from tests.helpers import Array, generators, random_flyby, random_unit
+
+probabilities = st.floats(0.5, 0.9999)
+polytopes = st.builds(
+    Polytopes, st.sampled_from([paper_ball(), *map(ball, (4, 6, 13, 24, 40))]), st.integers(3, 24)
+)
+
+NORMAL = qmc.MultivariateNormalQMC(
+    np.zeros(3), engine=qmc.Sobol(3, rng=np.random.default_rng(1)), rng=np.random.default_rng(2)
+).random(2**14)
+QMC_ERROR = 2e-3
+"""Of a probability from `NORMAL`; see the test of it."""
+
+
+def one_facet(normal: Array, offset: float, q: float) -> Facets:
+    zero = np.array([0])
+    return Facets(zero, zero, normal[None], np.array([offset]), np.array([q]))
+
+
+def gaussian(rng: np.random.Generator) -> tuple[Array, Array]:
+    """Mean (1, 6) of a state and its factor (1, 6, c)."""
+    columns = int(rng.integers(1, 15))
+    return rng.normal(size=(1, 6)), rng.normal(size=(1, 6, columns)) / np.sqrt(columns)
+
+
+def position_covariance(factor: Array) -> Array:
+    return (factor @ factor.transpose(0, 2, 1))[0, :3, :3]
+
+
+def problem_with(constraint: StateConstraint) -> FlybyProblem:
+    problem = random_flyby(np.random.default_rng(0)).problem
+    return replace(problem, constraints=(constraint,))
+
+
+# --- one facet ----------------------------------------------------------------------------------
+
+
+@given(probabilities, st.floats(-4.0, 4.0), generators)
+def test_a_facets_condition_holds_exactly_when_its_probability_suffices(
+    probability: float, deviations: float, rng: np.random.Generator
+) -> None:
+    mean, factor = gaussian(rng)
+    normal = random_unit(rng)
+    centre = normal @ mean[0, :3]
+    sigma = np.sqrt(normal @ position_covariance(factor) @ normal)
+    offset = centre + deviations * sigma
+    reached = norm.cdf(offset, loc=centre, scale=sigma)
+    assume(abs(reached - probability) > 1e-9)
+    margin = one_facet(normal, offset, quantile(probability)).margin(mean, factor)[0]
+    assert (margin >= 0.0) == (reached >= probability)
+
+
+@given(probabilities, generators)
+def test_a_facet_with_zero_margin_holds_with_just_the_probability_asked_for(
+    probability: float, rng: np.random.Generator
+) -> None:
+    mean, factor = gaussian(rng)
+    normal = random_unit(rng)
+    offset = -one_facet(normal, 0.0, quantile(probability)).margin(mean, factor)[0]
+    sigma = np.sqrt(normal @ position_covariance(factor) @ normal)
+    reached = norm.cdf(offset, loc=normal @ mean[0, :3], scale=sigma)
+    assert reached == pytest.approx(probability, abs=1e-12)
+
+
+@given(probabilities, generators)
+def test_without_spread_a_facets_margin_is_its_distance(
+    probability: float, rng: np.random.Generator
+) -> None:
+    mean, factor = gaussian(rng)
+    normal, offset = random_unit(rng), rng.normal()
+    margin = one_facet(normal, offset, quantile(probability)).margin(mean, 0.0 * factor)
+    assert margin[0] == pytest.approx(offset - normal @ mean[0, :3])
+
+
+@given(probabilities, probabilities, generators)
+def test_margins_fall_with_the_probability(p: float, more: float, rng: np.random.Generator) -> None:
+    assume(more > p)
+    mean, factor = gaussian(rng)
+    normal = random_unit(rng)
+    margins = [one_facet(normal, 1.0, quantile(x)).margin(mean, factor)[0] for x in (p, more)]
+    assert margins[1] < margins[0]
+
+
+@given(probabilities, generators)
+def test_margins_fall_with_the_covariance_in_loewner_order(
+    probability: float, rng: np.random.Generator
+) -> None:
+    mean, factor = gaussian(rng)
+    added = rng.normal(size=(6, 6)) * (rng.uniform(size=6) < 0.5)
+    larger = np.linalg.cholesky(factor[0] @ factor[0].T + added @ added.T + 1e-12 * np.eye(6))
+    normal = random_unit(rng)
+    facet = one_facet(normal, 1.0, quantile(probability))
+    assert facet.margin(mean, larger[None])[0] <= facet.margin(mean, factor)[0] + 1e-12
+
+
+def facets_of(
+    region: Region, keep: str, p: float, shapes: Polytopes, mean: Array, factor: Array
+) -> Facets:
+    constraint = StateConstraint("region", np.array([0]), region, keep, p)
+    return choose_facets(problem_with(constraint), shapes, mean, factor)
+
+
+@given(probabilities, st.floats(0.01, 2.0), st.floats(0.01, 2.0), polytopes, generators)
+def test_every_margin_grows_with_a_keep_in_ball(
+    probability: float, radius: float, growth: float, shapes: Polytopes, rng: np.random.Generator
+) -> None:
+    mean, factor = gaussian(rng)
+    centre = rng.normal(size=(1, 3))
+    small, large = (
+        facets_of(Ball(centre, r), "in", probability, shapes, mean, factor).margin(mean, factor)
+        for r in (radius, radius + growth)
+    )
+    assert np.all(large > small)
+
+
+@given(probabilities, st.floats(0.01, 2.0), st.floats(0.01, 2.0), polytopes, generators)
+def test_the_probability_of_the_chosen_facet_falls_with_a_keep_out_ball(
+    probability: float, radius: float, growth: float, shapes: Polytopes, rng: np.random.Generator
+) -> None:
+    mean, factor = gaussian(rng)
+    centre = rng.normal(size=(1, 3))
+    deviations = []  # from the plane, which its probability grows with
+    for r in (radius, radius + growth):
+        facet = facets_of(Ball(centre, r), "out", probability, shapes, mean, factor)
+        distance = facet.margin(mean, 0.0 * factor)
+        deviations.append(distance / facet.deviation(factor))
+    assert deviations[1] < deviations[0]
+
+
+@given(probabilities)
+def test_quantiles_invert_the_normal_distribution(probability: float) -> None:
+    assert norm.cdf(quantile(probability)) == pytest.approx(probability, abs=1e-14)
+
+
+@given(probabilities)
+def test_quantiles_are_not_negative_so_that_the_condition_is_convex(probability: float) -> None:
+    assert quantile(probability) >= 0.0
+
+
+@pytest.mark.parametrize("probability", [-0.1, 0.0, 0.4999, 1.0, 1.1, float("nan")])
+def test_no_quantile_where_the_condition_is_not_convex_or_never_met(probability: float) -> None:
+    with pytest.raises(ValueError, match=r"outside \[0.5, 1\)"):
+        quantile(probability)
+
+
+# --- Boole's inequality -------------------------------------------------------------------------
+
+
+@given(probabilities, st.integers(1, 100))
+def test_booles_shares_of_the_risk_add_up_to_the_whole(probability: float, parts: int) -> None:
+    share = boole(probability, parts)
+    assert parts * (1.0 - share) == pytest.approx(1.0 - probability, abs=1e-12)
+    assert probability <= share < 1.0
+
+
+@given(probabilities, st.floats(0.0, 1.0))
+def test_booles_split_is_tight_for_two_opposite_facets(probability: float, share: float) -> None:
+    # Their failures exclude one another, so that nothing is lost: 1 - p = sum of what fails.
+    q = quantile(boole(probability, 2))
+    assert norm.cdf(q) - norm.cdf(-q) == pytest.approx(probability, abs=1e-12)
+    risk = 1.0 - probability  # any other split of the risk keeps the sum, too
+    assume(0.01 < share < 0.99)
+    held = norm.isf(share * risk), norm.isf((1.0 - share) * risk)
+    assert norm.cdf(held[0]) - norm.cdf(-held[1]) == pytest.approx(probability, abs=1e-12)
+
+
+@given(st.floats(0.55, 0.99), generators)
+def test_facets_with_booles_shares_hold_together_with_the_probability(
+    probability: float, rng: np.random.Generator
+) -> None:
+    mean, covariance = np.zeros(3), gaussian_covariance(rng)
+    normals = random_unit(rng, 3)
+    deviation = np.sqrt(np.einsum("mi,ij,mj->m", normals, covariance, normals))
+    offsets = quantile(boole(probability, 3)) * deviation
+    joint = multivariate_normal(
+        mean, normals @ covariance @ normals.T, allow_singular=True, abseps=5e-5, seed=1
+    )
+    assert joint.cdf(offsets) >= probability - 1e-4  # twice the accuracy of the integration
+
+
+def gaussian_covariance(rng: np.random.Generator) -> Array:
+    root = rng.normal(size=(3, 3))
+    return root @ root.T
+
+
+def largest_scale(facets: Facets, mean: Array, factor: Array) -> float:
+    """The number by which the factor can grow until the first facet has no margin left."""
+    distance = facets.margin(mean, 0.0 * factor)
+    return float(np.min(distance / (distance - facets.margin(mean, factor))))
+
+
+# --- facets and their region --------------------------------------------------------------------
+
+
+def test_the_quasi_random_sample_is_as_accurate_as_claimed() -> None:
+    rng = np.random.default_rng(3)
+    for normal in random_unit(rng, 200):
+        offset = rng.normal()
+        assert np.mean(NORMAL @ normal <= offset) == pytest.approx(norm.cdf(offset), abs=QMC_ERROR)
+
+
+def random_region(rng: np.random.Generator, keep: str, point: Array) -> Region:
+    """A region that leaves the point on the allowed side, at least a little."""
+    away = random_unit(rng, 1)
+    if rng.uniform() < 0.5:
+        radius = rng.uniform(0.1, 2.0)
+        # The 4-facet inner polytope of the unit ball holds the ball of a third.
+        distance = radius * (rng.uniform(0.0, 0.3) if keep == "in" else rng.uniform(1.01, 3.0))
+        return Ball(point + distance * away, radius)
+    half_angle = rng.uniform(0.05, 1.4)
+    side = np.cross(away, random_unit(rng, 1))
+    side /= np.linalg.norm(side)
+    off = (
+        rng.uniform(0.0, 0.9) * inner_pyramid_angle(half_angle, 3)
+        if keep == "in"
+        else rng.uniform(half_angle + 0.01, np.pi)
+    )
+    ray = np.cos(off) * away + np.sin(off) * side
+    return Cone(point - rng.uniform(0.1, 2.0) * ray, away, half_angle)
+
+
+def probability_of(keep: str, region: Region, mean: Array, factor: Array) -> float:
+    """That the position is in the region, or out of it, by a quasi-random sample."""
+    variance, axes = np.linalg.eigh(position_covariance(factor))
+    d = mean[0, :3] + NORMAL * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
+    if isinstance(region, Ball):
+        inside = np.linalg.norm(d - region.center, axis=1) <= region.radius
+    else:
+        d = d - region.apex
+        inside = d @ region.axis[0] >= np.cos(region.half_angle) * np.linalg.norm(d, axis=1)
+    return float(np.mean(inside if keep == "in" else ~inside))
+
+
+@pytest.mark.parametrize("keep", ["in", "out"])
+@given(st.floats(0.55, 0.99), polytopes, generators)
+def test_facets_without_margin_left_keep_the_position_in_or_out_with_the_probability(
+    keep: str, probability: float, shapes: Polytopes, rng: np.random.Generator
+) -> None:
+    mean, factor = gaussian(rng)
+    region = random_region(rng, keep, mean[:, :3])
+    facets = facets_of(region, keep, probability, shapes, mean, factor)
+    worst = largest_scale(facets, mean, factor) * factor
+    assert facets.margin(mean, worst).min() == pytest.approx(0.0, abs=1e-9)
+    assert probability_of(keep, region, mean, worst) >= probability - QMC_ERROR
+
+
+@given(st.floats(0.55, 0.99), generators)
+def test_the_tangent_facet_keeps_the_position_out_of_a_ball_with_the_probability(
+    probability: float, rng: np.random.Generator
+) -> None:
+    mean, factor = gaussian(rng)
+    region = Ball(mean[:, :3] + 1.5 * random_unit(rng, 1), 1.0)
+    facets = facets_of(region, "out", probability, Polytopes(None, 4), mean, factor)
+    worst = largest_scale(facets, mean, factor) * factor
+    assert probability_of("out", region, mean, worst) >= probability - QMC_ERROR

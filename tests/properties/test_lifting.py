@@ -1,0 +1,416 @@
+"""Covariance lifting: the factor is the covariance, and its affine map is the derivative."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from formulations.lifting import (
+    Linearisation,
+    LinearisationError,
+    Sensitivity,
+    compose,
+    condense,
+    final_state_map,
+    propagate_factor,
+    step_mean,
+)
+from formulations.problem import FlybyProblem, Iterate, Nodes, factor_columns_used
+from scp_recon.dynamics import Dynamics
+from scp_recon.forces import ForceModel
+from tests.helpers import Arcs, Array, Flyby, generators, random_flyby, random_rotation
+
+EXACT = {"rel": 1e-9, "abs": 1e-11}
+"""Rounding of a product of a dozen matrices of order one."""
+
+flybys = st.builds(random_flyby, generators, nodes=st.integers(5, 10), burns=st.integers(2, 4))
+curvatures = st.booleans()
+
+
+def covariance(factor: Array) -> Array:
+    return factor @ factor.swapaxes(-1, -2)
+
+
+def applied(sensitivity: Sensitivity, burns: Array) -> tuple[Array, Array]:
+    """Mean and factor of the affine map."""
+    s, z = sensitivity, burns.ravel()
+    return s.mean_constant + s.mean_jacobian @ z, s.factor_constant + s.factor_jacobian @ z
+
+
+def nonlinear(flyby: Flyby, burns: Array, defects: Array | float = 0.0) -> tuple[Array, Array]:
+    """Mean and factor of the arcs themselves."""
+    mean = flyby.waves.rollout(flyby.problem, burns, defects).mean
+    stm = flyby.waves.derivatives(mean[:-1]).stm
+    return mean, propagate_factor(flyby.problem, stm, burns)
+
+
+def some_burns(rng: np.random.Generator, problem: FlybyProblem) -> Array:
+    return rng.normal(size=(problem.n_burns, 3))
+
+
+def some_nodes(rng: np.random.Generator, problem: FlybyProblem) -> Nodes:
+    """All burns' nodes and some others."""
+    others = rng.choice(problem.n_nodes, int(rng.integers(0, problem.n_nodes)), replace=False)
+    return np.union1d(problem.burn_nodes, others)
+
+
+# --- the factor is the covariance ---------------------------------------------------------------
+
+
+@given(flybys, generators)
+def test_the_factors_square_obeys_the_covariance_recursion(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    problem, burns = flyby.problem, some_burns(rng, flyby.problem)
+    stm = rng.normal(size=(problem.n_nodes - 1, 6, 6))
+    lifted = covariance(propagate_factor(problem, stm, burns))
+    beta, expected = problem.execution_error, covariance(problem.initial_factor)
+    for k in range(problem.n_nodes):
+        if k > 0:
+            expected = stm[k - 1] @ expected @ stm[k - 1].T
+        for burn in burns[problem.burn_nodes == k]:
+            expected[3:, 3:] += beta**2 * np.diag(burn) ** 2
+        assert lifted[k] == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+
+
+@given(flybys, generators)
+def test_the_factor_is_affine_in_the_burns(flyby: Flyby, rng: np.random.Generator) -> None:
+    problem = flyby.problem
+    stm = rng.normal(size=(problem.n_nodes - 1, 6, 6))
+    first, second = some_burns(rng, problem), some_burns(rng, problem)
+    t = rng.normal()
+    between = propagate_factor(problem, stm, first + t * (second - first))
+    ends = [propagate_factor(problem, stm, burns) for burns in (first, second)]
+    expected = ends[0] + t * (ends[1] - ends[0])
+    assert between == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+
+
+@given(flybys, generators)
+def test_columns_left_out_are_zero_in_the_positions(flyby: Flyby, rng: np.random.Generator) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.1)
+    count = int(rng.integers(1, flyby.problem.n_nodes))
+    nodes = np.sort(rng.choice(flyby.problem.n_nodes, count, replace=False))
+    used = factor_columns_used(flyby.problem, nodes)
+    s = condense(lin)
+    for part in (lin.factor, s.factor_constant, s.factor_jacobian):
+        assert not np.any(part[nodes, :3, used:])
+
+
+# --- the affine map is the derivative -----------------------------------------------------------
+
+
+@given(flybys, generators)
+def test_condense_is_exact_at_the_iterate(flyby: Flyby, rng: np.random.Generator) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.0)
+    mean, factor = applied(condense(lin), lin.iterate.burns)
+    assert mean == pytest.approx(lin.iterate.mean, **EXACT)
+    assert factor == pytest.approx(lin.factor, **EXACT)
+
+
+@given(flybys, generators)
+def test_condense_is_the_derivative_by_the_burns(flyby: Flyby, rng: np.random.Generator) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.0)
+    s, h = condense(lin), 1e-5
+    direction = some_burns(rng, flyby.problem)
+    step = h * direction
+    ahead, behind = (nonlinear(flyby, lin.iterate.burns + x) for x in (step, -step))
+    mean, factor = ((a - b) / (2.0 * h) for a, b in zip(ahead, behind, strict=True))
+    # Truncation and rounding of the central difference are both of order 1e-10.
+    assert s.mean_jacobian @ direction.ravel() == pytest.approx(mean, rel=1e-7, abs=1e-8)
+    assert s.factor_jacobian @ direction.ravel() == pytest.approx(factor, rel=1e-7, abs=1e-8)
+
+
+def model_error(
+    flyby: Flyby, lin: Linearisation, step: Array, t: float, *, curvature: bool
+) -> Array:
+    """Norms of what the affine map gets wrong in mean and factor, t of the way along a step.
+
+    The step changes the burns and closes the iterate's defects.
+    """
+    burns = lin.iterate.burns
+    defects = (1.0 - t) * lin.defects[:-1]
+    truth = nonlinear(flyby, burns + t * step, defects)
+    model = applied(condense(lin, curvature=curvature), burns + step)
+    start = lin.iterate.mean, lin.factor
+    return np.array(
+        [
+            np.linalg.norm(x0 + t * (x1 - x0) - x)
+            for x0, x1, x in zip(start, model, truth, strict=True)
+        ]
+    )
+
+
+@given(flybys, st.sampled_from([0.0, 0.1]), generators)
+def test_the_model_error_is_quadratic_in_steps_and_defects(
+    flyby: Flyby, defect: float, rng: np.random.Generator
+) -> None:
+    lin = flyby.perturbed(rng, 0.3, defect)
+    step = some_burns(rng, flyby.problem)
+    coarse, fine = (model_error(flyby, lin, step, t, curvature=True) for t in (1e-3, 1e-4))
+    assert np.all(coarse > 1e-10)  # so that an order can be observed
+    assert np.all(np.log10(coarse / fine) >= 1.8)
+
+
+@given(flybys, generators)
+def test_without_curvature_the_factors_error_is_only_linear(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.0)
+    step = some_burns(rng, flyby.problem)
+    coarse, fine = (model_error(flyby, lin, step, t, curvature=False) for t in (1e-3, 1e-4))
+    mean, factor = np.log10(coarse / fine)
+    assert mean >= 1.8
+    assert factor <= 1.2
+
+
+@given(st.builds(random_flyby, generators, curvature=st.just(0.0)), curvatures, generators)
+def test_linear_arcs_are_modelled_exactly(
+    flyby: Flyby, curvature: bool, rng: np.random.Generator
+) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.1)
+    burns = some_burns(rng, flyby.problem)
+    model = applied(condense(lin, curvature=curvature), burns)
+    for found, expected in zip(model, nonlinear(flyby, burns), strict=True):
+        assert found == pytest.approx(expected, **EXACT)
+
+
+@given(flybys, generators)
+def test_without_curvature_the_factor_is_that_of_the_iterates_stms(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.1)
+    burns = some_burns(rng, flyby.problem)
+    _, factor = applied(condense(lin, curvature=False), burns)
+    expected = propagate_factor(flyby.problem, lin.arcs.stm, burns)
+    assert factor == pytest.approx(expected, **EXACT)
+
+
+@given(generators)
+def test_condense_is_the_derivative_of_a_keplerian_arc_with_oblateness(
+    rng: np.random.Generator,
+) -> None:
+    forces = ForceModel(1.0, 0.01, random_rotation(rng)[0], 0.01 * rng.normal(size=3))
+    nodes = np.array([0, 3, 8])
+    dynamics = Dynamics(forces, rng.uniform(0.05, 0.15, 8), 2, nodes)
+    # Nearly circular, so that no arc comes near the singular centre.
+    state = np.concatenate([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0] + 0.05 * rng.normal(size=3)])
+    burns = 0.05 * rng.normal(size=(3, 3))
+    base = random_flyby(rng).problem
+    problem = replace(base, burn_nodes=nodes, initial_state=state)
+
+    def flown(z: Array) -> tuple[Iterate, Linearisation]:
+        iterate = Iterate(z, dynamics.rollout(state, z))
+        return iterate, dynamics.linearise(problem, iterate)
+
+    _, lin = flown(burns)
+    s, h = condense(lin), 1e-5
+    step = h * rng.normal(size=(3, 3))
+    (ahead, up), (behind, down) = flown(burns + step), flown(burns - step)
+    mean = s.mean_jacobian @ step.ravel()
+    factor = s.factor_jacobian @ step.ravel()
+    assert mean == pytest.approx((ahead.mean - behind.mean) / 2.0, rel=1e-6, abs=1e-13)
+    assert factor == pytest.approx((up.factor - down.factor) / 2.0, rel=1e-6, abs=1e-13)
+
+
+# --- one model in several forms -----------------------------------------------------------------
+
+
+@given(flybys, generators)
+def test_the_final_state_map_is_the_condensed_mean_at_the_last_node(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.1)
+    constant, jacobian = final_state_map(lin)
+    s = condense(lin)
+    assert constant == pytest.approx(s.mean_constant[-1], **EXACT)
+    assert jacobian == pytest.approx(s.mean_jacobian[-1], **EXACT)
+
+
+@given(flybys, generators)
+def test_step_mean_is_the_condensed_mean(flyby: Flyby, rng: np.random.Generator) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.1)
+    burns = some_burns(rng, flyby.problem)
+    mean, _ = applied(condense(lin), burns)
+    assert step_mean(lin, burns) == pytest.approx(mean, **EXACT)
+
+
+@given(flybys, generators)
+def test_the_model_closes_every_defect_and_starts_at_the_initial_state(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.1)
+    burns = some_burns(rng, flyby.problem)
+    mean = step_mean(lin, burns)
+    start = flyby.problem.initial_state + np.r_[0.0, 0.0, 0.0, burns[0]]
+    assert mean[0] == pytest.approx(start, **EXACT)
+    linear = np.einsum("kij,kj->ki", lin.arcs.stm, mean[:-1] - lin.iterate.mean[:-1])
+    defects = flyby.problem.defects(Iterate(burns, mean), lin.arcs.state + linear)
+    assert defects[:-1] == pytest.approx(0.0, abs=1e-9)
+    assert defects[-1] == pytest.approx(mean[-1] - flyby.problem.final_state)
+
+
+@given(flybys, generators)
+def test_composed_arcs_give_the_condensed_map_at_their_nodes(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    lin, problem = flyby.perturbed(rng, 0.3, 0.1), flyby.problem
+    burns, nodes = some_burns(rng, problem), some_nodes(rng, problem)
+    arcs = compose(lin, nodes)
+    expected = applied(condense(lin), burns)
+
+    mean = lin.iterate.mean[0] + np.r_[0.0, 0.0, 0.0, burns[0] - lin.iterate.burns[0]]
+    factor = propagate_factor(problem, lin.arcs.stm, burns)[0]
+    for arc, (first, last) in enumerate(itertools.pairwise(nodes)):
+        deviation = mean - lin.iterate.mean[first]
+        bent = arcs.shift_stm[arc] + arcs.tensor[arc] @ deviation
+        mean = lin.iterate.mean[last] + arcs.stm[arc] @ deviation + arcs.shift[arc]
+        factor = arcs.stm[arc] @ factor + bent @ lin.factor[first]
+        for i in np.flatnonzero(problem.burn_nodes == last):
+            mean[3:] += burns[i] - lin.iterate.burns[i]
+            factor[3:, problem.columns_of_burn(i)] += problem.execution_error * np.diag(burns[i])
+        assert mean == pytest.approx(expected[0][last], **EXACT)
+        assert factor == pytest.approx(expected[1][last], **EXACT)
+
+
+@given(flybys, generators)
+def test_composing_over_all_nodes_changes_nothing(flyby: Flyby, rng: np.random.Generator) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.1)
+    arcs = compose(lin, np.arange(flyby.problem.n_nodes))
+    assert arcs.stm == pytest.approx(lin.arcs.stm, **EXACT)
+    assert arcs.tensor == pytest.approx(lin.arcs.tensor, **EXACT)
+    assert arcs.shift == pytest.approx(lin.defects[:-1], **EXACT)
+    assert not np.any(arcs.shift_stm)
+
+
+@given(flybys, generators)
+def test_composed_arcs_have_the_derivatives_of_the_composed_flow(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    lin = flyby.perturbed(rng, 0.3, 0.0)
+    last = flyby.problem.n_nodes - 1
+    # Without burns at its inner nodes one arc may span all of them.
+    coast = replace(flyby.problem, burn_nodes=np.array([0, last]), sun=flyby.problem.sun[:2])
+    lin = flyby.waves.linearise(coast, flyby.waves.rollout(coast, lin.iterate.burns[:2]))
+    arcs = compose(lin, np.array([0, last]))
+
+    def stm(start: Array) -> tuple[Array, Array]:
+        total, state = np.eye(6), start
+        for k in range(last):
+            arc = flyby.waves.linear[k] + flyby.waves.amplitude[k] @ (
+                np.cos(flyby.waves.frequency[k] @ state)[:, None] * flyby.waves.frequency[k]
+            )
+            total, state = arc @ total, flyby.waves.propagate(k, state)
+        return total, state
+
+    start, h = lin.iterate.mean[0], 1e-5
+    assert arcs.stm[0] == pytest.approx(stm(start)[0], **EXACT)
+    for j in range(6):
+        shift = h * np.eye(6)[j]
+        (up, end_up), (down, end_down) = stm(start + shift), stm(start - shift)
+        slope = (end_up - end_down) / (2.0 * h)
+        assert arcs.stm[0, :, j] == pytest.approx(slope, rel=1e-7, abs=1e-8)
+        bend = (up - down) / (2.0 * h)
+        assert arcs.tensor[0, :, :, j] == pytest.approx(bend, rel=1e-7, abs=1e-8)
+
+
+# --- invariance ---------------------------------------------------------------------------------
+
+
+def in_coordinates(flyby: Flyby, matrix: Array, burn_map: Array) -> Flyby:
+    """The same flyby for states y = matrix x, burns mapped with the velocities."""
+    problem = flyby.problem
+    moved = replace(
+        problem,
+        initial_state=matrix @ problem.initial_state,
+        final_state=matrix @ problem.final_state,
+        initial_factor=matrix @ problem.initial_factor,
+    )
+    return Flyby(moved, flyby.waves.in_coordinates(matrix), flyby.burns @ burn_map.T)
+
+
+def both(
+    flyby: Flyby, moved: Flyby, burn_map: Array, rng: np.random.Generator
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """The condensed map of the same burns around the same iterate, in old and new coordinates."""
+    around, burns = (
+        flyby.burns + 0.3 * some_burns(rng, flyby.problem),
+        some_burns(rng, flyby.problem),
+    )
+    maps = []
+    for one, turned in ((flyby, np.eye(3)), (moved, burn_map)):
+        iterate = one.waves.rollout(one.problem, around @ turned.T)
+        lin = one.waves.linearise(one.problem, iterate)
+        maps.append(applied(condense(lin), burns @ turned.T))
+    return maps[0], maps[1]
+
+
+@given(flybys, st.floats(0.01, 100.0), st.floats(0.01, 100.0), generators)
+def test_mean_and_factor_do_not_depend_on_the_units(
+    flyby: Flyby, length: float, time: float, rng: np.random.Generator
+) -> None:
+    units = np.diag(np.repeat([length, length / time], 3))
+    speed = length / time * np.eye(3)
+    old, new = both(flyby, in_coordinates(flyby, units, speed), speed, rng)
+    inverse = np.linalg.inv(units)
+    assert new[0] @ inverse.T == pytest.approx(old[0], rel=1e-8, abs=1e-10)
+    assert inverse @ new[1] == pytest.approx(old[1], rel=1e-8, abs=1e-10)
+
+
+@given(flybys, generators)
+def test_the_mean_does_not_depend_on_the_axes(flyby: Flyby, rng: np.random.Generator) -> None:
+    q = random_rotation(rng)
+    matrix = np.kron(np.eye(2), q)
+    old, new = both(flyby, in_coordinates(flyby, matrix, q), q, rng)
+    assert new[0] == pytest.approx(old[0] @ matrix.T, **EXACT)
+
+
+@given(flybys, generators)
+def test_the_covariance_of_the_initial_error_does_not_depend_on_the_axes(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    q = random_rotation(rng)
+    matrix = np.kron(np.eye(2), q)
+    old, new = both(flyby, in_coordinates(flyby, matrix, q), q, rng)
+    initial = flyby.problem.initial_factor.shape[1]
+    assert new[1][..., :initial] == pytest.approx(matrix @ old[1][..., :initial], **EXACT)
+
+
+SIGNED_AXES = [
+    np.diag(signs)[list(order)]
+    for order in itertools.permutations(range(3))
+    for signs in itertools.product((1.0, -1.0), repeat=3)
+]
+
+
+@given(flybys, st.sampled_from(SIGNED_AXES), generators)
+def test_the_covariance_does_not_depend_on_the_names_and_signs_of_the_axes(
+    flyby: Flyby, q: Array, rng: np.random.Generator
+) -> None:
+    # Of the execution error, whose components are independent along the axes, no more is true.
+    matrix = np.kron(np.eye(2), q)
+    old, new = both(flyby, in_coordinates(flyby, matrix, q), q, rng)
+    expected = matrix @ covariance(old[1]) @ matrix.T
+    assert covariance(new[1]) == pytest.approx(expected, **EXACT)
+
+
+# --- no derivative, no model --------------------------------------------------------------------
+
+
+@given(flybys, st.sampled_from(["state", "stm", "tensor"]), st.sampled_from([np.nan, np.inf]))
+def test_dynamics_without_finite_derivatives_have_no_affine_map(
+    flyby: Flyby, part: str, value: float
+) -> None:
+    iterate = flyby.waves.rollout(flyby.problem, flyby.burns)
+    arcs: Arcs = flyby.waves.derivatives(iterate.mean[:-1])
+    broken = getattr(arcs, part).copy()
+    broken[2] = value
+    with np.errstate(invalid="ignore"):
+        lin = Linearisation.at(flyby.problem, iterate, replace(arcs, **{part: broken}))
+        for model in (condense, lambda lin: compose(lin, lin.problem.burn_nodes)):
+            with pytest.raises(LinearisationError, match="no finite derivatives"):
+                model(lin)

@@ -1,0 +1,249 @@
+"""Polytopes about the ball and pyramids about the cone: inclusion, tightness, turning."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
+from scipy.spatial import HalfspaceIntersection
+
+from formulations.polytopes import BallPolytope, ball, inner_pyramid_angle, paper_ball, turn
+from tests.helpers import Array, generators, random_rotation, random_unit
+
+EXACT = 1e-9
+"""Qhull's vertices; the rest is rounding of order one."""
+
+COUNTS = [4, 5, 6, 7, 8, 10, 12, 13, 16, 20, 24, 27, 32, 40, 50, 64]
+half_angles = st.floats(0.01, np.pi / 2 - 0.01)
+facet_counts = st.integers(3, 64)
+
+
+def vertices(normals: Array, distance: float) -> Array:
+    """Vertices of {y : u_j'y <= distance}, each once."""
+    halfspaces = np.column_stack([normals, np.full(len(normals), -distance)])
+    found = HalfspaceIntersection(halfspaces, np.zeros(3)).intersections
+    kept: list[Array] = []
+    for vertex in found:
+        if all(np.linalg.norm(vertex - other) > 1e-7 for other in kept):
+            kept.append(vertex)
+    return np.array(kept)
+
+
+def norms(array: Array) -> Array:
+    return np.linalg.norm(array, axis=-1)
+
+
+@pytest.fixture(params=["paper", *COUNTS], ids=str)
+def polytope(request: pytest.FixtureRequest) -> BallPolytope:
+    return paper_ball() if request.param == "paper" else ball(request.param)
+
+
+# --- the ball -----------------------------------------------------------------------------------
+
+
+def test_facet_normals_are_unit_vectors(polytope: BallPolytope) -> None:
+    assert norms(polytope.normals) == pytest.approx(1.0, abs=EXACT)
+
+
+@pytest.mark.parametrize("facets", COUNTS)
+def test_a_ball_has_as_many_facets_as_asked_for_and_none_twice(facets: int) -> None:
+    normals = ball(facets).normals
+    assert normals.shape == (facets, 3)
+    cosines = normals @ normals.T - 2.0 * np.eye(facets)
+    assert cosines.max() < 1.0 - 1e-3
+
+
+def test_the_inner_polytope_lies_inside_the_unit_ball(polytope: BallPolytope) -> None:
+    assert norms(vertices(polytope.normals, 1.0 / polytope.reach)).max() <= 1.0 + EXACT
+
+
+def test_the_inner_polytope_touches_the_unit_sphere(polytope: BallPolytope) -> None:
+    assert norms(vertices(polytope.normals, 1.0 / polytope.reach)).max() >= 1.0 - EXACT
+
+
+def test_the_outer_polytope_contains_the_unit_ball_and_every_facet_touches_it(
+    polytope: BallPolytope,
+) -> None:
+    sphere = random_unit(np.random.default_rng(1), 2000)
+    assert np.all(sphere @ polytope.normals.T <= 1.0 + EXACT)
+    assert np.sum(polytope.normals**2, axis=1) == pytest.approx(1.0, abs=EXACT)
+
+
+def test_reach_is_the_distance_of_the_outer_polytopes_farthest_vertex(
+    polytope: BallPolytope,
+) -> None:
+    assert norms(vertices(polytope.normals, 1.0)).max() == pytest.approx(polytope.reach, abs=EXACT)
+
+
+def test_vertex_points_to_a_vertex_of_the_inner_polytope_on_the_unit_sphere(
+    polytope: BallPolytope,
+) -> None:
+    inner = vertices(polytope.normals, 1.0 / polytope.reach)
+    assert norms(polytope.vertex) == pytest.approx(1.0, abs=EXACT)
+    assert norms(inner - polytope.vertex).min() == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("facets", range(4, 64))
+def test_outer_polytopes_are_nested(facets: int) -> None:
+    fewer, more = ball(facets), ball(facets + 1)
+    assert np.array_equal(more.normals[:facets], fewer.normals)
+    assert more.reach <= fewer.reach + EXACT
+
+
+@pytest.mark.parametrize("facets", [*COUNTS, 128, 256])
+def test_tightness_lies_between_the_covering_and_the_packing_bound(facets: int) -> None:
+    # Caps of the angle alpha = acos(1 / reach) about the normals cover the sphere, each a fraction
+    # (1 - cos alpha) / 2 of it; and as every normal was put where the covering was worst, caps of
+    # half the angle are disjoint.
+    tightness = 1.0 / ball(facets).reach
+    assert tightness <= 1.0 - 2.0 / facets + EXACT
+    assert tightness >= 1.0 - 8.0 / facets + 8.0 / facets**2 - EXACT
+
+
+def test_reach_approaches_one_at_the_rate_of_one_over_the_number_of_facets() -> None:
+    counts = np.unique(np.geomspace(20, 400, 12).astype(int))
+    gap = [ball(int(n)).reach - 1.0 for n in counts]
+    exponent = np.polyfit(np.log(counts), np.log(gap), 1)[0]
+    assert -1.15 < exponent < -0.85
+
+
+def test_the_paper_polytope_has_24_facets_at_one_distance_and_14_vertices_on_the_sphere() -> None:
+    polytope = paper_ball()
+    assert polytope.normals.shape == (24, 3)
+    assert len(np.unique(polytope.normals.round(9), axis=0)) == 24
+    found = vertices(polytope.normals, 1.0 / polytope.reach)
+    axes = np.vstack([np.eye(3), -np.eye(3)])
+    corners = np.array(list(itertools.product((1.0, -1.0), repeat=3))) / np.sqrt(3.0)
+    expected = np.vstack([axes, corners])
+    assert len(found) == 14
+    for vertex in expected:
+        assert norms(found - vertex).min() == pytest.approx(0.0, abs=EXACT)
+    # Every facet is a triangle: exactly three of the vertices lie on its plane.
+    height = expected @ polytope.normals.T
+    assert np.all(np.sum(np.abs(height - 1.0 / polytope.reach) < EXACT, axis=0) == 3)
+
+
+def test_the_paper_polytope_turns_a_cube_corner_to_the_line_of_sight() -> None:
+    assert np.abs(paper_ball().vertex) == pytest.approx(np.full(3, 3**-0.5), abs=EXACT)
+
+
+@pytest.mark.parametrize("facets", [-1, 0, 3])
+def test_fewer_than_four_facets_bound_no_polytope(facets: int) -> None:
+    with pytest.raises(ValueError, match="at least 4"):
+        ball(facets)
+
+
+# --- the cone -----------------------------------------------------------------------------------
+
+
+def pyramid(angle: float, facets: int) -> tuple[Array, Array]:
+    """Facet normals and edges of a pyramid about the z axis, facets `angle` off it."""
+    azimuth = 2.0 * np.pi * np.arange(facets) / facets
+    round_ = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(facets)])
+    normals = np.cos(angle) * round_ - np.sin(angle) * np.array([0.0, 0.0, 1.0])
+    edges = np.cross(normals, np.roll(normals, -1, axis=0))
+    edges *= np.sign(edges[:, 2:])
+    return normals, edges / norms(edges)[:, None]
+
+
+def off_axis(rays: Array) -> Array:
+    return np.arctan2(norms(rays[:, :2]), rays[:, 2])
+
+
+@given(half_angles, facet_counts)
+def test_the_inner_pyramids_edges_lie_on_the_cone(half_angle: float, facets: int) -> None:
+    normals, edges = pyramid(inner_pyramid_angle(half_angle, facets), facets)
+    assert np.all(edges @ normals.T <= EXACT)  # they are edges, not only lines of two planes
+    assert off_axis(edges) == pytest.approx(half_angle, abs=EXACT)
+
+
+@given(half_angles, facet_counts, generators)
+def test_the_inner_pyramid_lies_inside_the_cone(
+    half_angle: float, facets: int, rng: np.random.Generator
+) -> None:
+    _, edges = pyramid(inner_pyramid_angle(half_angle, facets), facets)
+    inside = rng.exponential(size=(100, facets)) @ edges
+    assert np.all(off_axis(inside) <= half_angle + EXACT)
+
+
+@given(half_angles, facet_counts)
+def test_the_outer_pyramid_contains_the_cone(half_angle: float, facets: int) -> None:
+    normals, edges = pyramid(half_angle, facets)
+    azimuth = np.linspace(0.0, 2.0 * np.pi, 400)
+    rays = np.column_stack(
+        [
+            np.sin(half_angle) * np.cos(azimuth),
+            np.sin(half_angle) * np.sin(azimuth),
+            np.full(400, np.cos(half_angle)),
+        ]
+    )
+    assert np.all(rays @ normals.T <= EXACT)
+    assert np.all(off_axis(edges) >= half_angle - EXACT)
+
+
+@given(half_angles, facet_counts)
+def test_pyramids_tighten_with_every_facet(half_angle: float, facets: int) -> None:
+    fewer, more = (inner_pyramid_angle(half_angle, n) for n in (facets, facets + 1))
+    assert 0.0 < fewer < more < half_angle
+
+
+@given(half_angles)
+def test_pyramids_become_the_cone(half_angle: float) -> None:
+    assert inner_pyramid_angle(half_angle, 10_000) == pytest.approx(half_angle, rel=1e-6)
+
+
+@pytest.mark.parametrize("facets", [-1, 0, 2])
+def test_fewer_than_three_facets_bound_no_pyramid(facets: int) -> None:
+    with pytest.raises(ValueError, match="at least 3"):
+        inner_pyramid_angle(0.5, facets)
+
+
+# --- turning ------------------------------------------------------------------------------------
+
+
+def assert_smallest_rotations(rotation: Array, start: Array, end: Array) -> None:
+    assert rotation @ start == pytest.approx(end, abs=EXACT)
+    squared = rotation @ rotation.transpose(0, 2, 1)
+    assert squared == pytest.approx(np.broadcast_to(np.eye(3), squared.shape), abs=EXACT)
+    assert np.linalg.det(rotation) == pytest.approx(1.0, abs=EXACT)
+    # The trace is 1 + 2 cos of the angle turned by, and no rotation can turn by less than the
+    # angle between the two vectors.
+    assert np.trace(rotation, axis1=1, axis2=2) == pytest.approx(1.0 + 2.0 * end @ start, abs=EXACT)
+
+
+@given(generators, st.integers(1, 6))
+def test_turn_is_the_smallest_rotation_from_start_to_end(
+    rng: np.random.Generator, count: int
+) -> None:
+    start, end = random_unit(rng), random_unit(rng, count)
+    assume(np.all(end @ start > -0.999))
+    assert_smallest_rotations(turn(start, end), start, end)
+
+
+@given(generators)
+def test_turn_is_the_identity_where_nothing_is_to_turn(rng: np.random.Generator) -> None:
+    start = random_unit(rng)
+    assert turn(start, start[None])[0] == pytest.approx(np.eye(3), abs=EXACT)
+
+
+@given(st.sampled_from([*np.eye(3), -np.ones(3) / np.sqrt(3.0)]), generators)
+def test_turn_reverses_antiparallel_vectors(axis: Array, rng: np.random.Generator) -> None:
+    for start in (axis, random_unit(rng)):
+        end = -start[None]
+        assert_smallest_rotations(turn(start, end), start, end)
+
+
+@given(st.floats(-15.0, -1.0), generators)
+@example(-6.5, np.random.default_rng(0))
+@example(-5.5, np.random.default_rng(0))
+def test_turn_is_a_rotation_however_nearly_antiparallel_the_vectors(
+    decade: float, rng: np.random.Generator
+) -> None:
+    q = random_rotation(rng)
+    start, aside = q[0], q[1]
+    angle = 10.0**decade
+    end = -np.cos(angle) * start[None] + np.sin(angle) * aside
+    assert_smallest_rotations(turn(start, end), start, end)
