@@ -28,9 +28,10 @@ types: $(VENV)/.dev  ## check the types
 
 check: lint types test  ## everything that a change has to pass
 
-figures: $(VENV)/.test  ## plan, and draw the README's picture from the plan
-	$(BIN)/python -m scp_recon.solve --init cold --out runs/readme
-	$(BIN)/python -m paper_figs.flyby runs/readme docs/flyby.png
+figures: $(VENV)/.test  ## make the paper's table and figures, and the README's picture
+	$(BIN)/python -m experiments.observation_table
+	$(BIN)/python -m paper_figs
+	$(BIN)/python -m paper_figs.flyby runs/paper/scp_cold docs/flyby.png
 
 clean:  ## remove the environment and what it produced
 	rm -rf $(VENV) runs .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

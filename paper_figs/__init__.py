@@ -1,1 +1,1 @@
-"""Figures drawn from solution files; each module is one picture and runs by itself."""
+"""Figures and tables from what experiments wrote; each module is one and runs by itself."""

@@ -18,6 +18,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from paper_figs.drawing import BANDS, STYLE
+from paper_figs.observed import SEED, observed
 from scp_recon import geometry
 from scp_recon.errors import InputError
 from scp_recon.frames import sun_north_to_j2000
@@ -27,11 +29,7 @@ from scp_recon.solution import Solution, read_solution
 
 Array = npt.NDArray[np.float64]
 
-SAMPLES, PATHS_SHOWN, SEED = 2000, 150, 1
-BANDS = ((2.28, 97.72, "0.85", "2 sigma"), (15.87, 84.13, "0.65", "1 sigma"))
-"""Percentiles between which a normal variable lies with 95.4 % and 68.3 % probability."""
-
-STYLE = Path(__file__).with_name("style.mplstyle")
+PATHS_SHOWN = 150
 
 
 def draw(solution: Solution) -> Figure:
@@ -102,55 +100,22 @@ def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
 def _draw_histories(panels: Sequence[Axes], mission: Mission, solution: Solution) -> None:
     first, last = mission.schedule.window_s
     times = np.linspace(first, last, 61)
-    position = sample_positions(mission, solution.burns_m_s, times, SAMPLES, SEED)
-    nominal = sample_positions(_certain(mission), solution.burns_m_s, times, 1, SEED)[:, 0]
-    track = geometry.track(mission.site, mission.rotation, times)
-    wide = geometry.SiteTrack(track.position[:, None], track.normal[:, None])
-    sun = mission.sun_direction(times)
-    limits = mission.scenario.observation
-    rows = (
-        (
-            "site distance (m)",
-            geometry.distance(position, wide),
-            geometry.distance(nominal, track),
-            (limits.site_distance_min_m, limits.site_distance_max_m),
-        ),
-        (
-            "emission (deg)",
-            np.rad2deg(geometry.emission(position, wide)),
-            np.rad2deg(geometry.emission(nominal, track)),
-            (limits.emission_min_deg, limits.emission_max_deg),
-        ),
-        (
-            "phase (deg)",
-            np.rad2deg(geometry.phase(position, wide, sun[:, None])),
-            np.rad2deg(geometry.phase(nominal, track, sun)),
-            (limits.phase_min_deg, limits.phase_max_deg),
-        ),
-    )
-    for axes, (label, sampled, plan, bounds) in zip(panels, rows, strict=True):
+    quantities = observed(mission, solution.burns_m_s, times)
+    for axes, quantity in zip(panels, quantities, strict=True):
         for low, high, shade, name in BANDS:
-            edges = np.percentile(sampled, (low, high), axis=1)
+            edges = np.percentile(quantity.sampled, (low, high), axis=1)
             axes.fill_between(times, *edges, color=shade, lw=0, label=name)
-        axes.plot(times, plan, color="k", lw=1.2, label="plan")
-        for bound in bounds:
+        axes.plot(times, quantity.plan, color="k", lw=1.2, label="plan")
+        for bound in quantity.limits:
             if bound is not None:
                 axes.axhline(bound, color="C3", ls="--", lw=1)
-        axes.set(ylabel=label, xlim=(first, last))
+        axes.set(ylabel=quantity.label, xlim=(first, last))
         axes.margins(y=0.12)
         if axes is not panels[-1]:
             axes.tick_params(labelbottom=False)
     panels[-1].set_xlabel("time (s)")
     panels[0].plot([], [], color="C3", ls="--", lw=1, label="limit")
     panels[0].legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-
-
-def _certain(mission: Mission) -> Mission:
-    """The mission without uncertainty, whose only sample is the plan itself."""
-    nothing = mission.scenario.uncertainty.model_copy(
-        update={"initial_sigma_fraction": 0.0, "execution_error": 0.0}
-    )
-    return Mission.from_scenario(mission.scenario.model_copy(update={"uncertainty": nothing}))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -242,13 +242,11 @@ def test_of_a_keep_out_polytope_the_most_probable_facet_is_chosen(
     for row, k in enumerate(nodes):
         # log of the probability to be on the inner side: exact even where it is next to nothing.
         normal, offset = stacked(outer_facets(region, shapes, mean[[k], :3]))
-        covariance = factor[k, :3] @ factor[k, :3].T
-        sigma = np.sqrt(np.einsum("mi,ij,mj->m", normal, covariance, normal))
+        sigma = np.linalg.norm(normal @ factor[k, :3], axis=1)
         failing = norm.logcdf(offset, loc=normal @ mean[k, :3], scale=sigma)
         a = -chosen.normal[row]
-        found = norm.logcdf(
-            -chosen.offset[row], loc=a @ mean[k, :3], scale=np.sqrt(a @ covariance @ a)
-        )
+        centre, spread = a @ mean[k, :3], np.linalg.norm(a @ factor[k, :3])
+        found = norm.logcdf(-chosen.offset[row], loc=centre, scale=spread)
         assert found <= failing.min() + 1e-6 * abs(failing.min())
         # It is a facet of the polytope, seen from the other side.
         assert np.min(np.abs(np.column_stack([normal - a, offset + chosen.offset[row]])).max(1)) < (
@@ -333,11 +331,11 @@ def test_a_facets_deviation_is_that_of_the_covariance_along_it(
         np.zeros(20, dtype=int), node, normal, rng.normal(size=20), rng.uniform(0, 3, 20)
     )
     covariance = (factor @ factor.transpose(0, 2, 1))[node, :3, :3]
-    sigma = np.sqrt(np.einsum("mi,mij,mj->m", normal, covariance, normal))
-    assert facets.deviation(factor) == pytest.approx(sigma, rel=1e-6)
+    variance = np.einsum("mi,mij,mj->m", normal, covariance, normal)
+    assert facets.deviation(factor) ** 2 == pytest.approx(variance, rel=1e-9, abs=1e-13)
     distance = facets.offset - np.sum(normal * mean[node, :3], axis=1)
-    expected = distance - facets.quantile * sigma
-    assert facets.margin(mean, factor) == pytest.approx(expected, rel=1e-6, abs=EXACT)
+    expected = distance - facets.quantile * facets.deviation(factor)
+    assert facets.margin(mean, factor) == pytest.approx(expected, abs=EXACT)
 
 
 def facets_at(nodes: list[int]) -> Facets:

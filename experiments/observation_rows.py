@@ -1,0 +1,157 @@
+"""The rows of the observation-time table: who designs the burns, and what the paper prints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.as_flown import as_flown_burns
+from formulations.rows import P3Rows
+from formulations.subproblem import Subproblem
+from scp_recon import guess
+from scp_recon.errors import InputError
+from scp_recon.mission import Mission
+from scp_recon.planner import Plan, Stage, plan
+from scp_recon.results import make_solution
+from scp_recon.scp import Result, Timing, TrustRegion
+from scp_recon.solution import Solution
+from scp_recon.status import Status
+
+Array = npt.NDArray[np.float64]
+Init = Literal["cold", "warm"]
+
+GUESSES = {"cold": guess.cold, "warm": guess.ballistic}
+VARIANT = "tuned"
+"""How the nonlinear programs are written down for IPOPT."""
+
+NOT_OPTIMISED = "none"
+"""The `algorithm` of a solution file whose burns were given and only evaluated."""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A row of the paper's table of observation times (Echigo et al., arXiv 2412.06816)."""
+
+    name: str
+    mean_s: float
+    worst_1_sigma_s: float
+
+
+PRINTED_WINDOW_S = 3397.0
+"""Length of the window, and every row's observation time without uncertainty."""
+
+PRINTED_CLOSEST_M = 667.24
+"""Distance from the centre at the 0.003 quantile, of "the solution trajectory" of either start."""
+
+OSIRIS_REX = Printed("OSIRIS-REx", 2930.0, 2785.0)
+WARM = Printed("Proposed Method with Warm Start", 3043.0, 3017.0)
+COLD = Printed("Proposed Method with Cold Start", 3271.0, 3397.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row.
+
+    Attributes:
+        key: name of its folder.
+        label: what it is.
+        role: "reference" stands for the practice that the planner is compared with.
+        printed: what the paper prints in this place.
+        design: finds the burns.
+        anew: whether to find them in every run, because a file of the user's may have changed.
+    """
+
+    key: str
+    label: str
+    role: Literal["reference", "planned"]
+    printed: Printed
+    design: Callable[[Mission], Solution]
+    anew: bool = False
+
+
+def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tuple[Row, ...]:
+    """The table's rows in its order.
+
+    Args:
+        ipopt: whether to plan by IPOPT too.
+        as_flown: the flight's kernel and where to write the states read from it.
+    """
+    found = [
+        Row(
+            "ballistic",
+            "OSIRIS-REx surrogate: ballistic two-impulse arc",
+            "reference",
+            OSIRIS_REX,
+            _ballistic,
+        ),
+        Row(
+            "p3",
+            "OSIRIS-REx surrogate: P3 design, no uncertainty",
+            "reference",
+            OSIRIS_REX,
+            partial(_scp, "cold", "P3"),
+        ),
+        Row("scp_warm", "SCP, warm start", "planned", WARM, partial(_scp, "warm", "P2")),
+        Row("scp_cold", "SCP, cold start", "planned", COLD, partial(_scp, "cold", "P2")),
+    ]
+    if ipopt:
+        found += [
+            Row("ipopt_warm", "IPOPT, warm start", "planned", WARM, partial(_ipopt, "warm")),
+            Row("ipopt_cold", "IPOPT, cold start", "planned", COLD, partial(_ipopt, "cold")),
+        ]
+    if as_flown:
+        design = partial(_as_flown, *as_flown)
+        label = "OSIRIS-REx as flown (SPK)"
+        found.append(Row("as_flown", label, "reference", OSIRIS_REX, design, anew=True))
+    return tuple(found)
+
+
+def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> Solution:
+    """Given burns in the form of a solution: rolled out, with P3's margins, nothing optimised."""
+    lin = mission.dynamics.linearise(mission.problem, guess.from_burns(mission, burns_m_s))
+    subproblem = Subproblem(mission.problem, P3Rows(mission.problem), "condensed")
+    # No iteration was allowed, which is what the status says of a plan that is none.
+    result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
+    stage = Stage(init, result, subproblem, None, TrustRegion().feasible)
+    plan_of_one = Plan((stage,), stage, Timing(), 0.0)
+    none = NOT_OPTIMISED
+    solution = make_solution(mission, plan_of_one, init, none, algorithm=none, solver=none)
+    return solution.model_copy(update={"message": message})
+
+
+def _ballistic(mission: Mission) -> Solution:
+    burns = guess.ballistic(mission).burns * mission.units.speed_m_s
+    message = "Not a plan: the ballistic arc between the boundary positions, evaluated as it is."
+    return evaluated(mission, burns, "ballistic", message)
+
+
+def _as_flown(kernel: Path, table: Path, mission: Mission) -> Solution:
+    burns, distance_m = as_flown_burns(mission, kernel, table)
+    message = (
+        f"Not a plan: impulses fitted to {kernel.name}, "
+        f"which they follow within {distance_m:.1f} m in the observation window."
+    )
+    return evaluated(mission, burns, "as_flown", message)
+
+
+def _scp(init: Init, problem: Literal["P3", "P2"], mission: Mission) -> Solution:
+    result = plan(mission, GUESSES[init](mission), problem=problem)
+    return make_solution(mission, result, init, "condensed")
+
+
+def _ipopt(init: Init, mission: Mission) -> Solution:
+    """The one place that knows the reference solver; it needs CasADi."""
+    try:
+        from scp_recon import ipopt
+    except ModuleNotFoundError as error:
+        if error.name != "casadi":
+            raise
+        raise InputError("IPOPT", "no CasADi", "needs the extra scp_recon[ipopt]") from None
+    result = ipopt.plan(mission, GUESSES[init](mission), variant=VARIANT)
+    return make_solution(mission, result, init, VARIANT, "interior point", "IPOPT")

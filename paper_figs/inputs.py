@@ -1,0 +1,97 @@
+"""What the figures are drawn from: rows of the observation-time table, as experiments left them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scp_recon.errors import InputError
+from scp_recon.mission import Mission
+from scp_recon.montecarlo import SCHEMA
+from scp_recon.solution import Solution, read_solution
+
+PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
+TABLE = "observation_table.csv"
+COMMAND = "python -m experiments.observation_table"
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Burns and what many flights of them showed.
+
+    Attributes:
+        label: for legends.
+        solution: burns and nodes.
+        mission: the solution's scenario resolved.
+        report: contents of its montecarlo.json.
+    """
+
+    label: str
+    solution: Solution
+    mission: Mission
+    report: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Everything that the figures need.
+
+    Attributes:
+        plan: P2 by sequential convex programming from the cold start.
+        reference: the flight itself where its kernel was given, else the ballistic arc.
+        table: the observation-time table, a dictionary per row.
+    """
+
+    plan: Flown
+    reference: Flown
+    table: list[dict[str, str]]
+
+
+def read_runs(folder: Path) -> Runs:
+    """Read what `experiments.observation_table` left in a folder.
+
+    Raises:
+        InputError: if a file is missing or unusable, naming the command that writes it.
+    """
+    flown = (folder / AS_FLOWN / "solution.json").exists()
+    reference = (
+        _flown(folder, AS_FLOWN, "OSIRIS-REx as flown")
+        if flown
+        else _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
+    )
+    return Runs(_flown(folder, PLAN, "plan"), reference, _table(folder))
+
+
+def _flown(folder: Path, key: str, label: str) -> Flown:
+    solution = read_solution(_require(folder / key / "solution.json", folder))
+    report_file = _require(folder / key / "montecarlo.json", folder)
+    try:
+        report = json.loads(report_file.read_text(encoding="utf-8"))
+    except ValueError:
+        report = None
+    if not isinstance(report, dict) or report.get("schema") != SCHEMA:
+        raise _unusable(report_file, folder)
+    return Flown(label, solution, Mission.from_scenario(solution.scenario), report)
+
+
+def _table(folder: Path) -> list[dict[str, str]]:
+    path = _require(folder / TABLE, folder)
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    if not rows or "mean_s" not in rows[0]:
+        raise _unusable(path, folder)
+    return rows
+
+
+def _require(path: Path, folder: Path) -> Path:
+    if not path.is_file():
+        raise InputError(str(path), "no such file", f"written by `{COMMAND} --out {folder}`")
+    return path
+
+
+def _unusable(path: Path, folder: Path) -> InputError:
+    written = f"written anew by `{COMMAND} --fresh --out {folder}`"
+    return InputError(str(path), "an unusable file", written)

@@ -1,0 +1,36 @@
+"""The table made once, by the command, with few flights."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shutil
+from pathlib import Path
+
+import pytest
+
+from experiments.observation_table import main
+from scp_recon.mission import Mission
+from scp_recon.scenario import load_scenario
+
+from .support import QUICK
+
+
+@pytest.fixture(scope="session")
+def mission() -> Mission:
+    return Mission.from_scenario(load_scenario())
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A whole run of the command: its folder and what it printed."""
+    out = tmp_path_factory.mktemp("paper")
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main([*QUICK, "--out", str(out)]) == 0
+    return out, printed.getvalue()
+
+
+@pytest.fixture
+def copy(finished: tuple[Path, str], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(finished[0], tmp_path / "copy"))

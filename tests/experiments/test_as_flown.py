@@ -1,0 +1,113 @@
+"""The flight's kernel is read, followed by impulses, and refused in one sentence where it cannot be."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import spiceypy
+
+from experiments.as_flown import BENNU_ID, OSIRIS_REX_ID, as_flown_burns, read_states
+from experiments.observation_table import main
+from scp_recon import guess
+from scp_recon.errors import InputError
+from scp_recon.flow import propagate
+from scp_recon.frames import J2000_TDB
+from scp_recon.mission import Mission
+from scp_recon.scenario_schema import Epoch
+
+from .support import QUICK, table_of
+
+Array = npt.NDArray[np.float64]
+
+
+def write_kernel(path: Path, mission: Mission, states: Array) -> Path:
+    """Node states in m and m/s as an SPK of the flight, cubic between the nodes."""
+    et = (mission.scenario.epoch.tdb - J2000_TDB).total_seconds() + mission.times_s
+    handle = spiceypy.spkopn(str(path), "test", 0)
+    spiceypy.spkw13(
+        handle, OSIRIS_REX_ID, BENNU_ID, "J2000", et[0], et[-1], "flight", 3, len(et), states / 1e3, et
+    )  # fmt: skip
+    spiceypy.spkcls(handle)
+    return path
+
+
+@pytest.fixture(scope="module")
+def flight(mission: Mission) -> Array:
+    """The ballistic arc, its departure in two halves of which the second comes half an hour late."""
+    half = 0.5 * guess.ballistic(mission).burns[0] * mission.units.speed_m_s
+    late = int(np.searchsorted(mission.times_s, 1800.0))
+    states = np.empty((len(mission.times_s), 6))
+    states[0] = mission.initial_state
+    for k, duration in enumerate(np.diff(mission.times_s)):
+        if k in (0, late):
+            states[k, 3:] += half
+        states[k + 1] = propagate(states[k], duration, mission.forces)
+    return states
+
+
+@pytest.fixture(scope="module")
+def kernel(mission: Mission, flight: Array, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_kernel(tmp_path_factory.mktemp("kernel") / "flight.bsp", mission, flight)
+
+
+def test_states_come_back_from_the_kernel(mission: Mission, kernel: Path, flight: Array) -> None:
+    np.testing.assert_allclose(read_states(mission, kernel), flight, rtol=1e-12, atol=1e-9)
+    assert spiceypy.ktotal("ALL") == 0  # and the kernel is put back
+
+
+def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times(
+    mission: Mission, kernel: Path, flight: Array, tmp_path: Path
+) -> None:
+    burns, distance_m = as_flown_burns(mission, kernel, tmp_path / "states.csv")
+    flown = guess.from_burns(mission, burns).mean * mission.units.state
+    window = mission.window_nodes
+    off = np.linalg.norm(flown[window, :3] - flight[window, :3], axis=1).max()
+    assert off == pytest.approx(distance_m, rel=1e-6)
+    assert off < 10.0
+    np.testing.assert_allclose(flown[-1, 3:], mission.final_state[3:], atol=1e-9)
+    # Read off at the firing times alone the second half is lost.
+    table = guess.from_table(mission, tmp_path / "states.csv")
+    lost = guess.from_burns(mission, table.burns * mission.units.speed_m_s).mean
+    assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
+
+
+def test_the_flight_gets_a_row_of_its_own(copy: Path, kernel: Path) -> None:
+    assert main([*QUICK, "--out", str(copy), "--as-flown", str(kernel)]) == 0
+    row = table_of(copy)["as_flown"]
+    assert row["paper_row"] == "OSIRIS-REx"
+    assert row["status"] == "given, not optimised"
+    text = (copy / "observation_table.md").read_text("utf-8")
+    assert "flight.bsp" in text
+    assert "no public kernel" not in text
+
+
+def test_a_kernel_that_does_not_cover_the_flight_exits_with_two(
+    mission: Mission, kernel: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    later = mission.scenario.model_copy(
+        update={"epoch": Epoch(tdb=mission.scenario.epoch.tdb + timedelta(days=1))}
+    )
+    with pytest.raises(InputError, match=r"flight.bsp: got .*must give -64 about 2101955"):
+        read_states(replace(mission, scenario=later), kernel)
+    for name in ("missing.bsp", "text.bsp"):
+        (tmp_path / "text.bsp").write_text("no kernel", encoding="utf-8")
+        out = tmp_path / "out"
+        assert main([*QUICK, "--out", str(out), "--as-flown", str(tmp_path / name)]) == 2
+        errors = capsys.readouterr().err
+        assert errors.startswith(f"error: --as-flown {tmp_path / name}: got ")
+        assert errors.count("\n") == 1
+        assert not out.exists()
+
+
+def test_a_missing_spiceypy_exits_with_two(
+    kernel: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "spiceypy", None)
+    assert main([*QUICK, "--as-flown", str(kernel)]) == 2
+    assert "[spice]" in capsys.readouterr().err

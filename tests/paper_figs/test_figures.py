@@ -1,0 +1,290 @@
+"""Every figure draws in silence, is labelled with units, keeps its words apart, and is written."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+
+from experiments.observation_report import to_csv
+from experiments.observation_rows import rows
+from experiments.observation_table import measure
+from paper_figs import cone_polytopes, control_history, observation_geometry, observation_table
+from paper_figs.__main__ import FIGURES, TABLES, main, make_all
+from paper_figs.drawing import PICTURES, command
+from paper_figs.inputs import COMMAND, TABLE, Runs, read_runs
+from paper_figs.observation_times import rebinned
+from scp_recon.errors import InputError
+from scp_recon.mission import Mission
+from scp_recon.scenario import load_scenario
+
+SAMPLES = 400
+NEEDED = ("scp_cold", "ballistic")
+PACKAGE = Path(__file__).parents[2] / "paper_figs"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What experiments write, for the two rows that figures are drawn from."""
+    out = tmp_path_factory.mktemp("runs")
+    needed = [row for row in rows(ipopt=False) if row.key in NEEDED]
+    entries = measure(
+        Mission.from_scenario(load_scenario()),
+        needed,
+        out,
+        samples=SAMPLES,
+        check=False,
+        fresh=False,
+        tell=lambda _: None,
+    )
+    (out / TABLE).write_text(to_csv(entries), encoding="utf-8")
+    return out
+
+
+@pytest.fixture(scope="module")
+def runs(folder: Path) -> Runs:
+    return read_runs(folder)
+
+
+@pytest.fixture(scope="module")
+def drawn(runs: Runs) -> dict[str, Figure]:
+    """All figures, rendered once, so that their artists have a size."""
+    figures = {name: module.draw(runs) for name, module in FIGURES.items()}
+    for figure in figures.values():
+        FigureCanvasAgg(figure).draw()
+    return figures
+
+
+# --- as a person would look at them -------------------------------------------------------------
+
+
+def visible_axes(figure: Figure) -> list[Any]:
+    return [axes for axes in figure.axes if axes.axison]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_axes_have_units_in_their_labels(drawn: dict[str, Figure], name: str) -> None:
+    panels = visible_axes(drawn[name])
+    assert panels
+    for axes in panels:
+        for axis in (axes.xaxis, axes.yaxis):
+            # A panel that shares its axis with the one below leaves the numbers to it.
+            if axis.get_tick_params().get("labelbottom", axis.get_tick_params().get("labelleft")):
+                assert axis.label.get_text().endswith(")"), (name, axis.label.get_text())
+                assert "(" in axis.label.get_text()
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_no_legend_leaves_the_page(drawn: dict[str, Figure], name: str) -> None:
+    figure = drawn[name]
+    page = figure.bbox.padded(1.0)
+    on_axes = [axes.get_legend() for axes in figure.axes]
+    legends = [legend for legend in (*figure.legends, *on_axes) if legend]
+    assert legends or name == "control_history"
+    for legend in legends:
+        box = legend.get_window_extent()
+        assert all(page.contains(*corner) for corner in ((box.x0, box.y0), (box.x1, box.y1)))
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_no_words_leave_the_page(drawn: dict[str, Figure], name: str) -> None:
+    figure = drawn[name]
+    page = figure.bbox.padded(1.0)
+    for axes in figure.axes:
+        for text in [*axes.texts, axes.title, axes.xaxis.label, axes.yaxis.label]:
+            if text.get_text() and text.get_visible() and (axes.axison or text in axes.texts):
+                box = text.get_window_extent()
+                corners = ((box.x0, box.y0), (box.x1, box.y1))
+                assert all(page.contains(*corner) for corner in corners), text.get_text()
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_no_words_lie_on_others(drawn: dict[str, Figure], name: str) -> None:
+    for axes in drawn[name].axes:
+        texts = [text for text in axes.texts if text.get_text()]
+        for one, other in itertools.combinations(texts, 2):
+            boxes = [
+                # Of an annotation the words alone, not its arrow.
+                super(Annotation, text).get_window_extent()
+                if isinstance(text, Annotation)
+                else text.get_window_extent()
+                for text in (one, other)
+            ]
+            assert not boxes[0].overlaps(boxes[1]), (one.get_text(), other.get_text())
+
+
+def test_letters_are_large_enough_to_read(drawn: dict[str, Figure]) -> None:
+    for figure in drawn.values():
+        assert figure.get_figwidth() <= 7.0
+        for axes in figure.axes:
+            assert all(text.get_fontsize() >= 8.0 for text in axes.texts)
+
+
+def test_no_figure_touches_a_backend() -> None:
+    for path in PACKAGE.glob("*.py"):
+        assert "pyplot" not in path.read_text("utf-8"), path
+
+
+# --- what they say ------------------------------------------------------------------------------
+
+
+def test_captions_explain_the_bands_and_carry_the_numbers(runs: Runs) -> None:
+    for name in ("trajectories", "observation_histories"):
+        words = FIGURES[name].caption(runs)
+        assert "68.3 %" in words
+        assert "95.4 %" in words
+    assert "23.3 deg" in control_history.caption(runs)
+    assert f"{SAMPLES} flights" in FIGURES["observation_times"].caption(runs)
+
+
+def test_parameters_are_those_of_the_scenario(runs: Runs) -> None:
+    text = TABLES["parameters"].table(runs)
+    # The paper's table, and what the project computes for it.
+    for value in (
+        "500 m, 740 m",
+        "20 deg, 45 deg",
+        "[0.0702, -1.0963, 0.4064] km",
+        "23.3 deg, 18.2 deg",
+        "3397.3 s",
+        "[-0.9992, 0.0323, 0.0225]",
+        "70 %",
+    ):
+        assert value in text
+
+
+def test_coarser_bins_keep_every_flight(runs: Runs) -> None:
+    first, last = runs.plan.mission.schedule.window_s
+    edges = np.linspace(0.0, last - first, 8)
+    for name in ("emission", "site_distance"):
+        counts = rebinned(runs.plan.report, name, edges)
+        assert counts.sum() == SAMPLES
+        held = runs.plan.report["held_s"][name]
+        assert counts[-1] >= held["throughout"]["value"] * SAMPLES - 0.5
+
+
+def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs: Runs) -> None:
+    cut = cone_polytopes.section(runs.plan)
+    angle_deg = 45.0
+    radius = cut.height_m * np.tan(np.deg2rad(angle_deg))
+    for facets in (4, 12):
+        inside, outside = (
+            cone_polytopes.polygon(cone_polytopes.pyramid(cut, angle_deg, facets, keep), cut)
+            for keep in ("in", "out")
+        )
+        np.testing.assert_allclose(np.linalg.norm(inside, axis=1), radius)
+        middles = 0.5 * (outside + np.roll(outside, 1, axis=0))
+        np.testing.assert_allclose(np.linalg.norm(middles, axis=1), radius)
+        # An edge of the inner one and a facet of the outer one face the spacecraft.
+        assert np.abs(inside - [radius, 0.0]).max(axis=1).min() < 1e-6 * radius
+        assert np.abs(middles - [radius, 0.0]).max(axis=1).min() < 1e-6 * radius
+
+
+def test_sight_at_mid_window_keeps_the_angles(runs: Runs) -> None:
+    seen = observation_geometry.sight(runs.plan.mission, runs.plan.solution.burns_m_s, 14_838.8)
+    assert 90.0 - seen.craft_at == pytest.approx(seen.emission)
+    # Spherical law of cosines between the projected Sun and the exact angles.
+    elevation = np.deg2rad(seen.sun_off_plane)
+    for azimuth, exact in ((90.0, seen.incidence), (seen.craft_at, seen.phase)):
+        drawn_angle = np.deg2rad(seen.sun_at - azimuth)
+        cosine = np.cos(elevation) * np.cos(drawn_angle)
+        assert np.rad2deg(np.arccos(cosine)) == pytest.approx(exact)
+
+
+def test_the_table_shows_failed_rows_as_such(runs: Runs) -> None:
+    lost = dict.fromkeys(runs.table[0], "") | {
+        "label": "lost",
+        "status": "failed: no",
+        "paper_mean_s": "1",
+        "paper_worst_1_sigma_s": "2",
+    }
+    text = observation_table.table(Runs(runs.plan, runs.reference, [*runs.table, lost]))
+    assert "| lost | failed: no |  |  |  | 1 | 2 |" in text
+    assert "| SCP, cold start | 3397 | 3397 | " in text
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def test_everything_is_written_into_one_folder(
+    folder: Path,
+    runs: Runs,
+    tmp_path: Path,
+    drawn: dict[str, Figure],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Ready:
+        def __init__(self, name: str) -> None:
+            self.draw = lambda _: drawn[name]
+            self.caption = FIGURES[name].caption
+
+    import paper_figs.__main__ as command_line
+
+    monkeypatch.setattr(command_line, "FIGURES", {name: Ready(name) for name in FIGURES})
+    written = list(make_all(runs, folder, tmp_path / "figures"))
+    expected = {f"{name}{ending}" for name in FIGURES for ending in PICTURES}
+    expected |= {f"{name}.md" for name in TABLES} | {TABLE, "captions.md"}
+    assert {path.name for path in written} == expected
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == expected
+    assert all(path.stat().st_size > 200 for path in written)
+    captions = (tmp_path / "figures" / "captions.md").read_text("utf-8")
+    assert all(f"## {name}\n" in captions for name in FIGURES)
+
+
+@pytest.mark.parametrize("ending", [".pdf", ".png", ".svg"])
+def test_a_module_alone_writes_the_same_file_every_time(
+    folder: Path, tmp_path: Path, ending: str
+) -> None:
+    files = [tmp_path / f"{number}{ending}" for number in range(2)]
+    for file in files:
+        assert command(control_history.draw, None, [str(folder), str(file)]) == 0
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_table_alone_is_written_as_text(folder: Path, tmp_path: Path) -> None:
+    file = tmp_path / "table.md"
+    assert command(observation_table.table, None, [str(folder), str(file)]) == 0
+    assert file.read_text("utf-8").startswith("# Observation times")
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [TABLE, *(f"{row}/{name}.json" for row in NEEDED for name in ("solution", "montecarlo"))],
+)
+def test_missing_input_exits_with_two_and_names_the_command(
+    folder: Path, tmp_path: Path, missing: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    (copy / missing).unlink()
+    out = tmp_path / "figures"
+    assert main(["--runs", str(copy), "--out", str(out)]) == 2
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1
+    assert missing in errors
+    assert f"{COMMAND} --out {copy}" in errors
+    assert not out.exists()
+    assert command(control_history.draw, None, [str(copy), str(tmp_path / "x.png")]) == 2
+
+
+@pytest.mark.parametrize("damaged", [TABLE, "scp_cold/montecarlo.json"])
+def test_damaged_input_says_how_to_write_it_anew(
+    folder: Path, tmp_path: Path, damaged: str
+) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    (copy / damaged).write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match=f"{COMMAND} --fresh"):
+        read_runs(copy)
+
+
+def test_a_folder_that_cannot_be_written_exits_with_two(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert main(["--runs", str(folder), "--out", str(tmp_path / "file")]) == 2
+    assert "cannot write" in capsys.readouterr().err
