@@ -195,11 +195,17 @@ class TrustRegion:
         """Stop when stationary; small steps alone prove nothing."""
         if state.failures > self.FAILURES_MAX:
             return Status.SOLVER_FAILED
-        if state.stationary and max(record.max_violation, record.max_defect) <= self.feasible:
+        violated = max(record.max_violation, record.max_defect) > self.feasible
+        if state.stationary and not violated:
             return Status.CONVERGED
         if state.stationary:
             return Status.INFEASIBLE if state.weight >= self.weight_max else None
-        return Status.STALLED if state.radius < self.COLLAPSED else None
+        if state.radius >= self.COLLAPSED:
+            return None
+        # The heavier weight is tried where the first one's iterate was stationary and violated:
+        # where it finds nothing better that verdict stands.
+        stands = violated and state.weight >= self.weight_max
+        return Status.INFEASIBLE if stands else Status.STALLED
 
     def _check(self, answer: Step, state: State) -> None:
         """Standing still is always possible: an answer that is worse by its own model is none.
