@@ -172,7 +172,7 @@ def show(console: Console, report: dict[str, Any]) -> None:
     worst = _shown(report["closest_m"]["worst"], 1)
     console.print(f"closest approach, 0.3 % quantile: {worst} m", highlight=False)
     ratios = ", ".join(
-        f"{name} {r['value']:.3f}" for name, r in report["terminal"]["sigma_ratio"].items()
+        f"{name} {_shown(r, 3)}" for name, r in report["terminal"]["sigma_ratio"].items()
     )
     console.print(f"final state, sampled over predicted sigma: {ratios}", highlight=False)
     normal = ", ".join(
