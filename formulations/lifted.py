@@ -1,6 +1,6 @@
 """Lifted: mean, covariance factor and virtual control as explicit variables, sparse.
 
-    mu_{k+1} = mu^_{k+1} + A_k (mu_k - mu^_k) + d_k + B (dv_i - dv^_i) [+ v at the last node]
+    mu_{k+1} = mu^_{k+1} + A_k (mu_k - mu^_k) + d_k + B (dv_i - dv^_i)
     S_{k+1}  = [A_k S_k + (T_k . (mu_k - mu^_k)) S^_k, beta B diag(dv_i)]
 
 with hats for the iterate and d for its defects. Nodes are those that a constraint or a burn touches;
@@ -8,7 +8,7 @@ the arcs between are composed, which is exact to the order of the linearisation 
 a tenth of its size. The dynamics are one product of a block-sparse parameter with all states stacked
 (every mean, then every factor, row-major), so that the sparsity is constant.
 
-The virtual control v acts on the last arc. Any burns have a trajectory, so that the final state is all
+The virtual control is the miss of the final state. Any burns have a trajectory, so that this is all
 the linearised dynamics can miss; on other arcs it would promise to move the path at the price of a
 miss, which no flight keeps.
 """
@@ -56,15 +56,10 @@ class Lifted:
         start = problem.initial_factor[:, : self._columns]
         start = np.pad(start, ((0, 0), (0, self._columns - start.shape[1])))
         kicks = self._kicks(states.size)
-        last_arc = sp.eye_array(rows, 6, k=6 - 6 * self._arcs, format="csr")
         self.constraints: list[cp.Constraint] = [
             states[starts] == np.r_[problem.initial_state, start.ravel()] + kicks[starts] @ stacked,
-            states[ends]
-            == self._stepping @ states
-            + self._constant
-            + kicks[ends] @ stacked
-            + last_arc @ virtual,
-            states[self._mean_size - 6 : self._mean_size] == problem.final_state,
+            states[ends] == self._stepping @ states + self._constant + kicks[ends] @ stacked,
+            states[self._mean_size - 6 : self._mean_size] == problem.final_state + virtual,
         ]
         self.virtual_control = cp.norm1(virtual)
         pick = self._pick(np.searchsorted(self._nodes, nodes), states.size)

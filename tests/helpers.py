@@ -146,6 +146,7 @@ def constrain(
                 region: Ball | Cone = Ball(track[chosen] - distance * away, 0.8)
             else:
                 side = np.cross(away, random_unit(rng, 3))
+                side /= np.linalg.norm(side, axis=1, keepdims=True)
                 offset = 0.2 if keep == "in" else 1.0
                 apex = track[chosen] - away - offset * side
                 region = Cone(apex, away, 0.6)

@@ -10,7 +10,7 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from formulations import subproblem as module
@@ -28,7 +28,7 @@ from scp_recon.planner import Plan, plan
 from scp_recon.scenario import load_scenario
 from scp_recon.scp import TrustRegion
 from scp_recon.status import Status
-from tests.helpers import Array, Flyby, constrain, generators, random_flyby
+from tests.helpers import Array, constrain, generators, random_flyby
 
 CONDENSED = ["condensed", "frozen-stm", "frozen-covariance"]
 FROZEN = ["frozen-stm", "frozen-covariance"]
@@ -161,6 +161,48 @@ def test_without_a_step_the_model_predicts_the_nonlinear_merit(
     assert subproblem.solve(1e-12, WEIGHT).merit == pytest.approx(merit, rel=1e-6)
 
 
+def every_row(lin: Linearisation, name: str) -> Rows:
+    """The constraints of P3, or all facets of P2 placed at the iterate."""
+    if name == "P3":
+        return P3Rows(lin.problem)
+    shapes = Polytopes(ball(8), 4)
+    facets = choose_facets(lin.problem, shapes, lin.iterate.mean, lin.factor)
+    return P2Rows(lin.problem, facets, np.ones(len(facets.node), dtype=np.bool_))
+
+
+def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
+    """A flown iterate on the wrong side of every constraint, its burns too large and sunward."""
+    flyby = constrain(rng, random_flyby(rng, nodes=7))
+    swap = {"in": "out", "out": "in"}
+    sunward = flyby.burns / np.linalg.norm(flyby.burns, axis=1, keepdims=True)
+    sunward += 0.02 * rng.normal(size=sunward.shape)
+    problem = replace(
+        flyby.problem,
+        constraints=tuple(replace(c, keep=swap[c.keep]) for c in flyby.problem.constraints),
+        dv_max=0.5 * float(np.linalg.norm(flyby.burns, axis=1).min()),
+        sun=sunward / np.linalg.norm(sunward, axis=1, keepdims=True) * rng.choice([-1.0, 1.0]),
+        dv_cone=0.3,
+        final_state=flyby.problem.final_state + 0.1,
+    )
+    return replace(flyby, problem=problem).perturbed(rng, 0.003, 0.0)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+@settings(max_examples=5)
+@given(st.integers(0, 2**32 - 1))
+@example(1)  # a constraint on the last node, where the final state is missed
+def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(
+    formulation: str, name: str, seed: int
+) -> None:
+    lin = breaking_every_limit(np.random.default_rng(seed))
+    subproblem = Subproblem(lin.problem, every_row(lin, name), formulation)
+    subproblem.update(lin)
+    assert all(amount.sum() > 0.0 for amount in subproblem.violations(lin).values())
+    merit = subproblem.merit(lin, WEIGHT)
+    assert subproblem.solve(1e-12, WEIGHT).merit == pytest.approx(merit, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("name", "around"), [("P3", "missed"), ("P2", "missed"), ("P3", "P2"), ("P2", "P3")]
 )
@@ -235,33 +277,20 @@ def test_lifted_and_condensed_agree_where_the_final_state_is_out_of_reach(
     assert merits[1] == pytest.approx(merits[0], rel=1e-6)
 
 
-def random_subproblems(
-    rng: np.random.Generator, name: str, formulations: list[str], keeps: tuple[str, ...]
-) -> tuple[Flyby, Linearisation, list[Subproblem]]:
-    flyby = constrain(rng, random_flyby(rng, nodes=7), keeps)
-    lin = flyby.perturbed(rng, 0.1, 0.05)
-    shapes = Polytopes(ball(8), 4)
-    facets = choose_facets(flyby.problem, shapes, lin.iterate.mean, lin.factor)
-    every = np.ones(len(facets.node), dtype=np.bool_)
-    built = []
-    for formulation in formulations:
-        problem = flyby.problem
-        rows = P3Rows(problem) if name == "P3" else P2Rows(problem, facets, every)
-        built.append(Subproblem(problem, rows, formulation))
-        built[-1].update(lin)
-    return flyby, lin, built
-
-
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @settings(max_examples=10)
 @given(generators, st.sampled_from([("in",), ("out",), ("in", "out")]))
 def test_lifted_and_condensed_agree_on_random_flybys(
     name: str, rng: np.random.Generator, keeps: tuple[str, ...]
 ) -> None:
-    _, _, (condensed, lifted) = random_subproblems(rng, name, ["condensed", "lifted"], keeps)
+    lin = constrain(rng, random_flyby(rng, nodes=7), keeps).perturbed(rng, 0.1, 0.05)
+    merits = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "TOLERANCES", TIGHT)
-        merits = [subproblem.solve(2.0, WEIGHT).merit for subproblem in (condensed, lifted)]
+        for formulation in ("condensed", "lifted"):
+            subproblem = Subproblem(lin.problem, every_row(lin, name), formulation)
+            subproblem.update(lin)
+            merits.append(subproblem.solve(2.0, WEIGHT).merit)
     assert merits[1] == pytest.approx(merits[0], rel=1e-6)
 
 
