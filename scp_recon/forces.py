@@ -78,54 +78,54 @@ def acceleration(x: Any, y: Any, z: Any, forces: ForceModel) -> tuple[Any, Any, 
     return radial * x + polar * px + sx, radial * y + polar * py + sy, radial * z + polar * pz + sz
 
 
-def acceleration_derivatives(position: Array, forces: ForceModel) -> tuple[Array, Array, Array]:
-    """Acceleration, gravity gradient and its derivative.
+def gravity_gradient(position: Array, forces: ForceModel) -> Array:
+    """G[n, i, j] = da_i/dx_j at positions (n, 3), shape (n, 3, 3), symmetric.
 
-    The acceleration has the form f(r) r + g(r) p + const, so its derivatives are those of the two
-    scalars f and g: da_i/dx_j = f d_ij + x_i f_j + p_i g_j, and once more.
-
-    Args:
-        position: shape (n, 3).
-        forces: constants in the same units.
-
-    Returns:
-        acceleration (n, 3), gradient G[n, i, j] = da_i/dx_j, and H[n, i, j, k] = d2a_i/dx_j dx_k.
+    The acceleration is f(x) x + g(x) p + const. With f_j = e1 x_j + e2 p_j and
+    g_j = e3 p_j + e2 x_j the gradient is f I + e1 x x' + e2 (x p' + p x') + e3 p p'.
     """
-    gm, k, p = forces.gm, forces.j2_strength, forces.pole
-    r2 = np.einsum("ni,ni->n", position, position)
-    u = position @ p
-    i2 = 1.0 / r2
-    i3 = i2 * np.sqrt(i2)
-    i5, i7 = i3 * i2, i3 * i2**2
-    i9, i11 = i7 * i2, i7 * i2**2
-    eye = np.eye(3)
-    pp = np.outer(p, p)
-    xx = position[:, :, None] * position[:, None, :]
-    px = p[:, None] * position[:, None, :]
-    px_sym = px + px.transpose(0, 2, 1)
+    k, p = forces.j2_strength, forces.pole
+    u, i2, i5 = _oblate(position, p)
+    i7 = i5 * i2
+    u2 = u * u
+    f = k * (5.0 * u2 * i7 - i5) - forces.gm * i5 / i2
+    e1 = 3.0 * forces.gm * i5 + k * (5.0 - 35.0 * u2 * i2) * i7
+    e2, e3 = 10.0 * k * u * i7, -2.0 * k * i5
+    # x (e1 x + e2 p)' + p (e2 x + e3 p)' + f I
+    gradient = position[:, :, None] * (e1[:, None] * position + e2[:, None] * p)[:, None, :]
+    gradient += p[:, None] * (e2[:, None] * position + e3[:, None] * p)[:, None, :]
+    gradient[:, [0, 1, 2], [0, 1, 2]] += f[:, None]
+    return gradient
 
-    def scale(factor: Array, tensor: Array) -> Array:
-        return factor.reshape((-1,) + (1,) * max(tensor.ndim - 1, 1)) * tensor
 
-    f = -gm * i3 + k * (5.0 * u**2 * i7 - i5)
-    g = -2.0 * k * u * i5
-    along_x = 3.0 * gm * i5 + k * (5.0 * i7 - 35.0 * u**2 * i9)
-    f_j = scale(along_x, position) + np.outer(10.0 * k * u * i7, p)
-    g_j = np.outer(-2.0 * k * i5, p) + scale(10.0 * k * u * i7, position)
-    f_jk = (
-        (along_x[:, None, None] * eye)
-        + scale(-15.0 * gm * i7 + k * (315.0 * u**2 * i11 - 35.0 * i9), xx)
-        + scale(-70.0 * k * u * i9, px_sym)
-        + (10.0 * k * i7)[:, None, None] * pp
-    )
-    g_jk = (
-        scale(10.0 * k * i7, px_sym)
-        + (10.0 * k * u * i7)[:, None, None] * eye
-        + scale(-70.0 * k * u * i9, xx)
-    )
-    value = scale(f, position) + np.outer(g, p) + forces.srp
-    gradient = f[:, None, None] * eye + position[:, :, None] * f_j[:, None, :]
-    gradient += p[:, None] * g_j[:, None, :]
-    second = position[:, :, None, None] * f_jk[:, None] + p[:, None, None] * g_jk[:, None]
-    second += eye[:, :, None] * f_j[:, None, None, :] + eye[:, None, :] * f_j[:, None, :, None]
-    return value, gradient, second
+def gravity_curvature(position: Array, forces: ForceModel) -> Array:
+    """H[n, i, j, k] = d2a_i/dx_j dx_k at positions (n, 3), shape (n, 3, 3, 3), symmetric in all.
+
+    With e1 = .. + c x and so on for the coefficients of the gradient it is
+    c x x x + d (x x p + ..) + e (x p p + ..) + e1 (I x + ..) + e2 (I p + ..), where dots stand for
+    the other orders of a product; they are what the cyclic sum over (i, j, k) adds.
+    """
+    k, p, x = forces.j2_strength, forces.pole, position
+    u, i2, i5 = _oblate(x, p)
+    i7 = i5 * i2
+    i9 = i7 * i2
+    u2 = u * u
+    e1 = 3.0 * forces.gm * i5 + k * (5.0 - 35.0 * u2 * i2) * i7
+    e2 = 10.0 * k * u * i7
+    c = k * (315.0 * u2 * i2 - 35.0) * i9 - 15.0 * forces.gm * i7
+    d, e = -70.0 * k * u * i9, 10.0 * k * i7
+    # Beside an x goes c/3 x x + e1 I, and beside a p goes d x x + e/2 (x p + p x) + e2 I.
+    xx = x[:, :, None] * x[:, None, :]
+    beside_x = (c / 3.0)[:, None, None] * xx
+    beside_p = (d[:, None] * x + (0.5 * e)[:, None] * p)[:, :, None] * x[:, None, :]
+    beside_p += (0.5 * e)[:, None, None] * (x[:, :, None] * p)
+    beside_x[:, [0, 1, 2], [0, 1, 2]] += e1[:, None]
+    beside_p[:, [0, 1, 2], [0, 1, 2]] += e2[:, None]
+    part = beside_x[:, :, :, None] * x[:, None, None, :] + beside_p[:, :, :, None] * p
+    return part + part.transpose(0, 3, 1, 2) + part.transpose(0, 2, 3, 1)
+
+
+def _oblate(position: Array, pole: Array) -> tuple[Array, Array, Array]:
+    """P . r, 1 / r^2 and 1 / r^5, (n,) each."""
+    i2 = 1.0 / np.einsum("ni,ni->n", position, position)
+    return position @ pole, i2, i2 * i2 * np.sqrt(i2)
