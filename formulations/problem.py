@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from formulations.legs import Legs, Nodes
 from formulations.regions import Array, Cone, Region
-
-Nodes = npt.NDArray[np.intp]
 
 
 class ArcDerivatives(Protocol):
@@ -91,6 +90,11 @@ class FlybyProblem:
     def n_burns(self) -> int:
         """Number of burns."""
         return len(self.burn_nodes)
+
+    @cached_property
+    def legs(self) -> Legs:
+        """The arcs between the burns."""
+        return Legs(self.n_nodes, self.burn_nodes)
 
     @property
     def factor_columns(self) -> int:

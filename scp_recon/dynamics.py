@@ -47,7 +47,7 @@ class Dynamics:
     def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
         """An iterate with the derivatives of all its arcs."""
         arcs = differentiate(iterate.mean[:-1], self.durations, self.forces, self.substeps)
-        return Linearisation.at(problem, iterate, arcs)
+        return Linearisation(problem, iterate, arcs)
 
     def fly(self, lin: Linearisation, burns: Array) -> Linearisation:
         """Make a step of the linear model dynamically exact.

@@ -69,7 +69,7 @@ class Waves:
         return Iterate(burns, np.array(mean))
 
     def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
-        return Linearisation.at(problem, iterate, self.derivatives(iterate.mean[:-1]))
+        return Linearisation(problem, iterate, self.derivatives(iterate.mean[:-1]))
 
     def in_coordinates(self, matrix: Array) -> Waves:
         """The same arcs for states y = matrix x."""

@@ -410,7 +410,7 @@ def test_dynamics_without_finite_derivatives_have_no_affine_map(
     broken = getattr(arcs, part).copy()
     broken[2] = value
     with np.errstate(invalid="ignore"):
-        lin = Linearisation.at(flyby.problem, iterate, replace(arcs, **{part: broken}))
+        lin = Linearisation(flyby.problem, iterate, replace(arcs, **{part: broken}))
         for model in (condense, lambda lin: compose(lin, lin.problem.burn_nodes)):
             with pytest.raises(LinearisationError, match="no finite derivatives"):
                 model(lin)

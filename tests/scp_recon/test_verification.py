@@ -266,7 +266,10 @@ def test_variational_rate_is_the_jacobian_of_the_dynamics(
     rng = np.random.default_rng(seed)
     velocity, stm = rng.normal(scale=0.1, size=3), rng.normal(size=(6, 6))
     rate = variational_rate(np.concatenate([state, velocity, stm.ravel()]), mission.forces)
-    value, gradient = acceleration(*state, mission.forces), gravity_gradient(state[None], mission.forces)
+    value, gradient = (
+        acceleration(*state, mission.forces),
+        gravity_gradient(state[None], mission.forces),
+    )
     jacobian = np.block([[np.zeros((3, 3)), np.eye(3)], [gradient[0], np.zeros((3, 3))]])
     np.testing.assert_allclose(rate[:6], [*velocity, *value], rtol=1e-12)
     np.testing.assert_allclose(rate[6:].reshape(6, 6), jacobian @ stm, rtol=1e-11, atol=1e-15)
