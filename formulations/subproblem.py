@@ -135,22 +135,29 @@ class Subproblem:
         constraints += self._penalty.constraints
         self.program = cp.Problem(cp.Minimize(objective), constraints)
 
-    def merit(self, lin: Linearisation, weight: float) -> float:
-        """Total delta-v plus `weight` times every violation, from the nonlinear dynamics."""
+    def merit(self, lin: Linearisation, charge: float | Charge) -> float:
+        """Total delta-v plus the charge for every violation, from the nonlinear dynamics.
+
+        A number is the exact penalty's weight.
+        """
+        if isinstance(charge, Charge) and charge.multipliers is not None:
+            excess = self.excess(lin)
+            charged = np.r_[excess[:6], np.maximum(excess[6:], 0.0)]
+            return lin.iterate.total_dv + augmented_value(charged, charge)
+        weight = charge.weight if isinstance(charge, Charge) else charge
         violations = self.violations(lin)
         defects = violations.pop("dynamics")
         rows = np.concatenate(list(violations.values()))
         return lin.iterate.total_dv + exact_value(defects, rows, weight)
 
-    def augmented_merit(self, lin: Linearisation, charge: Charge) -> float:
-        """Total delta-v plus the augmented Lagrangian's charge, from the nonlinear dynamics."""
-        return lin.iterate.total_dv + augmented_value(self.charged(lin), charge)
+    def excess(self, lin: Linearisation) -> Array:
+        """Miss of the final state and every row's signed violation, shape (6 + rows,).
 
-    def charged(self, lin: Linearisation) -> Array:
-        """Miss of the final state and every violation, shape (6 + rows,)."""
-        violations = self.violations(lin)
-        del violations["dynamics"]
-        return np.concatenate([lin.defects[-1], *violations.values()])
+        In the order of `violations`; a row is satisfied where it is not positive.
+        """
+        signed = self._signed(lin)
+        del signed["dynamics"]
+        return np.concatenate([lin.defects[-1], *signed.values()])
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins of the burn limits and of the state constraints by name."""
@@ -160,15 +167,18 @@ class Subproblem:
 
     def violations(self, lin: Linearisation) -> dict[str, Array]:
         """What the buffers would have to hold, by constraint name; the defects are `dynamics`."""
-        burns = lin.problem.burn_margins(lin.iterate.burns)
-        toward, away = (cone.inside(lin.iterate.burns) for cone in lin.problem.burn_cones())
+        return {name: np.maximum(amount, 0.0) for name, amount in self._signed(lin).items()}
+
+    def _signed(self, lin: Linearisation) -> dict[str, Array]:
+        """Violations, negative where there is room; defects by their size."""
+        burns = lin.iterate.burns
+        toward, away = (cone.inside(burns) for cone in lin.problem.burn_cones())
         amounts = {
             "dynamics": np.abs(lin.defects).ravel(),
-            "dv_max": np.maximum(-burns["dv_max"], 0.0),
-            "dv_battery": np.maximum(np.concatenate([toward, away]), 0.0),
+            "dv_max": -lin.problem.burn_margins(burns)["dv_max"],
+            "dv_battery": np.concatenate([toward, away]),
         }
-        rows = self.rows.margins(lin).items()
-        return amounts | {name: np.maximum(-row.margin, 0.0) for name, row in rows}
+        return amounts | {name: -row.margin for name, row in self.rows.margins(lin).items()}
 
     def update(self, lin: Linearisation) -> None:
         """Set every parameter for an iterate.

@@ -27,7 +27,7 @@ from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan
 from scp_recon.scenario import load_scenario
-from scp_recon.scp import TrustRegion
+from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
 from tests.helpers import Array, constrain, generators, random_flyby
 
