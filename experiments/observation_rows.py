@@ -19,7 +19,8 @@ from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, Stage, plan
 from scp_recon.results import make_solution
-from scp_recon.scp import Result, Timing, TrustRegion
+from scp_recon.scp import Result, Timing
+from scp_recon.scvx import TrustRegion
 from scp_recon.solution import Solution
 from scp_recon.status import Status
 

@@ -42,7 +42,7 @@ class Condensed:
             == self._jacobian @ stacked + self._constant,
             miss == self._final_jacobian @ stacked + self._final_constant,
         ]
-        self.virtual_control = cp.norm1(miss)
+        self.virtual_control = miss
 
     def sensitivity(self, lin: Linearisation) -> Sensitivity:
         """The affine map of mean and factor; what the frozen variants replace."""

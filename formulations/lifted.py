@@ -61,7 +61,7 @@ class Lifted:
             states[ends] == self._stepping @ states + self._constant + kicks[ends] @ stacked,
             states[self._mean_size - 6 : self._mean_size] == problem.final_state + virtual,
         ]
-        self.virtual_control = cp.norm1(virtual)
+        self.virtual_control = virtual
         pick = self._pick(np.searchsorted(self._nodes, nodes), states.size)
         self.outputs = cp.reshape(pick @ states, (3 * len(nodes), 1 + self._columns), order="C")
 

@@ -20,9 +20,9 @@ from formulations.facets import Facets
 from formulations.nlp_program import Arcs, Block, Mapped, Program, Start
 from formulations.nlp_rows import burn_blocks, state_blocks, total_dv
 from formulations.nlp_spread import Spread
+from formulations.penalty import DYNAMICS_WEIGHT
 from formulations.problem import FlybyProblem
 from formulations.regions import Array
-from formulations.subproblem import DYNAMICS_WEIGHT
 
 Integers = npt.NDArray[np.intp]
 ArcStyle = Literal["called", "mapped", "differentiated"]

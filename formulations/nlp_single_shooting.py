@@ -13,8 +13,8 @@ from formulations.nlp_multiple_shooting import kick, step
 from formulations.nlp_program import Arcs, Block, Program, Start
 from formulations.nlp_rows import burn_blocks, state_blocks, total_dv
 from formulations.nlp_spread import Factor, initial_deviation
+from formulations.penalty import DYNAMICS_WEIGHT
 from formulations.problem import FlybyProblem
-from formulations.subproblem import DYNAMICS_WEIGHT
 
 
 @dataclass(frozen=True)

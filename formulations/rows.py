@@ -44,7 +44,7 @@ class Rows(Protocol):
         ...
 
     def build(self, outputs: cp.Expression) -> tuple[list[cp.Constraint], cp.Expression]:
-        """Constraints with buffers, and the sum of the buffers."""
+        """Constraints with buffers, and the buffers in the order of `margins`, shape (rows,)."""
         ...
 
     def update(self, lin: Linearisation) -> None:
@@ -74,7 +74,7 @@ class P3Rows:
     def build(self, outputs: cp.Expression) -> tuple[list[cp.Constraint], cp.Expression]:
         """One second-order cone per keep-in node, one linear row per keep-out node."""
         constraints: list[cp.Constraint] = []
-        buffers: cp.Expression = cp.Constant(0.0)
+        buffers: list[cp.Expression] = []
         for c in self._constraints:
             first = 3 * np.searchsorted(self.nodes, c.nodes)
             picked = (first[:, None] + np.arange(3)).ravel()
@@ -82,10 +82,10 @@ class P3Rows:
             pick = sp.csr_array((np.ones(len(picked)), indices), shape=shape)
             position = cp.reshape(pick @ outputs[:, 0], (len(c.nodes), 3), order="C")
             buffer = cp.Variable(len(c.nodes), nonneg=True)
-            buffers += cp.sum(buffer)
+            buffers.append(buffer)
             rows = self._keep_in if c.keep == "in" else self._keep_out
             constraints.append(rows(c, position, buffer))
-        return constraints, buffers
+        return constraints, cp.hstack(buffers) if buffers else cp.Constant(np.zeros(0))
 
     def _keep_in(
         self, constraint: StateConstraint, position: cp.Expression, buffer: cp.Variable
@@ -152,7 +152,7 @@ class P2Rows:
         """All facets at once: a constant sparse matrix picks a'mu and a'S from the outputs."""
         m = int(self.included.sum())
         if m == 0:
-            return [], cp.Constant(0.0)
+            return [], cp.Constant(np.zeros(0))
         normal, node = self.facets.normal[self.included], self.facets.node[self.included]
         columns = 3 * np.searchsorted(self.nodes, node)[:, None] + np.arange(3)
         indices = np.repeat(np.arange(m), 3), columns.ravel()
@@ -160,7 +160,7 @@ class P2Rows:
         weighted = sp.diags_array(self.facets.quantile[self.included]) @ pick
         buffer = cp.Variable(m, nonneg=True)
         bound = self.facets.offset[self.included] - pick @ outputs[:, 0] + buffer
-        return [cp.SOC(bound, weighted @ outputs[:, 1:], axis=1)], cp.sum(buffer)
+        return [cp.SOC(bound, weighted @ outputs[:, 1:], axis=1)], buffer
 
     def update(self, lin: Linearisation) -> None:
         """Nothing depends on the iterate."""

@@ -1,27 +1,28 @@
-"""One convex subproblem: burns, dynamics, state constraints, trust region and exact penalty.
+"""One convex subproblem: burns, dynamics, state constraints, trust region and penalty.
 
     min  sum ||dv_i|| + w (sum of buffers + ||virtual control||_1)
 
-Compiled once; an iteration only sets parameters. The merit that it predicts is that of
-`Subproblem.merit`, evaluated there from the nonlinear dynamics.
+or with another charge for violations and steps, see `penalty`. Compiled once; an iteration only sets
+parameters. The merit that it predicts is that of `Subproblem.merit`, evaluated there from the
+nonlinear dynamics.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from time import perf_counter
 from typing import Protocol
 
 import cvxpy as cp
 import numpy as np
 
+from formulations import conic
 from formulations.condensed import Condensed
 from formulations.frozen_covariance import FrozenCovariance
 from formulations.frozen_stm import FrozenStm
 from formulations.lifted import Lifted
 from formulations.lifting import Linearisation, LinearisationError
+from formulations.penalty import PENALTIES, Charge, augmented_value, exact_value
 from formulations.problem import FlybyProblem, Nodes
 from formulations.regions import Array
 from formulations.rows import Margins, Rows
@@ -47,7 +48,7 @@ class StateModel(Protocol):
 
     @property
     def virtual_control(self) -> cp.Expression:
-        """One-norm of what the linearised dynamics miss."""
+        """What the linearised dynamics miss of the final state, shape (6,)."""
         ...
 
     def update(self, lin: Linearisation) -> None:
@@ -65,15 +66,8 @@ FORMULATIONS: dict[str, StateModelFactory] = {
 }
 
 
-DYNAMICS_WEIGHT = 10.0
-"""Of the dynamics against a constraint, so that infeasible cases violate constraints, not physics."""
-
 SMALL_BURN = 1e-2
 """Of `dv_max`; see `Subproblem.solve`."""
-
-
-TOLERANCES = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9)
-"""Tighter than Clarabel's 1e-8, so that late, small predicted reductions still mean something."""
 
 
 class SubproblemError(RuntimeError):
@@ -82,12 +76,16 @@ class SubproblemError(RuntimeError):
 
 @dataclass(frozen=True)
 class Step:
-    """Answer of a subproblem: new burns (m, 3), the merit its model predicts, solver's seconds."""
+    """Answer of a subproblem: new burns (m, 3), the merit its model predicts, solver's seconds.
+
+    Whether it is `accurate` is the solver's own word; a verdict needs an accurate answer.
+    """
 
     burns: Array
     merit: float
     solver_s: float
     canonicalise_s: float
+    accurate: bool = True
 
 
 class Subproblem:
@@ -98,17 +96,22 @@ class Subproblem:
         rows: its state constraints, those of P3 or of P2.
         formulation: a key of `FORMULATIONS`.
         solver: name of a CVXPY conic solver.
+        penalty: a key of `penalty.PENALTIES`.
     """
 
     def __init__(
-        self, problem: FlybyProblem, rows: Rows, formulation: str, solver: str = "CLARABEL"
+        self,
+        problem: FlybyProblem,
+        rows: Rows,
+        formulation: str,
+        solver: str = "CLARABEL",
+        penalty: str = "exact",
     ) -> None:
         m = problem.n_burns
         self.problem, self.rows, self._solver = problem, rows, solver
         self._burns = cp.Variable((m, 3))
         self._reference = cp.Parameter((m, 3))
         self._radius = cp.Parameter(nonneg=True)
-        self._weight = cp.Parameter(nonneg=True)
         self._model = FORMULATIONS[formulation](problem, self._burns, rows.nodes, rows.with_factor)
         size_buffer, cone_buffers = cp.Variable(m, nonneg=True), cp.Variable((2, m), nonneg=True)
         self._cone_normals = [cp.Parameter((m, 3)) for _ in range(2)]
@@ -126,21 +129,35 @@ class Subproblem:
                 for i, normal in enumerate(self._cone_normals)
             ),
         ]
-        penalty = (
-            DYNAMICS_WEIGHT * self._model.virtual_control
-            + buffers
-            + cp.sum(size_buffer)
-            + cp.sum(cone_buffers)
-        )
-        objective = cp.sum(size) + self._weight * penalty
+        violations = cp.hstack([size_buffer, cp.vec(cone_buffers, order="C"), buffers])
+        self._penalty = PENALTIES[penalty](step, self._model.virtual_control, violations)
+        objective = cp.sum(size) + self._penalty.expression
+        constraints += self._penalty.constraints
         self.program = cp.Problem(cp.Minimize(objective), constraints)
 
-    def merit(self, lin: Linearisation, weight: float) -> float:
-        """Total delta-v plus `weight` times every violation, from the nonlinear dynamics."""
+    def merit(self, lin: Linearisation, charge: float | Charge) -> float:
+        """Total delta-v plus the charge for every violation, from the nonlinear dynamics.
+
+        A number is the exact penalty's weight.
+        """
+        if isinstance(charge, Charge) and charge.multipliers is not None:
+            excess = self.excess(lin)
+            charged = np.r_[excess[:6], np.maximum(excess[6:], 0.0)]
+            return lin.iterate.total_dv + augmented_value(charged, charge)
+        weight = charge.weight if isinstance(charge, Charge) else charge
         violations = self.violations(lin)
-        violation = DYNAMICS_WEIGHT * violations.pop("dynamics").sum()
-        violation += sum(float(v.sum()) for v in violations.values())
-        return lin.iterate.total_dv + weight * violation
+        defects = violations.pop("dynamics")
+        rows = np.concatenate(list(violations.values()))
+        return lin.iterate.total_dv + exact_value(defects, rows, weight)
+
+    def excess(self, lin: Linearisation) -> Array:
+        """Miss of the final state and every row's signed violation, shape (6 + rows,).
+
+        In the order of `violations`; a row is satisfied where it is not positive.
+        """
+        signed = self._signed(lin)
+        del signed["dynamics"]
+        return np.concatenate([lin.defects[-1], *signed.values()])
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins of the burn limits and of the state constraints by name."""
@@ -150,15 +167,18 @@ class Subproblem:
 
     def violations(self, lin: Linearisation) -> dict[str, Array]:
         """What the buffers would have to hold, by constraint name; the defects are `dynamics`."""
-        burns = lin.problem.burn_margins(lin.iterate.burns)
-        toward, away = (cone.inside(lin.iterate.burns) for cone in lin.problem.burn_cones())
+        return {name: np.maximum(amount, 0.0) for name, amount in self._signed(lin).items()}
+
+    def _signed(self, lin: Linearisation) -> dict[str, Array]:
+        """Violations, negative where there is room; defects by their size."""
+        burns = lin.iterate.burns
+        toward, away = (cone.inside(burns) for cone in lin.problem.burn_cones())
         amounts = {
             "dynamics": np.abs(lin.defects).ravel(),
-            "dv_max": np.maximum(-burns["dv_max"], 0.0),
-            "dv_battery": np.maximum(np.concatenate([toward, away]), 0.0),
+            "dv_max": -lin.problem.burn_margins(burns)["dv_max"],
+            "dv_battery": np.concatenate([toward, away]),
         }
-        rows = self.rows.margins(lin).items()
-        return amounts | {name: np.maximum(-row.margin, 0.0) for name, row in rows}
+        return amounts | {name: -row.margin for name, row in self.rows.margins(lin).items()}
 
     def update(self, lin: Linearisation) -> None:
         """Set every parameter for an iterate.
@@ -173,32 +193,35 @@ class Subproblem:
             raise SubproblemError(str(error)) from error
         self.rows.update(lin)
 
-    def solve(self, radius: float, weight: float) -> Step:
+    def solve(self, radius: float, charge: float | Charge) -> Step:
         """Solve within a trust region: no component of a burn moves by more than `radius`.
+
+        Args:
+            radius: of the trust region.
+            charge: of the penalty; a number is the exact penalty's weight.
+
+        Returns:
+            The step, whose merit leaves out what a proximal penalty charges for it.
 
         Raises:
             SubproblemError: if the conic solver fails or gives no finite answer.
         """
-        self._radius.value, self._weight.value = radius, weight
+        charge = charge if isinstance(charge, Charge) else Charge(charge)
+        self._radius.value = radius
+        self._penalty.set(charge)
         burns = np.asarray(self._reference.value)
         # The direction of a small burn that may turn says nothing about where it will point.
         turning = min(radius, SMALL_BURN * self.problem.dv_max)
         steady = np.linalg.norm(burns, axis=1, keepdims=True) > turning
         for parameter, cone in zip(self._cone_normals, self.problem.burn_cones(), strict=True):
             parameter.value = np.where(steady, cone.supporting(burns).normal, 0.0)
-        settings = TOLERANCES | self._model.clarabel if self._solver == "CLARABEL" else {}
-        start = perf_counter()
+        settings = self._model.clarabel if self._solver == "CLARABEL" else {}
         try:
-            # An inaccurate answer is judged by the ratio test, not by a warning on the terminal.
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", message="Solution may be inaccurate")
-                # CVXPY's own canonicalisation of sparse parameters trips over its own advice.
-                warnings.filterwarnings("ignore", message="Reading from a sparse CVXPY expression")
-                merit = self.program.solve(solver=self._solver, canon_backend="COO", **settings)
+            answer = conic.solve(self.program, self._solver, settings)
         except cp.SolverError as error:
             raise SubproblemError(str(error)) from error
-        burns = self._burns.value
-        if burns is None or not np.all(np.isfinite(burns)):
-            raise SubproblemError(f"{self._solver} ended with status {self.program.status}")
-        solver_s = self.program.solver_stats.solve_time or 0.0
-        return Step(burns, float(merit), solver_s, perf_counter() - start - solver_s)
+        moved = self._burns.value
+        if moved is None or not np.all(np.isfinite(moved)):
+            raise SubproblemError(f"{self._solver} gave no finite burns")
+        merit = answer.value - 0.5 * charge.prox * float(((moved - burns) ** 2).sum())
+        return Step(moved, merit, answer.solver_s, answer.canonicalise_s, answer.accurate)

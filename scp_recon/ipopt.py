@@ -20,7 +20,8 @@ from scp_recon.dynamics import Dynamics
 from scp_recon.forces import acceleration
 from scp_recon.mission import Mission
 from scp_recon.planner import CLEARANCE_M, Observer, Plan, Stage
-from scp_recon.scp import Record, Result, Timing, TrustRegion
+from scp_recon.scp import Record, Result, Timing
+from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
 
 

@@ -12,10 +12,12 @@ from formulations.lifting import Linearisation
 from formulations.problem import Iterate
 from formulations.rows import P2Rows, P3Rows, Rows
 from formulations.subproblem import Subproblem
+from scp_recon.algorithms import ALGORITHMS
 from scp_recon.errors import InputError
 from scp_recon.guess import ballistic
 from scp_recon.mission import Mission
-from scp_recon.scp import Record, Result, Timing, TrustRegion, run
+from scp_recon.scp import Algorithm, Record, Result, Timing, run
+from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
 
 Observer = Callable[[str, Record], None]
@@ -62,6 +64,8 @@ def plan(
     *,
     problem: Literal["P3", "P2"] = "P2",
     formulation: str = "condensed",
+    algorithm: str = "scvx",
+    solver: str = "CLARABEL",
     facet_rounds: int = 0,
     observe: Observer | None = None,
 ) -> Plan:
@@ -74,12 +78,16 @@ def plan(
         guess: initial iterate, which may have defects.
         problem: "P3" stops after the first stage.
         formulation: a key of `formulations.subproblem.FORMULATIONS`.
+        algorithm: a key of `algorithms.ALGORITHMS`.
+        solver: one of `formulations.conic.installed()`.
         facet_rounds: how often to choose the facets again at the solution and solve again. A round
             is kept only while it lowers the merit, so that facets cannot cycle.
         observe: called after each iteration with the stage's name and the record.
     """
     started = perf_counter()
-    work = _Work(mission, formulation, observe or (lambda _, __: None))
+    work = _Work(
+        mission, formulation, solver, ALGORITHMS[algorithm](), observe or (lambda _, __: None)
+    )
     try:
         final = work.solve_p3(guess)
         if final.result.status is not Status.CONVERGED:
@@ -104,10 +112,11 @@ class _Work:
 
     mission: Mission
     formulation: str
+    solver: str
+    algorithm: Algorithm
     observe: Observer
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
-    algorithm: TrustRegion = field(default_factory=TrustRegion)
 
     def solve_p3(self, guess: Iterate, name: str = "P3") -> Stage:
         """P3 from a guess; whatever it says, the flight starts where the problem does."""
@@ -147,7 +156,9 @@ class _Work:
     def _run(self, name: str, rows: Rows, start: Linearisation, facets: Facets | None) -> Stage:
         """One run of the SCP; an interrupted one ends the work."""
         begin = perf_counter()
-        subproblem = Subproblem(self.mission.problem, rows, self.formulation)
+        subproblem = Subproblem(
+            self.mission.problem, rows, self.formulation, self.solver, self.algorithm.penalty
+        )
         self.timing.setup += perf_counter() - begin
         result = run(
             subproblem,

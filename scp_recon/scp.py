@@ -1,18 +1,20 @@
-"""Sequential convex programming: linearise, solve, fly, compare, and move the trust region.
+"""Sequential convex programming: linearise, solve, fly, compare, and globalise.
 
 Each iterate is flown: what a subproblem answers is made to obey the nonlinear dynamics, so that the
 only defect that can remain is at the final state. The guess alone may have defects everywhere; there
-is nothing in it to go back to, so the step from it is always taken.
+is nothing in it to go back to, so the step from it is always taken. What comes after a step, the
+algorithm decides: `scvx`, `ptr` or `scvx_star`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from time import perf_counter
 from typing import Protocol
 
 from formulations.lifting import Linearisation
+from formulations.penalty import Charge
 from formulations.subproblem import Step, Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.status import Status
@@ -50,6 +52,11 @@ class Record:
     solver_s: float
     failure: str = ""
 
+    @property
+    def violated(self) -> float:
+        """Largest violation of anything."""
+        return max(self.max_violation, self.max_defect)
+
 
 @dataclass
 class Timing:
@@ -68,18 +75,41 @@ class Timing:
 
 @dataclass(frozen=True)
 class State:
-    """What the algorithm carries from one iteration to the next."""
+    """What the algorithm carries from one iteration to the next.
+
+    Attributes:
+        lin: the iterate.
+        merit: its merit under `charge`.
+        radius: of the trust region.
+        charge: weights and multipliers.
+        failures: of the conic solver, in a row.
+        stationary: whether no step promises a reduction that is worth one.
+        change: SCvx*'s bound on the merit's change at which the multipliers are next updated.
+        violated: largest violation when they were updated last.
+    """
 
     lin: Linearisation
     merit: float
     radius: float
-    weight: float
+    charge: Charge
     failures: int = 0
     stationary: bool = False
+    change: float = float("inf")
+    violated: float = float("inf")
 
 
 class Algorithm(Protocol):
     """A way to globalise: the loop in `run` is the same for all."""
+
+    @property
+    def penalty(self) -> str:
+        """Key of `formulations.penalty.PENALTIES` that its subproblems are built with."""
+        ...
+
+    @property
+    def feasible(self) -> float:
+        """Largest violation that counts as none."""
+        ...
 
     @property
     def max_iterations(self) -> int:
@@ -101,140 +131,45 @@ class Algorithm(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class TrustRegion:
-    """Trust region with ratio test and exact penalty (SCvx).
+def attempt(
+    subproblem: Subproblem,
+    dynamics: Dynamics,
+    state: State,
+    radius: float,
+    timing: Timing,
+    slack: float,
+) -> tuple[Step, Linearisation]:
+    """Linearise, solve within a radius, and fly the answer.
 
-    Mao, Szmuk & Acikmese, "Successive convexification of non-convex optimal control problems and
-    its convergence properties", CDC 2016, alg. 2; the ratios are those of Conn, Gould & Toint,
-    Trust Region Methods, 2000, alg. 6.1.1 (eta_1 = 0.01, eta_2 = 0.9) with 0.25 and 0.7 for the
-    radius. All quantities are nondimensional.
+    Standing still is always possible: an answer that is worse by its own model is none.
 
-    Attributes:
-        initial_radius: first bound on the change of a burn component, in units of speed.
-        weight: first penalty weight; exact when above every multiplier.
-        weight_max: tried once more with before calling a case infeasible.
-        stationary: largest predicted reduction, against the merit and a unit radius, to stop at.
-        feasible: largest violation that counts as none: 1e-6 of the unit of length is a millimetre.
-        max_iterations: limit.
+    Args:
+        subproblem: to solve.
+        dynamics: to fly.
+        state: where from, and the charge.
+        radius: of the trust region.
+        timing: to add to.
+        slack: by how much of the merit an answer may be worse than no step.
+
+    Raises:
+        SubproblemError: if there is no answer.
     """
-
-    initial_radius: float = 3.0
-    weight: float = 10.0
-    weight_max: float = 1_000.0
-    stationary: float = 1e-6
-    feasible: float = 1e-6
-    max_iterations: int = 50
-
-    ACCEPT, SHRINK_BELOW, GROW_ABOVE = 0.01, 0.25, 0.7
-    SHRINK, GROW = 0.25, 3.0
-    COLLAPSED, VERDICT_RADIUS = 1e-9, 1e-2
-    FAILURES_MAX = 5
-    GUESS_RADIUS = 3.0
-
-    def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
-        """Start from the guess."""
-        return State(lin, subproblem.merit(lin, self.weight), self.initial_radius, self.weight)
-
-    def step(
-        self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
-    ) -> tuple[State, Record]:
-        """Linearise, solve, fly, judge by the ratio of actual to predicted reduction."""
-        if state.stationary:
-            state = self._raise_weight(subproblem, state)
-        try:
-            start = perf_counter()
-            subproblem.update(state.lin)
-            timing.linearise += perf_counter() - start
-            guess = not state.lin.is_flown
-            radius = max(state.radius, self.GUESS_RADIUS) if guess else state.radius
-            answer = subproblem.solve(radius, state.weight)
-            if not guess:
-                self._check(answer, state)
-        except SubproblemError as error:
-            # A smaller trust region is a better conditioned problem.
-            record = _record(subproblem, state, k, failure=str(error))
-            smaller = state.radius * self.SHRINK
-            return replace(state, radius=smaller, failures=state.failures + 1), record
-        timing.canonicalise += answer.canonicalise_s
-        timing.conic_solver += answer.solver_s
-
-        start = perf_counter()
-        trial = dynamics.fly(state.lin, answer.burns)
-        trial_merit = subproblem.merit(trial, state.weight)
-        timing.linearise += perf_counter() - start
-        predicted, actual = state.merit - answer.merit, state.merit - trial_merit
-        step = float(abs(answer.burns - state.lin.iterate.burns).max())
-        ratio = actual / predicted if predicted > 0.0 else 0.0
-        accepted = guess or ratio > self.ACCEPT
-        radius = state.radius
-        if ratio < self.SHRINK_BELOW and not guess:
-            radius = self.SHRINK * min(radius, step)
-        elif ratio > self.GROW_ABOVE and step > 0.99 * radius:
-            radius = self.GROW * radius
-        if accepted:
-            new = State(trial, trial_merit, radius, state.weight)
-        else:
-            new = replace(state, radius=radius, failures=0)
-        record = replace(
-            _record(subproblem, new, k),
-            predicted=predicted,
-            actual=actual,
-            accepted=accepted,
-            trust_radius=state.radius,
-            step=step,
-            solver_s=answer.solver_s,
-        )
-        stationary = self._is_stationary(record) and not guess
-        if stationary and state.radius < self.VERDICT_RADIUS:
-            # Within a tiny radius the solver's rounding hides what there is to gain: look again.
-            return replace(new, radius=self.VERDICT_RADIUS), record
-        return replace(new, stationary=stationary), record
-
-    def terminate(self, state: State, record: Record) -> Status | None:
-        """Stop when stationary; small steps alone prove nothing."""
-        if state.failures > self.FAILURES_MAX:
-            return Status.SOLVER_FAILED
-        violated = max(record.max_violation, record.max_defect) > self.feasible
-        if state.stationary and not violated:
-            return Status.CONVERGED
-        if state.stationary:
-            return Status.INFEASIBLE if state.weight >= self.weight_max else None
-        if state.radius >= self.COLLAPSED:
-            return None
-        # The heavier weight is tried where the first one's iterate was stationary and violated:
-        # where it finds nothing better that verdict stands.
-        stands = violated and state.weight >= self.weight_max
-        return Status.INFEASIBLE if stands else Status.STALLED
-
-    def _check(self, answer: Step, state: State) -> None:
-        """Standing still is always possible: an answer that is worse by its own model is none.
-
-        Raises:
-            SubproblemError: if it is.
-        """
-        if answer.merit > state.merit + self.stationary * max(1.0, abs(state.merit)):
-            raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
-
-    def _is_stationary(self, record: Record) -> bool:
-        """No step within a unit radius promises a reduction that is worth one.
-
-        The model is convex. If the trust region does not bind, a larger one promises nothing more;
-        if it does, the reduction per radius falls with the radius, so that the one found here
-        bounds the one within a unit radius.
-        """
-        binds = record.step > 0.99 * record.trust_radius
-        scale = max(1.0, abs(record.merit)) * (min(1.0, record.trust_radius) if binds else 1.0)
-        return record.predicted <= self.stationary * scale
-
-    def _raise_weight(self, subproblem: Subproblem, state: State) -> State:
-        """Stationary but violated: the penalty may not have been exact, so weigh it once more."""
-        merit = subproblem.merit(state.lin, self.weight_max)
-        radius = self.initial_radius
-        return State(state.lin, merit, radius, self.weight_max)
+    start = perf_counter()
+    subproblem.update(state.lin)
+    timing.linearise += perf_counter() - start
+    answer = subproblem.solve(radius, state.charge)
+    if state.lin.is_flown and answer.merit > state.merit + slack * max(1.0, abs(state.merit)):
+        raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
+    timing.canonicalise += answer.canonicalise_s
+    timing.conic_solver += answer.solver_s
+    start = perf_counter()
+    trial = dynamics.fly(state.lin, answer.burns)
+    timing.linearise += perf_counter() - start
+    return answer, trial
 
 
-def _record(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:
+def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:
+    """The record of an iteration that went nowhere: what it ends with is what it began with."""
     violations = dict(subproblem.violations(state.lin))
     defect = float(violations.pop("dynamics").max())
     return Record(

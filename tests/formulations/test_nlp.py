@@ -28,10 +28,10 @@ from formulations.nlp_multiple_shooting import ArcStyle, MultipleShooting
 from formulations.nlp_program import Arcs, Program, Start, Transcription, assemble
 from formulations.nlp_single_shooting import SingleShooting
 from formulations.nlp_spread import Covariance, Factor, Spread, initial_deviation
+from formulations.penalty import DYNAMICS_WEIGHT
 from formulations.problem import FlybyProblem, Iterate
 from formulations.regions import Ball, Cone
 from formulations.rows import P2Rows, P3Rows
-from formulations.subproblem import DYNAMICS_WEIGHT
 from scp_recon import guess, ipopt
 from scp_recon.flow import propagate
 from scp_recon.mission import Mission

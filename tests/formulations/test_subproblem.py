@@ -13,11 +13,12 @@ from cvxpy.reductions.solvers.solving_chain import SolvingChain
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from formulations import subproblem as module
+from formulations import conic
 from formulations.facets import Polytopes, choose_facets
 from formulations.frozen_covariance import FrozenCovariance
 from formulations.frozen_stm import FrozenStm
 from formulations.lifting import Linearisation, condense, propagate_factor
+from formulations.penalty import DYNAMICS_WEIGHT
 from formulations.polytopes import ball
 from formulations.problem import FlybyProblem, Iterate
 from formulations.rows import P2Rows, P3Rows, Rows
@@ -26,14 +27,14 @@ from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan
 from scp_recon.scenario import load_scenario
-from scp_recon.scp import TrustRegion
+from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
 from tests.helpers import Array, constrain, generators, random_flyby
 
 CONDENSED = ["condensed", "frozen-stm", "frozen-covariance"]
 FROZEN = ["frozen-stm", "frozen-covariance"]
 WEIGHT = TrustRegion.weight
-TIGHT = dict.fromkeys(module.TOLERANCES, 1e-11)
+TIGHT = dict.fromkeys(conic.SETTINGS["CLARABEL"], 1e-11)
 """Of the conic solver, where two programs for the same problem are compared and not its accuracy."""
 
 
@@ -229,7 +230,7 @@ def test_the_merit_is_the_total_delta_v_plus_the_weighted_violations(
     amounts = subproblem.violations(lin)
     constraints = {c.name for c in case.problem.constraints}
     assert set(amounts) == {"dynamics", "dv_max", "dv_battery"} | constraints
-    violation = module.DYNAMICS_WEIGHT * np.abs(lin.defects).sum()
+    violation = DYNAMICS_WEIGHT * np.abs(lin.defects).sum()
     if name == "P3":
         for c in case.problem.constraints:
             inside = c.region.inside(lin.iterate.mean[c.nodes, :3])
@@ -253,7 +254,7 @@ def test_the_merit_is_the_total_delta_v_plus_the_weighted_violations(
 def test_lifted_and_condensed_have_the_same_solution(
     case: Case, build: Build, name: str, around: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "TOLERANCES", TIGHT)
+    monkeypatch.setitem(conic.SETTINGS, "CLARABEL", TIGHT)
     lin, speed = case.at(around), case.mission.units.speed_m_s
     steps = []
     for formulation in ("condensed", "lifted"):
@@ -286,7 +287,7 @@ def test_lifted_and_condensed_agree_on_random_flybys(
     lin = constrain(rng, random_flyby(rng, nodes=7), keeps).perturbed(rng, 0.1, 0.05)
     merits = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "TOLERANCES", TIGHT)
+        patch.setitem(conic.SETTINGS, "CLARABEL", TIGHT)
         for formulation in ("condensed", "lifted"):
             subproblem = Subproblem(lin.problem, every_row(lin, name), formulation)
             subproblem.update(lin)

@@ -16,7 +16,8 @@ from scp_recon import guess, planner
 from scp_recon.mission import Mission
 from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Stage, plan
 from scp_recon.results import make_solution
-from scp_recon.scp import Record, Result, TrustRegion, run
+from scp_recon.scp import Record, Result, run
+from scp_recon.scvx import TrustRegion
 from scp_recon.solution import Solution
 from scp_recon.status import Status
 

@@ -15,7 +15,8 @@ from formulations.subproblem import Step, Subproblem, SubproblemError
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan
-from scp_recon.scp import Record, Result, TrustRegion, run
+from scp_recon.scp import Record, Result, run
+from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
 
 from .support import Array, mission_of

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from scp_recon import planner, solve, verify
-from scp_recon.scp import Record, State, TrustRegion
+from scp_recon.scp import Record, State
+from scp_recon.scvx import TrustRegion
 from scp_recon.solution import Solution, read_solution
 
 from .support import SHARED, CommandLine, run_solve

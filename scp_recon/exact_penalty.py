@@ -1,0 +1,73 @@
+"""What the algorithms with an exact penalty share: the weight, stationarity and the verdicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from formulations.lifting import Linearisation
+from formulations.penalty import Charge
+from formulations.subproblem import Subproblem
+from scp_recon.scp import Record, State, record_of
+from scp_recon.status import Status
+
+
+@dataclass(frozen=True)
+class ExactPenalty:
+    """An algorithm but for its step. All quantities are nondimensional.
+
+    Attributes:
+        initial_radius: of the first trust region, hard or soft.
+        weight: first penalty weight; exact when above every multiplier.
+        weight_max: tried once more with before calling a case infeasible.
+        stationary: largest predicted reduction, against the merit and a unit radius, to stop at.
+        feasible: largest violation that counts as none: 1e-6 of the unit of length is a millimetre.
+        max_iterations: limit.
+    """
+
+    initial_radius: float = 3.0
+    weight: float = 10.0
+    weight_max: float = 1_000.0
+    stationary: float = 1e-6
+    feasible: float = 1e-6
+    max_iterations: int = 50
+
+    SHRINK: ClassVar[float] = 0.25
+    COLLAPSED: ClassVar[float] = 1e-9
+    FAILURES_MAX: ClassVar[int] = 5
+
+    def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
+        """Start from the guess."""
+        merit = subproblem.merit(lin, self.weight)
+        return State(lin, merit, self.initial_radius, Charge(self.weight))
+
+    def terminate(self, state: State, record: Record) -> Status | None:
+        """Stop when stationary; small steps alone prove nothing."""
+        if state.failures > self.FAILURES_MAX:
+            return Status.SOLVER_FAILED
+        violated = record.violated > self.feasible
+        heaviest = state.charge.weight >= self.weight_max
+        if state.stationary and not violated:
+            return Status.CONVERGED
+        if state.stationary:
+            return Status.INFEASIBLE if heaviest else None
+        if state.radius >= self.COLLAPSED:
+            return None
+        # The heavier weight is tried where the first one's iterate was stationary and violated:
+        # where it finds nothing better that verdict stands.
+        return Status.INFEASIBLE if violated and heaviest else Status.STALLED
+
+    def _weighed(self, subproblem: Subproblem, state: State) -> State:
+        """Stationary but violated: the penalty may not have been exact, so weigh it once more."""
+        if not state.stationary:
+            return state
+        merit = subproblem.merit(state.lin, self.weight_max)
+        return State(state.lin, merit, self.initial_radius, Charge(self.weight_max))
+
+    def _failed(
+        self, subproblem: Subproblem, state: State, k: int, words: str
+    ) -> tuple[State, Record]:
+        """A smaller trust region is a better conditioned problem."""
+        record = record_of(subproblem, state, k, failure=words)
+        smaller = state.radius * self.SHRINK
+        return replace(state, radius=smaller, failures=state.failures + 1), record

@@ -1,0 +1,68 @@
+"""PTR: a soft trust region, the prox-linear method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from formulations.subproblem import Subproblem, SubproblemError
+from scp_recon.dynamics import Dynamics
+from scp_recon.exact_penalty import ExactPenalty
+from scp_recon.scp import Record, State, Timing, attempt, record_of
+
+
+@dataclass(frozen=True)
+class ProxLinear(ExactPenalty):
+    """Penalised trust region: each step is charged ||s||^2 / (2 r) instead of being bounded.
+
+    Penalised: Reynolds, Szmuk, Malyuta, Mesbahi, Acikmese & Carson, "Dual quaternion-based powered
+    descent guidance with state-triggered constraints", J. Guid. Control Dyn. 43 (2020), and Malyuta
+    et al., "Convex optimization for trajectory generation", IEEE Control Systems 42 (2022). With a
+    charge that is fixed nothing keeps the merit from rising; here it is chosen as in ProxDescent of
+    Lewis & Wright, "A proximal method for composite minimization", Math. Program. 158 (2016).
+    Attributes are those of `ExactPenalty`, a radius standing for r.
+    """
+
+    penalty: ClassVar[str] = "proximal"
+    ACCEPT = 0.1
+    GROW = 4.0
+    FREE = 1e3
+
+    def step(
+        self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
+    ) -> tuple[State, Record]:
+        """Linearise, solve, fly; a step that keeps a tenth of its promise is taken."""
+        state = self._weighed(subproblem, state)
+        prox = 1.0 / state.radius
+        state = replace(state, charge=replace(state.charge, prox=prox))
+        guess = not state.lin.is_flown
+        try:
+            answer, trial = attempt(subproblem, dynamics, state, self.FREE, timing, self.stationary)
+        except SubproblemError as error:
+            return self._failed(subproblem, state, k, str(error))
+        trial_merit = subproblem.merit(trial, state.charge)
+        predicted, actual = state.merit - answer.merit, state.merit - trial_merit
+        moved = answer.burns - state.lin.iterate.burns
+        accepted = guess or actual > self.ACCEPT * max(predicted, 0.0)
+        radius = state.radius * (self.GROW if accepted else self.SHRINK)
+        radius = min(radius, self.FREE)
+        if accepted:
+            new = State(trial, trial_merit, radius, state.charge)
+        else:
+            new = replace(state, radius=radius, failures=0)
+        record = replace(
+            record_of(subproblem, new, k),
+            predicted=predicted,
+            actual=actual,
+            accepted=accepted,
+            trust_radius=state.radius,
+            step=float(abs(moved).max()),
+            solver_s=answer.solver_s,
+        )
+        # At the answer -p s is a subgradient of the convex model, which bounds what any step of no
+        # component above one can gain: predicted + p (||s||_1 - ||s||^2).
+        bound = predicted + prox * float(np.abs(moved).sum() - (moved**2).sum())
+        worth = self.stationary * max(1.0, abs(record.merit))
+        return replace(new, stationary=answer.accurate and not guess and bound <= worth), record

@@ -1,0 +1,79 @@
+"""SCvx: trust region with ratio test and exact penalty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+from formulations.subproblem import Subproblem, SubproblemError
+from scp_recon.dynamics import Dynamics
+from scp_recon.exact_penalty import ExactPenalty
+from scp_recon.scp import Record, State, Timing, attempt, record_of
+
+
+@dataclass(frozen=True)
+class TrustRegion(ExactPenalty):
+    """Trust region with ratio test and exact penalty (SCvx).
+
+    Mao, Szmuk & Acikmese, "Successive convexification of non-convex optimal control problems and
+    its convergence properties", CDC 2016, alg. 2; the ratios are those of Conn, Gould & Toint,
+    Trust Region Methods, 2000, alg. 6.1.1 (eta_1 = 0.01, eta_2 = 0.9) with 0.25 and 0.7 for the
+    radius. Attributes are those of `ExactPenalty`.
+    """
+
+    penalty: ClassVar[str] = "exact"
+    ACCEPT, SHRINK_BELOW, GROW_ABOVE = 0.01, 0.25, 0.7
+    GROW = 3.0
+    VERDICT_RADIUS = 1e-2
+    GUESS_RADIUS = 3.0
+
+    def step(
+        self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
+    ) -> tuple[State, Record]:
+        """Linearise, solve, fly, judge by the ratio of actual to predicted reduction."""
+        state = self._weighed(subproblem, state)
+        guess = not state.lin.is_flown
+        radius = max(state.radius, self.GUESS_RADIUS) if guess else state.radius
+        try:
+            answer, trial = attempt(subproblem, dynamics, state, radius, timing, self.stationary)
+        except SubproblemError as error:
+            return self._failed(subproblem, state, k, str(error))
+        trial_merit = subproblem.merit(trial, state.charge)
+        predicted, actual = state.merit - answer.merit, state.merit - trial_merit
+        step = float(abs(answer.burns - state.lin.iterate.burns).max())
+        ratio = actual / predicted if predicted > 0.0 else 0.0
+        accepted = guess or ratio > self.ACCEPT
+        radius = state.radius
+        if ratio < self.SHRINK_BELOW and not guess:
+            radius = self.SHRINK * min(radius, step)
+        elif ratio > self.GROW_ABOVE and step > 0.99 * radius:
+            radius = self.GROW * radius
+        if accepted:
+            new = State(trial, trial_merit, radius, state.charge)
+        else:
+            new = replace(state, radius=radius, failures=0)
+        record = replace(
+            record_of(subproblem, new, k),
+            predicted=predicted,
+            actual=actual,
+            accepted=accepted,
+            trust_radius=state.radius,
+            step=step,
+            solver_s=answer.solver_s,
+        )
+        stationary = answer.accurate and not guess and self._is_stationary(record)
+        if stationary and state.radius < self.VERDICT_RADIUS:
+            # Within a tiny radius the solver's rounding hides what there is to gain: look again.
+            return replace(new, radius=self.VERDICT_RADIUS), record
+        return replace(new, stationary=stationary), record
+
+    def _is_stationary(self, record: Record) -> bool:
+        """No step within a unit radius promises a reduction that is worth one.
+
+        The model is convex. If the trust region does not bind, a larger one promises nothing more;
+        if it does, the reduction per radius falls with the radius, so that the one found here
+        bounds the one within a unit radius.
+        """
+        binds = record.step > 0.99 * record.trust_radius
+        scale = max(1.0, abs(record.merit)) * (min(1.0, record.trust_radius) if binds else 1.0)
+        return record.predicted <= self.stationary * scale

@@ -1,0 +1,72 @@
+"""SCvx*: trust region with ratio test on an augmented Lagrangian."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from formulations.lifting import Linearisation
+from formulations.penalty import Charge
+from formulations.subproblem import Subproblem
+from scp_recon.dynamics import Dynamics
+from scp_recon.scp import Record, State, Timing
+from scp_recon.scvx import TrustRegion
+
+
+@dataclass(frozen=True)
+class AugmentedLagrangian(TrustRegion):
+    """SCvx with multipliers: no weight has to be guessed that makes a penalty exact.
+
+    Oguri, "Successive convexification with feasibility guarantee via augmented Lagrangian for
+    non-convex optimal control problems", CDC 2023, alg. 1: once the merit of an accepted step changes
+    by less than a falling bound, l <- l + w m and l <- max(l + w h, 0), and the weight grows. It has
+    no test for infeasibility; here a case counts as infeasible when it is stationary at the largest
+    weight, and a further update of the multipliers does not halve the violation.
+
+    Attributes are those of `ExactPenalty`, weights being those of the squares.
+    """
+
+    penalty: ClassVar[str] = "augmented"
+    weight: float = 100.0
+    weight_max: float = 1e6
+    max_iterations: int = 100
+    HEAVIER, TIGHTER = 2.0, 0.9
+
+    def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
+        """Start from the guess, without multipliers."""
+        charge = Charge(self.weight, multipliers=np.zeros_like(subproblem.excess(lin)))
+        return State(lin, subproblem.merit(lin, charge), self.initial_radius, charge)
+
+    def step(
+        self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
+    ) -> tuple[State, Record]:
+        """A step of SCvx, and the multipliers where it is time."""
+        before = state
+        state, record = super().step(subproblem, dynamics, state, k, timing)
+        state = replace(state, change=before.change, violated=before.violated)
+        settled = record.accepted and before.lin.is_flown and abs(record.actual) < state.change
+        violated = record.violated > self.feasible
+        if not violated or not (settled or state.stationary):
+            return state, record
+        hopeless = record.violated > 0.5 * state.violated and state.stationary
+        if hopeless and state.charge.weight >= self.weight_max:
+            return state, record
+        return self._update(subproblem, state, record), record
+
+    def _update(self, subproblem: Subproblem, state: State, record: Record) -> State:
+        weight, multipliers = state.charge.weight, state.charge.multipliers
+        assert multipliers is not None
+        multipliers = multipliers + weight * subproblem.excess(state.lin)
+        multipliers[6:] = np.maximum(multipliers[6:], 0.0)
+        charge = Charge(min(self.HEAVIER * weight, self.weight_max), multipliers=multipliers)
+        change = min(state.change, abs(record.actual)) if state.change == np.inf else state.change
+        return replace(
+            state,
+            merit=subproblem.merit(state.lin, charge),
+            charge=charge,
+            stationary=False,
+            change=self.TIGHTER * change,
+            violated=record.violated,
+        )
