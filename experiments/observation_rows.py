@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from experiments.as_flown import as_flown_burns
 from formulations.rows import P3Rows
-from formulations.subproblem import Subproblem
+from formulations.subproblem import Evaluation
 from scp_recon import guess
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
@@ -116,7 +116,7 @@ def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tu
 def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> Solution:
     """Given burns in the form of a solution: rolled out, with P3's margins, nothing optimised."""
     lin = mission.dynamics.linearise(mission.problem, guess.from_burns(mission, burns_m_s))
-    subproblem = Subproblem(mission.problem, P3Rows(mission.problem), "condensed")
+    subproblem = Evaluation(mission.problem, P3Rows(mission.problem))
     # No iteration was allowed, which is what the status says of a plan that is none.
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
     stage = Stage(init, result, subproblem, None, TrustRegion().feasible)

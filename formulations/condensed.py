@@ -1,4 +1,7 @@
-"""Condensed: mean and factor eliminated, the burns and the buffers remain."""
+"""Condensed: mean and factor eliminated, the burns and the buffers remain.
+
+As a model in CVXPY; `direct` has the same program without it.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,8 @@ from typing import ClassVar
 import cvxpy as cp
 import numpy as np
 
-from formulations.lifting import Linearisation, Sensitivity, condense
+from formulations.condensations import Condensation
+from formulations.lifting import Linearisation, final_state_map
 from formulations.problem import FlybyProblem, Nodes, factor_columns_used
 from formulations.regions import Array
 
@@ -20,13 +24,20 @@ class Condensed:
         burns: the burn variable, shape (m, 3).
         nodes: nodes whose outputs are wanted.
         with_factor: whether the outputs carry the covariance factor.
+        condensation: how mean and factor are eliminated.
     """
 
     clarabel: ClassVar[dict[str, float]] = {}
 
     def __init__(
-        self, problem: FlybyProblem, burns: cp.Variable, nodes: Nodes, with_factor: bool
+        self,
+        problem: FlybyProblem,
+        burns: cp.Variable,
+        nodes: Nodes,
+        with_factor: bool,
+        condensation: Condensation,
     ) -> None:
+        self._condense = condensation
         self._nodes, self._final = nodes, problem.final_state
         self._columns = factor_columns_used(problem, nodes) if with_factor else 0
         size = 3 * len(nodes) * (1 + self._columns)
@@ -44,21 +55,16 @@ class Condensed:
         ]
         self.virtual_control = miss
 
-    def sensitivity(self, lin: Linearisation) -> Sensitivity:
-        """The affine map of mean and factor; what the frozen variants replace."""
-        return condense(lin)
-
     def update(self, lin: Linearisation) -> None:
         """Set the parameters for an iterate."""
-        s = self.sensitivity(lin)
+        s = self._condense(lin, self._nodes, factor=self._columns > 0)
         constant = self._stack(s.mean_constant[..., None], s.factor_constant)
         jacobian = self._stack(s.mean_jacobian[:, :, None], s.factor_jacobian)
         self._constant.value = constant.reshape(-1)
         self._jacobian.value = jacobian.reshape(-1, s.mean_jacobian.shape[-1])
-        self._final_constant.value = s.mean_constant[-1] - self._final
-        self._final_jacobian.value = s.mean_jacobian[-1]
+        constant, self._final_jacobian.value = final_state_map(lin)
+        self._final_constant.value = constant - self._final
 
     def _stack(self, mean: Array, factor: Array) -> Array:
         """Position rows of the used nodes with columns (mean, factor)."""
-        used = factor[self._nodes, :3, : self._columns]
-        return np.concatenate([mean[self._nodes, :3], used], axis=2)
+        return np.concatenate([mean[:, :3], factor[:, :3, : self._columns]], axis=2)

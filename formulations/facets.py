@@ -47,6 +47,10 @@ class Facets:
     offset: Array
     quantile: Array
 
+    def chosen(self, which: npt.NDArray[np.bool_]) -> Facets:
+        """Those of a mask, shape (m,)."""
+        return Facets(*(getattr(self, name)[which] for name in Facets.__annotations__))
+
     def deviation(self, factor: Array) -> Array:
         """Standard deviation ||S_k'a|| along each facet's normal, (m,)."""
         return np.linalg.norm(np.einsum("mi,mic->mc", self.normal, factor[self.node, :3]), axis=1)
@@ -140,7 +144,7 @@ def _turned_ball(
 def _pyramid(
     region: Cone, angle: float, facets: int, first_azimuth: float, point: Array
 ) -> list[Halfspaces]:
-    across = region.split(point)[1]
+    across = region.across(point)
     side = np.cross(region.axis, across)
     azimuths = first_azimuth + 2.0 * np.pi * np.arange(facets) / facets
     return [region.facets(np.cos(phi) * across + np.sin(phi) * side, angle) for phi in azimuths]

@@ -10,18 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from formulations.condensed import Condensed
-from formulations.lifting import Linearisation, Sensitivity
+from formulations.lifting import Linearisation, Sensitivity, condense
+from formulations.problem import Nodes
 
 
-class FrozenCovariance(Condensed):
-    """Condensed with the factor a constant."""
-
-    def sensitivity(self, lin: Linearisation) -> Sensitivity:
-        """The affine map with dS = 0."""
-        full = super().sensitivity(lin)
-        return replace(
-            full,
-            factor_constant=lin.factor,
-            factor_jacobian=np.zeros_like(full.factor_jacobian),
-        )
+def condense_frozen_covariance(lin: Linearisation, nodes: Nodes, *, factor: bool) -> Sensitivity:
+    """The affine map with dS = 0; arguments as for `condense`."""
+    mean = condense(lin, nodes, factor=False)
+    if not factor:
+        return mean
+    constant = lin.factor[nodes]
+    jacobian = np.zeros((*constant.shape, mean.mean_jacobian.shape[-1]))
+    return replace(mean, factor_constant=constant, factor_jacobian=jacobian)

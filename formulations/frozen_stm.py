@@ -6,13 +6,10 @@ against.
 
 from __future__ import annotations
 
-from formulations.condensed import Condensed
 from formulations.lifting import Linearisation, Sensitivity, condense
+from formulations.problem import Nodes
 
 
-class FrozenStm(Condensed):
-    """Condensed without the second-order term."""
-
-    def sensitivity(self, lin: Linearisation) -> Sensitivity:
-        """The affine map with dA/dx = 0."""
-        return condense(lin, curvature=False)
+def condense_frozen_stm(lin: Linearisation, nodes: Nodes, *, factor: bool) -> Sensitivity:
+    """The affine map with dA/dx = 0; arguments as for `condense`."""
+    return condense(lin, nodes, factor=factor, curvature=False)

@@ -31,7 +31,8 @@ class Legs:
         self.of = np.maximum(np.searchsorted(burn_nodes, np.arange(n_nodes)) - 1, 0)
         self.ends = burn_nodes[1:]
         length = round(np.sqrt(n_nodes))
-        blocks, self._continued = [], []
+        blocks: list[Nodes] = []
+        self._continued: list[int] = []
         for first, last in itertools.pairwise(burn_nodes.tolist()):
             for start in range(first, last, length):
                 arcs = np.arange(start, start + length)

@@ -88,7 +88,7 @@ def _deviations(spread: Spread, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
 
 
 def _nappes(problem: FlybyProblem) -> tuple[Array, Array]:
-    toward, away = problem.burn_cones()
+    toward, away = problem.burn_cones
     return toward.axis, away.axis
 
 

@@ -8,7 +8,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from formulations.legs import Legs, Nodes
+from formulations.legs import Legs
+from formulations.legs import Nodes as Nodes
 from formulations.regions import Array, Cone, Region
 
 
@@ -112,6 +113,7 @@ class FlybyProblem:
         defect[self.burn_nodes[1:] - 1, 3:] += iterate.burns[1:]
         return np.vstack([defect, iterate.mean[-1] - self.final_state])
 
+    @cached_property
     def burn_cones(self) -> tuple[Cone, Cone]:
         """The two nappes of the cone that burns stay out of, apex at zero."""
         apex = np.zeros((self.n_burns, 3))
@@ -119,7 +121,7 @@ class FlybyProblem:
 
     def burn_margins(self, burns: Array) -> dict[str, Array]:
         """Margins of the limits on the burns, >= 0 where satisfied, (m,) each."""
-        toward, away = (-cone.inside(burns) for cone in self.burn_cones())
+        toward, away = (-cone.inside(burns) for cone in self.burn_cones)
         return {
             "dv_max": self.dv_max - np.linalg.norm(burns, axis=1),
             "dv_battery": np.minimum(toward, away),

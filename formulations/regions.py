@@ -13,6 +13,7 @@ apex). Keep-in demands inside(x) >= 0, keep-out demands inside(x) <= 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -92,8 +93,9 @@ class Ball:
 
     def inside(self, point: Array) -> Array:
         """Signed distance to the surface, positive inside, (n,)."""
-        return self.supporting(point).slack(point)
+        return self.radius - np.linalg.norm(point - self.center, axis=1)
 
+    @cached_property
     def second_order_cone(self) -> SecondOrderCone:
         """|| y - center || <= radius."""
         n = len(self.center)
@@ -113,11 +115,13 @@ class Cone:
     axis: Array
     half_angle: float
 
-    def split(self, point: Array) -> tuple[Array, Array]:
-        """Component along the axis (n,) and unit vector of the part across it (n, 3)."""
-        d = point - self.apex
-        along = np.einsum("ni,ni->n", d, self.axis)
-        return along, unit(reject(d, self.axis), perpendicular(self.axis))
+    @cached_property
+    def _side(self) -> Array:
+        return perpendicular(self.axis)
+
+    def across(self, point: Array) -> Array:
+        """Unit vectors of the points' parts across the axis, (n, 3)."""
+        return unit(reject(point - self.apex, self.axis), self._side)
 
     def facets(self, across: Array, half_angle: float) -> Halfspaces:
         """Planes through the apex, `half_angle` off the axis towards the unit vectors `across`."""
@@ -126,12 +130,16 @@ class Cone:
 
     def supporting(self, point: Array) -> Halfspaces:
         """Half-spaces that contain the cones and touch them along the ray nearest to each point."""
-        return self.facets(self.split(point)[1], self.half_angle)
+        return self.facets(self.across(point), self.half_angle)
 
     def inside(self, point: Array) -> Array:
         """Signed distance to the surface, positive inside, (n,)."""
-        return self.supporting(point).slack(point)
+        d = point - self.apex
+        along = np.einsum("ni,ni->n", d, self.axis)
+        across = np.linalg.norm(reject(d, self.axis), axis=1)
+        return np.sin(self.half_angle) * along - np.cos(self.half_angle) * across
 
+    @cached_property
     def second_order_cone(self) -> SecondOrderCone:
         """cos(theta) || (I - u u')(y - apex) || <= sin(theta) u'(y - apex)."""
         across = np.eye(3) - self.axis[:, :, None] * self.axis[:, None, :]

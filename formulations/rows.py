@@ -1,21 +1,17 @@
-"""Rows of a convex subproblem: the state constraints of P3 and of P2, over positions and factors.
-
-Both speak about the matrix `outputs` with one row per component of the position at each used node
-and columns (mean, factor columns): shape (3 n, 1) for P3 and (3 n, 1 + c) for P2.
-"""
+"""Rows of P3 and of P2: the state constraints, over the positions of nodes and their factors."""
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
-import cvxpy as cp
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
 from formulations.facets import Facets
-from formulations.lifting import Linearisation
-from formulations.problem import FlybyProblem, Nodes, StateConstraint
+from formulations.lifting import Linearisation, Sensitivity
+from formulations.problem import FlybyProblem, Nodes
 from formulations.regions import Array
 
 
@@ -26,30 +22,54 @@ class Margins(NamedTuple):
     margin: Array
 
 
+class Cones(NamedTuple):
+    """Second-order cones in the burns: y = values z' + constants has y_0 + buffer >= ||y_1..||.
+
+    They are of one dimension d (d = 1: half-spaces) and feel the first p burn components z' only.
+
+    Attributes:
+        rows: which of the buffers each has, shape (n,).
+        values: shape (n, d, p).
+        constants: shape (n, d).
+        triangular: whether the last d - 1 rows of [values, constants] are zero below the diagonal.
+    """
+
+    rows: Nodes
+    values: Array
+    constants: Array
+    triangular: bool = False
+
+
 class Rows(Protocol):
     """What a subproblem asks of its state constraints."""
 
     @property
     def nodes(self) -> Nodes:
-        """Nodes whose outputs the rows use, ascending."""
+        """Nodes that the rows look at, ascending."""
         ...
 
     @property
     def with_factor(self) -> bool:
-        """Whether the outputs carry the covariance factor."""
+        """Whether they look at the covariance factor."""
+        ...
+
+    @property
+    def count(self) -> int:
+        """Number of rows, and of buffers."""
         ...
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins by constraint name from the nonlinear mean and factor, never from the model."""
         ...
 
-    def build(self, outputs: cp.Expression) -> tuple[list[cp.Constraint], cp.Expression]:
-        """Constraints with buffers, and the buffers in the order of `margins`, shape (rows,)."""
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """The rows, convexified at an iterate, for mean and factor at `nodes` affine in the burns."""
         ...
 
-    def update(self, lin: Linearisation) -> None:
-        """Set the parameters for an iterate."""
-        ...
+
+def felt(problem: FlybyProblem, nodes: Nodes) -> Nodes:
+    """How many burn components the positions at some nodes depend on: those of the burns before."""
+    return 3 * np.searchsorted(problem.burn_nodes, nodes)
 
 
 class P3Rows:
@@ -62,65 +82,46 @@ class P3Rows:
     with_factor = False
 
     def __init__(self, problem: FlybyProblem) -> None:
-        self._constraints = problem.constraints
+        self.problem = problem
         used = [c.nodes for c in problem.constraints]
         self.nodes = np.unique(np.concatenate(used)) if used else np.zeros(0, dtype=np.intp)
-        self._planes: dict[str, tuple[cp.Parameter, cp.Parameter]] = {}
+        self.count = sum(len(nodes) for nodes in used)
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Signed distances of the mean to the regions."""
-        return {c.name: Margins(c.nodes, c.margin(lin.iterate.mean)) for c in self._constraints}
+        constraints = self.problem.constraints
+        return {c.name: Margins(c.nodes, c.margin(lin.iterate.mean)) for c in constraints}
 
-    def build(self, outputs: cp.Expression) -> tuple[list[cp.Constraint], cp.Expression]:
-        """One second-order cone per keep-in node, one linear row per keep-out node."""
-        constraints: list[cp.Constraint] = []
-        buffers: list[cp.Expression] = []
-        for c in self._constraints:
-            first = 3 * np.searchsorted(self.nodes, c.nodes)
-            picked = (first[:, None] + np.arange(3)).ravel()
-            indices, shape = (np.arange(len(picked)), picked), (len(picked), outputs.shape[0])
-            pick = sp.csr_array((np.ones(len(picked)), indices), shape=shape)
-            position = cp.reshape(pick @ outputs[:, 0], (len(c.nodes), 3), order="C")
-            buffer = cp.Variable(len(c.nodes), nonneg=True)
-            buffers.append(buffer)
-            rows = self._keep_in if c.keep == "in" else self._keep_out
-            constraints.append(rows(c, position, buffer))
-        return constraints, cp.hstack(buffers) if buffers else cp.Constant(np.zeros(0))
-
-    def _keep_in(
-        self, constraint: StateConstraint, position: cp.Expression, buffer: cp.Variable
-    ) -> cp.Constraint:
-        cone = constraint.region.second_order_cone()
-        offset = position - cone.origin
-        blocks = sp.block_diag(list(cone.matrix), format="csr")
-        stacked = blocks @ cp.reshape(offset, (offset.size,), order="C")
-        bound = cp.sum(cp.multiply(cone.linear, offset), axis=1) + cone.constant
-        return cp.SOC(bound + buffer, cp.reshape(stacked, offset.shape, order="C"), axis=1)
-
-    def _keep_out(
-        self, constraint: StateConstraint, position: cp.Expression, buffer: cp.Variable
-    ) -> cp.Constraint:
-        normal, offset = cp.Parameter(position.shape), cp.Parameter(position.shape[0])
-        self._planes[constraint.name] = normal, offset
-        return cp.sum(cp.multiply(normal, position), axis=1) >= offset - buffer
-
-    def update(self, lin: Linearisation) -> None:
-        """Move the supporting planes of keep-out sets to the iterate."""
-        for c in self._constraints:
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """One cone per keep-in node, one half-space per keep-out node."""
+        blocks, first = [], 0
+        for c in self.problem.constraints:
+            at = np.searchsorted(self.nodes, c.nodes)
+            position, jacobian = s.mean_constant[at, :3], s.mean_jacobian[at, :3]
             if c.keep == "out":
                 planes = c.region.supporting(lin.iterate.mean[c.nodes, :3])
-                normal, offset = self._planes[c.name]
-                normal.value, offset.value = planes.normal, planes.offset
+                matrix = planes.normal[:, None]
+                constants = (matrix @ position[:, :, None])[:, :, 0] - planes.offset[:, None]
+            else:
+                cone = c.region.second_order_cone
+                matrix = np.concatenate([cone.linear[:, None], cone.matrix], axis=1)
+                constants = (matrix @ (position - cone.origin)[:, :, None])[:, :, 0]
+                constants[:, 0] += cone.constant
+            values, rows = matrix @ jacobian, first + np.arange(len(c.nodes))
+            components = felt(self.problem, c.nodes)
+            for p in np.unique(components):
+                which = components == p
+                blocks.append(Cones(rows[which], values[which, :, :p], constants[which]))
+            first += len(rows)
+        return blocks
 
 
 class P2Rows:
     """Chance constraints on fixed facets: a'mu + q ||S'a|| <= b + buffer, a second-order cone each.
 
-    Normals, offsets and quantiles are constants, so that nothing here changes between iterations.
-
     Args:
         problem: names the constraints.
-        facets: every facet; all of them count in `margins`.
+        facets: every facet.
         included: mask of the facets that the convex program carries, shape (m,).
     """
 
@@ -129,18 +130,22 @@ class P2Rows:
     def __init__(
         self, problem: FlybyProblem, facets: Facets, included: npt.NDArray[np.bool_]
     ) -> None:
-        self._names = [c.name for c in problem.constraints]
+        self.problem = problem
         self.facets = facets
         self.included = included
-        self.nodes = np.unique(facets.node[included])
+        self.carried = facets.chosen(included)
+        self.nodes = np.unique(self.carried.node)
+        self.count = len(self.carried.node)
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """B - a'mu - q ||S'a|| of the included facets."""
-        margin = self.facets.margin(lin.iterate.mean, lin.factor)
-        rows = [(self.facets.constraint == i) & self.included for i in range(len(self._names))]
+        margin = self.carried.margin(lin.iterate.mean, lin.factor)
+        ends = np.searchsorted(
+            self.carried.constraint, np.arange(len(self.problem.constraints) + 1)
+        )
         return {
-            name: Margins(self.facets.node[row], margin[row])
-            for name, row in zip(self._names, rows, strict=True)
+            c.name: Margins(self.carried.node[first:last], margin[first:last])
+            for c, first, last in zip(self.problem.constraints, ends, ends[1:], strict=False)
         }
 
     def missed(self, lin: Linearisation, tolerance: float) -> npt.NDArray[np.bool_]:
@@ -148,19 +153,39 @@ class P2Rows:
         margin = self.facets.margin(lin.iterate.mean, lin.factor)
         return ~self.included & (margin < -tolerance)
 
-    def build(self, outputs: cp.Expression) -> tuple[list[cp.Constraint], cp.Expression]:
-        """All facets at once: a constant sparse matrix picks a'mu and a'S from the outputs."""
-        m = int(self.included.sum())
-        if m == 0:
-            return [], cp.Constant(np.zeros(0))
-        normal, node = self.facets.normal[self.included], self.facets.node[self.included]
-        columns = 3 * np.searchsorted(self.nodes, node)[:, None] + np.arange(3)
-        indices = np.repeat(np.arange(m), 3), columns.ravel()
-        pick = sp.csr_array((normal.ravel(), indices), shape=(m, outputs.shape[0]))
-        weighted = sp.diags_array(self.facets.quantile[self.included]) @ pick
-        buffer = cp.Variable(m, nonneg=True)
-        bound = self.facets.offset[self.included] - pick @ outputs[:, 0] + buffer
-        return [cp.SOC(bound, weighted @ outputs[:, 1:], axis=1)], buffer
+    @cached_property
+    def pick(self) -> sp.csr_array:
+        """A'r of every facet from the stacked positions r of all `nodes`, shape (count, 3 n)."""
+        columns = 3 * np.searchsorted(self.nodes, self.carried.node)[:, None] + np.arange(3)
+        indices = np.repeat(np.arange(self.count), 3), columns.ravel()
+        shape = (self.count, 3 * len(self.nodes))
+        return sp.csr_array((self.carried.normal.ravel(), indices), shape=shape)
 
-    def update(self, lin: Linearisation) -> None:
-        """Nothing depends on the iterate."""
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """All facets. Of ||S'a|| = ||M (z', 1)|| only the triangular factor of M = Q R is kept.
+
+        Q preserves the norm, and R has one row for each burn component that the node feels and one
+        more, instead of one for each column of S.
+        """
+        del lin
+        blocks, carried = [], self.carried
+        components = felt(self.problem, self.nodes)
+        for p in np.unique(components):
+            nodes = np.flatnonzero(components == p)
+            rows = np.flatnonzero(np.isin(carried.node, self.nodes[nodes]))
+            pick = self.pick[rows][:, (3 * nodes[:, None] + np.arange(3)).ravel()]
+            c = self.problem.initial_factor.shape[1] + int(p)
+            spread = np.concatenate(
+                [s.factor_jacobian[nodes, :3, :c, :p], s.factor_constant[nodes, :3, :c, None]], -1
+            )
+            spread = (pick @ spread.reshape(3 * len(nodes), -1)).reshape(-1, c, p + 1)
+            spread *= carried.quantile[rows, None, None]
+            mean = np.concatenate(
+                [s.mean_jacobian[nodes, :3, :p], s.mean_constant[nodes, :3, None]], axis=2
+            )
+            room = -(pick @ mean.reshape(3 * len(nodes), -1))
+            room[:, -1] += carried.offset[rows]
+            triangle = np.asarray(np.linalg.qr(spread, mode="r"))
+            both = np.concatenate([room[:, None], triangle], axis=1)
+            blocks.append(Cones(rows, both[..., :-1], both[..., -1], triangular=True))
+        return blocks

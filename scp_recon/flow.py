@@ -56,7 +56,9 @@ ARCS_AT_ONCE = 32
 
 
 class _Stages(NamedTuple):
-    """Of one Runge-Kutta step: length (n,), then for its four stages positions (4, n, 3), gravity
+    """Of one Runge-Kutta step.
+
+    Length (n,), then for its four stages positions (4, n, 3), gravity
     gradients (4, n, 3, 3) and the positions' first derivatives (4, n, 3, 6).
     """
 
@@ -74,11 +76,12 @@ def propagate(
     state: Array, duration: Array | float, forces: ForceModel, substeps: int = 1
 ) -> Array:
     """Carry states over their arcs; `state` (..., 6), `duration` broadcast against (...)."""
+    return rk4(state, duration, lambda r, _: _acceleration(r, forces), substeps)
 
-    def autonomous(r: Array, _: Any) -> Array:
-        return np.stack(acceleration(r[0], r[1], r[2], forces))
 
-    return rk4(state, duration, autonomous, substeps)
+def _acceleration(r: Array, forces: ForceModel) -> Array:
+    """At positions (3, ...)."""
+    return np.stack(acceleration(r[0], r[1], r[2], forces))
 
 
 def rk4(
@@ -143,12 +146,12 @@ def _stage_positions(
 ) -> tuple[Array, Array, Array]:
     """Positions of the four stages (4, n, 3), and the step's end, for r and v of shape (3, n)."""
     half, full = r + (0.5 * h) * v, r + h * v
-    a1 = np.stack(acceleration(*r, forces))
-    a2 = np.stack(acceleration(*half, forces))
+    a1 = _acceleration(r, forces)
+    a2 = _acceleration(half, forces)
     third = half + (0.25 * h * h) * a1
-    a3 = np.stack(acceleration(*third, forces))
+    a3 = _acceleration(third, forces)
     fourth = full + (0.5 * h * h) * a2
-    a4 = np.stack(acceleration(*fourth, forces))
+    a4 = _acceleration(fourth, forces)
     middle = a2 + a3
     position = np.stack([r, half, third, fourth]).transpose(0, 2, 1)
     end = full + (h * h / 6.0) * (a1 + middle)
@@ -177,9 +180,9 @@ def _second_order(tensor: Array, stages: _Stages, forces: ForceModel) -> Array:
     first = stages.first.reshape(4 * n, 3, 6)
     curvature = gravity_curvature(stages.position.reshape(-1, 3), forces)
     # Columns (i, k) of H_lim r_mk and then of r_lj H_lim r_mk, as H is symmetric.
-    bend = (curvature.reshape(-1, 9, 3) @ first).reshape(-1, 3, 18)
-    bend = (first.transpose(0, 2, 1) @ bend).reshape(4, n, 6, 3, 6)
-    bend = bend.transpose(0, 1, 3, 2, 4).reshape(4, n, 3, 36)
+    along = (curvature.reshape(-1, 9, 3) @ first).reshape(-1, 3, 18)
+    both = (first.transpose(0, 2, 1) @ along).reshape(4, n, 6, 3, 6)
+    bend = both.transpose(0, 1, 3, 2, 4).reshape(4, n, 3, 36)
     r, v = tensor[:, 0], tensor[:, 1]
     half, full = r + (0.5 * w) * v, r + w * v
     a1, a2 = bend[0] + g[0] @ r, bend[1] + g[1] @ half

@@ -15,7 +15,7 @@ from formulations.nlp import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
 from formulations.nlp_program import Arcs, Start
 from formulations.problem import Iterate
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Subproblem
+from formulations.subproblem import Evaluation
 from scp_recon.dynamics import Dynamics
 from scp_recon.forces import acceleration
 from scp_recon.mission import Mission
@@ -141,7 +141,7 @@ class StageSolver:
         """
         begin = perf_counter()
         algorithm = TrustRegion()
-        subproblem = Subproblem(self.mission.problem, rows, "condensed")
+        subproblem = Evaluation(self.mission.problem, rows)
         setup = perf_counter() - begin
         weights = (algorithm.weight, algorithm.weight_max) if self.elastic else (None,)
         runs: list[NlpResult] = []
@@ -174,7 +174,7 @@ def _included(rows: P2Rows) -> Facets:
     return Facets(*(getattr(rows.facets, name)[rows.included] for name in names))
 
 
-def _worst(subproblem: Subproblem, lin: Linearisation) -> float:
+def _worst(subproblem: Evaluation, lin: Linearisation) -> float:
     return max(float(v.max(initial=0.0)) for v in subproblem.violations(lin).values())
 
 

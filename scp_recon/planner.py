@@ -8,10 +8,11 @@ from time import perf_counter
 from typing import Literal
 
 from formulations.facets import Facets, choose_facets, included_rows
+from formulations.formulations import make_subproblem
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Subproblem
+from formulations.subproblem import Evaluation
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.errors import InputError
 from scp_recon.guess import ballistic
@@ -43,7 +44,7 @@ class Stage:
 
     name: str
     result: Result
-    subproblem: Subproblem
+    subproblem: Evaluation
     facets: Facets | None
     tolerance: float
 
@@ -156,7 +157,7 @@ class _Work:
     def _run(self, name: str, rows: Rows, start: Linearisation, facets: Facets | None) -> Stage:
         """One run of the SCP; an interrupted one ends the work."""
         begin = perf_counter()
-        subproblem = Subproblem(
+        subproblem = make_subproblem(
             self.mission.problem, rows, self.formulation, self.solver, self.algorithm.penalty
         )
         self.timing.setup += perf_counter() - begin

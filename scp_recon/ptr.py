@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from formulations.penalty import Penalty
 from formulations.subproblem import Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.exact_penalty import ExactPenalty
@@ -25,7 +26,7 @@ class ProxLinear(ExactPenalty):
     Attributes are those of `ExactPenalty`, a radius standing for r.
     """
 
-    penalty: ClassVar[str] = "proximal"
+    penalty: ClassVar[Penalty] = "proximal"
     ACCEPT = 0.1
     GROW = 4.0
     FREE = 1e3

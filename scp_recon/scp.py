@@ -14,7 +14,7 @@ from time import perf_counter
 from typing import Protocol
 
 from formulations.lifting import Linearisation
-from formulations.penalty import Charge
+from formulations.penalty import Charge, Penalty
 from formulations.subproblem import Step, Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.status import Status
@@ -102,8 +102,8 @@ class Algorithm(Protocol):
     """A way to globalise: the loop in `run` is the same for all."""
 
     @property
-    def penalty(self) -> str:
-        """Key of `formulations.penalty.PENALTIES` that its subproblems are built with."""
+    def penalty(self) -> Penalty:
+        """How its subproblems charge violations and steps."""
         ...
 
     @property

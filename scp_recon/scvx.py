@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
+from formulations.penalty import Penalty
 from formulations.subproblem import Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.exact_penalty import ExactPenalty
@@ -21,7 +22,7 @@ class TrustRegion(ExactPenalty):
     radius. Attributes are those of `ExactPenalty`.
     """
 
-    penalty: ClassVar[str] = "exact"
+    penalty: ClassVar[Penalty] = "exact"
     ACCEPT, SHRINK_BELOW, GROW_ABOVE = 0.01, 0.25, 0.7
     GROW = 3.0
     VERDICT_RADIUS = 1e-2

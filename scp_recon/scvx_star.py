@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from formulations.lifting import Linearisation
-from formulations.penalty import Charge
+from formulations.penalty import Charge, Penalty
 from formulations.subproblem import Subproblem
 from scp_recon.dynamics import Dynamics
 from scp_recon.scp import Record, State, Timing
@@ -28,7 +28,7 @@ class AugmentedLagrangian(TrustRegion):
     Attributes are those of `ExactPenalty`, weights being those of the squares.
     """
 
-    penalty: ClassVar[str] = "augmented"
+    penalty: ClassVar[Penalty] = "augmented"
     weight: float = 100.0
     weight_max: float = 1e6
     max_iterations: int = 100

@@ -10,8 +10,8 @@ from pathlib import Path
 from pydantic import ValidationError
 from rich.console import Console
 
+from formulations.formulations import FORMULATIONS
 from formulations.problem import Iterate
-from formulations.subproblem import FORMULATIONS
 from scp_recon import guess, report
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission

@@ -245,7 +245,7 @@ def test_p3_as_printed_bounds_the_same_sets(default: Case, seed: int) -> None:
         inside = sign * distance(constraint.region, point, sign * value)
         assert inside == within(margin), constraint.name
     toward, away = np.split(rows["dv_battery"], 2)
-    for cone, value in zip(problem.burn_cones(), (toward, away), strict=True):
+    for cone, value in zip(problem.burn_cones, (toward, away), strict=True):
         burns = lin.iterate.burns
         assert distance(cone, burns, -value) == within(cone.inside(burns))
 

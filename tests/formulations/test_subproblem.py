@@ -14,15 +14,16 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from formulations import conic
+from formulations.condensations import CONDENSATIONS, Condensation
 from formulations.facets import Polytopes, choose_facets
-from formulations.frozen_covariance import FrozenCovariance
-from formulations.frozen_stm import FrozenStm
+from formulations.formulations import FORMULATIONS, make_subproblem
 from formulations.lifting import Linearisation, condense, propagate_factor
+from formulations.modelled import ModelledSubproblem
 from formulations.penalty import DYNAMICS_WEIGHT
 from formulations.polytopes import ball
 from formulations.problem import FlybyProblem, Iterate
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import FORMULATIONS, Subproblem, SubproblemError
+from formulations.subproblem import Subproblem, SubproblemError
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan
@@ -97,7 +98,7 @@ def build(case: Case) -> Build:
     def get(formulation: str, name: str) -> Subproblem:
         key = formulation, name
         if key not in built:
-            built[key] = Subproblem(case.problem, case.rows(name), formulation)
+            built[key] = make_subproblem(case.problem, case.rows(name), formulation)
         return built[key]
 
     return get
@@ -109,9 +110,10 @@ def build(case: Case) -> Build:
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_programs_are_disciplined_convex_and_parametrised(
-    build: Build, formulation: str, name: str
+    case: Case, formulation: str, name: str
 ) -> None:
-    assert build(formulation, name).program.is_dcp(dpp=True)
+    subproblem = ModelledSubproblem(case.problem, case.rows(name), formulation)
+    assert subproblem.program.is_dcp(dpp=True)
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
@@ -119,7 +121,7 @@ def test_programs_are_disciplined_convex_and_parametrised(
 def test_programs_are_compiled_once_and_only_parameters_change(
     case: Case, formulation: str, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subproblem = Subproblem(case.problem, case.rows(name), formulation)
+    subproblem = ModelledSubproblem(case.problem, case.rows(name), formulation)
     compilations = []
     compile_ = SolvingChain.apply
 
@@ -197,7 +199,7 @@ def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(
     formulation: str, name: str, seed: int
 ) -> None:
     lin = breaking_every_limit(np.random.default_rng(seed))
-    subproblem = Subproblem(lin.problem, every_row(lin, name), formulation)
+    subproblem = make_subproblem(lin.problem, every_row(lin, name), formulation)
     subproblem.update(lin)
     assert all(amount.sum() > 0.0 for amount in subproblem.violations(lin).values())
     merit = subproblem.merit(lin, WEIGHT)
@@ -289,7 +291,7 @@ def test_lifted_and_condensed_agree_on_random_flybys(
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(conic.SETTINGS, "CLARABEL", TIGHT)
         for formulation in ("condensed", "lifted"):
-            subproblem = Subproblem(lin.problem, every_row(lin, name), formulation)
+            subproblem = make_subproblem(lin.problem, every_row(lin, name), formulation)
             subproblem.update(lin)
             merits.append(subproblem.solve(2.0, WEIGHT).merit)
     assert merits[1] == pytest.approx(merits[0], rel=1e-6)
@@ -308,7 +310,7 @@ def test_two_burns_on_linear_arcs_are_what_the_boundary_demands(formulation: str
     # Away from the battery's cones, which would forbid the only solution.
     sun = np.cross(burns, [0.3, 0.5, -0.7])
     problem = replace(problem, sun=sun / np.linalg.norm(sun, axis=1, keepdims=True))
-    subproblem = Subproblem(problem, P3Rows(problem), formulation)
+    subproblem = make_subproblem(problem, P3Rows(problem), formulation)
     lin = flyby.waves.linearise(problem, flyby.waves.rollout(problem, np.zeros((2, 3))))
     subproblem.update(lin)
     step = subproblem.solve(10.0, 100.0)
@@ -324,7 +326,7 @@ def test_p2_without_facets_near_binding_is_p3_without_constraints(
     none = np.zeros_like(case.p2_rows.included)
     lin, merits = case.at("P3"), []
     for rows in (P3Rows(unconstrained), P2Rows(case.problem, case.p2_rows.facets, none)):
-        subproblem = Subproblem(case.problem, rows, formulation)
+        subproblem = make_subproblem(case.problem, rows, formulation)
         subproblem.update(lin)
         merits.append(subproblem.solve(1.0, WEIGHT).merit)
     assert merits[1] == pytest.approx(merits[0], rel=1e-6)
@@ -353,12 +355,10 @@ def test_facets_left_out_are_missed_exactly_where_the_iterate_violates_them(case
 # --- what is frozen -----------------------------------------------------------------------------
 
 
-def frozen(kind: type[FrozenStm | FrozenCovariance], lin: Linearisation) -> tuple[Array, ...]:
+def frozen(kind: Condensation, lin: Linearisation) -> tuple[Array, ...]:
     """Mean and factor that a frozen form models for other burns than the iterate's."""
-    problem = lin.problem
-    nodes = np.arange(problem.n_nodes)
-    model = kind(problem, cp.Variable((problem.n_burns, 3)), nodes, True)
-    s, burns = model.sensitivity(lin), other_burns(lin)
+    s = kind(lin, np.arange(lin.problem.n_nodes), factor=True)
+    burns = other_burns(lin)
     z = burns.ravel()
     return s.mean_constant + s.mean_jacobian @ z, s.factor_constant + s.factor_jacobian @ z
 
@@ -374,7 +374,9 @@ def test_frozen_stm_moves_the_factor_with_the_burns_by_the_iterates_stms(
 ) -> None:
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
     expected = propagate_factor(lin.problem, lin.arcs.stm, other_burns(lin))
-    assert frozen(FrozenStm, lin)[1] == pytest.approx(expected, rel=1e-9, abs=1e-11)
+    assert frozen(CONDENSATIONS["frozen-stm"], lin)[1] == pytest.approx(
+        expected, rel=1e-9, abs=1e-11
+    )
 
 
 @settings(max_examples=20)
@@ -383,19 +385,17 @@ def test_frozen_covariance_keeps_the_iterates_factor_whatever_the_burns(
     rng: np.random.Generator,
 ) -> None:
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
-    assert np.array_equal(frozen(FrozenCovariance, lin)[1], lin.factor)
+    assert np.array_equal(frozen(CONDENSATIONS["frozen-covariance"], lin)[1], lin.factor)
 
 
-@pytest.mark.parametrize("kind", [FrozenStm, FrozenCovariance])
+@pytest.mark.parametrize("formulation", FROZEN)
 @settings(max_examples=20)
 @given(generators)
-def test_frozen_forms_model_the_mean_in_full(
-    kind: type[FrozenStm | FrozenCovariance], rng: np.random.Generator
-) -> None:
+def test_frozen_forms_model_the_mean_in_full(formulation: str, rng: np.random.Generator) -> None:
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
     s = condense(lin)
     expected = s.mean_constant + s.mean_jacobian @ other_burns(lin).ravel()
-    assert frozen(kind, lin)[0] == pytest.approx(expected, rel=1e-12)
+    assert frozen(CONDENSATIONS[formulation], lin)[0] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
@@ -475,7 +475,7 @@ def test_a_larger_trust_region_never_promises_less(case: Case, build: Build) -> 
 def test_a_solver_that_fails_raises_our_own_error_with_its_words(
     case: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subproblem = Subproblem(case.problem, case.rows("P3"), "condensed")
+    subproblem = ModelledSubproblem(case.problem, case.rows("P3"), "condensed")
     subproblem.update(case.at("P3"))
 
     def fail(**_: object) -> float:
@@ -491,7 +491,7 @@ def test_a_solver_that_fails_raises_our_own_error_with_its_words(
 def test_a_solver_without_a_finite_answer_raises_our_own_error(
     case: Case, answer: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subproblem = Subproblem(case.problem, case.rows("P3"), "condensed")
+    subproblem = ModelledSubproblem(case.problem, case.rows("P3"), "condensed")
     subproblem.update(case.at("P3"))
 
     def solve(**_: object) -> float:
@@ -506,4 +506,4 @@ def test_a_solver_without_a_finite_answer_raises_our_own_error(
 
 def test_an_unknown_formulation_is_refused(case: Case) -> None:
     with pytest.raises(KeyError, match="unheard of"):
-        Subproblem(case.problem, case.rows("P3"), "unheard of")
+        make_subproblem(case.problem, case.rows("P3"), "unheard of")

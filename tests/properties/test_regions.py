@@ -212,16 +212,14 @@ def test_the_complement_is_the_other_side_of_the_same_plane(
 def test_the_second_order_cone_holds_exactly_inside_and_by_the_same_amount(
     region: Region, point: Array
 ) -> None:
-    inside, slack = region.inside(point), cone_slack(region.second_order_cone(), point)
+    inside, slack = region.inside(point), cone_slack(region.second_order_cone, point)
     assert slack == pytest.approx(inside, abs=EXACT)
 
 
 @given(st.one_of(balls, cones), generators)
 def test_the_second_order_cone_holds_all_members(region: Region, rng: np.random.Generator) -> None:
     for point in members(rng, region, 40):
-        assert cone_slack(region.second_order_cone(), point[None]) >= -EXACT * (
-            1.0 + lengths(point)
-        )
+        assert cone_slack(region.second_order_cone, point[None]) >= -EXACT * (1.0 + lengths(point))
 
 
 @given(st.one_of(balls, cones), points)

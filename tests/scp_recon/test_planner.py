@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from formulations.facets import choose_facets, included_rows
+from formulations.formulations import make_subproblem
 from formulations.problem import Iterate
 from formulations.rows import P2Rows
 from formulations.subproblem import Subproblem
@@ -211,7 +212,9 @@ def solve_p2(mission: Mission, default_plan: Plan, formulation: str) -> tuple[Re
     margin = facets.margin(start.iterate.mean, start.factor)
     clearance = CLEARANCE_M / mission.units.length_m
     included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
-    subproblem = Subproblem(mission.problem, P2Rows(mission.problem, facets, included), formulation)
+    subproblem = make_subproblem(
+        mission.problem, P2Rows(mission.problem, facets, included), formulation
+    )
     result = run(subproblem, mission.dynamics, start, TrustRegion(), lambda _: None)
     return result, subproblem
 

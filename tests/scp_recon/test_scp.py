@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from formulations.formulations import make_subproblem
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
 from formulations.rows import P3Rows
@@ -30,7 +31,7 @@ def ignore(_: Record) -> None:
 
 @pytest.fixture(scope="module")
 def p3(mission: Mission) -> Subproblem:
-    return Subproblem(mission.problem, P3Rows(mission.problem), "condensed")
+    return make_subproblem(mission.problem, P3Rows(mission.problem), "condensed")
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +157,7 @@ def test_converged_is_feasible_and_stationary(optimum: Result) -> None:
 
 def test_a_converged_run_has_no_better_neighbour(mission: Mission, optimum: Result) -> None:
     """Random steps that keep the final state do not lower the exact merit."""
-    subproblem = Subproblem(mission.problem, P3Rows(mission.problem), "condensed")
+    subproblem = make_subproblem(mission.problem, P3Rows(mission.problem), "condensed")
     weight = TrustRegion.weight
     best = subproblem.merit(optimum.lin, weight)
     rng = np.random.default_rng(8)
@@ -320,7 +321,7 @@ def test_the_model_agrees_with_the_merit_where_it_is_made(
     burns = 0.9 * optimum.lin.iterate.burns
     states = mission.dynamics.rollout(mission.problem.initial_state, burns)
     lin = mission.dynamics.linearise(mission.problem, Iterate(burns, states))
-    subproblem = Subproblem(mission.problem, P3Rows(mission.problem), formulation)
+    subproblem = make_subproblem(mission.problem, P3Rows(mission.problem), formulation)
     subproblem.update(lin)
     merit = subproblem.merit(lin, TrustRegion.weight)
     assert merit > 10.0 * lin.iterate.total_dv  # the miss is what it is made of

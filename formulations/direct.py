@@ -1,0 +1,217 @@
+"""A condensed subproblem handed to a conic solver as it is, without a modelling layer.
+
+The same program as `modelled` writes in CVXPY, in the variables
+
+    z   burns, 3 m              t   their sizes, m
+    a   |miss|, or the miss, 6  v   violations: of dv_max, m; of the battery's cones, 2 m; of the rows
+
+Every constraint says that an affine function of them lies in a cone. Their sparsity never changes, so
+an iteration fills in numbers and the solver keeps its symbolic factorisation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from formulations.condensations import CONDENSATIONS
+from formulations.interior_point import SOLVERS, ConeProgram
+from formulations.lifting import Linearisation, LinearisationError, final_state_map
+from formulations.penalty import DYNAMICS_WEIGHT, Charge, Penalty
+from formulations.problem import FlybyProblem
+from formulations.regions import Array
+from formulations.rows import Cones, Rows
+from formulations.subproblem import Step, Subproblem, SubproblemError
+
+Indices = npt.NDArray[np.intp]
+
+
+class Block(NamedTuple):
+    """Rows sum_k values[r, k] x[columns[r, k]] + constants[r], in cones of a dimension.
+
+    Attributes:
+        columns: shape (r, k) or (k,) for all rows alike; -1 where there is no entry.
+        values: shape (r, k) or (k,) for all rows alike.
+        constants: shape (r,).
+        dimension: of the second-order cones; 1 for the non-negative and 0 for the zero cone.
+    """
+
+    columns: Indices
+    values: Array
+    constants: Array
+    dimension: int
+
+
+class DirectSubproblem(Subproblem):
+    """A condensed formulation of P3 or P2 around an iterate.
+
+    Args:
+        problem: the flyby problem.
+        rows: its state constraints, those of P3 or of P2.
+        formulation: a key of `CONDENSATIONS`.
+        solver: a key of `interior_point.SOLVERS`.
+        penalty: how violations and steps are charged.
+    """
+
+    def __init__(
+        self,
+        problem: FlybyProblem,
+        rows: Rows,
+        formulation: str = "condensed",
+        solver: str = "CLARABEL",
+        penalty: Penalty = "exact",
+    ) -> None:
+        super().__init__(problem, rows)
+        self._condense, self._penalty = CONDENSATIONS[formulation], penalty
+        self._solver = SOLVERS[solver]()
+        m = problem.n_burns
+        ends = np.cumsum([3 * m, m, 6, 3 * m + rows.count])
+        self._z, self._t, self._a, self._v = (
+            np.arange(first, last) for first, last in zip([0, *ends], ends, strict=False)
+        )
+        self._pattern: _Pattern | None = None
+
+    def update(self, lin: Linearisation) -> None:
+        """Convexify at an iterate. Raises as `Subproblem.update` does."""
+        try:
+            s = self._condense(lin, self.rows.nodes, factor=self.rows.with_factor)
+        except LinearisationError as error:
+            raise SubproblemError(str(error)) from error
+        self._burns, self._cones = lin.iterate.burns, self.rows.cones(lin, s)
+        constant, jacobian = final_state_map(lin)
+        self._miss = constant - self.problem.final_state, jacobian
+
+    def solve(self, radius: float, charge: float | Charge) -> Step:
+        """See `Subproblem.solve`."""
+        start = perf_counter()
+        charge = charge if isinstance(charge, Charge) else Charge(charge)
+        blocks = sorted(self._blocks(radius), key=lambda block: block.dimension)
+        if self._pattern is None:
+            self._pattern = _Pattern(blocks, int(self._v[-1]) + 1)
+        cost, quadratic = self._objective(charge)
+        program = self._pattern.program(blocks, cost, quadratic)
+        try:
+            answer = self._solver.solve(program)
+        except ValueError as error:
+            raise SubproblemError(str(error)) from error
+        x = answer.x
+        if not np.all(np.isfinite(x)):
+            raise SubproblemError("the conic solver gave no finite burns")
+        if self._penalty == "proximal":  # whose charge for the step is no part of the merit
+            cost[self._z] = quadratic[self._z] = 0.0
+        merit = float(cost @ x + 0.5 * quadratic @ x**2)
+        other = perf_counter() - start - answer.solver_s
+        burns = x[self._z].reshape(-1, 3)
+        return Step(burns, merit, answer.solver_s, other, answer.accurate)
+
+    def _objective(self, charge: Charge) -> tuple[Array, Array]:
+        """Linear cost and the diagonal of the quadratic one."""
+        cost, quadratic = np.zeros(self._v[-1] + 1), np.zeros(self._v[-1] + 1)
+        cost[self._t] = 1.0
+        charged = np.concatenate([self._a, self._v])
+        if self._penalty == "augmented":
+            cost[charged], quadratic[charged] = charge.multipliers, charge.weight
+            return cost, quadratic
+        cost[self._a], cost[self._v] = DYNAMICS_WEIGHT * charge.weight, charge.weight
+        if self._penalty == "proximal":
+            quadratic[self._z] = charge.prox
+            cost[self._z] = -charge.prox * self._burns.ravel()
+        return cost, quadratic
+
+    def _blocks(self, radius: float) -> Iterator[Block]:
+        """The constraints, convexified at the iterate."""
+        problem, z, v = self.problem, self._z, self._v
+        m = problem.n_burns
+        at, one = self._burns.ravel(), np.ones(1)
+        yield Block(z[:, None], -one, radius + at, 1)
+        yield Block(z[:, None], one, radius - at, 1)
+        size = np.stack([self._t, v[:m]], axis=1)
+        yield Block(size, np.array([-1.0, 1.0]), np.full(m, problem.dv_max), 1)
+        normals = self.burn_planes(self._burns, radius).reshape(-1, 3)
+        column = np.concatenate([np.tile(z.reshape(m, 3), (2, 1)), v[m : 3 * m, None]], axis=1)
+        values = np.concatenate([normals, np.ones((2 * m, 1))], axis=1)
+        yield Block(column, values, np.zeros(2 * m), 1)
+        yield Block(v[:, None], one, np.zeros(len(v)), 1)
+        yield from self._miss_blocks()
+        # (t, z) of each burn; then the rows.
+        columns = np.concatenate([self._t[:, None], z.reshape(m, 3)], axis=1)
+        yield Block(columns.reshape(-1, 1), one, np.zeros(4 * m), 4)
+        for cones in self._cones:
+            yield self._row_block(cones)
+
+    def _miss_blocks(self) -> Iterator[Block]:
+        constant, jacobian = self._miss
+        columns = np.concatenate([np.tile(self._z, (6, 1)), self._a[:, None]], axis=1)
+        if self._penalty == "augmented":
+            yield Block(columns, np.hstack([jacobian, -np.ones((6, 1))]), constant, 0)
+            return
+        for sign in (1.0, -1.0):
+            values = np.hstack([sign * jacobian, np.ones((6, 1))])
+            yield Block(columns, values, sign * constant, 1)
+
+    def _row_block(self, cones: Cones) -> Block:
+        n, d, p = cones.values.shape
+        columns = np.full((n, d, p + 1), -1)
+        columns[:, :, :p] = self._z[:p]
+        columns[:, 0, p] = self._v[3 * self.problem.n_burns + cones.rows]
+        if cones.triangular:
+            row, column = np.tril_indices(d - 1, -1, p)
+            columns[:, 1 + row, column] = -1
+        values = np.concatenate([cones.values, np.ones((n, d, 1))], axis=2)
+        columns, values = columns.reshape(n * d, -1), values.reshape(n * d, -1)
+        return Block(columns, values, cones.constants.ravel(), d)
+
+
+class _Pattern:
+    """The constant sparsity of a program whose blocks come in order of their dimension."""
+
+    def __init__(self, blocks: list[Block], variables: int) -> None:
+        rows, columns, self._present = [], [], []
+        first = 0
+        for block in blocks:
+            shape = len(block.constants), block.columns.shape[-1]
+            column = np.broadcast_to(block.columns, shape)
+            present = column >= 0
+            rows.append(first + np.nonzero(present)[0])
+            columns.append(column[present])
+            self._present.append(present)
+            first += len(block.constants)
+        row, column = np.concatenate(rows), np.concatenate(columns)
+        self._order = np.lexsort((row, column))
+        starts = np.searchsorted(column[self._order], np.arange(variables + 1))
+        self._row, self._starts = row[self._order].astype(np.int32), starts.astype(np.int32)
+        self._shape = first, variables
+        count = {dim: sum(len(b.constants) for b in blocks if b.dimension == dim) for dim in (0, 1)}
+        self._zero, self._nonnegative = count[0], count[1]
+        self._second_order = tuple(
+            dim
+            for dim, size in ((b.dimension, len(b.constants)) for b in blocks)
+            if dim > 1
+            for _ in range(size // dim)
+        )
+        self._curved: npt.NDArray[np.int32] | None = None
+
+    def program(self, blocks: list[Block], cost: Array, quadratic: Array) -> ConeProgram:
+        """Fill in the numbers."""
+        values = [
+            np.broadcast_to(block.values, present.shape)[present]
+            for block, present in zip(blocks, self._present, strict=True)
+        ]
+        data = -np.concatenate(values)[self._order]
+        if self._curved is None:
+            self._curved = np.flatnonzero(quadratic).astype(np.int32)
+        starts = np.searchsorted(self._curved, np.arange(len(cost) + 1)).astype(np.int32)
+        return ConeProgram(
+            sp.csc_array((quadratic[self._curved], self._curved, starts), shape=(len(cost),) * 2),
+            cost,
+            sp.csc_array((data, self._row, self._starts), shape=self._shape),
+            np.concatenate([block.constants for block in blocks]),
+            self._zero,
+            self._nonnegative,
+            self._second_order,
+        )

@@ -1,0 +1,214 @@
+"""What goes to the conic solver directly is the program that CVXPY writes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+
+from formulations import conic, interior_point
+from formulations.condensations import CONDENSATIONS
+from formulations.direct import DirectSubproblem
+from formulations.facets import Facets, Polytopes, choose_facets
+from formulations.interior_point import SOLVERS, Answer, ConeProgram
+from formulations.lifting import Linearisation, condense
+from formulations.modelled import ModelledSubproblem
+from formulations.penalty import Charge, Penalty
+from formulations.polytopes import ball
+from formulations.rows import P2Rows, P3Rows, Rows
+from formulations.subproblem import Subproblem, SubproblemError
+from tests.helpers import Array, constrain, generators, random_flyby
+
+PENALTIES: tuple[Penalty, ...] = get_args(Penalty)
+TIGHT = 1e-11
+"""Of the conic solver, where two programs for the same problem are compared and not its accuracy."""
+
+
+@pytest.fixture(autouse=True)
+def tight(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(interior_point, "TOLERANCE", TIGHT)
+    settings_ = dict.fromkeys(conic.SETTINGS["CLARABEL"], TIGHT)
+    monkeypatch.setitem(conic.SETTINGS, "CLARABEL", settings_)
+
+
+def linearised(rng: np.random.Generator, keeps: tuple[str, ...] = ("in", "out")) -> Linearisation:
+    """A random flyby of four burns with constraints after each of them."""
+    flyby = constrain(rng, random_flyby(rng, nodes=8, burns=4), keeps)
+    return flyby.perturbed(rng, 0.1, 0.05)
+
+
+def every_row(lin: Linearisation, name: str) -> Rows:
+    if name == "P3":
+        return P3Rows(lin.problem)
+    facets = choose_facets(lin.problem, Polytopes(ball(8), 4), lin.iterate.mean, lin.factor)
+    return P2Rows(lin.problem, facets, np.ones(len(facets.node), dtype=np.bool_))
+
+
+def charge_for(penalty: Penalty, rows: Rows, lin: Linearisation) -> Charge:
+    if penalty == "augmented":
+        count = 6 + 3 * lin.problem.n_burns + rows.count
+        return Charge(20.0, multipliers=np.linspace(0.0, 2.0, count))
+    return Charge(10.0, prox=0.7 if penalty == "proximal" else 0.0)
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("formulation", CONDENSATIONS)
+@settings(max_examples=5)
+@given(generators)
+def test_the_direct_program_has_the_modelled_programs_solution(
+    formulation: str, name: str, penalty: Penalty, rng: np.random.Generator
+) -> None:
+    lin = linearised(rng)
+    rows = every_row(lin, name)
+    charge, steps = charge_for(penalty, rows, lin), []
+    for kind in (DirectSubproblem, ModelledSubproblem):
+        subproblem = kind(lin.problem, rows, formulation, penalty=penalty)
+        subproblem.update(lin)
+        steps.append(subproblem.solve(0.8, charge))
+    # A minimum is known better than where it is; the proximal term is part of what is minimised.
+    proximal = [0.5 * charge.prox * ((s.burns - lin.iterate.burns) ** 2).sum() for s in steps]
+    direct, modelled = (step.merit + extra for step, extra in zip(steps, proximal, strict=True))
+    assert direct == pytest.approx(modelled, rel=1e-7)
+    assert steps[0].burns == pytest.approx(steps[1].burns, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+def test_an_updated_program_is_a_new_one(name: str) -> None:
+    """The solver keeps its factorisation's pattern; nothing else may be left of the last numbers."""
+    rng = np.random.default_rng(2)
+    first = linearised(rng)
+    moved = replace(first.iterate, burns=first.iterate.burns + 0.05 * rng.normal(size=(4, 3)))
+    flyby = Linearisation(first.problem, moved, first.arcs)
+    rows = every_row(first, name)
+    used, fresh = (DirectSubproblem(first.problem, rows) for _ in range(2))
+    used.update(first)
+    used.solve(0.3, 5.0)
+    for subproblem in (used, fresh):
+        subproblem.update(flyby)
+    assert used.solve(0.8, 10.0).merit == pytest.approx(fresh.solve(0.8, 10.0).merit, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("penalty", PENALTIES)
+def test_conic_solvers_agree(name: str, penalty: Penalty) -> None:
+    pytest.importorskip("qoco", reason="QOCO is not installed")
+    lin = linearised(np.random.default_rng(4))
+    rows = every_row(lin, name)
+    merits = []
+    for solver in SOLVERS:
+        subproblem = DirectSubproblem(lin.problem, rows, solver=solver, penalty=penalty)
+        for radius in (0.1, 0.8):  # built, then updated
+            subproblem.update(lin)
+            merits.append(subproblem.solve(radius, charge_for(penalty, rows, lin)).merit)
+    assert merits[2:] == pytest.approx(merits[:2], rel=1e-6)
+
+
+# --- reductions leave the solution unchanged ----------------------------------------------------
+
+
+@given(generators)
+def test_triangular_factors_preserve_every_facets_deviation(rng: np.random.Generator) -> None:
+    lin = linearised(rng, ("in",))
+    rows = every_row(lin, "P2")
+    assert isinstance(rows, P2Rows)
+    s = condense(lin, rows.nodes)
+    z = lin.iterate.burns.ravel() + 0.3 * rng.normal(size=12)
+    carried = rows.carried
+    at = np.searchsorted(rows.nodes, carried.node)
+    mean = s.mean_constant[at, :3] + s.mean_jacobian[at, :3] @ z
+    factor = s.factor_constant[at, :3] + s.factor_jacobian[at, :3] @ z
+    deviation = np.linalg.norm(np.einsum("mi,mic->mc", carried.normal, factor), axis=1)
+    room = carried.offset - np.einsum("mi,mi->m", carried.normal, mean)
+    seen = np.zeros(rows.count, dtype=int)
+    for cones in rows.cones(lin, s):
+        p = cones.values.shape[2]
+        y = cones.values @ z[:p] + cones.constants
+        seen[cones.rows] += 1
+        assert y[:, 0] == pytest.approx(room[cones.rows], rel=1e-9, abs=1e-9)
+        spread = np.abs(carried.quantile[cones.rows]) * deviation[cones.rows]
+        assert np.linalg.norm(y[:, 1:], axis=1) == pytest.approx(spread, rel=1e-9, abs=1e-12)
+        assert not np.any(np.tril(cones.values[:, 1:], -1))
+    assert np.all(seen == 1)
+
+
+def test_facets_that_cannot_bind_may_be_left_out() -> None:
+    lin = linearised(np.random.default_rng(7))
+    every = every_row(lin, "P2")
+    assert isinstance(every, P2Rows)
+    steps = []
+    for rows in (every, P2Rows(lin.problem, every.facets, binding(lin, every.facets))):
+        subproblem = DirectSubproblem(lin.problem, rows)
+        subproblem.update(lin)
+        steps.append(subproblem.solve(0.05, 10.0))
+    assert steps[1].merit == pytest.approx(steps[0].merit, rel=1e-7)
+
+
+def binding(lin: Linearisation, facets: Facets) -> Array:
+    """Those that any step of the trust region brings within reach."""
+    s = condense(lin)
+    worst = np.full(len(facets.node), np.inf)
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        z = lin.iterate.burns.ravel() + 0.05 * rng.choice([-1.0, 1.0], size=12)
+        mean = s.mean_constant + s.mean_jacobian @ z
+        factor = s.factor_constant + s.factor_jacobian @ z
+        worst = np.minimum(worst, facets.margin(mean, factor))
+    keep = worst < 0.0
+    assert 0 < keep.sum() < len(keep)
+    return keep
+
+
+# --- failures -----------------------------------------------------------------------------------
+
+
+class Broken:
+    """A conic solver with a bad answer."""
+
+    def __init__(self, answer: Callable[[ConeProgram], Answer]) -> None:
+        self.solve = answer
+
+
+def broken(answer: Callable[[ConeProgram], Answer], monkeypatch: pytest.MonkeyPatch) -> Subproblem:
+    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Broken(answer))
+    lin = linearised(np.random.default_rng(1))
+    subproblem = DirectSubproblem(lin.problem, P3Rows(lin.problem))
+    subproblem.update(lin)
+    return subproblem
+
+
+def test_a_solver_that_fails_raises_our_own_error_with_its_words(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(_: ConeProgram) -> Answer:
+        raise ValueError("it broke down")
+
+    with pytest.raises(SubproblemError, match="it broke down"):
+        broken(fail, monkeypatch).solve(1.0, 10.0)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_solver_without_a_finite_answer_raises_our_own_error(
+    value: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def answer(program: ConeProgram) -> Answer:
+        return Answer(np.full(len(program.cost), value), "Solved", True, 0.0)
+
+    with pytest.raises(SubproblemError, match="no finite burns"):
+        broken(answer, monkeypatch).solve(1.0, 10.0)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_program_without_a_solution_has_no_answer(solver: str) -> None:
+    if solver == "QOCO":
+        pytest.importorskip("qoco", reason="QOCO is not installed")
+    empty = sp.csc_array((1, 1))
+    matrix = sp.csc_array(np.array([[1.0], [-1.0]]))
+    program = ConeProgram(empty, np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
+    with pytest.raises(ValueError, match=f"{solver} ended with status"):
+        SOLVERS[solver]().solve(program)
