@@ -30,6 +30,14 @@ def _off_centre(position: Vector) -> Vector:
     return position
 
 
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be printable characters on one line")
+    return text
+
+
+Text = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
+"""What may go to a terminal: no line breaks, no control sequences."""
 NonZeroVector = Annotated[Vector, AfterValidator(_not_zero)]
 OffCentre = Annotated[Vector, AfterValidator(_off_centre)]
 Positive = Annotated[float, Field(gt=0)]
@@ -62,7 +70,7 @@ class Epoch(Section):
 class Body(Section):
     """The asteroid: gravity and IAU rotation."""
 
-    name: str
+    name: Text
     gm_m3_s2: Positive
     j2: float
     reference_radius_m: Positive
@@ -84,7 +92,7 @@ class Sun(Section):
 class SiteSection(Section):
     """What is observed; body-fixed."""
 
-    name: str
+    name: Text
     position_body_m: Vector
     normal_body: NonZeroVector
 
@@ -196,7 +204,7 @@ class Grid(Section):
 class Scenario(Section):
     """Everything that defines a planning problem."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Text
     epoch: Epoch
     body: Body
     sun: Sun
