@@ -36,8 +36,9 @@ def _printable(text: str) -> str:
     return text
 
 
-Text = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
+Line = Annotated[str, AfterValidator(_printable)]
 """What may go to a terminal: no line breaks, no control sequences."""
+Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
 NonZeroVector = Annotated[Vector, AfterValidator(_not_zero)]
 OffCentre = Annotated[Vector, AfterValidator(_off_centre)]
 Positive = Annotated[float, Field(gt=0)]
@@ -70,7 +71,7 @@ class Epoch(Section):
 class Body(Section):
     """The asteroid: gravity and IAU rotation."""
 
-    name: Text
+    name: Name
     gm_m3_s2: Positive
     j2: float
     reference_radius_m: Positive
@@ -92,7 +93,7 @@ class Sun(Section):
 class SiteSection(Section):
     """What is observed; body-fixed."""
 
-    name: Text
+    name: Name
     position_body_m: Vector
     normal_body: NonZeroVector
 
@@ -204,7 +205,7 @@ class Grid(Section):
 class Scenario(Section):
     """Everything that defines a planning problem."""
 
-    name: Text
+    name: Name
     epoch: Epoch
     body: Body
     sun: Sun
