@@ -12,6 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from formulations.problem import Iterate
 from scp_recon.errors import InputError
+from scp_recon.files import read_text
 from scp_recon.flow import propagate
 from scp_recon.forces import acceleration
 from scp_recon.mission import Mission
@@ -116,7 +117,8 @@ def from_table(mission: Mission, path: Path) -> Iterate:
     Burns are what the planner's arcs miss at the firing times, those of the boundary included.
 
     Raises:
-        InputError: if the table cannot be read, is not ascending or does not cover the flight.
+        InputError: if the table cannot be read, is not ascending, does not cover the flight or is
+            plainly not in metres and seconds.
     """
     table = _read_table(path)
     time, states = table[:, 0], table[:, 1:]
@@ -129,6 +131,7 @@ def from_table(mission: Mission, path: Path) -> Iterate:
             f"{time[0]:g} to {time[-1]:g} s",
             f"must cover the flight, 0 to {end:g} s",
         )
+    _check_units(mission, path, time, states)
     position = CubicHermiteSpline(time, states[:, :3], states[:, 3:])
     nodes = np.concatenate(
         [position(mission.times_s), position.derivative()(mission.times_s)], axis=1
@@ -142,18 +145,43 @@ def from_table(mission: Mission, path: Path) -> Iterate:
     return _scaled(mission, after[:, 3:] - before[:, 3:], nodes)
 
 
+UNITS_RATIO_MAX = 30.0
+"""Kilometres are a thousand metres; trajectories of one flight differ by far less than its root."""
+
+
+def _check_units(mission: Mission, path: Path, time: Array, states: Array) -> None:
+    """Refuse a table whose magnitudes cannot be those of the flight in metres and seconds.
+
+    Its distances are held against the flight's, and its velocities against its own positions.
+    """
+    distance = np.median(np.linalg.norm(states[:, :3], axis=1))
+    ends = np.linalg.norm([mission.initial_state[:3], mission.final_state[:3]], axis=1)
+    if not ends.min() / UNITS_RATIO_MAX <= distance <= ends.max() * UNITS_RATIO_MAX:
+        raise InputError(
+            f"--init {path}",
+            f"positions about {distance:.3g} from the centre",
+            f"must be in metres: the flight is {ends.min():.3g} to {ends.max():.3g} m from it",
+        )
+    path_speed = np.linalg.norm(np.diff(states[:, :3], axis=0), axis=1) / np.diff(time)
+    speed, moved = np.median(np.linalg.norm(states[:, 3:], axis=1)), np.median(path_speed)
+    if not moved / UNITS_RATIO_MAX <= speed <= moved * UNITS_RATIO_MAX:
+        raise InputError(
+            f"--init {path}",
+            f"velocities about {speed:.3g}",
+            f"must be in metres per second: the positions move at {moved:.3g} m/s",
+        )
+
+
 def _read_table(path: Path) -> Array:
+    text = read_text(path, f"--init {path}", "file")
     try:
-        lines = [x for x in path.read_text(encoding="utf-8").splitlines() if not x.startswith("#")]
+        lines = [line for line in text.splitlines() if not line.startswith("#")]
         reader = csv.DictReader(lines)
         given = list(reader.fieldnames or [])
         names = [name for pair in COLUMNS.items() for name in pair if name in given]
         missing = [long for short, long in COLUMNS.items() if (short in given) == (long in given)]
         table = np.array([[float(row[name]) for name in names] for row in reader])
-    except OSError as error:
-        reason = (error.strerror or "unreadable").lower()
-        raise InputError(f"--init {path}", reason, "must be a readable file") from None
-    except (UnicodeDecodeError, ValueError, TypeError, csv.Error) as error:
+    except (ValueError, TypeError, csv.Error) as error:
         raise InputError(f"--init {path}", str(error), "must be a table of numbers") from None
     if missing or not len(table) or not np.all(np.isfinite(table)):
         raise InputError(

@@ -16,12 +16,12 @@ from rich.table import Table
 from scipy.stats import chi2, normaltest
 
 from scp_recon.campaign import Campaign, Setting, fly_campaign
+from scp_recon.command import guarded
 from scp_recon.errors import InputError
 from scp_recon.estimates import CONFIDENCE, Estimate, Tally, proportion
 from scp_recon.mission import Mission
 from scp_recon.observing import ALL
 from scp_recon.solution import Solution, read_solution, write_atomically
-from scp_recon.status import Status
 
 SCHEMA = "scp_recon.montecarlo/1"
 FILE_NAME = "montecarlo.json"
@@ -99,22 +99,25 @@ def _terminal(campaign: Campaign, solution: Solution) -> dict[str, Any]:
 
     The ratio of a sampled to the true variance is chi-squared over its degrees of freedom if the
     state is normal, which gives the interval of the ratio of the sigmas. Normality is tested by
-    D'Agostino and Pearson's test; the quantiles are those of the standardised components.
+    D'Agostino and Pearson's test; the quantiles are those of the standardised components. A
+    component without spread is left out.
     """
-    n = campaign.samples
-    predicted = np.array(solution.nodes.covariance[-1])
-    ratios = np.sqrt(np.diag(campaign.terminal_covariance()) / np.diag(predicted))
+    n, kept = campaign.samples, campaign.terminal
+    predicted = np.diag(np.array(solution.nodes.covariance[-1]))
+    spread = np.flatnonzero((predicted > 0.0) & (kept.std(axis=0) > 0.0))
+    ratios = np.sqrt(np.diag(campaign.terminal_covariance())[spread] / predicted[spread])
     tails = [
         float(chi2.ppf(p, n - 1)) / (n - 1)
         for p in (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
     ]
-    kept = campaign.terminal
     levels = (np.arange(1, 100) / 100.0).tolist()
+    kept = kept[:, spread]
     standard = (kept - kept.mean(axis=0)) / kept.std(axis=0, ddof=1)
+    names = [COMPONENTS[i] for i in spread]
     return {
         "sigma_ratio": {
             name: {"value": r, "low": r / np.sqrt(tails[0]), "high": r / np.sqrt(tails[1])}
-            for name, r in zip(COMPONENTS, ratios.tolist(), strict=True)
+            for name, r in zip(names, ratios.tolist(), strict=True)
         },
         "normality": {
             name: {
@@ -123,7 +126,7 @@ def _terminal(campaign: Campaign, solution: Solution) -> dict[str, Any]:
                 "levels": levels,
                 "quantiles": np.quantile(standard[:, i], levels).tolist(),
             }
-            for i, name in enumerate(COMPONENTS)
+            for i, name in enumerate(names)
         },
     }
 
@@ -171,6 +174,9 @@ def show(console: Console, report: dict[str, Any]) -> None:
             )
     worst = _shown(report["closest_m"]["worst"], 1)
     console.print(f"closest approach, 0.3 % quantile: {worst} m", highlight=False)
+    if not report["terminal"]["sigma_ratio"]:
+        console.print("final state: no component spreads", highlight=False)
+        return
     ratios = ", ".join(
         f"{name} {_shown(r, 3)}" for name, r in report["terminal"]["sigma_ratio"].items()
     )
@@ -254,42 +260,41 @@ def _width(text: str) -> float:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = parser().parse_args(arguments)
-    console, errors = Console(), Console(stderr=True)
+    return guarded(lambda console: _fly(options, console))
+
+
+def _fly(options: argparse.Namespace, console: Console) -> int:
+    solution = read_solution(options.solution)
+    setting = Setting(
+        Mission.from_scenario(solution.scenario),
+        solution.burns_m_s,
+        options.seed,
+        options.truth,
+        options.errors,
+    )
+    bar = Progress(
+        "flights",
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
+    with bar:
+        task = bar.add_task("flights", total=options.samples)
+        campaign = fly_campaign(
+            setting,
+            samples=options.samples,
+            until=options.until,
+            workers=options.workers,
+            progress=lambda done: bar.update(task, completed=done),
+        )
+    report = summarise(campaign, solution)
+    folder = options.solution if options.solution.is_dir() else options.solution.parent
     try:
-        solution = read_solution(options.solution)
-        setting = Setting(
-            Mission.from_scenario(solution.scenario),
-            solution.burns_m_s,
-            options.seed,
-            options.truth,
-            options.errors,
-        )
-        bar = Progress(
-            "flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), console=errors
-        )
-        with bar:
-            task = bar.add_task("flights", total=options.samples)
-            campaign = fly_campaign(
-                setting,
-                samples=options.samples,
-                until=options.until,
-                workers=options.workers,
-                progress=lambda done: bar.update(task, completed=done),
-            )
-        report = summarise(campaign, solution)
-        folder = options.solution if options.solution.is_dir() else options.solution.parent
-        path = write_atomically(folder / FILE_NAME, json.dumps(report) + "\n")
-    except InputError as error:
-        errors.print(f"error: {error}", style="red", markup=False, highlight=False)
-        return 2
+        path = write_atomically(folder / FILE_NAME, json.dumps(report, allow_nan=False) + "\n")
     except OSError as error:
-        errors.print(
-            f"error: cannot write beside {options.solution}: {error.strerror}", style="red"
-        )
-        return 2
-    except KeyboardInterrupt:
-        errors.print("interrupted, nothing written", style="red")
-        return Status.INTERRUPTED.value.exit_code
+        reason = (error.strerror or "unwritable").lower()
+        raise InputError(f"folder {folder}", reason, "must be a folder to write to") from None
     show(console, report)
     console.print(f"written: {path}", markup=False, highlight=False)
     return 0

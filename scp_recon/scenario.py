@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from scp_recon.errors import InputError
+from scp_recon.files import read_text
 from scp_recon.scenario_problems import input_error
 from scp_recon.scenario_schema import Scenario
 
@@ -56,11 +57,9 @@ def _packaged(name: str) -> dict[str, Any]:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    text = read_text(path, f"scenario {path}", "scenario file in TOML")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = error.strerror or "unreadable"
-        raise InputError(f"scenario {path}", reason.lower(), "must be a readable file") from None
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(
             f"scenario {path}", f"no TOML ({_short(error)})", "must be a scenario file"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, get_args
 
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
@@ -12,13 +13,18 @@ from scp_recon.errors import InputError
 from scp_recon.scenario_schema import Scenario
 
 MAX_PROBLEMS_SHOWN, SHOWN = 5, 80
+INTEGER_BRANCHES = ("int", "constrained-int")
+"""What Pydantic calls the whole-number alternative of an entry."""
 
 
 def input_error(error: ValidationError) -> InputError:
     """One message for everything that is wrong, the first problem giving the entry."""
     allowed: dict[tuple[str, str], list[str]] = {}
-    for problem in error.errors(include_url=False):
-        entry, given, rule = _describe(dict(problem))
+    problems = [dict(problem) for problem in error.errors(include_url=False)]
+    for problem in problems:
+        if _follows_from_another(problem, problems):
+            continue
+        entry, given, rule = _describe(problem)
         rules = allowed.setdefault((entry, given), [])
         if rule not in rules:
             rules.append(rule)
@@ -36,44 +42,101 @@ def _describe(problem: dict[str, Any]) -> tuple[str, str, str]:
         location = list(problem["loc"])
         return ".".join(map(str, location)) or "scenario", "an unknown entry", _suggestion(location)
     location = [part for part in problem["loc"] if not _is_union_branch(part)]
+    if kind == "missing" and isinstance(location[-1], int):  # of a list of fixed length
+        location = location[:-1]
     entry = ".".join(map(str, location)) or "scenario"
-    if kind == "missing":
+    if kind == "missing" and not isinstance(problem["loc"][-1], int):
         return entry, "nothing", "this entry is required (or name a base)"
     given = "these values" if isinstance(problem["input"], dict) else _shown(problem["input"])
-    bounds = _bounds(location) if kind.startswith(("greater_than", "less_than")) else ""
-    message = bounds or problem["msg"].removeprefix("Value error, ")
-    message = message.removeprefix("Input should be ").replace("an object", "a table")
+    message = _rule(problem, location)
     return entry, given, message if "must" in message else f"must be {message}"
+
+
+def _follows_from_another(problem: dict[str, Any], problems: list[dict[str, Any]]) -> bool:
+    """Whether a list is only too short because of an item that is wrong itself."""
+    depth = len(problem["loc"])
+    return problem["type"] == "too_short" and any(
+        len(other["loc"]) > depth and other["loc"][:depth] == problem["loc"] for other in problems
+    )
+
+
+WORDS = {
+    "string_type": "text",
+    "string_too_short": "text that is not empty",
+    "string_too_long": "text of at most 200 characters",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "model_type": "a table",
+    "tuple_type": "a list",
+    "datetime_type": "a date and time such as 2020-01-21T20:33:17.184",
+    "datetime_parsing": "a date and time such as 2020-01-21T20:33:17.184",
+    "datetime_from_date_parsing": "a date and time such as 2020-01-21T20:33:17.184",
+}
+"""What is allowed, by the type of Pydantic's error."""
+
+
+def _rule(problem: dict[str, Any], location: list[str | int]) -> str:
+    """What is allowed at a location."""
+    kind, context = problem["type"], problem.get("ctx", {})
+    if kind == "too_short":
+        return f"must have at least {context['min_length']} items"
+    if kind in ("too_long", "missing"):
+        length = _fixed_length(location)
+        return f"must have {length or 'at most ' + str(context['max_length'])} items"
+    if problem["loc"][-1] in INTEGER_BRANCHES:
+        return f"a whole number, {_bounds(location)}"
+    if kind.startswith(("greater_than", "less_than")):
+        return _bounds(location)
+    message: str = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return WORDS.get(kind, message)
 
 
 def _is_union_branch(part: str | int) -> bool:
     """Pydantic names the branch of a union in the location; the user did not write it."""
-    return isinstance(part, str) and (
-        part.startswith("literal[") or part in ("int", "constrained-int")
-    )
+    return isinstance(part, str) and (part.startswith("literal[") or part in INTEGER_BRANCHES)
 
 
 def _field(location: list[str | int]) -> FieldInfo | None:
-    """The scenario's field at a location, if it is a plain one."""
+    """The scenario's field at a location, or that of the list which the location is in."""
     model: Any = Scenario
     field = None
     for part in location:
-        field = getattr(model, "model_fields", {}).get(part)
-        model = field.annotation if field else None
+        if isinstance(part, str):
+            field = getattr(model, "model_fields", {}).get(part)
+            model = field.annotation if field else None
     return field
 
 
+def _declared(annotation: object) -> Iterator[object]:
+    """Everything that a type is annotated with, in its items and its alternatives too."""
+    for part in getattr(annotation, "__metadata__", ()):
+        yield from getattr(part, "metadata", ())
+    for inner in get_args(annotation):
+        yield from _declared(inner)
+
+
 def _bounds(location: list[str | int]) -> str:
-    """Both ends of a field's range, where one end alone was broken."""
+    """Both ends of an entry's range, where one end alone was broken."""
     words = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at most"}
     field = _field(location)
+    declared = [*field.metadata, *_declared(field.annotation)] if field else []
     rules = [
         f"{words[name]} {getattr(rule, name):g}"
-        for rule in (field.metadata if field else [])
+        for rule in declared
         for name in words
         if hasattr(rule, name)
     ]
     return " and ".join(rules)
+
+
+def _fixed_length(location: list[str | int]) -> int | None:
+    """Items of a list whose number is fixed."""
+    field = _field(location)
+    for kind in (field.annotation, *get_args(field.annotation)) if field else ():
+        items = get_args(kind) if getattr(kind, "__origin__", None) is tuple else ()
+        if items and items[-1] is not Ellipsis:
+            return len(items)
+    return None
 
 
 def _suggestion(location: list[str | int]) -> str:

@@ -30,6 +30,15 @@ def _off_centre(position: Vector) -> Vector:
     return position
 
 
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be printable characters on one line")
+    return text
+
+
+Line = Annotated[str, AfterValidator(_printable)]
+"""What may go to a terminal: no line breaks, no control sequences."""
+Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
 NonZeroVector = Annotated[Vector, AfterValidator(_not_zero)]
 OffCentre = Annotated[Vector, AfterValidator(_off_centre)]
 Positive = Annotated[float, Field(gt=0)]
@@ -62,7 +71,7 @@ class Epoch(Section):
 class Body(Section):
     """The asteroid: gravity and IAU rotation."""
 
-    name: str
+    name: Name
     gm_m3_s2: Positive
     j2: float
     reference_radius_m: Positive
@@ -84,7 +93,7 @@ class Sun(Section):
 class SiteSection(Section):
     """What is observed; body-fixed."""
 
-    name: str
+    name: Name
     position_body_m: Vector
     normal_body: NonZeroVector
 
@@ -196,7 +205,7 @@ class Grid(Section):
 class Scenario(Section):
     """Everything that defines a planning problem."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     epoch: Epoch
     body: Body
     sun: Sun

@@ -18,7 +18,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from scp_recon.errors import InputError
-from scp_recon.scenario_schema import Scenario
+from scp_recon.files import read_text
+from scp_recon.scenario_schema import Line, Scenario
 from scp_recon.status import Status
 
 SCHEMA = "scp_recon.solution/1"
@@ -63,8 +64,8 @@ class Nodes(Part):
 class StageSummary(Part):
     """One run of the SCP."""
 
-    name: str
-    status: str
+    name: Line
+    status: Line
     total_dv_m_s: float
     iterations: int
 
@@ -76,7 +77,7 @@ class ConstraintResult(Part):
     quantile times the standard deviation; in P3 the mean's distance to the region.
     """
 
-    name: str
+    name: Line
     kind: Literal["keep_in", "keep_out", "burn"]
     worst_margin_m_or_rad: float
     unit: Literal["m", "m/s"]
@@ -97,13 +98,13 @@ class Violation(Part):
 
     max: float
     total: float
-    by_constraint: dict[str, ViolationAmount]
+    by_constraint: dict[Line, ViolationAmount]
 
 
 class IterationRecord(Part):
     """One SCP iteration: merits in m/s, radius in m/s, violation and defect in m."""
 
-    stage: str
+    stage: Line
     k: int
     merit: float
     predicted: float
@@ -173,13 +174,13 @@ class Solution(Part):
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-    status: str
-    message: str
+    status: Line
+    message: Line
     problem: Literal["P3", "P2"]
     init: str
-    formulation: str
-    algorithm: str
-    solver: str
+    formulation: Line
+    algorithm: Line
+    solver: Line
     total_dv_m_s: float
     burns: list[Burn]
     nodes: Nodes
@@ -243,12 +244,10 @@ def read_solution(path: Path) -> Solution:
         InputError: if there is none, it is of another version or it is damaged.
     """
     file = path / FILE_NAME if path.is_dir() else path
+    text = read_text(file, f"solution {file}", "solution file in JSON")
     try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = (error.strerror or "unreadable").lower()
-        raise InputError(f"solution {file}", reason, "must be a readable solution file") from None
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        data = json.loads(text)
+    except (ValueError, RecursionError) as error:
         raise InputError(
             f"solution {file}", f"no JSON ({error})", "must be a solution file"
         ) from None

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from pydantic import ValidationError
 from rich.console import Console
@@ -13,17 +14,17 @@ from rich.console import Console
 from formulations.formulations import FORMULATIONS
 from formulations.problem import Iterate
 from scp_recon import guess, report
+from scp_recon.command import NOT_VERIFIED, guarded
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.planner import Observer, Plan, plan
 from scp_recon.results import make_solution
 from scp_recon.scenario import base_names, load_scenario, validate_scenario
 from scp_recon.scenario_schema import Scenario
-from scp_recon.solution import Solution, read_solution, write_atomically
+from scp_recon.solution import Solution, read_solution
 from scp_recon.status import Status
 from scp_recon.verification import verify
 
-BAD_INPUT, NOT_VERIFIED = 2, 4
 Planning = Callable[[Mission, Iterate, Observer], Plan]
 
 
@@ -47,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--init",
         default="cold",
+        type=_start,
         metavar="cold|warm|FILE",
         help="straight line; ballistic arc; a solution file (and its scenario, unless --scenario is "
         "given) or a CSV of states t, x, y, z, vx, vy, vz in SI, J2000 (default: cold)",
@@ -78,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--out",
-        type=Path,
+        type=_folder,
         default=Path("runs") / "latest",
         metavar="DIR",
         help="folder for solution.json (default: runs/latest)",
@@ -92,21 +94,22 @@ def _count(text: str) -> int:
     return int(text)
 
 
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("got ''; must be a folder")
+    return Path(text)
+
+
+def _start(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("got ''; must be cold, warm or a file")
+    return text
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = parser().parse_args(arguments)
-    console, errors = Console(), Console(stderr=True)
-    try:
-        return _solve(options, console)
-    except InputError as error:
-        errors.print(f"error: {error}", style="red", markup=False, highlight=False)
-        return BAD_INPUT
-    except MemoryError:
-        errors.print("error: not enough memory: take a larger grid.step_max_s", style="red")
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        errors.print("\ninterrupted", style="red")
-        return Status.INTERRUPTED.value.exit_code
+    return guarded(lambda console: _solve(options, console))
 
 
 def _solve(options: argparse.Namespace, console: Console) -> int:
@@ -188,7 +191,7 @@ def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:
         mission = Mission.from_scenario(load_scenario(options.scenario, options.overrides))
         return mission, (guess.cold if options.init == "cold" else guess.ballistic)(mission)
     path = Path(options.init)
-    given = read_solution(path) if path.is_dir() or _looks_like_json(path) else None
+    given = read_solution(path) if _is_solution(path) else None
     mission = Mission.from_scenario(_scenario(options, given))
     if given is None:
         return mission, guess.from_table(mission, path)
@@ -201,15 +204,25 @@ def _scenario(options: argparse.Namespace, given: Solution | None) -> Scenario:
     return load_scenario(options.scenario, options.overrides)
 
 
-def _looks_like_json(path: Path) -> bool:
-    return path.suffix == ".json"
+def _is_solution(path: Path) -> bool:
+    """A folder, or a file of JSON under whatever name: a table never begins with a brace."""
+    try:
+        if path.is_dir() or path.suffix == ".json":
+            return True
+        if not path.is_file():  # a pipe can be read only once
+            return False
+        with path.open("rb") as file:
+            return file.read(100).lstrip().startswith(b"{")
+    except (OSError, ValueError):  # which the reader explains
+        return False
 
 
 def _check_writable(folder: Path) -> None:
     """Fail before the work, not after it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / ".probe", "").unlink()
+        with TemporaryFile(dir=folder):
+            pass
     except OSError as error:
         reason = (error.strerror or "unwritable").lower()
         raise InputError("--out", f"{folder} ({reason})", "must be a folder to write to") from None

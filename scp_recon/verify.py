@@ -10,11 +10,9 @@ from pathlib import Path
 from rich.console import Console
 
 from scp_recon import report
-from scp_recon.errors import InputError
+from scp_recon.command import NOT_VERIFIED, guarded
 from scp_recon.mission import Mission
 from scp_recon.solution import read_solution
-from scp_recon.solve import BAD_INPUT, NOT_VERIFIED
-from scp_recon.status import Status
 from scp_recon.verification import verify
 
 
@@ -25,18 +23,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "solution", type=Path, metavar="DIR", help="folder with a solution.json, or the file"
     )
     options = p.parse_args(arguments)
-    console, errors = Console(), Console(stderr=True)
-    try:
-        solution = read_solution(options.solution)
-        mission = Mission.from_scenario(solution.scenario)
-        report.show_solution(console, solution)
-        verification = verify(mission, solution)
-        report.show_verification(console, mission, verification)
-    except InputError as error:
-        errors.print(f"error: {error}", style="red", markup=False, highlight=False)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        return Status.INTERRUPTED.value.exit_code
+    return guarded(lambda console: _verify(options.solution, console))
+
+
+def _verify(path: Path, console: Console) -> int:
+    solution = read_solution(path)
+    mission = Mission.from_scenario(solution.scenario)
+    report.show_solution(console, solution)
+    verification = verify(mission, solution)
+    report.show_verification(console, mission, verification)
     return 0 if verification.ok else NOT_VERIFIED
 
 

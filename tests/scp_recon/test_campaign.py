@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 from scp_recon import campaign as campaign_module
+from scp_recon import guess
 from scp_recon.campaign import Campaign, Setting, fly_campaign
 from scp_recon.mission import Mission
 from scp_recon.montecarlo import FILE_NAME, main, summarise
 from scp_recon.observing import ALL, SCIENCE
+from scp_recon.planner import plan
+from scp_recon.results import make_solution
+from scp_recon.scenario_schema import Uncertainty
 from scp_recon.solution import Solution
 
 
@@ -103,6 +107,25 @@ def test_command_writes_a_report_beside_the_solution(
     printed = capsys.readouterr().out
     for name in (*SCIENCE, "all at once", "closest approach", "normality"):
         assert name in printed
+
+
+def test_without_uncertainty_nothing_spreads_and_the_report_is_json(
+    mission: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    none = {"initial_sigma_fraction": 0.0, "execution_error": 0.0}
+    certain = Mission.from_scenario(
+        mission.scenario.model_copy(update={"uncertainty": Uncertainty(**none)})
+    )
+    make_solution(certain, plan(certain, guess.cold(certain)), "cold", "condensed").write(tmp_path)
+    assert main([str(tmp_path), "--samples", "50"]) == 0
+
+    def no_constant(text: str) -> None:
+        raise AssertionError(f"{text} is no JSON")
+
+    text = (tmp_path / FILE_NAME).read_text("utf-8")
+    report = json.loads(text, parse_constant=no_constant)
+    assert report["terminal"] == {"sigma_ratio": {}, "normality": {}}
+    assert "no component spreads" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -241,6 +241,38 @@ def test_a_bad_table_is_refused(mission: Mission, tmp_path: Path, content: str, 
     assert named in str(refused(mission, file))
 
 
+@pytest.mark.parametrize(
+    ("scales", "named"),
+    [
+        ((1e-3, 1e-3), "in metres"),  # kilometres and kilometres a second
+        ((1e3, 1e3), "in metres"),
+        ((1.0, 1e-3), "metres per second"),
+        ((1.0, 1e3), "metres per second"),
+        ((1.0, 1.0 / 24.0 / 3600.0), "metres per second"),  # metres a day
+    ],
+)
+def test_a_table_in_other_units_is_refused(
+    mission: Mission,
+    ballistic: Iterate,
+    tmp_path: Path,
+    scales: tuple[float, float],
+    named: str,
+) -> None:
+    states = states_of(mission, ballistic) * np.repeat(scales, 3)
+    error = refused(mission, write(tmp_path / "t.csv", mission.times_s, states))
+    assert named in error.allowed
+
+
+@pytest.mark.parametrize("rows", [2, 3, 10])
+def test_a_sparse_table_in_metres_is_read(
+    mission: Mission, ballistic: Iterate, tmp_path: Path, rows: int
+) -> None:
+    at = np.linspace(0, len(mission.times_s) - 1, rows).astype(int)
+    states = states_of(mission, ballistic)
+    file = write(tmp_path / "t.csv", mission.times_s[at], states[at])
+    assert guess.from_table(mission, file).mean.shape == (len(mission.times_s), 6)
+
+
 def test_a_binary_file_is_no_table(mission: Mission, tmp_path: Path) -> None:
     file = tmp_path / "bad.csv"
     file.write_bytes(b"\x89PNG\r\n\x1a\n\x00\xff")

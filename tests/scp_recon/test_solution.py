@@ -177,7 +177,7 @@ def test_a_missing_file_or_an_empty_folder_is_refused(tmp_path: Path) -> None:
     ids=["empty", "half a brace", "picture", "binary", "word", "deep"],
 )
 def test_what_is_no_json_is_refused(tmp_path: Path, content: bytes) -> None:
-    assert "JSON" in refused(tmp_path / "s.json", content).given
+    assert "JSON" in str(refused(tmp_path / "s.json", content))
 
 
 def test_a_file_cut_short_is_refused(tmp_path: Path, data: Data) -> None:

@@ -142,6 +142,24 @@ def test_a_solution_brings_its_scenario_which_may_be_overridden(tmp_path: Path) 
     assert "mine" in again.output
 
 
+def test_a_solution_is_known_by_its_content_not_by_its_name(
+    default_run: CommandLine, tmp_path: Path
+) -> None:
+    renamed = tmp_path / "best.txt"
+    renamed.write_bytes((default_run.folder / "solution.json").read_bytes())
+    run = run_solve(tmp_path / "out", "--init", str(renamed), "--problem", "P3")
+    assert run.exit_code == 0
+
+
+def test_a_users_own_files_in_the_folder_are_left_alone(tmp_path: Path) -> None:
+    mine = [tmp_path / ".probe", tmp_path / ".solution.json", tmp_path / "notes.txt"]
+    for file in mine:
+        file.write_text("mine", "utf-8")
+    assert run_solve(tmp_path, "--problem", "P3").exit_code == 0
+    assert [file.read_text("utf-8") for file in mine] == ["mine"] * 3
+    assert len(list(tmp_path.iterdir())) == 4
+
+
 def test_warm_start(tmp_path: Path) -> None:
     run = run_solve(tmp_path, "--init", "warm", "--problem", "P3")
     assert run.exit_code == 0
@@ -215,6 +233,7 @@ def bad_files(tmp_path: Path) -> Path:
     (folder / "base.toml").write_text('base = "recon_z"', "utf-8")
     (folder / "words.json").write_text("not a solution", "utf-8")
     (folder / "other.json").write_text('{"schema": "something/1"}', "utf-8")
+    (folder / "other.txt").write_text(' {"schema": "something/1"}', "utf-8")
     (folder / "words.csv").write_text("no,table,of\nstates,at,all\n", "utf-8")
     (folder / "empty").mkdir()
     return folder
@@ -250,6 +269,8 @@ BAD_INPUT = [
     (["--init", "{bad}/none.csv"], ["none.csv", "no such file"]),
     (["--init", "{bad}/words.csv"], ["words.csv", "t_s"]),
     (["--init", "lukewarm"], ["lukewarm", "no such file"]),
+    (["--scenario", "/dev/zero"], ["/dev/zero", "megabytes"]),
+    (["--init", "{bad}/other.txt"], ["other.txt", "something/1"]),
     (["--out", "{bad}/words.csv"], ["--out", "words.csv"]),
     (["--out", "{bad}/words.csv/below"], ["--out", "words.csv"]),
 ]
@@ -291,6 +312,8 @@ def run_with_own_out(given: list[str]) -> CommandLine:
         ["--facet-rounds", "1000000"],
         ["--unknown"],
         ["--init"],
+        ["--init", ""],
+        ["--out", ""],
         ["superfluous"],
     ],
 )
