@@ -10,12 +10,15 @@ from typing import Any
 import cvxpy as cp
 from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
 
+# With squares as cones: as a quadratic objective they keep Clarabel short of its tolerances.
+_CONES_ONLY = {"use_quad_obj": False}
+
 SETTINGS: dict[str, dict[str, Any]] = {
-    "CLARABEL": dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-9),
-    "ECOS": dict.fromkeys(("abstol", "reltol", "feastol"), 1e-9),
-    "QOCO": dict.fromkeys(("abstol", "reltol"), 1e-9),
+    "CLARABEL": {"tol_gap_abs": 1e-9, "tol_gap_rel": 1e-9, "tol_feas": 1e-9, **_CONES_ONLY},
+    "ECOS": {"abstol": 1e-9, "reltol": 1e-9, "feastol": 1e-9},
+    "QOCO": {"abstol": 1e-9, "reltol": 1e-9, **_CONES_ONLY},
     # A first-order method: it needs thousands of cheap iterations for what the others do in twenty.
-    "SCS": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 200_000},
+    "SCS": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 200_000, **_CONES_ONLY},
 }
 """Tighter than the solvers' defaults, so that late, small predicted reductions still mean something.
 Other solvers run with their own defaults."""

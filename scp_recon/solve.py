@@ -14,6 +14,7 @@ from rich.console import Console
 from formulations.formulations import FORMULATIONS
 from formulations.problem import Iterate
 from scp_recon import guess, report
+from scp_recon.algorithms import ALGORITHMS
 from scp_recon.command import NOT_VERIFIED, guarded
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
@@ -25,6 +26,7 @@ from scp_recon.solution import Solution, read_solution
 from scp_recon.status import Status
 from scp_recon.verification import verify
 
+ALGORITHM, SOLVER = "scvx", "CLARABEL"
 Planning = Callable[[Mission, Iterate, Observer], Plan]
 
 
@@ -70,6 +72,17 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help=f"with scp {', '.join(FORMULATIONS)} (default: condensed); with ipopt printed, tuned, "
         "shooting (default: tuned)",
+    )
+    p.add_argument(
+        "--algorithm",
+        metavar="NAME",
+        help=f"with scp {', '.join(ALGORITHMS)} (default: {ALGORITHM})",
+    )
+    p.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="with scp a conic solver that CVXPY finds: CLARABEL; ECOS, QOCO and SCS with the extra "
+        f"[compare] (default: {SOLVER})",
     )
     p.add_argument(
         "--facet-rounds",
@@ -145,23 +158,12 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
 def _method(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning]:
     """The formulation's name, the algorithm and solver, and what makes the plan."""
     if options.method == "scp":
-        name = _one_of(options.formulation or "condensed", FORMULATIONS)
-
-        def by_scp(mission: Mission, start: Iterate, observe: Observer) -> Plan:
-            return plan(
-                mission,
-                start,
-                problem=options.problem,
-                formulation=name,
-                facet_rounds=options.facet_rounds,
-                observe=observe,
+        return _by_scp(options)
+    for option in ("algorithm", "solver", "facet_rounds"):
+        if given := getattr(options, option):
+            raise InputError(
+                f"--{option.replace('_', '-')}", str(given), "goes with --method scp only"
             )
-
-        return name, ("scvx", "CLARABEL"), by_scp
-    if options.facet_rounds:
-        raise InputError(
-            "--facet-rounds", str(options.facet_rounds), "must be 0 with --method ipopt"
-        )
     try:
         from formulations.nlp import VARIANTS
         from scp_recon import ipopt
@@ -171,7 +173,7 @@ def _method(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning
         raise InputError(
             "--method", "ipopt", "needs CasADi: install the extra scp_recon[ipopt]"
         ) from None
-    variant = _one_of(options.formulation or "tuned", VARIANTS)
+    variant = _one_of("--formulation", options.formulation or "tuned", VARIANTS)
 
     def by_ipopt(mission: Mission, start: Iterate, observe: Observer) -> Plan:
         return ipopt.plan(mission, start, problem=options.problem, variant=variant, observe=observe)
@@ -179,9 +181,33 @@ def _method(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning
     return variant, ("interior point", "IPOPT"), by_ipopt
 
 
-def _one_of(name: str, known: Collection[str]) -> str:
+def _by_scp(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning]:
+    formulation = _one_of("--formulation", options.formulation or "condensed", FORMULATIONS)
+    algorithm = _one_of("--algorithm", options.algorithm or ALGORITHM, ALGORITHMS)
+    solver = (options.solver or SOLVER).upper()
+    if solver != SOLVER:
+        from formulations.conic import installed  # by CVXPY, which takes a second to import
+
+        _one_of("--solver", solver, installed())
+
+    def planning(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+        return plan(
+            mission,
+            start,
+            problem=options.problem,
+            formulation=formulation,
+            algorithm=algorithm,
+            solver=solver,
+            facet_rounds=options.facet_rounds,
+            observe=observe,
+        )
+
+    return formulation, (algorithm, solver), planning
+
+
+def _one_of(option: str, name: str, known: Collection[str]) -> str:
     if name not in known:
-        raise InputError("--formulation", repr(name), f"must be one of {', '.join(known)}")
+        raise InputError(option, repr(name), f"must be one of {', '.join(known)}")
     return name
 
 
