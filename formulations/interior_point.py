@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from time import perf_counter
+from typing import Any, NamedTuple
 
 import clarabel
 import numpy as np
@@ -49,24 +51,41 @@ class Answer(NamedTuple):
     solver_s: float
 
 
-class ConicSolver(Protocol):
+class ConicSolver(ABC):
     """A solver of programs that differ in their numbers only."""
-
-    def solve(self, program: ConeProgram) -> Answer:
-        """Solve; raises ValueError where there is no answer."""
-        ...
-
-
-class Clarabel:
-    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024."""
 
     def __init__(self) -> None:
         self._solver: Any = None
 
     def solve(self, program: ConeProgram) -> Answer:
-        """See `ConicSolver`."""
+        """Solve, updating what the last program built.
+
+        A solver keeps the equilibration of the numbers that it was built with. Where that does not
+        serve the new ones it is built again.
+
+        Raises:
+            ValueError: if there is no answer; the message has the solver's word for it.
+        """
+        kept = self._solver is not None
+        answer = self._run(program, build=not kept)
+        if kept and not answer.accurate:
+            tried, answer = answer.solver_s, self._run(program, build=True)
+            answer = answer._replace(solver_s=answer.solver_s + tried)
+        if len(answer.x) == 0:
+            raise ValueError(f"{type(self).__name__.upper()} ended with status {answer.status}")
+        return answer
+
+    @abstractmethod
+    def _run(self, program: ConeProgram, *, build: bool) -> Answer:
+        """Build or update, and solve; no variables where the solver has no answer."""
+
+
+class Clarabel(ConicSolver):
+    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024."""
+
+    def _run(self, program: ConeProgram, *, build: bool) -> Answer:
         p, a = program.quadratic, program.matrix
-        if self._solver is None:
+        if build:
             settings = clarabel.DefaultSettings()
             settings.verbose = False
             settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
@@ -82,28 +101,25 @@ class Clarabel:
             )
         else:
             self._solver.update(P=p.data, q=program.cost, A=a.data, b=program.bound)
+        start = perf_counter()
         found = self._solver.solve()
+        seconds = perf_counter() - start  # its own figure counts its set-up every time
         status = str(found.status)
-        if status not in ("Solved", "AlmostSolved"):
-            raise ValueError(f"CLARABEL ended with status {status}")
-        return Answer(np.array(found.x), status, status == "Solved", found.solve_time)
+        x = np.array(found.x if status in ("Solved", "AlmostSolved") else [])
+        return Answer(x, status, status == "Solved", seconds)
 
 
-class Qoco:
+class Qoco(ConicSolver):
     """Chari & Acikmese, "QOCO: a quadratic objective conic optimizer", 2025.
 
     It has no certificate of infeasibility; the subproblems need none, as they are always feasible.
     """
 
-    def __init__(self) -> None:
-        self._solver: Any = None
-
-    def solve(self, program: ConeProgram) -> Answer:
-        """See `ConicSolver`."""
+    def _run(self, program: ConeProgram, *, build: bool) -> Answer:
         p, q, z = program.quadratic, program.cost, program.zero
         a, g = sp.csc_array(program.matrix[:z]), sp.csc_array(program.matrix[z:])
         b, h = program.bound[:z], program.bound[z:]
-        if self._solver is None:
+        if build:
             self._solver = importlib.import_module("qoco").QOCO()
             sizes = len(q), len(h), z
             matrices = p if p.nnz else None, q, a if z else None, b if z else None, g, h
@@ -115,10 +131,9 @@ class Qoco:
                 P=p.data if p.nnz else None, A=a.data if z else None, G=g.data
             )
         found = self._solver.solve()
-        if found.status not in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE"):
-            raise ValueError(f"QOCO ended with status {found.status}")
-        accurate = found.status == "QOCO_SOLVED"
-        return Answer(np.array(found.x), found.status, accurate, found.solve_time_sec)
+        status = found.status
+        x = np.array(found.x if status in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE") else [])
+        return Answer(x, status, status == "QOCO_SOLVED", found.solve_time_sec)
 
 
 SOLVERS: dict[str, Callable[[], ConicSolver]] = {"CLARABEL": Clarabel, "QOCO": Qoco}

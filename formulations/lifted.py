@@ -53,11 +53,10 @@ class Lifted:
         # Rows of the states that no arc ends in: the mean and the factor at the first node.
         ends = np.r_[6 : self._mean_size, self._mean_size + 6 * self._columns : states.size]
         starts = np.setdiff1d(np.arange(states.size), ends)
-        start = problem.initial_factor[:, : self._columns]
-        start = np.pad(start, ((0, 0), (0, self._columns - start.shape[1])))
+        self._start = cp.Parameter(6 * (1 + self._columns))
         kicks = self._kicks(states.size)
         self.constraints: list[cp.Constraint] = [
-            states[starts] == np.r_[problem.initial_state, start.ravel()] + kicks[starts] @ stacked,
+            states[starts] == self._start + kicks[starts] @ stacked,
             states[ends] == self._stepping @ states + self._constant + kicks[ends] @ stacked,
             states[self._mean_size - 6 : self._mean_size] == problem.final_state + virtual,
         ]
@@ -106,6 +105,9 @@ class Lifted:
     def update(self, lin: Linearisation) -> None:
         """Set the parameters for an iterate."""
         n, c, arcs = self._factor_arcs, self._columns, compose(lin, self._nodes)
+        start = lin.problem.initial_factor[:, :c]
+        start = np.pad(start, ((0, 0), (0, c - start.shape[1])))
+        self._start.value = np.r_[lin.problem.initial_state, start.ravel()]
         own = np.broadcast_to(arcs.stm[:n, :, None, :], (n, 6, c, 6))
         factor = lin.factor[self._nodes[:n], :, :c]
         # (T_k . dmu) S^_k: rows i, factor column c, mean component l.

@@ -6,7 +6,7 @@ The border of `formulations`: SI and J2000 on this side, nondimensional on the o
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,6 +38,12 @@ class Units:
     length_m: float
     time_s: float
 
+    @classmethod
+    def of_orbit(cls, state: Array, gm: float) -> Units:
+        """For a flight that starts at a state, shape (6,)."""
+        length = float(np.linalg.norm(state[:3]))
+        return cls(length, float(np.sqrt(length**3 / gm)))
+
     @property
     def speed_m_s(self) -> float:
         """Unit of velocity."""
@@ -61,6 +67,7 @@ class Mission:
         final_state: mean after the last burn, shape (6,).
         schedule: window and attitude modes.
         times_s: nodes of the grid, shape (n,).
+        units: of the nondimensional problem.
     """
 
     scenario: Scenario
@@ -70,6 +77,7 @@ class Mission:
     final_state: Array
     schedule: Schedule
     times_s: Array
+    units: Units
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Mission:
@@ -109,15 +117,28 @@ class Mission:
 
         window = find_window(scenario, incidence, solar_time)
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
+        initial = _boundary_state(scenario, rotation, "initial")
         return cls(
             scenario=scenario,
             rotation=rotation,
             site=site,
-            initial_state=_boundary_state(scenario, rotation, "initial"),
+            initial_state=initial,
             final_state=_boundary_state(scenario, rotation, "final"),
             schedule=schedule,
             times_s=make_grid((*scenario.burns.times_s, *window), scenario.grid.step_max_s),
+            units=Units.of_orbit(initial, body.gm_m3_s2),
         )
+
+    def with_initial_state(self, state: Array) -> Mission:
+        """The same mission from another state before the first burn, shape (6,), in the same units."""
+        matrix = _boundary_axes(self.scenario, self.rotation)
+        given = {
+            "initial_position_m": tuple((matrix.T @ state[:3]).tolist()),
+            "initial_velocity_m_s": tuple((matrix.T @ state[3:]).tolist()),
+        }
+        boundary = self.scenario.boundary.model_copy(update=given)
+        scenario = self.scenario.model_copy(update={"boundary": boundary})
+        return replace(self, scenario=scenario, initial_state=np.array(state, dtype=float))
 
     def sun_direction(self, time_s: npt.ArrayLike) -> Array:
         """Unit vectors from the body to the Sun, J2000, shape (..., 3)."""
@@ -157,12 +178,6 @@ class Mission:
         """Nodes of the observation window, its edges included."""
         first, last = self.schedule.window_s
         return np.flatnonzero((self.times_s >= first) & (self.times_s <= last))
-
-    @cached_property
-    def units(self) -> Units:
-        """Units of the nondimensional problem."""
-        length = float(np.linalg.norm(self.initial_state[:3]))
-        return Units(length, float(np.sqrt(length**3 / self.scenario.body.gm_m3_s2)))
 
     @cached_property
     def problem(self) -> FlybyProblem:
@@ -276,11 +291,15 @@ def make_grid(fixed_s: tuple[float, ...], step_max_s: float) -> Array:
     return np.concatenate([*parts, fixed[-1:]])
 
 
+def _boundary_axes(scenario: Scenario, rotation: Rotation) -> Array:
+    """From the frame of the boundary states to J2000, shape (3, 3)."""
+    if scenario.boundary.frame == "j2000":
+        return np.eye(3)
+    return sun_north_to_j2000(sun_direction(scenario, 0.0), rotation.pole)
+
+
 def _boundary_state(scenario: Scenario, rotation: Rotation, which: str) -> Array:
-    boundary = scenario.boundary
-    matrix = np.eye(3)
-    if boundary.frame == "sun_north":
-        matrix = sun_north_to_j2000(sun_direction(scenario, 0.0), rotation.pole)
+    boundary, matrix = scenario.boundary, _boundary_axes(scenario, rotation)
     position = matrix @ np.array(getattr(boundary, f"{which}_position_m"))
     velocity = matrix @ np.array(getattr(boundary, f"{which}_velocity_m_s"))
     return np.concatenate([position, velocity])

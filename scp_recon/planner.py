@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from time import perf_counter
 from typing import Literal
+
+import numpy as np
 
 from formulations.facets import Facets, choose_facets, included_rows
 from formulations.formulations import make_subproblem
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
+from formulations.regions import Array
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Evaluation
+from formulations.subproblem import Evaluation, Subproblem
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.errors import InputError
 from scp_recon.guess import ballistic
 from scp_recon.mission import Mission
-from scp_recon.scp import Algorithm, Record, Result, Timing, run
+from scp_recon.scp import Record, Result, Timing, run
 from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
 
@@ -26,8 +30,11 @@ Observer = Callable[[str, Record], None]
 PROGRAM_NODES_MAX = 48
 """Nodes in the convex program of P2 to begin with: its memory grows with them times the factor."""
 
-CLEARANCE_M = 200.0
-"""Facets farther than this from binding stay out of the convex program, and are checked after it."""
+CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
+"""Facets farther than this from binding stay out of the convex program, and are checked after it.
+
+The second figure is for starting at a solution of P2, which moves less than one of P3.
+"""
 
 
 @dataclass(frozen=True)
@@ -70,62 +77,146 @@ def plan(
     facet_rounds: int = 0,
     observe: Observer | None = None,
 ) -> Plan:
-    """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
+    """Plan a mission once: `Planner.plan` with its arguments and those of `Planner`."""
+    planner = Planner(mission, formulation=formulation, algorithm=algorithm, solver=solver)
+    return planner.plan(guess, problem=problem, facet_rounds=facet_rounds, observe=observe)
 
-    Where P3 does not converge from the guess it is tried once more from the ballistic arc.
+
+class Planner:
+    """Plans a mission, and plans it again from other initial states.
+
+    Keeps its convex subproblems: their sparsity, and what a solver or CVXPY made of it.
 
     Args:
         mission: what to plan.
-        guess: initial iterate, which may have defects.
-        problem: "P3" stops after the first stage.
-        formulation: a key of `formulations.subproblem.FORMULATIONS`.
+        formulation: one of `formulations.formulations.FORMULATIONS`.
         algorithm: a key of `algorithms.ALGORITHMS`.
         solver: one of `formulations.conic.installed()`.
-        facet_rounds: how often to choose the facets again at the solution and solve again. A round
-            is kept only while it lowers the merit, so that facets cannot cycle.
-        observe: called after each iteration with the stage's name and the record.
     """
-    started = perf_counter()
-    work = _Work(
-        mission, formulation, solver, ALGORITHMS[algorithm](), observe or (lambda _, __: None)
-    )
-    try:
-        final = work.solve_p3(guess)
-        if final.result.status is not Status.CONVERGED:
-            final = work.retry_p3(final)
-        if problem == "P2" and final.result.status is not Status.SOLVER_FAILED:
-            final = work.solve_p2("P2", final.result.lin)
-            for round_ in range(2, facet_rounds + 2):
-                again = work.solve_p2(f"P2.{round_}", final.result.lin)
-                if not _better(again, final):
-                    break
-                final = again
-    except KeyboardInterrupt:
-        if not work.stages:
-            raise
-        final = work.interrupted()
-    return Plan(tuple(work.stages), final, work.timing, perf_counter() - started)
+
+    def __init__(
+        self,
+        mission: Mission,
+        *,
+        formulation: str = "condensed",
+        algorithm: str = "scvx",
+        solver: str = "CLARABEL",
+    ) -> None:
+        self.mission = mission
+        self.formulation, self.solver = formulation, solver
+        self.algorithm = ALGORITHMS[algorithm]()
+        self._p2_rows: P2Rows | None = None
+        self._kept: dict[type[Rows], Subproblem] = {}
+
+    def plan(
+        self,
+        guess: Iterate,
+        *,
+        problem: Literal["P3", "P2"] = "P2",
+        facet_rounds: int = 0,
+        observe: Observer | None = None,
+    ) -> Plan:
+        """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
+
+        Where P3 does not converge from the guess it is tried once more from the ballistic arc.
+
+        Args:
+            guess: initial iterate, which may have defects.
+            problem: "P3" stops after the first stage.
+            facet_rounds: how often to choose the facets again at the solution and solve again. A
+                round is kept only while it lowers the merit, so that facets cannot cycle.
+            observe: called after each iteration with the stage's name and the record.
+        """
+        work = _Work(self, self.mission, observe)
+
+        def stages() -> Stage:
+            final = work.solve_p3(guess)
+            if final.result.status is not Status.CONVERGED:
+                final = work.retry_p3(final)
+            if problem == "P2" and final.result.status is not Status.SOLVER_FAILED:
+                final = work.solve_p2("P2", final.result.lin)
+                for round_ in range(2, facet_rounds + 2):
+                    again = work.solve_p2(f"P2.{round_}", final.result.lin)
+                    if not _better(again, final):
+                        break
+                    final = again
+            return final
+
+        return work.done(stages)
+
+    def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
+        """Solve P2 again for another initial state, from the last plan and with its facets.
+
+        Args:
+            last: a plan of P2 by this planner.
+            initial_state: before the first burn, J2000, SI, shape (6,). Its covariance is as large a
+                fraction of it as the mission says.
+            observe: called after each iteration with the stage's name and the record.
+        """
+        if last.final.facets is None:
+            raise ValueError("only a plan of P2 can be planned again")
+        mission = self.mission.with_initial_state(initial_state)
+        work = _Work(self, mission, observe)
+        final = last.final
+        return work.done(lambda: work.solve_p2_again(final))
+
+    @cached_property
+    def p3_rows(self) -> P3Rows:
+        """P3's constraints."""
+        return P3Rows(self.mission.problem)
+
+    def p2_rows(self, facets: Facets, lin: Linearisation, clearance_m: float) -> P2Rows:
+        """P2's constraints, those in the program that an iterate comes near; the last are kept."""
+        margin = facets.margin(lin.iterate.mean, lin.factor)
+        clearance = clearance_m / self.mission.units.length_m
+        included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
+        kept = self._p2_rows
+        if kept is None or kept.facets is not facets or np.any(kept.included != included):
+            self._p2_rows = kept = P2Rows(self.mission.problem, facets, included)
+        return kept
+
+    def subproblem(self, rows: Rows) -> Subproblem:
+        """The convex subproblem with some rows; of P3 and of P2 the one made last is kept."""
+        kept = self._kept.get(type(rows))
+        if kept is None or kept.rows is not rows:
+            kept = make_subproblem(
+                self.mission.problem, rows, self.formulation, self.solver, self.algorithm.penalty
+            )
+            self._kept[type(rows)] = kept
+        return kept
 
 
 @dataclass
 class _Work:
-    """What accumulates while the stages are solved."""
+    """What accumulates while the stages of one plan are solved."""
 
+    planner: Planner
     mission: Mission
-    formulation: str
-    solver: str
-    algorithm: Algorithm
-    observe: Observer
+    observe: Observer | None
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
 
-    def solve_p3(self, guess: Iterate, name: str = "P3") -> Stage:
-        """P3 from a guess; whatever it says, the flight starts where the problem does."""
+    def done(self, work: Callable[[], Stage]) -> Plan:
+        """Do it; an interrupted plan ends with the best stage so far."""
+        started = perf_counter()
+        try:
+            final = work()
+        except KeyboardInterrupt:
+            if not self.stages:
+                raise
+            final = self.interrupted()
+        return Plan(tuple(self.stages), final, self.timing, perf_counter() - started)
+
+    def start(self, guess: Iterate) -> Linearisation:
+        """Linearised at a guess; whatever it says, the flight starts where the problem does."""
         problem, mean = self.mission.problem, guess.mean.copy()
         mean[0] = problem.initial_state
         mean[0, 3:] += guess.burns[0]
-        start = self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
-        return self._run(name, P3Rows(self.mission.problem), start, None)
+        return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
+
+    def solve_p3(self, guess: Iterate, name: str = "P3") -> Stage:
+        """P3 from a guess."""
+        return self._run(name, self.planner.p3_rows, self.start(guess), None)
 
     def retry_p3(self, failed: Stage) -> Stage:
         """P3 once more from the ballistic arc; the better of the two.
@@ -139,37 +230,43 @@ class _Work:
         again = self.solve_p3(guess, "P3.2")
         return again if _better(again, failed) else failed
 
-    def solve_p2(self, name: str, start: Linearisation) -> Stage:
-        """P2 with the facets chosen at the start, restoring those that should not be left out."""
-        mission, lin = self.mission, start
+    def solve_p2(self, name: str, lin: Linearisation) -> Stage:
+        """P2 with the facets chosen at the start."""
+        mission = self.mission
         facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
-        margin = facets.margin(lin.iterate.mean, lin.factor)
-        clearance = CLEARANCE_M / mission.units.length_m
-        included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
+        return self._restoring(name, self.planner.p2_rows(facets, lin, CLEARANCE_M), lin)
+
+    def solve_p2_again(self, last: Stage) -> Stage:
+        """P2 from the iterate of a stage and with its facets."""
+        lin, facets = last.result.lin, last.facets
+        assert facets is not None
+        rows = self.planner.p2_rows(facets, lin, CLEARANCE_AGAIN_M)
+        return self._restoring("P2", rows, self.start(lin.iterate))
+
+    def _restoring(self, name: str, rows: P2Rows, lin: Linearisation) -> Stage:
+        """P2, again with the facets that were left out of the program where they turn out missed."""
         while True:
-            rows = P2Rows(mission.problem, facets, included)
-            stage = self._run(name, rows, lin, facets)
-            missed = rows.missed(stage.result.lin, self.algorithm.feasible)
+            stage = self._run(name, rows, lin, rows.facets)
+            lin = stage.result.lin
+            missed = rows.missed(lin, self.planner.algorithm.feasible)
             if not missed.any():
                 return stage
-            included, lin = included | missed, stage.result.lin
+            rows = P2Rows(self.mission.problem, rows.facets, rows.included | missed)
 
     def _run(self, name: str, rows: Rows, start: Linearisation, facets: Facets | None) -> Stage:
         """One run of the SCP; an interrupted one ends the work."""
         begin = perf_counter()
-        subproblem = make_subproblem(
-            self.mission.problem, rows, self.formulation, self.solver, self.algorithm.penalty
-        )
+        subproblem = self.planner.subproblem(rows)
         self.timing.setup += perf_counter() - begin
-        result = run(
-            subproblem,
-            self.mission.dynamics,
-            start,
-            self.algorithm,
-            lambda record: self.observe(name, record),
-        )
+        algorithm, observe = self.planner.algorithm, self.observe
+
+        def seen(record: Record) -> None:
+            if observe:
+                observe(name, record)
+
+        result = run(subproblem, self.mission.dynamics, start, algorithm, seen)
         self.timing.add(result.timing)
-        self.stages.append(Stage(name, result, subproblem, facets, self.algorithm.feasible))
+        self.stages.append(Stage(name, result, subproblem, facets, algorithm.feasible))
         if result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         return self.stages[-1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import get_args
 
@@ -15,7 +14,7 @@ from formulations import conic, interior_point
 from formulations.condensations import CONDENSATIONS
 from formulations.direct import DirectSubproblem
 from formulations.facets import Facets, Polytopes, choose_facets
-from formulations.interior_point import SOLVERS, Answer, ConeProgram
+from formulations.interior_point import SOLVERS, Answer, ConeProgram, ConicSolver
 from formulations.lifting import Linearisation, condense
 from formulations.modelled import ModelledSubproblem
 from formulations.penalty import Charge, Penalty
@@ -167,40 +166,62 @@ def binding(lin: Linearisation, facets: Facets) -> Array:
 # --- failures -----------------------------------------------------------------------------------
 
 
-class Broken:
-    """A conic solver with a bad answer."""
+class Scripted(ConicSolver):
+    """A conic solver with given answers, one after the other."""
 
-    def __init__(self, answer: Callable[[ConeProgram], Answer]) -> None:
-        self.solve = answer
+    def __init__(self, answers: list[Answer]) -> None:
+        super().__init__()
+        self._answers, self.built = answers, 0
+
+    def _run(self, program: ConeProgram, *, build: bool) -> Answer:
+        self._solver = self
+        del program
+        self.built += build
+        return self._answers.pop(0)._replace(solver_s=1.0)
 
 
-def broken(answer: Callable[[ConeProgram], Answer], monkeypatch: pytest.MonkeyPatch) -> Subproblem:
-    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Broken(answer))
-    lin = linearised(np.random.default_rng(1))
-    subproblem = DirectSubproblem(lin.problem, P3Rows(lin.problem))
-    subproblem.update(lin)
-    return subproblem
+GOOD, POOR = Answer(np.ones(1), "fine", True, 0.0), Answer(np.zeros(1), "poor", False, 0.0)
+NONE = Answer(np.zeros(0), "it broke down", False, 0.0)
+PROGRAM = ConeProgram(sp.csc_array((1, 1)), np.ones(1), sp.csc_array((0, 1)), np.zeros(0), 0, 0, ())
 
 
-def test_a_solver_that_fails_raises_our_own_error_with_its_words(
+@pytest.mark.parametrize("second", [NONE, POOR])
+def test_a_solver_that_its_old_scaling_does_not_serve_is_built_again(second: Answer) -> None:
+    solver = Scripted([GOOD, second, GOOD])
+    solver.solve(PROGRAM)
+    assert solver.built == 1
+    answer = solver.solve(PROGRAM)
+    assert solver.built == 2
+    assert (answer.x, answer.accurate, answer.solver_s) == (GOOD.x, True, 2.0)
+
+
+def test_an_inaccurate_answer_is_one_and_says_so() -> None:
+    assert not Scripted([POOR]).solve(PROGRAM).accurate
+
+
+def test_a_solver_that_fails_raises_our_own_error_with_its_word(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def fail(_: ConeProgram) -> Answer:
-        raise ValueError("it broke down")
-
-    with pytest.raises(SubproblemError, match="it broke down"):
-        broken(fail, monkeypatch).solve(1.0, 10.0)
+    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Scripted([NONE]))
+    with pytest.raises(SubproblemError, match="SCRIPTED ended with status it broke down"):
+        some_subproblem().solve(1.0, 10.0)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_solver_without_a_finite_answer_raises_our_own_error(
     value: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def answer(program: ConeProgram) -> Answer:
-        return Answer(np.full(len(program.cost), value), "Solved", True, 0.0)
-
+    answer = GOOD._replace(x=np.full(400, value))
+    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Scripted([answer]))
     with pytest.raises(SubproblemError, match="no finite burns"):
-        broken(answer, monkeypatch).solve(1.0, 10.0)
+        some_subproblem().solve(1.0, 10.0)
+
+
+def some_subproblem() -> Subproblem:
+    lin = linearised(np.random.default_rng(1))
+    subproblem = DirectSubproblem(lin.problem, P3Rows(lin.problem))
+    subproblem.update(lin)
+    return subproblem
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

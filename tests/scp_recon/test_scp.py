@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from formulations.direct import DirectSubproblem
 from formulations.formulations import make_subproblem
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
@@ -22,7 +23,7 @@ from scp_recon.status import Status
 
 from .support import Array, mission_of
 
-Solve = Callable[[Subproblem, float, float], Step]
+Solve = Callable[[DirectSubproblem, float, float], Step]
 
 
 def ignore(_: Record) -> None:
@@ -60,11 +61,11 @@ def some_plan(request: pytest.FixtureRequest) -> Plan:
 
 
 def inject(monkeypatch: pytest.MonkeyPatch, solve: Solve) -> None:
-    monkeypatch.setattr(Subproblem, "solve", solve)
+    monkeypatch.setattr(DirectSubproblem, "solve", solve)
 
 
-def reference(subproblem: Subproblem) -> Array:
-    return np.asarray(subproblem._reference.value)
+def reference(subproblem: DirectSubproblem) -> Array:
+    return np.asarray(subproblem._burns)
 
 
 # --- what every run must do ---------------------------------------------------------------------
@@ -188,7 +189,7 @@ def test_iteration_limit(p3: Subproblem, cold: Linearisation, mission: Mission) 
 def test_a_solver_that_always_fails_ends_the_run(
     p3: Subproblem, cold: Linearisation, mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def solve(_: Subproblem, radius: float, weight: float) -> Step:
+    def solve(_: DirectSubproblem, radius: float, weight: float) -> Step:
         raise SubproblemError(f"no answer within {radius} at {weight}")
 
     inject(monkeypatch, solve)
@@ -210,9 +211,9 @@ def test_a_solver_that_fails_now_and_then_is_survived(
     failing: set[int],
 ) -> None:
     calls: Iterator[int] = iter(range(1, 100))
-    original = Subproblem.solve
+    original = DirectSubproblem.solve
 
-    def solve(self: Subproblem, radius: float, weight: float) -> Step:
+    def solve(self: DirectSubproblem, radius: float, weight: float) -> Step:
         if next(calls) in failing:
             raise SubproblemError("just this once")
         return original(self, radius, weight)
@@ -231,7 +232,7 @@ def test_a_promise_never_kept_stalls(
 ) -> None:
     merit = p3.merit(optimum.lin, TrustRegion.weight)
 
-    def solve(self: Subproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
+    def solve(self: DirectSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
         return Step(reference(self) + radius, merit - 1.0, 0.0, 0.0)
 
     inject(monkeypatch, solve)
@@ -259,9 +260,9 @@ def test_interrupted_within_an_iteration_keeps_the_last_whole_one(
     p3: Subproblem, cold: Linearisation, mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: Iterator[int] = iter(range(1, 100))
-    original = Subproblem.solve
+    original = DirectSubproblem.solve
 
-    def solve(self: Subproblem, radius: float, weight: float) -> Step:
+    def solve(self: DirectSubproblem, radius: float, weight: float) -> Step:
         if next(calls) == 4:
             raise KeyboardInterrupt
         return original(self, radius, weight)
@@ -292,7 +293,7 @@ def test_an_inaccurate_answer_proves_no_stationarity(
     assert start.iterate.total_dv > 1.2 * optimum.lin.iterate.total_dv
     merit = p3.merit(start, TrustRegion.weight)
 
-    def solve(self: Subproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
+    def solve(self: DirectSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
         return Step(reference(self) + 0.0, merit + 0.1, 0.0, 0.0)
 
     inject(monkeypatch, solve)
