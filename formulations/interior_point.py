@@ -86,7 +86,10 @@ class Clarabel:
         status = str(found.status)
         if status not in ("Solved", "AlmostSolved"):
             raise ValueError(f"CLARABEL ended with status {status}")
-        return Answer(np.array(found.x), status, status == "Solved", found.solve_time)
+        x = np.array(found.x)
+        if status == "Solved" and not closes_gap(program, x, np.array(found.z)):
+            raise ValueError(f"CLARABEL ended with status {status} and an open duality gap")
+        return Answer(x, status, status == "Solved", found.solve_time)
 
 
 class Qoco:
@@ -119,6 +122,58 @@ class Qoco:
             raise ValueError(f"QOCO ended with status {found.status}")
         accurate = found.status == "QOCO_SOLVED"
         return Answer(np.array(found.x), found.status, accurate, found.solve_time_sec)
+
+
+GAP, HUGE = 1e-6, 1e30
+"""Largest relative duality gap of a verdict; no variable of a nondimensional program is as huge."""
+
+
+def closes_gap(program: ConeProgram, x: Array, z: Array) -> bool:
+    """Whether multipliers z vouch for x: a verdict rests on this arithmetic, not on a status.
+
+    Weak duality: q'x + x'Px / 2 = -b'z - x'Px / 2 where Px + q + A'z = 0.
+    """
+    curved = program.quadratic @ x
+    primal = program.cost @ x + 0.5 * x @ curved
+    dual = -program.bound @ z - 0.5 * x @ curved
+    gradient = curved + program.cost + program.matrix.T @ z
+    size = max(1.0, np.abs(program.cost).max(), np.abs(z).max())
+    flat = np.abs(gradient).max() <= GAP * size
+    return bool(flat and abs(primal - dual) <= GAP * max(1.0, abs(primal)))
+
+
+class Recovering:
+    """A solver with others behind it: where it fails it is asked again from nothing, then they are.
+
+    A solver is foreign code: whatever it raises is a failure to answer, as is a number that is not
+    finite. What is left after that, the algorithm answers with a smaller trust region.
+
+    Args:
+        name: a key of `SOLVERS`.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._names = name, name, *(other for other in SOLVERS if other != name)
+        self._kept = SOLVERS[name]()
+
+    def solve(self, program: ConeProgram) -> Answer:
+        """See `ConicSolver`."""
+        failures = {}
+        for attempt, name in enumerate(self._names):
+            solver = SOLVERS[name]() if attempt else self._kept
+            try:
+                answer = solver.solve(program)
+                if np.abs(answer.x).max() < HUGE:
+                    self._kept = solver if attempt == 1 else self._kept
+                    return answer
+                failures[name] = "the conic solver gave no finite burns"
+            except ModuleNotFoundError:
+                continue
+            except (KeyboardInterrupt, MemoryError):
+                raise
+            except BaseException as error:  # a panic in Rust is no Exception
+                failures[name] = str(error)
+        raise ValueError("; ".join(failures.values()))
 
 
 SOLVERS: dict[str, Callable[[], ConicSolver]] = {"CLARABEL": Clarabel, "QOCO": Qoco}

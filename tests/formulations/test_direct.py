@@ -175,7 +175,8 @@ class Broken:
 
 
 def broken(answer: Callable[[ConeProgram], Answer], monkeypatch: pytest.MonkeyPatch) -> Subproblem:
-    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Broken(answer))
+    for name in SOLVERS:
+        monkeypatch.setitem(SOLVERS, name, lambda: Broken(answer))
     lin = linearised(np.random.default_rng(1))
     subproblem = DirectSubproblem(lin.problem, P3Rows(lin.problem))
     subproblem.update(lin)

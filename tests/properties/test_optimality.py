@@ -23,7 +23,7 @@ from scp_recon.forces import ForceModel, acceleration
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, Stage, plan
 from scp_recon.scenario import load_scenario
-from scp_recon.scp import TrustRegion
+from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
 from tests.helpers import Array
 from tests.scenarios import planned, scenarios
