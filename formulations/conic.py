@@ -76,7 +76,12 @@ def solve(program: cp.Problem, solver: str, settings: dict[str, Any]) -> Answer:
         warnings.filterwarnings("ignore", message="Solution may be inaccurate")
         # CVXPY's own canonicalisation of sparse parameters trips over its own advice.
         warnings.filterwarnings("ignore", message="Reading from a sparse CVXPY expression")
-        value = program.solve(solver=solver, canon_backend="COO", **options)
+        try:
+            value = program.solve(solver=solver, canon_backend="COO", **options)
+        except MemoryError:
+            raise
+        except Exception as error:  # foreign code: whatever it raises is a failure to answer
+            raise cp.SolverError(f"{solver}: {error}") from error
     if program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise cp.SolverError(f"{solver} ended with status {program.status}")
     solver_s = program.solver_stats.solve_time or 0.0

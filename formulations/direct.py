@@ -20,7 +20,7 @@ import numpy.typing as npt
 import scipy.sparse as sp
 
 from formulations.condensations import CONDENSATIONS
-from formulations.interior_point import SOLVERS, ConeProgram
+from formulations.interior_point import ConeProgram, Recovering
 from formulations.lifting import Linearisation, LinearisationError, final_state_map
 from formulations.penalty import DYNAMICS_WEIGHT, Charge, Penalty
 from formulations.problem import FlybyProblem
@@ -68,7 +68,7 @@ class DirectSubproblem(Subproblem):
     ) -> None:
         super().__init__(problem, rows)
         self._condense, self._penalty = CONDENSATIONS[formulation], penalty
-        self._solver = SOLVERS[solver]()
+        self._solver = Recovering(solver)
         m = problem.n_burns
         ends = np.cumsum([3 * m, m, 6, 3 * m + rows.count])
         self._z, self._t, self._a, self._v = (
@@ -100,8 +100,6 @@ class DirectSubproblem(Subproblem):
         except ValueError as error:
             raise SubproblemError(str(error)) from error
         x = answer.x
-        if not np.all(np.isfinite(x)):
-            raise SubproblemError("the conic solver gave no finite burns")
         if self._penalty == "proximal":  # whose charge for the step is no part of the merit
             cost[self._z] = quadratic[self._z] = 0.0
         merit = float(cost @ x + 0.5 * quadratic @ x**2)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import importlib
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import clarabel
 import numpy as np
@@ -51,41 +50,24 @@ class Answer(NamedTuple):
     solver_s: float
 
 
-class ConicSolver(ABC):
+class ConicSolver(Protocol):
     """A solver of programs that differ in their numbers only."""
+
+    def solve(self, program: ConeProgram) -> Answer:
+        """Solve; raises ValueError where there is no answer."""
+        ...
+
+
+class Clarabel:
+    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024."""
 
     def __init__(self) -> None:
         self._solver: Any = None
 
     def solve(self, program: ConeProgram) -> Answer:
-        """Solve, updating what the last program built.
-
-        A solver keeps the equilibration of the numbers that it was built with. Where that does not
-        serve the new ones it is built again.
-
-        Raises:
-            ValueError: if there is no answer; the message has the solver's word for it.
-        """
-        kept = self._solver is not None
-        answer = self._run(program, build=not kept)
-        if kept and not answer.accurate:
-            tried, answer = answer.solver_s, self._run(program, build=True)
-            answer = answer._replace(solver_s=answer.solver_s + tried)
-        if len(answer.x) == 0:
-            raise ValueError(f"{type(self).__name__.upper()} ended with status {answer.status}")
-        return answer
-
-    @abstractmethod
-    def _run(self, program: ConeProgram, *, build: bool) -> Answer:
-        """Build or update, and solve; no variables where the solver has no answer."""
-
-
-class Clarabel(ConicSolver):
-    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024."""
-
-    def _run(self, program: ConeProgram, *, build: bool) -> Answer:
+        """See `ConicSolver`."""
         p, a = program.quadratic, program.matrix
-        if build:
+        if self._solver is None:
             settings = clarabel.DefaultSettings()
             settings.verbose = False
             settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
@@ -105,21 +87,29 @@ class Clarabel(ConicSolver):
         found = self._solver.solve()
         seconds = perf_counter() - start  # its own figure counts its set-up every time
         status = str(found.status)
-        x = np.array(found.x if status in ("Solved", "AlmostSolved") else [])
+        if status not in ("Solved", "AlmostSolved"):
+            raise ValueError(f"CLARABEL ended with status {status}")
+        x = np.array(found.x)
+        if status == "Solved" and not closes_gap(program, x, np.array(found.z)):
+            raise ValueError(f"CLARABEL ended with status {status} and an open duality gap")
         return Answer(x, status, status == "Solved", seconds)
 
 
-class Qoco(ConicSolver):
+class Qoco:
     """Chari & Acikmese, "QOCO: a quadratic objective conic optimizer", 2025.
 
     It has no certificate of infeasibility; the subproblems need none, as they are always feasible.
     """
 
-    def _run(self, program: ConeProgram, *, build: bool) -> Answer:
+    def __init__(self) -> None:
+        self._solver: Any = None
+
+    def solve(self, program: ConeProgram) -> Answer:
+        """See `ConicSolver`."""
         p, q, z = program.quadratic, program.cost, program.zero
         a, g = sp.csc_array(program.matrix[:z]), sp.csc_array(program.matrix[z:])
         b, h = program.bound[:z], program.bound[z:]
-        if build:
+        if self._solver is None:
             self._solver = importlib.import_module("qoco").QOCO()
             sizes = len(q), len(h), z
             matrices = p if p.nnz else None, q, a if z else None, b if z else None, g, h
@@ -131,9 +121,75 @@ class Qoco(ConicSolver):
                 P=p.data if p.nnz else None, A=a.data if z else None, G=g.data
             )
         found = self._solver.solve()
-        status = found.status
-        x = np.array(found.x if status in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE") else [])
-        return Answer(x, status, status == "QOCO_SOLVED", found.solve_time_sec)
+        if found.status not in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE"):
+            raise ValueError(f"QOCO ended with status {found.status}")
+        accurate = found.status == "QOCO_SOLVED"
+        return Answer(np.array(found.x), found.status, accurate, found.solve_time_sec)
+
+
+GAP, HUGE = 1e-6, 1e30
+"""Largest relative duality gap of a verdict; no variable of a nondimensional program is as huge."""
+
+
+def closes_gap(program: ConeProgram, x: Array, z: Array) -> bool:
+    """Whether multipliers z vouch for x: a verdict rests on this arithmetic, not on a status.
+
+    Weak duality: q'x + x'Px / 2 = -b'z - x'Px / 2 where Px + q + A'z = 0.
+    """
+    curved = program.quadratic @ x
+    primal = program.cost @ x + 0.5 * x @ curved
+    dual = -program.bound @ z - 0.5 * x @ curved
+    gradient = curved + program.cost + program.matrix.T @ z
+    size = max(1.0, np.abs(program.cost).max(), np.abs(z).max())
+    flat = np.abs(gradient).max() <= GAP * size
+    return bool(flat and abs(primal - dual) <= GAP * max(1.0, abs(primal)))
+
+
+class Recovering:
+    """A solver with others behind it.
+
+    A solver keeps the equilibration of the numbers that it was built with: where that does not serve
+    the new ones, or it fails, it is built again. Where it still fails the others are asked. A solver
+    is foreign code: whatever it raises is a failure to answer, as is a number that is not finite.
+    What is left after that, the algorithm answers with a smaller trust region.
+
+    Args:
+        name: a key of `SOLVERS`.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name, self._kept = name, SOLVERS[name]()
+
+    def solve(self, program: ConeProgram) -> Answer:
+        """See `ConicSolver`. An inaccurate answer is one where building again gives none better."""
+        failures: dict[str, str] = {}
+        answer = self._ask(self._name, self._kept, program, failures)
+        if answer is None or not answer.accurate:
+            self._kept = SOLVERS[self._name]()
+            answer = self._ask(self._name, self._kept, program, failures) or answer
+        others = (name for name in SOLVERS if name != self._name)
+        while answer is None and (name := next(others, None)):
+            answer = self._ask(name, SOLVERS[name](), program, failures)
+        if answer is None:
+            raise ValueError("; ".join(failures.values()))
+        return answer
+
+    def _ask(
+        self, name: str, solver: ConicSolver, program: ConeProgram, failures: dict[str, str]
+    ) -> Answer | None:
+        try:
+            answer = solver.solve(program)
+        except ModuleNotFoundError:
+            return None
+        except (KeyboardInterrupt, MemoryError):
+            raise
+        except BaseException as error:  # a panic in Rust is no Exception
+            failures[name] = str(error)
+            return None
+        if np.abs(answer.x).max() < HUGE:
+            return answer
+        failures[name] = "the conic solver gave no finite burns"
+        return None
 
 
 SOLVERS: dict[str, Callable[[], ConicSolver]] = {"CLARABEL": Clarabel, "QOCO": Qoco}

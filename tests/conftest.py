@@ -1,11 +1,72 @@
-"""Hypothesis profiles: `HYPOTHESIS_PROFILE=nightly` looks harder."""
+"""Hypothesis profiles: `HYPOTHESIS_PROFILE=nightly` looks harder; and the reliability table."""
 
 from __future__ import annotations
 
 import os
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 
-from hypothesis import settings
+import pytest
+from hypothesis import Phase, settings
+
+from tests import reliability
+
+PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 
 settings.register_profile("default", max_examples=60, deadline=None, derandomize=False)
 settings.register_profile("nightly", max_examples=1000, deadline=None, derandomize=False)
-settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+# For mutation testing: fast and repeatable, and a failure needs no simple example.
+settings.register_profile(
+    "mutation",
+    max_examples=20,
+    deadline=None,
+    derandomize=True,
+    phases=[Phase.explicit, Phase.generate],
+)
+settings.load_profile(PROFILE)
+
+COUNT = "count"
+TOTALS: Counter[str] = Counter()
+PASSED: set[str] = set()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--reliability", metavar="FILE", type=Path, help="write the table of reliability figures"
+    )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    """What a test counts goes with its report, which may be read in another process."""
+    reliability.COUNTS.clear()
+    try:
+        return (yield)
+    finally:
+        item.user_properties += [(COUNT, pair) for pair in reliability.COUNTS.items()]
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    if report.when == "call" and report.passed:
+        PASSED.add(report.nodeid)
+        for key, pair in report.user_properties:
+            if key == COUNT:
+                name, times = pair
+                TOTALS[name] += times
+    # Left there at the very end by Hypothesis's own plugin.
+    if report.nodeid in PASSED and (said := getattr(report, "_hypothesis_stats", "")):
+        TOTALS[reliability.PROPERTIES] += 1
+        TOTALS[reliability.EXAMPLES] += reliability.examples(said)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    path = terminalreporter.config.getoption("reliability")
+    if path:
+        outcome = [
+            f"{len(found)} tests {name}"
+            for name in ("passed", "failed", "error", "skipped")
+            if (found := terminalreporter.stats.get(name))
+        ]
+        reliability.write(path, TOTALS, PROFILE, outcome)
+        terminalreporter.write_line(f"written: {path}")

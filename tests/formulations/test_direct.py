@@ -14,7 +14,7 @@ from formulations import conic, interior_point
 from formulations.condensations import CONDENSATIONS
 from formulations.direct import DirectSubproblem
 from formulations.facets import Facets, Polytopes, choose_facets
-from formulations.interior_point import SOLVERS, Answer, ConeProgram, ConicSolver
+from formulations.interior_point import SOLVERS, Answer, ConeProgram, Recovering
 from formulations.lifting import Linearisation, condense
 from formulations.modelled import ModelledSubproblem
 from formulations.penalty import Charge, Penalty
@@ -166,53 +166,68 @@ def binding(lin: Linearisation, facets: Facets) -> Array:
 # --- failures -----------------------------------------------------------------------------------
 
 
-class Scripted(ConicSolver):
+class Scripted:
     """A conic solver with given answers, one after the other."""
 
-    def __init__(self, answers: list[Answer]) -> None:
-        super().__init__()
-        self._answers, self.built = answers, 0
+    built = 0
 
-    def _run(self, program: ConeProgram, *, build: bool) -> Answer:
-        self._solver = self
-        del program
-        self.built += build
-        return self._answers.pop(0)._replace(solver_s=1.0)
+    def __init__(self, answers: list[Answer | str]) -> None:
+        self._answers = answers
+        Scripted.built += 1
+
+    def solve(self, _: ConeProgram) -> Answer:
+        answer = self._answers.pop(0)
+        if isinstance(answer, str):
+            raise ValueError(answer)
+        return answer
 
 
-GOOD, POOR = Answer(np.ones(1), "fine", True, 0.0), Answer(np.zeros(1), "poor", False, 0.0)
-NONE = Answer(np.zeros(0), "it broke down", False, 0.0)
+GOOD, POOR = Answer(np.ones(400), "good", True, 0.0), Answer(np.ones(400), "poor", False, 0.0)
 PROGRAM = ConeProgram(sp.csc_array((1, 1)), np.ones(1), sp.csc_array((0, 1)), np.zeros(0), 0, 0, ())
 
 
-@pytest.mark.parametrize("second", [NONE, POOR])
-def test_a_solver_that_its_old_scaling_does_not_serve_is_built_again(second: Answer) -> None:
-    solver = Scripted([GOOD, second, GOOD])
+def scripted(monkeypatch: pytest.MonkeyPatch, *answers: Answer | str, other: str = "no") -> None:
+    """One solver with these answers, however often it is built, and another that fails."""
+    script = list(answers)
+    monkeypatch.setattr(Scripted, "built", 0)
+    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Scripted(script))
+    monkeypatch.setitem(SOLVERS, "QOCO", lambda: Scripted([other]))
+
+
+@pytest.mark.parametrize("second", [POOR, "it broke down"])
+def test_a_solver_that_its_old_scaling_does_not_serve_is_built_again(
+    second: Answer | str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripted(monkeypatch, GOOD, second, GOOD)
+    solver = Recovering("CLARABEL")
     solver.solve(PROGRAM)
-    assert solver.built == 1
-    answer = solver.solve(PROGRAM)
-    assert solver.built == 2
-    assert (answer.x, answer.accurate, answer.solver_s) == (GOOD.x, True, 2.0)
+    assert Scripted.built == 1
+    assert solver.solve(PROGRAM) is GOOD
+    assert Scripted.built == 2
 
 
-def test_an_inaccurate_answer_is_one_and_says_so() -> None:
-    assert not Scripted([POOR]).solve(PROGRAM).accurate
+@pytest.mark.parametrize("again", [POOR, "it broke down"])
+def test_an_inaccurate_answer_is_one_and_says_so(
+    again: Answer | str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scripted(monkeypatch, POOR, again)
+    assert not Recovering("CLARABEL").solve(PROGRAM).accurate
 
 
-def test_a_solver_that_fails_raises_our_own_error_with_its_word(
+def test_solvers_that_fail_raise_our_own_error_with_their_words(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Scripted([NONE]))
-    with pytest.raises(SubproblemError, match="SCRIPTED ended with status it broke down"):
+    scripted(monkeypatch, "it broke down", "it broke down", other="so did I")
+    with pytest.raises(SubproblemError, match="it broke down; so did I"):
         some_subproblem().solve(1.0, 10.0)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_solver_without_a_finite_answer_raises_our_own_error(
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_solvers_without_a_finite_answer_raise_our_own_error(
     value: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answer = GOOD._replace(x=np.full(400, value))
-    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Scripted([answer]))
+    scripted(monkeypatch, answer, answer)
     with pytest.raises(SubproblemError, match="no finite burns"):
         some_subproblem().solve(1.0, 10.0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -68,6 +69,7 @@ class Case:
     arcs: Arcs
 
     @classmethod
+    @cache
     def of(cls, *overrides: str) -> Case:
         mission = Mission.from_scenario(load_scenario(None, overrides))
         return cls(mission, plan(mission, guess.cold(mission)), ipopt.casadi_arcs(mission.dynamics))

@@ -1,0 +1,294 @@
+"""Plans satisfy the first-order conditions of the problem they claim to solve.
+
+Mean and covariance are flown here once more, by a Runge-Kutta scheme whose STM comes from a complex
+step of the acceleration, and differentiated by finite differences: nothing of the linearisation, of
+the lifting or of the conic solver is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
+import cvxpy as cp
+import numpy as np
+from hypothesis import HealthCheck, Phase, assume, given, settings
+from scipy.integrate import solve_ivp
+
+from formulations.facets import Facets
+from scp_recon import guess
+from scp_recon.errors import InputError
+from scp_recon.forces import ForceModel, acceleration
+from scp_recon.mission import Mission
+from scp_recon.planner import Plan, Stage, plan
+from scp_recon.scenario import load_scenario
+from scp_recon.scvx import TrustRegion
+from scp_recon.status import Status
+from tests.helpers import Array
+from tests.scenarios import planned, scenarios
+
+expensive = settings(
+    max_examples=settings().max_examples // 20,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+)
+"""A plan takes a second; to look for a simpler one takes many."""
+
+STEP, ACTIVE, VANISHING = 1e-5, 1e-5, 1e-5
+"""Of the finite differences; margin of an active constraint; size of a burn that is none."""
+
+
+def rates(y: tuple[Array, Array, Array], forces: ForceModel) -> tuple[Array, Array, Array]:
+    """Of positions and velocities (n, 3) and STMs (n, 6, 6)."""
+    r, v, stm = y
+    step = 1e-20
+    moved = r[:, None, :] + 1j * step * np.eye(3)
+    pull = np.stack(acceleration(moved[..., 0], moved[..., 1], moved[..., 2], forces), axis=-1)
+    gradient = pull.imag.swapaxes(1, 2) / step
+    return v, pull[:, 0].real, np.concatenate([stm[:, 3:], gradient @ stm[:, :3]], axis=1)
+
+
+def arc(state: Array, duration: float, forces: ForceModel, substeps: int) -> tuple[Array, Array]:
+    """End states (n, 6) and STMs (n, 6, 6) of the classical Runge-Kutta scheme."""
+    n, h = len(state), duration / substeps
+    y = state[:, :3], state[:, 3:], np.broadcast_to(np.eye(6), (n, 6, 6))
+    for _ in range(substeps):
+        k = [rates(y, forces)]
+        for share in (0.5, 0.5, 1.0):
+            shifted = [a + share * h * b for a, b in zip(y, k[-1], strict=True)]
+            k.append(rates((shifted[0], shifted[1], shifted[2]), forces))
+        r, v, stm = (
+            a + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+            for a, k1, k2, k3, k4 in zip(y, *k, strict=True)
+        )
+        y = r, v, stm
+    return np.concatenate([y[0], y[1]], axis=1), y[2]
+
+
+def fly(mission: Mission, burns: Array) -> tuple[Array, Array]:
+    """Means (nodes, n, 6) and covariances (nodes, n, 6, 6) of n plans, burns (n, m, 3)."""
+    problem, dynamics, n = mission.problem, mission.dynamics, len(burns)
+    mean = np.broadcast_to(problem.initial_state, (n, 6))
+    covariance = np.broadcast_to(problem.initial_factor @ problem.initial_factor.T, (n, 6, 6))
+    means, covariances = [], []
+    for k in range(problem.n_nodes):
+        if k > 0:
+            duration = float(dynamics.durations[k - 1])
+            mean, stm = arc(mean, duration, dynamics.forces, dynamics.substeps)
+            covariance = stm @ covariance @ stm.swapaxes(1, 2)
+        for burn in burns.swapaxes(0, 1)[problem.burn_nodes == k]:
+            mean = mean + np.pad(burn, ((0, 0), (3, 0)))
+            error = np.pad(problem.execution_error * burn, ((0, 0), (3, 0)))
+            covariance = covariance + error[:, :, None] ** 2 * np.eye(6)
+        means.append(mean)
+        covariances.append(covariance)
+    return np.array(means), np.array(covariances)
+
+
+@dataclass(frozen=True)
+class Values:
+    """Of n plans: cost (n,), inequalities >= 0 (n, j), equalities = 0 (n, 6)."""
+
+    cost: Array
+    inequalities: Array
+    equalities: Array
+
+
+def evaluate(mission: Mission, facets: Facets, burns: Array) -> Values:
+    """P2 with its facets fixed as a function of the burns alone, from its definition."""
+    problem = mission.problem
+    mean, covariance = fly(mission, burns)
+    a, at = facets.normal, facets.node
+    variance = np.einsum("mi,mnij,mj->nm", a, covariance[at][..., :3, :3], a)
+    distance = facets.offset - np.einsum("mi,mni->nm", a, mean[at][..., :3])
+    size = np.linalg.norm(burns, axis=2)
+    along = np.abs(np.einsum("nbi,bi->nb", burns, problem.sun))
+    across = np.linalg.norm(np.cross(burns, problem.sun), axis=2)
+    return Values(
+        size.sum(axis=1),
+        np.concatenate(
+            [
+                distance - facets.quantile * np.sqrt(np.maximum(variance, 0.0)),
+                problem.dv_max - size,
+                np.cos(problem.dv_cone) * across - np.sin(problem.dv_cone) * along,
+            ],
+            axis=1,
+        ),
+        mean[-1] - problem.final_state,
+    )
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What the first-order conditions ask for at a plan.
+
+    Attributes:
+        infeasibility: largest violation of an inequality or an equality.
+        residual: of stationarity, relative to the gradient of the cost.
+        complementarity: largest product of a multiplier and its margin.
+        largest: multiplier, of an inequality and of an equality.
+    """
+
+    infeasibility: float
+    residual: float
+    complementarity: float
+    largest: tuple[float, float]
+
+
+def conditions(mission: Mission, stage: Stage) -> Conditions:
+    """Find multipliers >= 0 of the nearly active constraints by least squares, and see how good.
+
+    Where a burn vanishes its size has no gradient: any vector of the unit ball is a subgradient, and
+    the cone that burns stay out of, whose apex is there, is left aside.
+    """
+    assert stage.facets is not None
+    burns = stage.result.lin.iterate.burns
+    z, m = burns.ravel(), mission.problem.n_burns
+    steps = STEP * np.eye(len(z))
+    points = np.vstack([z, z + steps, z - steps]).reshape(-1, m, 3)
+    v = evaluate(mission, stage.facets, points)
+
+    def gradient(values: Array) -> Array:
+        forward, backward = np.split(values[1:], 2)
+        return (forward - backward) / (2.0 * STEP)
+
+    vanishing = np.linalg.norm(burns, axis=1) < VANISHING
+    margin = v.inequalities[0]
+    active = margin < ACTIVE
+    active[len(active) - m :] &= ~vanishing
+    cost = np.where(np.repeat(vanishing, 3), 0.0, gradient(v.cost))
+    pull, miss = gradient(v.inequalities)[:, active], gradient(v.equalities)
+    multiplier = cp.Variable(pull.shape[1], nonneg=True)
+    force, subgradient = cp.Variable(6), cp.Variable((m, 3))
+    free = cp.reshape(subgradient, (3 * m,), order="C")
+    off = cost + free - pull @ multiplier - miss @ force
+    ball = cp.norm(subgradient, axis=1) <= vanishing.astype(float)
+    cp.Problem(cp.Minimize(cp.norm(off)), [ball]).solve(solver="CLARABEL")
+    # What counts is the certificate, by arithmetic, and not what the solver says about it.
+    found = np.maximum(multiplier.value, 0.0)
+    sub = subgradient.value / np.maximum(
+        np.linalg.norm(subgradient.value, axis=1, keepdims=True), 1
+    )
+    residual = cost + (vanishing[:, None] * sub).ravel() - pull @ found - miss @ force.value
+    return Conditions(
+        infeasibility=max(-float(margin.min()), float(np.abs(v.equalities[0]).max())),
+        residual=float(np.linalg.norm(residual) / np.sqrt(m)),
+        complementarity=float(np.abs(found * margin[active]).max(initial=0.0)),
+        largest=(float(found.max(initial=0.0)), float(np.abs(force.value).max())),
+    )
+
+
+def converged(overrides: tuple[str, ...]) -> tuple[Mission, Plan]:
+    """A random plan that converged on P2; the others are not looked at."""
+    try:
+        mission, found = planned(overrides)
+    except InputError:
+        assume(False)
+    assume(found.final.result.status is Status.CONVERGED and found.final.facets is not None)
+    return mission, found
+
+
+@expensive
+@given(scenarios())
+def test_a_converged_plan_satisfies_the_kkt_conditions_of_p2_with_facets_fixed(
+    overrides: tuple[str, ...],
+) -> None:
+    mission, found = converged(overrides)
+    at = conditions(mission, found.final)
+    assert at.infeasibility < 2.0 * TrustRegion.feasible
+    assert at.residual < 1e-3
+    assert at.complementarity < 1e-6
+    # The penalty is exact where no multiplier is above its heaviest weight.
+    assert max(at.largest) < TrustRegion.weight_max
+
+
+@cache
+def default_plan(formulation: str) -> tuple[Mission, Plan]:
+    mission = Mission.from_scenario(load_scenario())
+    return mission, plan(mission, guess.cold(mission), formulation=formulation)
+
+
+def test_the_default_plan_satisfies_the_kkt_conditions() -> None:
+    mission, found = default_plan("condensed")
+    at = conditions(mission, found.final)
+    assert at.infeasibility < TrustRegion.feasible
+    assert at.residual < 1e-4
+    assert at.complementarity < 1e-6
+
+
+def test_the_stms_dependence_on_the_mean_is_what_the_kkt_conditions_need() -> None:
+    """Frozen STMs converge to a feasible point of P2 that is none of its solutions."""
+    mission, found = default_plan("frozen-stm")
+    assert found.final.result.status is Status.CONVERGED
+    at = conditions(mission, found.final)
+    assert at.infeasibility < TrustRegion.feasible
+    assert at.residual > 3e-3
+
+
+@expensive
+@given(scenarios())
+def test_accepted_steps_never_raise_the_merit(overrides: tuple[str, ...]) -> None:
+    try:
+        _, found = planned(overrides)
+    except InputError:
+        assume(False)
+    for stage in found.stages:
+        records = stage.result.records
+        for before, after in pairwise(records):
+            # Only a heavier penalty may, and that where something was violated.
+            if after.accepted and after.merit > before.merit * (1.0 + 1e-12):
+                assert max(before.max_violation, before.max_defect) > TrustRegion.feasible
+                assert before.predicted <= TrustRegion.stationary * max(1.0, before.merit)
+        # The step from a guess, which obeys no dynamics, is taken whatever it leads to.
+        assert all(r.actual > 0.0 for r in records[1:] if r.accepted)
+
+
+@expensive
+@given(scenarios())
+def test_what_is_called_converged_is_feasible_when_integrated_again(
+    overrides: tuple[str, ...],
+) -> None:
+    mission, found = converged(overrides)
+    lin, units, facets = found.final.result.lin, mission.units, found.final.facets
+    assert facets is not None
+    burns = lin.iterate.burns * units.speed_m_s
+    mean = adaptive(mission, burns)
+    np.testing.assert_allclose(mean[-1, :3], mission.final_state[:3], rtol=0.0, atol=1.0)
+    np.testing.assert_allclose(mean[-1, 3:], mission.final_state[3:], rtol=0.0, atol=1e-4)
+    covariance = fly(mission, lin.iterate.burns[None])[1][facets.node, 0, :3, :3]
+    spread = np.sqrt(np.einsum("mi,mij,mj->m", facets.normal, covariance, facets.normal))
+    distance = facets.offset - np.einsum(
+        "mi,mi->m", facets.normal, mean[facets.node, :3] / units.length_m
+    )
+    margin_m = (distance - facets.quantile * spread) * units.length_m
+    assert margin_m.min() > -0.1
+    assert np.linalg.norm(burns, axis=1).max() <= mission.scenario.burns.dv_max_m_s * (1.0 + 1e-6)
+    # And no buffer holds anything.
+    buffers = found.final.subproblem.violations(lin)
+    assert (
+        max(float(amounts.max(initial=0.0)) for amounts in buffers.values()) <= TrustRegion.feasible
+    )
+
+
+def adaptive(mission: Mission, burns_m_s: Array) -> Array:
+    """Mean states after the burns at the nodes, by an adaptive eighth-order integrator."""
+    times, firing = mission.times_s, np.array(mission.scenario.burns.times_s)
+    state = mission.initial_state.copy()
+    states = np.empty((len(times), 6))
+    forces = mission.forces
+
+    def rate(_: float, y: Array) -> Array:
+        return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces)])
+
+    for burn, begin, end in zip(burns_m_s, firing, [*firing[1:], firing[-1]], strict=True):
+        state[3:] += burn
+        leg = (times >= begin) & (times <= end)
+        if end > begin:
+            flown = solve_ivp(
+                rate, (begin, end), state, "DOP853", times[leg], rtol=1e-11, atol=1e-9
+            )
+            states[leg] = flown.y.T
+            state = flown.y[:, -1].copy()
+    states[-1] = state
+    return states

@@ -1,0 +1,52 @@
+"""Counts, from the test run itself, of what the reliability table reports.
+
+Tests call `count`; the hooks in `conftest.py` collect the counts of all tests that passed, over all
+processes, and the examples that Hypothesis ran. `pytest --reliability FILE` writes the table.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+BAD_INPUTS = "bad inputs tried, each answered by one message"
+FAULTS = "faults injected and survived"
+SOLVED = "random scenarios solved and verified"
+REFUSED = "random scenarios refused: infeasible, with the least violation"
+BARRED = "random scenarios refused: no window, or a burn against a rule"
+UNFINISHED = "random scenarios ended as not converged or not verified, and said so"
+WRONG = "random scenarios ended in anything else"
+PROPERTIES, EXAMPLES = "property tests", "examples that they ran"
+
+ORDER = (
+    *(PROPERTIES, EXAMPLES, BAD_INPUTS, FAULTS),
+    *(SOLVED, REFUSED, BARRED, UNFINISHED, WRONG),
+)
+
+COUNTS: Counter[str] = Counter()
+"""Of the test that runs at the moment."""
+
+
+def count(what: str) -> None:
+    """One more of something, if the test that counts it passes."""
+    COUNTS[what] += 1
+
+
+def examples(statistics: str) -> int:
+    """Examples that passed, from what Hypothesis says of a test."""
+    return sum(int(number) for number in re.findall(r"(\d+) passing", statistics))
+
+
+def table(totals: Counter[str]) -> str:
+    """Markdown, in a fixed order."""
+    rows = [f"| {name} | {totals[name]:,} |" for name in ORDER]
+    return "\n".join(["| figure | count |", "|---|---|", *rows]) + "\n"
+
+
+def write(path: Path, totals: Counter[str], profile: str, outcome: Iterable[str]) -> None:
+    """The table with what it was made from."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    head = f"Hypothesis profile `{profile}`; {', '.join(outcome)}.\n\n"
+    path.write_text(head + table(totals), encoding="utf-8")

@@ -1,0 +1,71 @@
+"""Random scenarios around Reconnaissance B, most of which can be flown, and their plans."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from hypothesis import strategies as st
+
+from scp_recon import guess
+from scp_recon.mission import Mission
+from scp_recon.planner import Plan, plan
+from scp_recon.scenario import load_scenario
+
+RECON_B = load_scenario()
+COARSE = "grid.step_max_s=450.0"
+"""Half the nodes: what is tested here does not depend on the grid, and takes a third of the time."""
+
+
+def turned(vector: tuple[float, ...], degrees: tuple[float, float]) -> list[float]:
+    """A body-fixed vector at another longitude and latitude."""
+    size = float(np.linalg.norm(vector))
+    x, y, z = vector
+    longitude = np.arctan2(y, x) + np.deg2rad(degrees[0])
+    latitude = np.arcsin(z / size) + np.deg2rad(degrees[1])
+    across = np.cos(latitude)
+    unit = across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)
+    return [size * float(u) for u in unit]
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> tuple[str, ...]:
+    """Overrides of times, window, site, sizes, errors, risk and polytopes."""
+
+    def near(value: float, size: float) -> float:
+        return round(value + draw(st.floats(-size, size)), 6)
+
+    boundary, site = RECON_B.boundary, RECON_B.site
+    turn = draw(st.floats(-6.0, 6.0)), draw(st.floats(-6.0, 6.0))
+    chosen = [
+        f"burns.times_s=[0.0, {near(7600, 700)}, {near(25000, 1500)}, {near(34842, 1500)}]",
+        f"burns.dv_max_m_s={draw(st.floats(0.06, 0.3))}",
+        f"boundary.initial_position_m={[near(x, 30.0) for x in boundary.initial_position_m]}",
+        f"boundary.final_position_m={[near(x, 60.0) for x in boundary.final_position_m]}",
+        f"boundary.final_velocity_m_s={[near(v, 0.005) for v in boundary.final_velocity_m_s]}",
+        f"site.position_body_m={turned(site.position_body_m, turn)}",
+        f"site.normal_body={turned(site.normal_body, turn)}",
+        f"observation.site_distance_max_m={near(750, 40)}",
+        f"safety.radius_min_m={near(400, 150)}",
+        f"uncertainty.execution_error={draw(st.floats(0.0, 0.12))}",
+        f"uncertainty.initial_sigma_fraction={draw(st.floats(0.0, 0.012))}",
+        f"risk.p_chance={draw(st.floats(0.55, 0.9))}",
+        f"polytopes.ball={draw(st.sampled_from(['paper', 8, 24, 60]))}",
+        f"polytopes.cone={draw(st.sampled_from(['paper', 6, 12]))}",
+        COARSE,
+    ]
+    if draw(st.booleans()):
+        first = near(13400, 300)
+        chosen.append(f"observation.window_s=[{first}, {first + draw(st.floats(600, 3000))}]")
+    return tuple(chosen)
+
+
+@lru_cache(maxsize=8)
+def planned(overrides: tuple[str, ...]) -> tuple[Mission, Plan]:
+    """A scenario planned from a cold start.
+
+    Raises:
+        InputError: if it has no window, or a burn breaks a rule of the schedule.
+    """
+    mission = Mission.from_scenario(load_scenario(None, overrides))
+    return mission, plan(mission, guess.cold(mission))
