@@ -19,10 +19,9 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class ConeProgram:
-    """min 1/2 x'P x + q'x  subject to  b - A x in {0}^zero x R+^nonnegative x Q^d1 x Q^d2 x ...
+    """min q'x  subject to  b - A x in {0}^zero x R+^nonnegative x Q^d1 x Q^d2 x ...
 
     Attributes:
-        quadratic: P, diagonal.
         cost: q.
         matrix: A, with column-wise sorted entries.
         bound: b.
@@ -31,7 +30,6 @@ class ConeProgram:
         second_order: dimensions of the second-order cones.
     """
 
-    quadratic: sp.csc_array
     cost: Array
     matrix: sp.csc_array
     bound: Array
@@ -65,7 +63,7 @@ class Clarabel:
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`."""
-        p, a = program.quadratic, program.matrix
+        a = program.matrix
         if self._solver is None:
             settings = clarabel.DefaultSettings()
             settings.verbose = False
@@ -77,11 +75,12 @@ class Clarabel:
                 clarabel.NonnegativeConeT(program.nonnegative),
                 *map(clarabel.SecondOrderConeT, program.second_order),
             ]
+            p = sp.csc_matrix((len(program.cost),) * 2)
             self._solver = clarabel.DefaultSolver(
-                sp.csc_matrix(p), program.cost, sp.csc_matrix(a), program.bound, cones, settings
+                p, program.cost, sp.csc_matrix(a), program.bound, cones, settings
             )
         else:
-            self._solver.update(P=p.data, q=program.cost, A=a.data, b=program.bound)
+            self._solver.update(q=program.cost, A=a.data, b=program.bound)
         found = self._solver.solve()
         status = str(found.status)
         if status not in ("Solved", "AlmostSolved"):
@@ -100,20 +99,18 @@ class Qoco:
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`."""
-        p, q, z = program.quadratic, program.cost, program.zero
+        q, z = program.cost, program.zero
         a, g = sp.csc_array(program.matrix[:z]), sp.csc_array(program.matrix[z:])
         b, h = program.bound[:z], program.bound[z:]
         if self._solver is None:
             self._solver = importlib.import_module("qoco").QOCO()
             sizes = len(q), len(h), z
-            matrices = p if p.nnz else None, q, a if z else None, b if z else None, g, h
+            matrices = None, q, a if z else None, b if z else None, g, h
             cones = program.nonnegative, len(program.second_order), np.array(program.second_order)
             self._solver.setup(*sizes, *matrices, *cones, abstol=TOLERANCE, reltol=TOLERANCE)
         else:
             self._solver.update_vector_data(c=q, b=b if z else None, h=h)
-            self._solver.update_matrix_data(
-                P=p.data if p.nnz else None, A=a.data if z else None, G=g.data
-            )
+            self._solver.update_matrix_data(P=None, A=a.data if z else None, G=g.data)
         found = self._solver.solve()
         if found.status not in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE"):
             raise ValueError(f"QOCO ended with status {found.status}")

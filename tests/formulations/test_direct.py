@@ -207,8 +207,7 @@ def test_a_solver_without_a_finite_answer_raises_our_own_error(
 def test_a_program_without_a_solution_has_no_answer(solver: str) -> None:
     if solver == "QOCO":
         pytest.importorskip("qoco", reason="QOCO is not installed")
-    empty = sp.csc_array((1, 1))
     matrix = sp.csc_array(np.array([[1.0], [-1.0]]))
-    program = ConeProgram(empty, np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
+    program = ConeProgram(np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
     with pytest.raises(ValueError, match=f"{solver} ended with status"):
         SOLVERS[solver]().solve(program)
