@@ -4,6 +4,8 @@ The same program as `modelled` writes in CVXPY, in the variables
 
     z   burns, 3 m              t   their sizes, m
     a   |miss|, or the miss, 6  v   violations: of dv_max, m; of the battery's cones, 2 m; of the rows
+    s   the sum of squares that a penalty charges, if it does: as a cone, because as a quadratic
+        objective it keeps the solvers short of their tolerances
 
 Every constraint says that an affine function of them lies in a cone. Their sparsity never changes, so
 an iteration fills in numbers and the solver keeps its symbolic factorisation.
@@ -70,8 +72,9 @@ class DirectSubproblem(Subproblem):
         self._condense, self._penalty = CONDENSATIONS[formulation], penalty
         self._solver = Recovering(solver)
         m = problem.n_burns
-        ends = np.cumsum([3 * m, m, 6, 3 * m + rows.count])
-        self._z, self._t, self._a, self._v = (
+        squares = 0 if penalty == "exact" else 1
+        ends = np.cumsum([3 * m, m, 6, 3 * m + rows.count, squares])
+        self._z, self._t, self._a, self._v, self._s = (
             np.arange(first, last) for first, last in zip([0, *ends], ends, strict=False)
         )
         self._pattern: _Pattern | None = None
@@ -92,34 +95,36 @@ class DirectSubproblem(Subproblem):
         charge = charge if isinstance(charge, Charge) else Charge(charge)
         blocks = sorted(self._blocks(radius), key=lambda block: block.dimension)
         if self._pattern is None:
-            self._pattern = _Pattern(blocks, int(self._v[-1]) + 1)
-        cost, quadratic = self._objective(charge)
-        program = self._pattern.program(blocks, cost, quadratic)
+            self._pattern = _Pattern(blocks, self._variables)
+        cost = self._cost(charge)
+        program = self._pattern.program(blocks, cost)
         try:
             answer = self._solver.solve(program)
         except ValueError as error:
             raise SubproblemError(str(error)) from error
         x = answer.x
         if self._penalty == "proximal":  # whose charge for the step is no part of the merit
-            cost[self._z] = quadratic[self._z] = 0.0
-        merit = float(cost @ x + 0.5 * quadratic @ x**2)
+            cost[self._s] = 0.0
+        merit = float(cost @ x)
         other = perf_counter() - start - answer.solver_s
         burns = x[self._z].reshape(-1, 3)
         return Step(burns, merit, answer.solver_s, other, answer.accurate)
 
-    def _objective(self, charge: Charge) -> tuple[Array, Array]:
-        """Linear cost and the diagonal of the quadratic one."""
-        cost, quadratic = np.zeros(self._v[-1] + 1), np.zeros(self._v[-1] + 1)
+    @property
+    def _variables(self) -> int:
+        return int(self._v[-1]) + 1 + len(self._s)
+
+    def _cost(self, charge: Charge) -> Array:
+        """The objective's coefficients."""
+        cost = np.zeros(self._variables)
         cost[self._t] = 1.0
-        charged = np.concatenate([self._a, self._v])
         if self._penalty == "augmented":
-            cost[charged], quadratic[charged] = charge.multipliers, charge.weight
-            return cost, quadratic
+            cost[np.concatenate([self._a, self._v])] = charge.multipliers
+            cost[self._s] = 0.5 * charge.weight
+            return cost
         cost[self._a], cost[self._v] = DYNAMICS_WEIGHT * charge.weight, charge.weight
-        if self._penalty == "proximal":
-            quadratic[self._z] = charge.prox
-            cost[self._z] = -charge.prox * self._burns.ravel()
-        return cost, quadratic
+        cost[self._s] = 0.5 * charge.prox
+        return cost
 
     def _blocks(self, radius: float) -> Iterator[Block]:
         """The constraints, convexified at the iterate."""
@@ -141,6 +146,11 @@ class DirectSubproblem(Subproblem):
         yield Block(columns.reshape(-1, 1), one, np.zeros(4 * m), 4)
         for cones in self._cones:
             yield self._row_block(cones)
+        if self._penalty == "proximal":
+            yield self._square_block(z, at)
+        if self._penalty == "augmented":
+            charged = np.concatenate([self._a, v])
+            yield self._square_block(charged, np.zeros(len(charged)))
 
     def _miss_blocks(self) -> Iterator[Block]:
         constant, jacobian = self._miss
@@ -151,6 +161,13 @@ class DirectSubproblem(Subproblem):
         for sign in (1.0, -1.0):
             values = np.hstack([sign * jacobian, np.ones((6, 1))])
             yield Block(columns, values, sign * constant, 1)
+
+    def _square_block(self, columns: Indices, centre: Array) -> Block:
+        """||x - centre||^2 <= s  as  (1 + s, 1 - s, 2 (x - centre)) in a second-order cone."""
+        column = np.concatenate([self._s, self._s, columns])[:, None]
+        values = np.concatenate([[1.0, -1.0], np.full(len(columns), 2.0)])[:, None]
+        constants = np.concatenate([[1.0, 1.0], -2.0 * centre])
+        return Block(column, values, constants, len(constants))
 
     def _row_block(self, cones: Cones) -> Block:
         n, d, p = cones.values.shape
@@ -192,20 +209,15 @@ class _Pattern:
             if dim > 1
             for _ in range(size // dim)
         )
-        self._curved: npt.NDArray[np.int32] | None = None
 
-    def program(self, blocks: list[Block], cost: Array, quadratic: Array) -> ConeProgram:
+    def program(self, blocks: list[Block], cost: Array) -> ConeProgram:
         """Fill in the numbers."""
         values = [
             np.broadcast_to(block.values, present.shape)[present]
             for block, present in zip(blocks, self._present, strict=True)
         ]
         data = -np.concatenate(values)[self._order]
-        if self._curved is None:
-            self._curved = np.flatnonzero(quadratic).astype(np.int32)
-        starts = np.searchsorted(self._curved, np.arange(len(cost) + 1)).astype(np.int32)
         return ConeProgram(
-            sp.csc_array((quadratic[self._curved], self._curved, starts), shape=(len(cost),) * 2),
             cost,
             sp.csc_array((data, self._row, self._starts), shape=self._shape),
             np.concatenate([block.constants for block in blocks]),

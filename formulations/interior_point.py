@@ -20,10 +20,9 @@ TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class ConeProgram:
-    """min 1/2 x'P x + q'x  subject to  b - A x in {0}^zero x R+^nonnegative x Q^d1 x Q^d2 x ...
+    """min q'x  subject to  b - A x in {0}^zero x R+^nonnegative x Q^d1 x Q^d2 x ...
 
     Attributes:
-        quadratic: P, diagonal.
         cost: q.
         matrix: A, with column-wise sorted entries.
         bound: b.
@@ -32,7 +31,6 @@ class ConeProgram:
         second_order: dimensions of the second-order cones.
     """
 
-    quadratic: sp.csc_array
     cost: Array
     matrix: sp.csc_array
     bound: Array
@@ -66,7 +64,7 @@ class Clarabel:
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`."""
-        p, a = program.quadratic, program.matrix
+        a = program.matrix
         if self._solver is None:
             settings = clarabel.DefaultSettings()
             settings.verbose = False
@@ -78,11 +76,12 @@ class Clarabel:
                 clarabel.NonnegativeConeT(program.nonnegative),
                 *map(clarabel.SecondOrderConeT, program.second_order),
             ]
+            p = sp.csc_matrix((len(program.cost),) * 2)
             self._solver = clarabel.DefaultSolver(
-                sp.csc_matrix(p), program.cost, sp.csc_matrix(a), program.bound, cones, settings
+                p, program.cost, sp.csc_matrix(a), program.bound, cones, settings
             )
         else:
-            self._solver.update(P=p.data, q=program.cost, A=a.data, b=program.bound)
+            self._solver.update(q=program.cost, A=a.data, b=program.bound)
         start = perf_counter()
         found = self._solver.solve()
         seconds = perf_counter() - start  # its own figure counts its set-up every time
@@ -106,20 +105,18 @@ class Qoco:
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`."""
-        p, q, z = program.quadratic, program.cost, program.zero
+        q, z = program.cost, program.zero
         a, g = sp.csc_array(program.matrix[:z]), sp.csc_array(program.matrix[z:])
         b, h = program.bound[:z], program.bound[z:]
         if self._solver is None:
             self._solver = importlib.import_module("qoco").QOCO()
             sizes = len(q), len(h), z
-            matrices = p if p.nnz else None, q, a if z else None, b if z else None, g, h
+            matrices = None, q, a if z else None, b if z else None, g, h
             cones = program.nonnegative, len(program.second_order), np.array(program.second_order)
             self._solver.setup(*sizes, *matrices, *cones, abstol=TOLERANCE, reltol=TOLERANCE)
         else:
             self._solver.update_vector_data(c=q, b=b if z else None, h=h)
-            self._solver.update_matrix_data(
-                P=p.data if p.nnz else None, A=a.data if z else None, G=g.data
-            )
+            self._solver.update_matrix_data(P=None, A=a.data if z else None, G=g.data)
         found = self._solver.solve()
         if found.status not in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE"):
             raise ValueError(f"QOCO ended with status {found.status}")
@@ -134,13 +131,11 @@ GAP, HUGE = 1e-6, 1e30
 def closes_gap(program: ConeProgram, x: Array, z: Array) -> bool:
     """Whether multipliers z vouch for x: a verdict rests on this arithmetic, not on a status.
 
-    Weak duality: q'x + x'Px / 2 = -b'z - x'Px / 2 where Px + q + A'z = 0.
+    Weak duality: no x' has q'x' < -b'z where q + A'z = 0 and z is in the dual cones.
     """
-    curved = program.quadratic @ x
-    primal = program.cost @ x + 0.5 * x @ curved
-    dual = -program.bound @ z - 0.5 * x @ curved
-    gradient = curved + program.cost + program.matrix.T @ z
-    size = max(1.0, np.abs(program.cost).max(), np.abs(z).max())
+    primal, dual = float(program.cost @ x), -float(program.bound @ z)
+    gradient = program.cost + program.matrix.T @ z
+    size = max(1.0, float(np.abs(program.cost).max()), float(np.abs(z).max()))
     flat = np.abs(gradient).max() <= GAP * size
     return bool(flat and abs(primal - dual) <= GAP * max(1.0, abs(primal)))
 

@@ -183,7 +183,7 @@ class Scripted:
 
 
 GOOD, POOR = Answer(np.ones(400), "good", True, 0.0), Answer(np.ones(400), "poor", False, 0.0)
-PROGRAM = ConeProgram(sp.csc_array((1, 1)), np.ones(1), sp.csc_array((0, 1)), np.zeros(0), 0, 0, ())
+PROGRAM = ConeProgram(np.ones(1), sp.csc_array((0, 1)), np.zeros(0), 0, 0, ())
 
 
 def scripted(monkeypatch: pytest.MonkeyPatch, *answers: Answer | str, other: str = "no") -> None:
@@ -243,8 +243,7 @@ def some_subproblem() -> Subproblem:
 def test_a_program_without_a_solution_has_no_answer(solver: str) -> None:
     if solver == "QOCO":
         pytest.importorskip("qoco", reason="QOCO is not installed")
-    empty = sp.csc_array((1, 1))
     matrix = sp.csc_array(np.array([[1.0], [-1.0]]))
-    program = ConeProgram(empty, np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
+    program = ConeProgram(np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
     with pytest.raises(ValueError, match=f"{solver} ended with status"):
         SOLVERS[solver]().solve(program)

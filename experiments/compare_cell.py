@@ -1,0 +1,260 @@
+"""One cell of the comparison, solved and measured: a row of the table."""
+
+from __future__ import annotations
+
+import importlib
+import resource
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from experiments.compare_cases import IPOPT, Cell, Method, initial_guess
+from formulations.condensations import CONDENSATIONS
+from formulations.facets import choose_facets, included_rows
+from formulations.formulations import make_subproblem
+from formulations.interior_point import SOLVERS
+from formulations.lifting import Linearisation
+from formulations.rows import P2Rows
+from formulations.subproblem import Evaluation
+from scp_recon.algorithms import ALGORITHMS
+from scp_recon.campaign import Setting, fly_campaign
+from scp_recon.mission import Mission
+from scp_recon.observing import ALL
+from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, plan
+from scp_recon.scenario import load_scenario
+from scp_recon.scp import Result, run
+from scp_recon.scvx import TrustRegion
+from scp_recon.status import Status
+
+FAILED = "failed"
+"""Status of a cell that did not come to an end of its own."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A cell and what came of it; empty figures are NaN.
+
+    Attributes:
+        key, group, scenario, start, seed, formulation, algorithm, solver: the cell.
+        status: a `Status` by name, or `FAILED`.
+        detail: why it failed.
+        problem: "P2", or "P3" where that was not solved.
+        total_dv_m_s: sum of the burns.
+        merit_m_s: with the exact penalty of SCvx, first weight.
+        heavy_merit_m_s: with its second weight, which infeasible cases end with.
+        violation_m: largest violation; velocities count as metres per unit of time.
+        iterations_p3, iterations_p2: the latter over all facet restorations.
+        retried: whether P3 was tried again from the ballistic arc.
+        total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
+            nothing is imported.
+        solver_s: in the conic solver, or in IPOPT without its evaluations.
+        peak_mib: resident memory of the process, imports included.
+        observed_s: mean observation time of many flights.
+        burns_m_s: all components.
+    """
+
+    key: str
+    group: str
+    scenario: str
+    start: str
+    seed: int
+    formulation: str
+    algorithm: str
+    solver: str
+    status: str
+    detail: str = ""
+    problem: str = ""
+    total_dv_m_s: float = np.nan
+    merit_m_s: float = np.nan
+    heavy_merit_m_s: float = np.nan
+    violation_m: float = np.nan
+    iterations_p3: int = 0
+    iterations_p2: int = 0
+    retried: bool = False
+    total_s: float = np.nan
+    solver_s: float = np.nan
+    peak_mib: float = np.nan
+    observed_s: float = np.nan
+    burns_m_s: tuple[float, ...] = ()
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return Method(self.formulation, self.algorithm, self.solver).name
+
+    @property
+    def solved(self) -> bool:
+        """Whether P2 converged and every constraint holds."""
+        return self.problem == "P2" and self.status == Status.CONVERGED.value.name
+
+
+def failed_row(cell: Cell, reason: str, total_s: float = np.nan) -> Row:
+    """The row of a cell that did not come to an end of its own."""
+    return replace(_empty_row(cell), detail=reason, total_s=total_s)
+
+
+def solve_cell(cell: Cell, flights: int) -> Row:
+    """Solve a cell in this process.
+
+    Args:
+        cell: what to solve.
+        flights: of the Monte Carlo estimate of the observation time.
+    """
+    mission = Mission.from_scenario(load_scenario(None, cell.overrides))
+    for name in _needs(cell.method):
+        importlib.import_module(name)
+    found = _from_p3(mission, cell) if cell.start == "p3" else _whole(mission, cell)
+    speed, length = mission.units.speed_m_s, mission.units.length_m
+    lin = found.lin
+    burns = lin.iterate.burns * speed
+    weights = TrustRegion()
+    setting, peak = Setting(mission, burns), _peak_mib()
+    observed = fly_campaign(setting, samples=flights).held[ALL].mean().value if flights else np.nan
+    worst = max(float(v.max(initial=0.0)) for v in found.subproblem.violations(lin).values())
+    return replace(
+        _empty_row(cell),
+        status=found.status.value.name,
+        problem="P2" if isinstance(found.subproblem.rows, P2Rows) else "P3",
+        total_dv_m_s=lin.iterate.total_dv * speed,
+        merit_m_s=found.subproblem.merit(lin, weights.weight) * speed,
+        heavy_merit_m_s=found.subproblem.merit(lin, weights.weight_max) * speed,
+        violation_m=worst * length,
+        iterations_p3=found.iterations_p3,
+        iterations_p2=found.iterations_p2,
+        retried=found.retried,
+        total_s=found.total_s,
+        solver_s=found.solver_s,
+        peak_mib=peak,
+        observed_s=observed,
+        burns_m_s=tuple(burns.ravel().tolist()),
+    )
+
+
+def _empty_row(cell: Cell) -> Row:
+    method = cell.method
+    return Row(
+        key=cell.key,
+        group=cell.group,
+        scenario=cell.scenario,
+        start=cell.start,
+        seed=cell.seed,
+        formulation=method.formulation,
+        algorithm=method.algorithm,
+        solver=method.solver,
+        status=FAILED,
+    )
+
+
+def _needs(method: Method) -> tuple[str, ...]:
+    """Modules that a method imports where it uses them, which is not to count as its time."""
+    if method.solver == IPOPT:
+        return ("scp_recon.ipopt",)
+    modelled = method.formulation not in CONDENSATIONS or method.solver not in SOLVERS
+    return ("formulations.modelled", method.solver.lower()) if modelled else ()
+
+
+def _peak_mib() -> float:
+    """Largest resident set of this process so far; Linux counts in KiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Where a method ended, and what it took."""
+
+    status: Status
+    lin: Linearisation
+    subproblem: Evaluation
+    iterations_p3: int
+    iterations_p2: int
+    retried: bool
+    total_s: float
+    solver_s: float
+
+
+def _whole(mission: Mission, cell: Cell) -> _Found:
+    """P3, facets and P2 by one method."""
+    start, method = initial_guess(mission, cell), cell.method
+    if method.solver == IPOPT:
+        from scp_recon import ipopt
+
+        elastic = method.algorithm == "elastic"
+        done = ipopt.plan(mission, start, variant=method.formulation, elastic=elastic)
+    else:
+        done = plan(
+            mission,
+            start,
+            formulation=method.formulation,
+            algorithm=method.algorithm,
+            solver=method.solver,
+        )
+    return _of_plan(done)
+
+
+def _of_plan(done: Plan) -> _Found:
+    counts = {stage.name: 0 for stage in done.stages}
+    for stage in done.stages:
+        counts[stage.name] += len(stage.result.records)
+    return _Found(
+        status=done.final.result.status,
+        lin=done.final.result.lin,
+        subproblem=done.final.subproblem,
+        iterations_p3=sum(n for name, n in counts.items() if name.startswith("P3")),
+        iterations_p2=sum(n for name, n in counts.items() if name.startswith("P2")),
+        retried="P3.2" in counts,
+        total_s=done.total_s,
+        solver_s=done.timing.conic_solver,
+    )
+
+
+def _from_p3(mission: Mission, cell: Cell) -> _Found:
+    """P2 from SCP's P3 solution and the facets there, restoring facets that should not be left out."""
+    p3 = plan(mission, initial_guess(mission, cell), problem="P3").final.result.lin
+    problem = mission.problem
+    facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
+    margin = facets.margin(p3.iterate.mean, p3.factor)
+    clearance = CLEARANCE_M / mission.units.length_m
+    included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
+    solve = _solver_of_p2(mission, cell.method)
+    begin, lin, iterations, solver_s = perf_counter(), p3, 0, 0.0
+    while True:
+        rows = P2Rows(problem, facets, included)
+        subproblem, result = solve(rows, lin)
+        lin = result.lin
+        iterations += len(result.records)
+        solver_s += result.timing.conic_solver
+        missed = rows.missed(lin, TrustRegion.feasible)
+        if not missed.any():
+            break
+        included = included | missed
+    total_s = perf_counter() - begin
+    return _Found(result.status, lin, subproblem, 0, iterations, False, total_s, solver_s)
+
+
+def _solver_of_p2(
+    mission: Mission, method: Method
+) -> Callable[[P2Rows, Linearisation], tuple[Evaluation, Result]]:
+    """P2 on given rows from a given iterate, by SCP or by IPOPT."""
+    if method.solver == IPOPT:
+        from formulations.nlp import VARIANTS
+        from scp_recon.ipopt import StageSolver, casadi_arcs
+
+        variant, arcs = VARIANTS[method.formulation], casadi_arcs(mission.dynamics)
+        solver = StageSolver(mission, arcs, variant, method.algorithm == "elastic")
+
+        def by_ipopt(rows: P2Rows, start: Linearisation) -> tuple[Evaluation, Result]:
+            stage = solver.solve("P2", rows, start)
+            return stage.subproblem, stage.result
+
+        return by_ipopt
+    algorithm = ALGORITHMS[method.algorithm]()
+
+    def by_scp(rows: P2Rows, start: Linearisation) -> tuple[Evaluation, Result]:
+        subproblem = make_subproblem(
+            mission.problem, rows, method.formulation, method.solver, algorithm.penalty
+        )
+        return subproblem, run(subproblem, mission.dynamics, start, algorithm, lambda _: None)
+
+    return by_scp

@@ -1,0 +1,102 @@
+"""Cells one after the other, each in a process of its own with a time limit; rows as they come.
+
+A row is a line of JSON, appended when its cell is done, so that a stopped run continues.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing as mp
+import signal
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict
+from multiprocessing.connection import Connection
+from pathlib import Path
+from time import perf_counter
+
+from experiments.compare_cases import Cell
+from experiments.compare_cell import Row, failed_row, solve_cell
+
+FILE_NAME = "rows.jsonl"
+PRELOADED = ["experiments.compare_cell"]
+"""Imported once by the server that the cells' processes are forked from."""
+
+Solve = Callable[[Cell, int], Row]
+
+
+def run_cells(
+    cells: Iterable[Cell], path: Path, *, flights: int, limit_s: float, solve: Solve = solve_cell
+) -> Iterator[Row]:
+    """Rows of the cells, from the file where they are there, else solved and appended to it.
+
+    Args:
+        cells: what to solve.
+        path: of the rows.
+        flights: of each cell's Monte Carlo estimate.
+        limit_s: seconds that a cell may take, its estimate included.
+        solve: what solves one; a function of a module.
+    """
+    known = read_rows(path)
+    context = mp.get_context("forkserver")
+    context.set_forkserver_preload(PRELOADED)
+    with path.open("a+", encoding="utf-8") as file:
+        if known:
+            file.write("\n")  # after a line that was cut off; empty lines are no rows
+        for cell in cells:
+            row = known.get(cell.key)
+            if row is None:
+                receive, send = context.Pipe(duplex=False)
+                process = context.Process(target=_work, args=(send, solve, cell, flights))
+                row = _row_of(process, receive, send, cell, limit_s)
+                file.write(json.dumps(asdict(row)) + "\n")
+                file.flush()
+            yield row
+
+
+def read_rows(path: Path) -> dict[str, Row]:
+    """Complete rows of a file by key; none if there is no file. The last one of a key counts."""
+    rows: dict[str, Row] = {}
+    if not path.exists():
+        return rows
+    for line in path.read_text("utf-8").splitlines():
+        try:
+            entries = json.loads(line)
+            row = Row(**entries | {"burns_m_s": tuple(entries["burns_m_s"])})
+        except (ValueError, TypeError, KeyError):
+            continue  # cut off, or of another version of this study
+        rows[row.key] = row
+    return rows
+
+
+def _work(send: Connection, solve: Solve, cell: Cell, flights: int) -> None:
+    """In the cell's process: its row, or the words of what went wrong."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
+    try:
+        send.send(solve(cell, flights))
+    except Exception as error:  # a solver's, or ours: the row says which
+        send.send(failed_row(cell, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"))
+
+
+def _row_of(
+    process: mp.process.BaseProcess,
+    receive: Connection,
+    send: Connection,
+    cell: Cell,
+    limit_s: float,
+) -> Row:
+    """Wait for a cell's process as long as it may take, and end it."""
+    begin = perf_counter()
+    process.start()
+    send.close()  # this end of it, so that a process that dies is noticed
+    try:
+        if not receive.poll(limit_s):
+            return failed_row(cell, f"no end after {limit_s:g} s", perf_counter() - begin)
+        row: Row = receive.recv()
+        return row
+    except EOFError:
+        process.join()
+        return failed_row(cell, f"its process ended with exit code {process.exitcode}")
+    finally:
+        process.kill()
+        process.join()
+        receive.close()

@@ -1,0 +1,106 @@
+"""SCP's forms, algorithms and conic solvers against IPOPT: `python -m experiments.compare_solvers`.
+
+Rows, table and figures are left in OUT; a run that was stopped continues with the first missing row.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from experiments.compare_cases import Cell, full_design, quick_design
+from experiments.compare_cell import FAILED, Row
+from experiments.compare_claims import claims
+from experiments.compare_report import shown, to_csv, to_markdown
+from experiments.compare_runs import FILE_NAME, run_cells
+from scp_recon.command import guarded
+from scp_recon.errors import InputError
+from scp_recon.solution import write_atomically
+
+DEFAULT_OUT = Path("runs") / "comparison"
+FLIGHTS, LIMIT_S, QUICK_LIMIT_S = 2_000, 40.0, 20.0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(prog="python -m experiments.compare_solvers", description=__doc__)
+    size = p.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="a cell of every kind: two minutes")
+    size.add_argument("--full", action="store_true", help="everything, an hour (default)")
+    p.add_argument(
+        "--out",
+        type=Path,
+        default=DEFAULT_OUT,
+        metavar="DIR",
+        help=f"folder for the rows, the table and the figures (default: {DEFAULT_OUT})",
+    )
+    p.add_argument(
+        "--fresh", action="store_true", help="forget the rows that are there instead of going on"
+    )
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0 once every cell has its row, failed ones included."""
+    options = parser().parse_args(arguments)
+    return guarded(lambda console: _run(options, console))
+
+
+def _run(options: argparse.Namespace, console: Console) -> int:
+    try:
+        import casadi  # noqa: F401
+        import matplotlib  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "the comparison", f"no {error.name}", "install the extra scp_recon[compare]"
+        ) from None
+    out: Path = options.out
+    out.mkdir(parents=True, exist_ok=True)
+    if options.fresh:
+        (out / FILE_NAME).unlink(missing_ok=True)
+    cells = quick_design() if options.quick else full_design()
+    limit_s = QUICK_LIMIT_S if options.quick else LIMIT_S
+    rows = _rows(console, cells, out / FILE_NAME, limit_s)
+    for claim in claims(rows):
+        verdict = {True: "holds", False: "DOES NOT HOLD", None: "not tested"}[claim.holds]
+        console.print(f"{verdict}: {claim.words}", highlight=False, soft_wrap=True)
+    for path in _write(rows, out):
+        console.print(f"written: {path}", highlight=False, soft_wrap=True)
+    return 0
+
+
+def _rows(console: Console, cells: Sequence[Cell], path: Path, limit_s: float) -> list[Row]:
+    """All rows, with a bar that moves as they come."""
+    rows: list[Row] = []
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=console,
+    )
+    with bar:
+        task = bar.add_task("cells", total=len(cells))
+        for row in run_cells(cells, path, flights=FLIGHTS, limit_s=limit_s):
+            rows.append(row)
+            if row.status == FAILED:
+                bar.console.print(f"{row.key}: {shown(row)}", highlight=False, markup=False)
+            bar.advance(task)
+    return rows
+
+
+def _write(rows: Sequence[Row], out: Path) -> list[Path]:
+    from paper_figs import solver_comparison
+
+    table = write_atomically(out / "comparison.csv", to_csv(rows))
+    report = write_atomically(out / "comparison.md", to_markdown(rows))
+    return [table, report, *solver_comparison.save_all(table, out)]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
