@@ -1,0 +1,1 @@
+"""The spacecraft: its hardware, its attitude and its power."""
