@@ -1,1 +1,1 @@
-"""The spacecraft: its hardware, its attitude and its power."""
+"""The spacecraft that flies a plan: its data, its guidance and control, and its simulation."""
