@@ -13,6 +13,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from scp_recon.mission import AU_KM
+from scp_recon.scenario_schema import Scenario
+from scp_recon.spacecraft.vehicle import Vehicle
+
 Array = npt.NDArray[np.float64]
 
 PANELS_MAX = 16
@@ -20,8 +24,8 @@ PANELS_MAX = 16
 
 
 @dataclass(frozen=True)
-class Panels:
-    """Flat panels on a rigid body.
+class SolarArray:
+    """Flat panels on a rigid body, under a given Sun.
 
     Attributes:
         normals: unit vectors out of the cells, body frame, shape (n, 3), n at most 16.
@@ -35,6 +39,12 @@ class Panels:
         """Check the number of panels."""
         if not 0 < len(self.normals) <= PANELS_MAX:
             raise ValueError(f"{len(self.normals)} panels; must be 1 to {PANELS_MAX}")
+
+    @classmethod
+    def of(cls, vehicle: Vehicle, irradiance_w_m2: float) -> SolarArray:
+        """A vehicle's panels; p_i = irradiance x area x packing x efficiency."""
+        cells = vehicle.panels.packing * vehicle.panels.efficiency
+        return cls(vehicle.panel_normals, irradiance_w_m2 * cells * vehicle.panel_areas_m2)
 
     def generation(self, sun_body: Array) -> Array:
         """Power of each panel in W, shape (..., n), of unit vectors to the Sun (..., 3)."""
@@ -85,6 +95,12 @@ class Panels:
     def _split(self, axis_body: Array) -> tuple[Array, Array]:
         along = self._sums @ axis_body
         return along, self._sums - along[:, None] * axis_body
+
+
+def irradiance(scenario: Scenario) -> float:
+    """Power of sunlight per area at the asteroid, W/m^2; over a flight it changes by 1e-4."""
+    distance_au = float(np.linalg.norm(scenario.sun.body_position_km)) / AU_KM
+    return scenario.sun.solar_constant_w_m2 / distance_au**2
 
 
 def align(axis_body: Array, axis: Array, side_body: Array, side: Array) -> Array:

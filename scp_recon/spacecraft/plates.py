@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from scp_recon.frames import unit
+from scp_recon.spacecraft.vehicle import Vehicle
+
 Array = npt.NDArray[np.float64]
 
 
@@ -24,6 +27,17 @@ class Plates:
     areas_m2: Array
     specular: Array
     diffuse: Array
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Plates:
+        """A vehicle's faces and the cells of its panels."""
+        plates = vehicle.plates
+        return cls(
+            unit([plate.normal for plate in plates]),
+            np.array([plate.area_m2 for plate in plates]),
+            np.array([plate.specular for plate in plates]),
+            np.array([plate.diffuse for plate in plates]),
+        )
 
     def force_per_pressure(self, sun_body: Array) -> Array:
         """Force over the pressure of sunlight, body frame, m^2.

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.spacecraft.panels import Panels, align
+from scp_recon.spacecraft.panels import SolarArray, align
 from scp_recon.spacecraft.plates import Plates
 from tests.helpers import Array, generators, random_unit
 
 
-def random_panels(rng: np.random.Generator) -> Panels:
+def random_panels(rng: np.random.Generator) -> SolarArray:
     count = int(rng.integers(1, 7))
-    return Panels(random_unit(rng, count), rng.uniform(0.0, 200.0, count))
+    return SolarArray(random_unit(rng, count), rng.uniform(0.0, 200.0, count))
 
 
 def turned(axis: Array, angle: Array) -> Array:
@@ -65,14 +65,14 @@ def test_an_axis_along_the_sun_leaves_the_rotation_free() -> None:
         matrix = align(z, z, np.array([1.0, 0.0, 0.0]), side)
         assert np.linalg.det(matrix) == pytest.approx(1.0)
         np.testing.assert_allclose(matrix @ z, z)
-    upward = Panels(z[None], np.array([10.0]))
+    upward = SolarArray(z[None], np.array([10.0]))
     assert upward.best_roll(z, 0.3) @ z == pytest.approx(0.0)
 
 
 def test_no_panel_and_too_many_are_refused() -> None:
     for count in (0, 17):
         with pytest.raises(ValueError, match="panels"):
-            Panels(np.ones((count, 3)), np.ones(count))
+            SolarArray(np.ones((count, 3)), np.ones(count))
 
 
 # --- plates ------------------------------------------------------------------------------------
