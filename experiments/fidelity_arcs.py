@@ -84,26 +84,28 @@ def fly(
         else:
             impulses[start + model.firing.late * length] = burn
     end = float(times_s[-1])
-    edges = {*times_s.tolist(), *breaks_s, *impulses, 0.0}
+    edges = {0.0, end, *impulses, *breaks_s}
     edges |= {edge for start, stop, _ in thrusts for edge in (start, stop)}
     stops = sorted(edge for edge in edges if edge <= end)
 
     state = mission.initial_state.copy()
-    seen = {0.0: state.copy()}
-    state[3:] += impulses.get(0.0, np.zeros(3))
+    seen = [state[None].copy()] if times_s[0] == 0.0 else []
     for before, after in itertools.pairwise(stops):
+        state[3:] += impulses.get(before, np.zeros(3))
         middle = 0.5 * (before + after)
         thrust = sum((a for start, stop, a in thrusts if start < middle < stop), np.zeros(3))
-        state = _arc(mission, model, state, before, after, thrust)
-        seen[after] = state.copy()
-        state[3:] += impulses.get(after, np.zeros(3))
-    return np.array([seen[time] for time in times_s.tolist()])
+        looks = times_s[(times_s > before) & (times_s <= after)]
+        states = _arc(mission, model, state, np.union1d(looks, after), before, thrust)
+        seen.append(states[: len(looks)])
+        state = states[-1].copy()
+    return np.concatenate(seen)
 
 
 def _arc(
-    mission: Mission, model: Model, state: Array, start: float, stop: float, thrust: Array
+    mission: Mission, model: Model, state: Array, looks: Array, start: float, thrust: Array
 ) -> Array:
-    """The state at the end of an arc in which no force jumps."""
+    """States at some times of an arc in which no force jumps, its end the last of them."""
+    stop = float(looks[-1])
     inside = np.nextafter(stop, start)  # an arc belongs to what holds before its end
 
     def rate(time: float, y: Array) -> Array:
@@ -116,7 +118,8 @@ def _arc(
         (start, stop),
         state,
         method="DOP853",
+        t_eval=looks,
         rtol=RELATIVE_TOLERANCE,
         atol=ABSOLUTE_TOLERANCE,
     )
-    return found.y[:, -1]
+    return found.y.T
