@@ -90,7 +90,10 @@ class Loads(Section):
 
 
 class Wheels(Section):
-    """Equal reaction wheels; `dump_start` and `dump_end` are shares of the largest speed."""
+    """Equal reaction wheels; `dump_start` and `dump_end` are shares of the largest speed.
+
+    `power_w` holds speeds in rad/s, ascending, and the power drawn at each.
+    """
 
     axes: Annotated[tuple[NonZeroVector, ...], Field(min_length=3, max_length=16)]
     centre_m: Vector
@@ -99,6 +102,7 @@ class Wheels(Section):
     torque_max_n_m: Positive
     dump_start: PositiveShare
     dump_end: Share
+    power_w: Annotated[tuple[tuple[NonNegative, NonNegative], ...], Field(min_length=2)]
 
 
 class MicroThrusters(Section):
