@@ -25,6 +25,7 @@ from Basilisk.utilities import macros
 from scipy.spatial.transform import Rotation
 
 from scp_recon.frames import unit
+from scp_recon.schedule import Mode
 from scp_recon.spacecraft.estimator import AttitudeFilter
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
 from scp_recon.spacecraft.plant import STEP_S, Plant, Sensors
@@ -101,17 +102,27 @@ class Allocator(sysModel.SysModel):
     """Gives the commanded torque to the wheels or to the micro-thrusters, and starts dumps.
 
     The thrusters take it during burns, while the attitude error is large, and while the torque is more
-    than the wheels can give; otherwise the wheels. A dump starts when a wheel is near its largest speed
-    and ends when all are slow; it leaves the attitude to the wheels.
+    than the wheels can give; otherwise the wheels. A dump starts in sun-pointing mode when a wheel is
+    near its largest speed, and ends when their momentum is small; it leaves the attitude to the wheels.
     """
 
-    def __init__(self, plan: FlightPlan, plant: Plant, times_s: Array) -> None:
+    def __init__(
+        self,
+        plan: FlightPlan,
+        plant: Plant,
+        times_s: Array,
+        dump: thrMomentumManagement.thrMomentumManagement,
+    ) -> None:
         super().__init__()
+        self.dump = dump
         self.wheels, self.dumping, self.dumps = plan.vehicle.wheels, False, 0
         self.in_use = np.zeros(len(times_s), dtype=np.int8)
-        self.burning = np.zeros(len(times_s), dtype=bool)
+        self._burning, self._idle = np.zeros((2, len(times_s)), dtype=bool)
         for firing in plan.firings:
-            self.burning |= (times_s >= firing.start_s) & (times_s < firing.end_s)
+            self._burning |= (times_s >= firing.start_s) & (times_s < firing.end_s)
+        for leg in plan.legs:
+            if leg.mode is Mode.SUN_POINTING:
+                self._idle |= (times_s >= leg.start_s) & (times_s < leg.end_s)
         self.for_wheels = messaging.CmdTorqueBodyMsg()
         self.for_thrusters = messaging.CmdTorqueBodyMsg()
         self.guidance, self.torque = (
@@ -120,32 +131,32 @@ class Allocator(sysModel.SysModel):
         )
         self.speeds = plant.wheels.rwSpeedOutMsg.addSubscriber()
         self._payload = messaging.CmdTorqueBodyMsgPayload()
-        self._share = np.linalg.pinv(unit(self.wheels.axes).T)
-        self.dump: thrMomentumManagement.thrMomentumManagement | None = None
+        self._axes = unit(self.wheels.axes)
+        self._share = np.linalg.pinv(self._axes.T)
 
     def UpdateState(self, now: int) -> None:  # noqa: N802, D102
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
         error = 4.0 * np.arctan(np.linalg.norm(self.guidance().sigma_BR))
         torque = np.array(self.torque().torqueRequestBody)
+        speeds = np.array(self.speeds().wheelSpeeds[: len(self.wheels.axes)])
+        share = np.abs(speeds).max() / self.wheels.speed_max_rad_s
         too_much = np.abs(self._share @ torque).max() > self.wheels.torque_max_n_m
-        rough = self.burning[k] or error > HAND_OVER_RAD or (too_much and not self.dumping)
-        self._watch_wheels(now, rough)
-        idle = np.zeros(3)
-        self._write(self.for_wheels, idle if rough else torque, now)
-        self._write(self.for_thrusters, torque if rough else idle, now)
+        rough = self._burning[k] or error > HAND_OVER_RAD or (too_much and not self.dumping)
+        momentum = np.linalg.norm(self._axes.T @ speeds) / self.wheels.speed_max_rad_s
+        if not self.dumping and share >= self.wheels.dump_start and self._idle[k] and not rough:
+            self.dumping, self.dumps = True, self.dumps + 1
+        elif self.dumping and (momentum < self.wheels.dump_end or not self._idle[k]):
+            self.dumping = False
+        # The allocation limits an impulse to what one control period can give: ask again and again.
+        if self.dumping and k % DUMP_PAUSE == 0:
+            self.dump.Reset(now)
+        rough = rough or (share >= 1.0 and not self.dumping)
+        none = np.zeros(3)
+        self._write(self.for_wheels, none if rough else torque, now)
+        self._write(self.for_thrusters, torque if rough else none, now)
         self.in_use[k] = (
             Actuators.THRUSTERS if rough else Actuators.BOTH if self.dumping else Actuators.WHEELS
         )
-
-    def _watch_wheels(self, now: int, rough: bool) -> None:
-        speeds = np.abs(self.speeds().wheelSpeeds[: len(self.wheels.axes)])
-        share = speeds.max() / self.wheels.speed_max_rad_s
-        if not self.dumping and share >= self.wheels.dump_start and not rough:
-            self.dumping, self.dumps = True, self.dumps + 1
-            assert self.dump is not None
-            self.dump.Reset(now)
-        elif self.dumping and share < self.wheels.dump_end:
-            self.dumping = False
 
     def _write(self, message: messaging.CmdTorqueBodyMsg, torque: Array, now: int) -> None:
         self._payload.torqueRequestBody = torque.tolist()
@@ -162,12 +173,13 @@ class Firer(sysModel.SysModel):
         self,
         plan: FlightPlan,
         plant: Plant,
+        allocator: Allocator,
+        servo: rateServoFullNonlinear.rateServoFullNonlinear,
         pulse_error: Array,
         burn_error: Array,
-        servo: rateServoFullNonlinear.rateServoFullNonlinear,
     ) -> None:
         super().__init__()
-        self.plan, self.plant, self.servo = plan, plant, servo
+        self.plan, self.plant, self.allocator, self.servo = plan, plant, allocator, servo
         self.pulse_error, self.burn_error = pulse_error, burn_error
         self.on_time_s = np.zeros((len(pulse_error), len(plant.micro_thrusters)))
         self.micro, self.chemical = (
@@ -180,14 +192,12 @@ class Firer(sysModel.SysModel):
         )
         self._starts = {round(f.start_s / CONTROL_PERIOD_S): i for i, f in enumerate(plan.firings)}
         self._ends = {round(f.end_s / CONTROL_PERIOD_S) for f in plan.firings}
-        self.allocator: Allocator | None = None
 
     def UpdateState(self, now: int) -> None:  # noqa: N802, D102
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
         thrusters = self.plant.micro_thrusters
         n = len(thrusters)
         on_time = np.array(self.control().OnTimeRequest[:n])
-        assert self.allocator is not None
         if self.allocator.dumping:
             on_time += np.array(self.dumping().OnTimeRequest[:n])
         self.on_time_s[k] = np.clip(on_time, 0.0, CONTROL_PERIOD_S)
@@ -247,7 +257,8 @@ def build_flight_software(
     tracking.attNavInMsg.subscribeTo(navigator.navigation)
     tracking.attRefInMsg.subscribeTo(navigator.reference)
     steering, servo = _controller(plant, vehicle, tracking, config)
-    allocator = Allocator(plan, plant, times_s)
+    management, impulses, dumping = _momentum_dumping(plant, vehicle, config)
+    allocator = Allocator(plan, plant, times_s, management)
     allocator.guidance.subscribeTo(tracking.attGuidOutMsg)
     allocator.torque.subscribeTo(servo.cmdTorqueOutMsg)
     motors = rwMotorTorque.rwMotorTorque()
@@ -261,10 +272,7 @@ def build_flight_software(
     pulses.level_on, pulses.level_off = 0.75, 0.25
     pulses.thrForceInMsg.subscribeTo(forces.thrForceCmdOutMsg)
     pulses.thrConfInMsg.subscribeTo(plant.micro_config)
-    management, impulses, dumping = _momentum_dumping(plant, vehicle, config)
-    allocator.dump = management
-    firer = Firer(plan, plant, pulse_error, burn_error, servo)
-    firer.allocator = allocator
+    firer = Firer(plan, plant, allocator, servo, pulse_error, burn_error)
     firer.control.subscribeTo(pulses.onTimeOutMsg)
     firer.dumping.subscribeTo(dumping.thrusterOnTimeOutMsg)
     plant.micro.cmdsInMsg.subscribeTo(firer.micro)
@@ -325,7 +333,7 @@ def _momentum_dumping(
     management.rwConfigDataInMsg.subscribeTo(plant.wheel_config)
     impulses = _force_mapping(plant, config, management.deltaHOutMsg)
     dumping = thrMomentumDumping.thrMomentumDumping()
-    dumping.maxCounterValue = DUMP_PAUSE
+    dumping.maxCounterValue = 1
     dumping.thrMinFireTime = vehicle.micro_thrusters.pulse_min_s
     dumping.deltaHInMsg.subscribeTo(management.deltaHOutMsg)
     dumping.thrusterImpulseInMsg.subscribeTo(impulses.thrForceCmdOutMsg)

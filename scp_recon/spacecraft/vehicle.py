@@ -90,7 +90,10 @@ class Loads(Section):
 
 
 class Wheels(Section):
-    """Equal reaction wheels; `dump_start` and `dump_end` are shares of the largest speed.
+    """Equal reaction wheels.
+
+    Momentum is dumped from `dump_start` of the largest speed on, until all wheels together hold less
+    than `dump_end` of one wheel's largest momentum.
 
     `power_w` holds speeds in rad/s, ascending, and the power drawn at each.
     """
