@@ -29,6 +29,8 @@ from paper_figs import (
     parameters,
     terminal_normality,
     trajectories,
+    uncertainty_quantiles,
+    uncertainty_sources,
 )
 from paper_figs.drawing import PICTURES, save
 from paper_figs.inputs import TABLE, Runs, read_runs
@@ -84,7 +86,12 @@ FIGURES: dict[str, Drawn] = {
     "observation_times": observation_times,
     "terminal_normality": terminal_normality,
 }
-STUDIES: dict[str, Study] = {"battery_cones": battery_cones, "model_fidelity": model_fidelity}
+STUDIES: dict[str, Study] = {
+    "battery_cones": battery_cones,
+    "model_fidelity": model_fidelity,
+    "uncertainty_sources": uncertainty_sources,
+    "uncertainty_quantiles": uncertainty_quantiles,
+}
 TABLES: dict[str, Tabulated] = {"parameters": parameters, "observation_table": observation_table}
 
 

@@ -14,11 +14,16 @@ from matplotlib.figure import Figure
 from experiments import battery_cones as battery_cones_study
 from experiments.model_fidelity import TOGETHER, Compared, history, records
 from experiments.studies import to_csv
+from experiments.uncertainty_flights import TRANSLATION
+from experiments.uncertainty_report import BOTH, ORDER, Measured, quantiles, record, sigmas
+from experiments.uncertainty_report import PATH as BY_PATH
+from experiments.uncertainty_report import SPACECRAFT as BY_SPACECRAFT
 from paper_figs import __main__ as command_line
-from paper_figs import battery_cones, model_fidelity
+from paper_figs import battery_cones, model_fidelity, uncertainty_quantiles, uncertainty_sources
 from paper_figs.__main__ import STUDIES, make_all
 from paper_figs.drawing import PICTURES, command_from
 from scp_recon.errors import InputError
+from scp_recon.spacecraft.vehicle import load_vehicle
 
 
 def compared(flight: str, effect: str, model: str, end_m: float) -> Compared:
@@ -45,12 +50,31 @@ def write_fidelity(folder: Path) -> None:
     (folder / model_fidelity.HISTORY).write_text(to_csv(history(entries)), encoding="utf-8")
 
 
+def write_uncertainty(folder: Path) -> None:
+    """Made-up deviations in the study's own form: 200 m for each source of the path, else 1 m."""
+    rng = np.random.default_rng(0)
+    entries = []
+    for errs in ORDER:
+        on_path = errs in (*TRANSLATION, BOTH)
+        scale = 200.0 if on_path or errs == "all" else 0.0 if errs == "none" else 1.0
+        deviation = scale * rng.standard_normal((500 if on_path else 8, 6)) / np.sqrt(3.0)
+        by = BY_PATH if on_path else BY_SPACECRAFT
+        entries.append(Measured(errs, by, deviation, 2.0, np.nan if on_path else 1e-3))
+    words = sigmas(load_vehicle().errors)
+    table = to_csv([record(entry, words[entry.errs]) for entry in entries])
+    folder.mkdir()
+    (folder / uncertainty_sources.TABLE).write_text(table, encoding="utf-8")
+    points = to_csv(quantiles(entries))
+    (folder / uncertainty_quantiles.QUANTILES).write_text(points, encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of all studies."""
     out = tmp_path_factory.mktemp("studies")
     battery_cones_study.main(["--samples", "2000", "--out", str(out / battery_cones.FOLDER)])
     write_fidelity(out / model_fidelity.FOLDER)
+    write_uncertainty(out / uncertainty_sources.FOLDER)
     return out
 
 
@@ -68,8 +92,8 @@ def test_words_stay_on_the_page_and_apart(drawn: dict[str, Figure], name: str) -
     figure = drawn[name]
     page = figure.bbox.padded(1.0)
     assert figure.get_figwidth() <= 7.0
+    assert any(axes.get_xlabel() for axes in figure.axes)
     for axes in figure.axes:
-        assert axes.xaxis.label.get_text() or axes.yaxis.label.get_text()
         for axis in (axes.xaxis, axes.yaxis):
             words = axis.label.get_text()
             assert not words or words.endswith(")"), words
@@ -100,6 +124,13 @@ def test_captions_carry_the_findings(studies: Path) -> None:
     assert "solar radiation pressure of the plan: cannonball (1 m)" in words
     assert "gravity of the ballistic arc: degree 0 (8 m)" in words
     assert "cannonball, degree 0, impulsive on the plan 9 m" in words
+    folder = studies / uncertainty_sources.FOLDER
+    words = uncertainty_sources.caption(uncertainty_sources.read(folder))
+    assert all(name in words for name in ("initial state", "IMU", "all together"))
+    assert "no errors" not in words
+    words = uncertainty_quantiles.caption(uncertainty_quantiles.read(folder))
+    assert "of 500 flights" in words
+    assert "initial state (1 sigma 3 % of each component): 0.99" in words
 
 
 def test_studies_are_drawn_where_they_are_found(
