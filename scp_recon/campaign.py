@@ -69,7 +69,7 @@ def run_block(setting: Setting, job: tuple[int, int]) -> Block:
     """Fly a block: (its number, its flights)."""
     number, flights = job
     mission, looks = setting.mission, setting.looks_s
-    times = np.union1d(looks, mission.times_s)
+    times = np.append(looks, mission.times_s[-1])
     flown = fly_block(
         mission,
         setting.burns_m_s,
@@ -80,18 +80,17 @@ def run_block(setting: Setting, job: tuple[int, int]) -> Block:
         truth=setting.truth,
         errors=setting.errors,
     )
-    seen = flown.states[np.searchsorted(times, looks)]
+    seen = flown.states[:-1]
     held = time_held(mission, looks, seen)
     joint = joint_margins(mission, looks, seen[..., :3])
     holds = {name: margin >= 0.0 for name, margin in joint.items()}
     holds[ALL] = np.logical_and.reduce([holds[name] for name in SCIENCE])
-    radius = np.linalg.norm(flown.states[..., :3], axis=2)
     return Block(
         held={name: h.duration for name, h in held.items()},
         entry=held[ALL].entry,
         exit=held[ALL].exit,
         node_counts={name: h.sum(axis=1) for name, h in holds.items()},
-        closest_m=radius.min(axis=0),
+        closest_m=flown.closest_m,
         executed_dv_m_s=np.linalg.norm(flown.burns_m_s, axis=2).sum(axis=1),
         terminal=flown.states[-1],
     )
@@ -106,7 +105,7 @@ class Campaign:
         full: flights in which it holds throughout the window.
         entry, exit: first and last time at which all hold, of the flights in which they ever do.
         node_counts: flights in which each joint constraint holds, by time.
-        closest, executed_dv: distance from the body's centre on the grid, total delta-v.
+        closest, executed_dv: smallest distance from the body's centre, total delta-v.
         terminal: final states of the first flights.
     """
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import binom, binomtest, t
+from scipy.special import betaincinv, stdtrit
 
 Array = npt.NDArray[np.float64]
 
@@ -24,8 +24,10 @@ class Estimate(NamedTuple):
 
 def proportion(successes: int, samples: int) -> Estimate:
     """Probability with its Clopper-Pearson interval."""
-    interval = binomtest(successes, samples).proportion_ci(CONFIDENCE, method="exact")
-    return Estimate(successes / samples, float(interval.low), float(interval.high))
+    k, n, tail = successes, samples, 0.5 * (1.0 - CONFIDENCE)
+    low = float(betaincinv(k, n - k + 1, tail)) if k > 0 else 0.0
+    high = float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
+    return Estimate(k / n, low, high)
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,7 @@ class Tally:
         if n < 2:
             return Estimate(value, -np.inf, np.inf)
         variance = float(np.average((means - value) ** 2, weights=weights)) / (n - 1)
-        half = float(t.ppf(0.5 + 0.5 * CONFIDENCE, n - 1)) * np.sqrt(variance)
+        half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE)) * np.sqrt(variance)
         return Estimate(value, value - half, value + half)
 
     def quantile(self, probability: float) -> Estimate:
@@ -82,6 +84,8 @@ class Tally:
 
         The number of values below the true quantile is binomial, whatever the distribution.
         """
+        from scipy.stats import binom  # half a second to import, for reports only
+
         n = self.samples
         tail = 0.5 * (1.0 - CONFIDENCE)
         ranks = (

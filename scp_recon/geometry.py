@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.frames import Rotation, unit
+from scp_recon.frames import Rotation
 
 Array = npt.NDArray[np.float64]
 
@@ -38,10 +38,11 @@ def track(site: Site, rotation: Rotation, time_s: npt.ArrayLike) -> SiteTrack:
     return SiteTrack(matrix @ site.position_body, matrix @ site.normal_body)
 
 
-def angle(a: Array, b: Array) -> Array:
-    """Angle between vectors along the last axis, rad, accurate near 0 and pi (Kahan)."""
-    a, b = unit(a), unit(b)
-    return 2.0 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
+def angle(a: Array, direction: Array) -> Array:
+    """Angle from a unit direction to vectors along the last axis, rad, accurate near 0 and pi."""
+    along = np.sum(a * direction, axis=-1)
+    across = a - along[..., None] * direction
+    return np.arctan2(np.sqrt(np.sum(across * across, axis=-1)), along)
 
 
 def distance(position: Array, site: SiteTrack) -> Array:

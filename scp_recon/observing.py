@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon import geometry
+from scp_recon.flow import interpolate
 from scp_recon.mission import Mission
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
 Margins = dict[str, tuple[Literal["m", "rad"], Array]]
 
 JOINT = {
@@ -94,7 +96,14 @@ def time_held(mission: Mission, times_s: Array, states: Array) -> dict[str, Held
         states: J2000, m and m/s, shape (n, flights, 6).
     """
     margins = _counted(joint_margins(mission, times_s, states[..., :3]))
-    return {name: _held(mission, times_s, states, name, m) for name, m in margins.items()}
+    holds = np.stack(list(margins.values())) >= 0.0
+    which, k, flight = np.nonzero(holds[:, 1:] != holds[:, :-1])
+    crossing = _bisect(mission, times_s, states, (which, k, flight), holds[which, k, flight])
+    held = {}
+    for i, (name, margin) in enumerate(margins.items()):
+        mine = which == i
+        held[name] = _held(times_s, margin, k[mine], flight[mine], crossing[mine])
+    return held
 
 
 def _counted(joint: dict[str, Array]) -> dict[str, Array]:
@@ -104,7 +113,8 @@ def _counted(joint: dict[str, Array]) -> dict[str, Array]:
     return science | {ALL: np.minimum.reduce(signs)}
 
 
-def _held(mission: Mission, times: Array, states: Array, name: str, margin: Array) -> Held:
+def _held(times: Array, margin: Array, k: Indices, flight: Indices, crossing: Array) -> Held:
+    """From one constraint's margins (n, flights) and its crossings in the arcs after times k."""
     holds = margin >= 0.0
     steps = np.diff(times)
     duration = (steps[:, None] * (holds[1:] & holds[:-1])).sum(axis=0)
@@ -114,8 +124,6 @@ def _held(mission: Mission, times: Array, states: Array, name: str, margin: Arra
     entry = np.where(any_held, times[first], np.nan)
     exit_ = np.where(any_held, times[last], np.nan)
 
-    k, flight = np.nonzero(holds[1:] != holds[:-1])
-    crossing = _bisect(mission, times, states, name, k, flight, holds[k, flight])
     rises = holds[k + 1, flight]
     share = np.where(rises, times[k + 1] - crossing, crossing - times[k])
     np.add.at(duration, flight, share)
@@ -130,28 +138,25 @@ def _bisect(
     mission: Mission,
     times: Array,
     states: Array,
-    name: str,
-    k: npt.NDArray[np.intp],
-    flight: npt.NDArray[np.intp],
+    events: tuple[Indices, Indices, Indices],
     holds_before: npt.NDArray[np.bool_],
 ) -> Array:
-    """Times at which the margin of some flights changes sign in the arc after time k, (events,)."""
+    """Times at which margins change sign, all events at once, shape (events,).
+
+    An event is the number of a constraint, the time k before it, and a flight.
+    """
+    which, k, flight = events
     low, high = times[k].copy(), times[k + 1].copy()
     if not len(k):
         return low
     start, step = low.copy(), (high - low)[:, None]
-    before, after = states[k, flight], states[k + 1, flight]
+    before, after = ((s[:, :3], s[:, 3:]) for s in (states[k, flight], states[k + 1, flight]))
+    event = np.arange(len(k))
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        u = (middle - start)[:, None] / step
-        position = (
-            (2.0 * u**3 - 3.0 * u**2 + 1.0) * before[:, :3]
-            + (u**3 - 2.0 * u**2 + u) * step * before[:, 3:]
-            + (3.0 * u**2 - 2.0 * u**3) * after[:, :3]
-            + (u**3 - u**2) * step * after[:, 3:]
-        )
-        holds = _counted(joint_margins(mission, middle, position))[name] >= 0.0
-        same = holds == holds_before
+        position, _ = interpolate(before, after, step, (middle - start)[:, None] / step)
+        margins = np.stack(list(_counted(joint_margins(mission, middle, position)).values()))
+        same = (margins[which, event] >= 0.0) == holds_before
         low, high = np.where(same, middle, low), np.where(same, high, middle)
     return 0.5 * (low + high)
 

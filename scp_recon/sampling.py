@@ -9,14 +9,15 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.flow import propagate, rk4
+from scp_recon.flow import advance, interpolate
+from scp_recon.forces import acceleration
 from scp_recon.harmonics import HarmonicField
-from scp_recon.mission import RK4_STEP_MAX_S, Mission
+from scp_recon.mission import RK4_STEP_MAX_S, Mission, make_grid
 
 Array = npt.NDArray[np.float64]
 TruthModel = Literal["planner", "harmonics"]
 ErrorModel = Literal["componentwise", "gates"]
-Step = Callable[[Array, float, float], Array]
+Flow = Callable[[Array, Array, float, float], tuple[Array, Array]]
 
 BLOCK = 1000
 """Flights drawn from one seed: a flight is the same however many others are flown, and where."""
@@ -33,11 +34,13 @@ class Flights:
         times_s: when they were looked at, shape (n,).
         states: J2000, m and m/s, after the burns, shape (n, flights, 6).
         burns_m_s: as executed, shape (flights, m, 3).
+        closest_m: smallest distance from the body's centre where a step ended, shape (flights,).
     """
 
     times_s: Array
     states: Array
     burns_m_s: Array
+    closest_m: Array
 
 
 def fly_block(
@@ -56,7 +59,8 @@ def fly_block(
     The initial state is Gaussian about the mission's. A burn is executed as dv (1 + beta w) by
     component with w standard normal (Echigo et al., eq. 11), or by Gates' model with a proportional
     error of the magnitude, beta, and of the pointing, beta rad about each axis across: the isotropic
-    counterpart of the same size.
+    counterpart of the same size. A flight is integrated from burn to burn in steps that nothing else
+    decides, and interpolated where it is looked at.
 
     Args:
         mission: dynamics and uncertainty.
@@ -72,22 +76,27 @@ def fly_block(
     draws = draws[:flights]
     state = mission.initial_state + draws[:, :6] * mission.initial_sigma
     executed = _execute(mission, burns_m_s, draws[:, 6:].reshape(-1, *burns_m_s.shape), errors)
-    step = _stepper(mission, truth)
+    fly = _flow(mission, truth)
     burn_at = dict(zip(mission.scenario.burns.times_s, range(len(burns_m_s)), strict=True))
-    stops = np.union1d(np.append(times_s, mission.scenario.burns.times_s), mission.times_s)
-    wanted = set(times_s.tolist())
-    states = np.empty((len(times_s), flights, 6))
-    now, row = 0.0, 0
-    for stop in stops.tolist():
-        if stop > now:
-            state = step(state, now, stop - now)
-            now = stop
+    stops = make_grid(mission.scenario.burns.times_s, RK4_STEP_MAX_S)
+    looks = np.searchsorted(times_s, stops, side="right")
+    # Components first, so that an operation runs along the flights.
+    states = np.empty((len(times_s), 6, flights))
+    r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
+    closest2 = np.full(flights, np.inf)
+    for k, stop in enumerate(stops.tolist()):
         if stop in burn_at:
-            state[:, 3:] += executed[:, burn_at[stop]]
-        if stop in wanted:
-            states[row] = state
-            row += 1
-    return Flights(times_s, states, executed)
+            v = v + executed[:, burn_at[stop]].T
+        states[times_s == stop] = np.concatenate([r, v])
+        closest2 = np.minimum(closest2, np.einsum("in,in->n", r, r))
+        if stop < stops[-1]:
+            duration = stops[k + 1] - stop
+            end = fly(r, v, stop, duration)
+            for row in range(looks[k], np.searchsorted(times_s, stops[k + 1])):
+                share = (times_s[row] - stop) / duration
+                states[row, :3], states[row, 3:] = interpolate((r, v), end, duration, share)
+            r, v = end
+    return Flights(times_s, np.moveaxis(states, 1, 2), executed, np.sqrt(closest2))
 
 
 def sample_positions(
@@ -122,25 +131,27 @@ def _execute(mission: Mission, planned: Array, draws: Array, errors: ErrorModel)
     return planned + beta * size * np.einsum("fmi,mij->fmj", draws, frame)
 
 
-def _stepper(mission: Mission, truth: TruthModel) -> Step:
-    """Carries states (flights, 6) from a time over a duration."""
+def _flow(mission: Mission, truth: TruthModel) -> Flow:
+    """Carries positions and velocities (3, flights) from a time over a duration."""
+    forces = mission.forces
 
-    def planner(state: Array, _: float, duration: float) -> Array:
-        substeps = int(np.ceil(duration / RK4_STEP_MAX_S))
-        return propagate(state, duration, mission.forces, substeps)
+    def planner(r: Array, v: Array, _: float, duration: float) -> tuple[Array, Array]:
+        def rate(at: Array, _: float) -> Array:
+            return np.stack(acceleration(at[0], at[1], at[2], forces))
+
+        return advance(r, v, duration, rate, 1)
 
     if truth == "planner":
         return planner
     field = HarmonicField.bennu(mission.scenario.body.gm_m3_s2, HARMONICS_DEGREE)
-    srp = mission.forces.srp[:, None]
+    srp = forces.srp[:, None]
 
-    def harmonics(state: Array, start: float, duration: float) -> Array:
-        def acceleration(position: Array, elapsed: float) -> Array:
+    def harmonics(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
+        def rate(at: Array, elapsed: float) -> Array:
             to_j2000 = mission.rotation.body_to_j2000(start + elapsed)
-            body = to_j2000.T @ position
+            body = to_j2000.T @ at
             return to_j2000 @ np.stack(field.acceleration(*body)) + srp
 
-        steps = int(np.ceil(duration / RK4_STEP_MAX_S))
-        return rk4(state, duration, acceleration, steps)
+        return advance(r, v, duration, rate, 1)
 
     return harmonics

@@ -83,7 +83,7 @@ def pointing(flight: Flight) -> Pointing:
         estimate=_between(flight.estimates, flight.attitudes),
         burns=geometry.angle(flight.attitudes[starts].apply(thrust), planned),
         camera=geometry.angle(boresight, flight.commands[window].apply(camera)),
-        site=geometry.angle(boresight, track.position - flight.states[window, :3]),
+        site=geometry.angle(track.position - flight.states[window, :3], boresight),
     )
 
 
