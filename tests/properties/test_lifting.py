@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.legs import Legs
 from formulations.lifting import (
     Linearisation,
     LinearisationError,
@@ -414,3 +415,36 @@ def test_dynamics_without_finite_derivatives_have_no_affine_map(
         for model in (condense, lambda lin: compose(lin, lin.problem.burn_nodes)):
             with pytest.raises(LinearisationError, match="no finite derivatives"):
                 model(lin)
+
+
+# --- legs ---------------------------------------------------------------------------------------
+
+
+@given(st.integers(2, 60), st.integers(0, 6), st.integers(1, 7), generators)
+def test_legs_compose_the_arcs_since_the_last_burn(
+    n_nodes: int, between: int, size: int, rng: np.random.Generator
+) -> None:
+    inner = rng.choice(np.arange(1, n_nodes - 1), min(between, n_nodes - 2), replace=False)
+    burns = np.unique([0, *inner, n_nodes - 1])
+    maps = rng.normal(size=(n_nodes - 1, size, size)) / np.sqrt(size)
+    legs = Legs(n_nodes, burns)
+    composed = legs.compose(maps)
+    product = np.eye(size)
+    assert np.array_equal(composed[0], product)
+    for k in range(1, n_nodes):
+        product = maps[k - 1] @ (np.eye(size) if k - 1 in burns else product)
+        assert composed[k] == pytest.approx(product, rel=1e-9, abs=1e-11)
+        assert burns[legs.of[k]] == burns[burns < k].max()
+    assert np.array_equal(legs.ends, burns[1:])
+
+
+@given(flybys, generators)
+def test_condensing_some_nodes_is_condensing_all_and_choosing(
+    flyby: Flyby, rng: np.random.Generator
+) -> None:
+    lin, nodes = flyby.perturbed(rng, 0.3, 0.1), some_nodes(rng, flyby.problem)
+    every, some, mean = condense(lin), condense(lin, nodes), condense(lin, nodes, factor=False)
+    for name in Sensitivity.__annotations__:
+        assert getattr(some, name) == pytest.approx(getattr(every, name)[nodes], **EXACT)
+    assert np.array_equal(mean.mean_jacobian, some.mean_jacobian)
+    assert mean.factor_jacobian.shape[2] == mean.factor_constant.shape[2] == 0

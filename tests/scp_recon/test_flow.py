@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from scp_recon.flow import differentiate, propagate
+from scp_recon.flow import differentiate, interpolate, propagate
 from scp_recon.forces import ForceModel, acceleration
 from scp_recon.mission import RK4_STEP_MAX_S, Mission
 from scp_recon.planner import Plan
@@ -271,3 +271,36 @@ def test_the_planner_stays_within_a_millimetre_over_the_whole_flight(
 
 def test_no_runge_kutta_step_is_longer_than_the_limit(mission: Mission) -> None:
     assert np.diff(mission.times_s).max() / mission.arc_substeps <= RK4_STEP_MAX_S
+
+
+# --- between the steps --------------------------------------------------------------------------
+
+
+@given(
+    coefficients=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
+    h=st.floats(0.1, 5.0),
+    u=st.floats(0.0, 1.0),
+)
+def test_interpolation_is_exact_for_cubics(coefficients: list[float], h: float, u: float) -> None:
+    path = np.polynomial.Polynomial(coefficients)
+    speed = path.deriv()
+
+    def at(t: float) -> tuple[Array, Array]:
+        return np.array([path(t)]), np.array([speed(t)])
+
+    position, velocity = interpolate(at(0.0), at(h), h, u)
+    assert position == pytest.approx(path(u * h), rel=1e-9, abs=1e-9)
+    assert velocity == pytest.approx(speed(u * h), rel=1e-9, abs=1e-9)
+
+
+@given(state=states(), u=st.floats(0.0, 1.0))
+def test_between_the_steps_a_flight_is_known_as_well_as_at_them(
+    state: Array, u: float, forces: ForceModel, arc: float
+) -> None:
+    end = propagate(state, arc, forces)
+    position, velocity = interpolate((state[:3], state[3:]), (end[:3], end[3:]), arc, u)
+    inside = propagate(state, u * arc, forces, 8)
+    # Half a unit from the centre the fourth derivative is below 300: h^4 / 384 of it is missed,
+    # and h^3 / 60 in velocities.
+    assert position == pytest.approx(inside[:3], abs=300.0 * arc**4 / 384.0)
+    assert velocity == pytest.approx(inside[3:], abs=300.0 * arc**3 / 60.0)

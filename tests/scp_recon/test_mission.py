@@ -202,3 +202,20 @@ def test_the_sun_stays_a_unit_vector_and_moves_as_the_body_does(mission: Mission
     travelled = np.rad2deg(np.arccos(suns[0] @ suns[-1]))
     assert 0.3 < travelled < 0.6
     np.testing.assert_allclose(mission.sun_direction(1e4), suns[1])
+
+
+# --- other initial states -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frame", ["sun_north", "j2000"])
+def test_a_mission_from_another_initial_state_is_that_of_its_scenario(frame: str) -> None:
+    mission = mission_of(f'boundary.frame="{frame}"')
+    state = mission.initial_state * np.array([1.01, 0.99, 1.02, 0.95, 1.1, 0.9])
+    moved = mission.with_initial_state(state)
+    again = Mission.from_scenario(moved.scenario)
+    assert moved.initial_state == pytest.approx(state, rel=1e-15)
+    assert again.initial_state == pytest.approx(state, rel=1e-12)
+    assert moved.initial_sigma == pytest.approx(again.initial_sigma, rel=1e-12)
+    assert np.array_equal(moved.final_state, mission.final_state)
+    assert moved.units == mission.units != again.units
+    assert moved.problem.initial_state * moved.units.state == pytest.approx(state, rel=1e-12)

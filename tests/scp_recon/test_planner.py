@@ -15,7 +15,7 @@ from formulations.rows import P2Rows
 from formulations.subproblem import Subproblem
 from scp_recon import guess, planner
 from scp_recon.mission import Mission
-from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Stage, plan
+from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
 from scp_recon.results import make_solution
 from scp_recon.scp import Record, Result, run
 from scp_recon.scvx import TrustRegion
@@ -326,3 +326,63 @@ def test_hopeless_magnitudes_end_in_a_status(overrides: list[str]) -> None:
     mission = mission_of(*overrides)
     found = plan(mission, guess.cold(mission), problem="P3")
     assert found.final.result.status is not Status.CONVERGED
+
+
+# --- planning again -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+def test_planning_again_finds_what_p2_with_these_facets_finds_from_afar(
+    mission: Mission, formulation: str
+) -> None:
+    """Also in CVXPY, whose kept program must not remember the old initial state."""
+    again = Planner(mission, formulation=formulation)
+    last = Planner(mission).plan(guess.cold(mission))
+    state = mission.initial_state + mission.initial_sigma * np.array([1, -1, 1, -1, 1, 0.5])
+    again.replan(last, mission.initial_state)
+    found = again.replan(last, state).final
+    assert found.result.status is Status.CONVERGED
+
+    moved = mission.with_initial_state(state)
+    assert last.final.facets is not None
+    everything = np.ones(len(last.final.facets.node), dtype=np.bool_)
+    rows = P2Rows(moved.problem, last.final.facets, everything)
+    start = last.stages[0].result.lin.iterate  # P3's solution, from the old state
+    mean = start.mean.copy()
+    mean[0] = moved.problem.initial_state + np.r_[0.0, 0.0, 0.0, start.burns[0]]
+    lin = moved.dynamics.linearise(moved.problem, Iterate(start.burns, mean))
+    other = run(
+        make_subproblem(moved.problem, rows), moved.dynamics, lin, TrustRegion(), lambda _: None
+    )
+    assert other.status is Status.CONVERGED
+    assert found.result.lin.iterate.total_dv == pytest.approx(other.lin.iterate.total_dv, rel=1e-6)
+    assert rows.missed(found.result.lin, 1e-6).sum() == 0
+
+
+def test_planning_again_from_the_same_state_changes_nothing(mission: Mission) -> None:
+    planner = Planner(mission)
+    last = planner.plan(guess.cold(mission))
+    again = planner.replan(last, mission.initial_state)
+    assert len(again.stages) == 1
+    assert len(again.final.result.records) == 1
+    assert total_dv(mission, again.final) == pytest.approx(total_dv(mission, last.final), rel=1e-6)
+
+
+def test_a_planner_keeps_its_programs(mission: Mission, default_plan: Plan) -> None:
+    planner = Planner(mission)
+    first, second = (planner.plan(guess.cold(mission)) for _ in range(2))
+    assert first.stages[0].subproblem is second.stages[0].subproblem
+    replans = [planner.replan(first, mission.initial_state) for _ in range(2)]
+    assert replans[0].final.subproblem is replans[1].final.subproblem
+    # What is kept shows in what is found by no more than where P3 stops.
+    for found in (first, second):
+        assert total_dv(mission, found.final) == pytest.approx(
+            total_dv(mission, default_plan.final), rel=1e-5
+        )
+
+
+def test_only_p2_can_be_planned_again(mission: Mission) -> None:
+    planner = Planner(mission)
+    p3 = planner.plan(guess.cold(mission), problem="P3")
+    with pytest.raises(ValueError, match="only a plan of P2"):
+        planner.replan(p3, mission.initial_state)

@@ -1,0 +1,1 @@
+"""Timing and growth, run by hand: `python -m benchmarks`."""

@@ -1,0 +1,113 @@
+"""Time everything in one run on one machine: `python -m benchmarks`.
+
+Every method runs in a process of its own, the methods in turn and that several times over, so that
+what else the machine does hits all of them. The smallest figures count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from time import perf_counter
+
+from rich.console import Console
+from rich.progress import track
+
+from benchmarks import growth
+from benchmarks.methods import METHODS, Timed
+from benchmarks.tables import growth_table, pair_table, ratio_lines
+
+README = Path(__file__).parents[1] / "README.md"
+BEGIN, END = "<!-- benchmarks -->", "<!-- /benchmarks -->"
+ROUNDS, REPEATS = 3, 3
+SLOW = ("ipopt printed", "scp lifted")
+"""Methods that are timed twice a round at most."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one round, and no growth")
+    parser.add_argument(
+        "--readme",
+        action="store_true",
+        help="replace the tables in the README's performance section",
+    )
+    options = parser.parse_args(arguments)
+    console = Console()
+    rounds = 1 if options.quick else ROUNDS
+    figures = measure(rounds, lambda jobs: list(track(jobs, "methods", console=console)))
+    commands = command_times(rounds)
+    text = [machine(), "", pair_table(figures), "", *ratio_lines(figures, commands)]
+    if not options.quick:
+        fits = [growth.fit(study) for study in track(growth.STUDIES, "growth", console=console)]
+        text += ["", growth_table(fits)]
+    console.print("\n".join(text), markup=False, highlight=False, soft_wrap=True)
+    if options.readme:
+        write_readme("\n".join(text))
+    return 0
+
+
+def measure(
+    rounds: int, ordered: Callable[[list[tuple[int, str]]], list[tuple[int, str]]]
+) -> dict[str, Timed]:
+    """The smallest figures of every method over all rounds."""
+    found: dict[str, Timed] = {}
+    for _, name in ordered([(round_, name) for round_ in range(rounds) for name in METHODS]):
+        figures = in_a_process(name, 1 if name in SLOW else REPEATS)
+        best = found.get(name)
+        if best is None or figures.best < best.best:
+            found[name] = figures
+    return found
+
+
+def in_a_process(name: str, repeats: int, *overrides: str) -> Timed:
+    """One method's figures from a process of its own."""
+    command = [sys.executable, "-m", "benchmarks.methods", name, str(repeats), *overrides]
+    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return Timed(**json.loads(output))
+
+
+def command_times(rounds: int) -> dict[str, float]:
+    """Process start to end of the command line, and of importing CVXPY."""
+    commands = {
+        "solve": ["-m", "scp_recon.solve", "--out", "runs/benchmark"],
+        "import cvxpy": ["-c", "import cvxpy"],
+    }
+    best = dict.fromkeys(commands, float("inf"))
+    for _ in range(2 * rounds):
+        for name, command in commands.items():
+            begin = perf_counter()
+            subprocess.run([sys.executable, *command], check=True, capture_output=True)
+            best[name] = min(best[name], perf_counter() - begin)
+    return best
+
+
+def machine() -> str:
+    """The machine and the versions that matter."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        names = re.findall(r"model name\s*:\s*(.+)", info.read_text())
+        cpu = f"{names[0]}, {len(names)} cores" if names else cpu
+    packages = ("clarabel", "casadi", "numpy", "cvxpy-base")
+    versions = ", ".join(f"{name} {version(name)}" for name in packages)
+    return f"{cpu}; Python {platform.python_version()}, {versions}"
+
+
+def write_readme(text: str) -> None:
+    """Replace what stands between the markers."""
+    before, rest = README.read_text(encoding="utf-8").split(BEGIN)
+    after = rest.split(END)[1]
+    README.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

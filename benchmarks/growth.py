@@ -1,0 +1,71 @@
+"""How the cost of an iteration grows with nodes, facets and burns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from scp_recon import guess
+from scp_recon.mission import Mission
+from scp_recon.planner import Planner
+from scp_recon.scenario import load_scenario
+
+REPEATS = 5
+
+
+@dataclass(frozen=True)
+class Study:
+    """Sizes of one thing, and how a scenario gets them."""
+
+    name: str
+    sizes: tuple[int, ...]
+    overrides: Callable[[int], list[str]]
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Seconds of an iteration by size, and the exponent of the power law through them."""
+
+    name: str
+    sizes: tuple[int, ...]
+    seconds: tuple[float, ...]
+    exponent: float
+
+
+def burn_times(count: int) -> list[str]:
+    """So many burns, none of them near the observation window, and no attitude modes between."""
+    early = np.linspace(0.0, 11_000.0, -(-count // 2))
+    late = np.linspace(19_000.0, 34_842.0, count // 2) if count > 2 else [34_842.0]
+    times = [round(float(time), 1) for time in (*early, *late)]
+    modes = [f"schedule.{name}_s=1.0" for name in ("attitude", "heating", "recharge")]
+    return [f"burns.times_s={times}", *modes]
+
+
+STUDIES = (
+    Study("nodes", (75, 150, 300, 600, 1200, 2400), lambda n: [f"grid.step_max_s={34_842 / n}"]),
+    Study(
+        "facets of each polytope",
+        (4, 8, 16, 32, 64, 128),
+        lambda n: [f"polytopes.ball={n}", f"polytopes.cone={n}"],
+    ),
+    Study("burns", (2, 4, 6, 8, 12), burn_times),
+)
+
+
+def fit(study: Study) -> Fit:
+    """Time a study, each size by the fastest of a few plans."""
+    seconds = tuple(_iteration_s(study.overrides(size)) for size in study.sizes)
+    slope = np.polyfit(np.log(study.sizes), np.log(seconds), 1)[0]
+    return Fit(study.name, study.sizes, seconds, float(slope))
+
+
+def _iteration_s(overrides: list[str]) -> float:
+    mission = Mission.from_scenario(load_scenario(None, overrides))
+    start, best = guess.cold(mission), np.inf
+    for _ in range(REPEATS):
+        found = Planner(mission).plan(start)
+        count = sum(len(stage.result.records) for stage in found.stages)
+        best = min(best, found.total_s / count)
+    return float(best)

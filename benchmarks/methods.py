@@ -1,0 +1,152 @@
+"""What is timed, each in a process of its own: `python -m benchmarks.methods NAME [OVERRIDE ...]`."""
+
+from __future__ import annotations
+
+import json
+import resource
+import statistics
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from time import perf_counter, process_time
+
+import numpy as np
+
+from scp_recon import guess
+from scp_recon.campaign import Setting, run_block
+from scp_recon.mission import Mission
+from scp_recon.planner import Plan, Planner
+from scp_recon.sampling import BLOCK
+from scp_recon.scenario import load_scenario
+
+REPLANS = 100
+
+
+@dataclass(frozen=True)
+class Timed:
+    """One method's figures; seconds.
+
+    Attributes:
+        first: of the first run in the process, programs built and solvers set up in it.
+        best: of the fastest of the later runs.
+        cpu: processor time of that one.
+        split: its seconds by what they were spent on.
+        peak_mib: resident memory at the end, imports included.
+        total_dv_m_s: what was found.
+        status: how it ended.
+        details: whatever else the method tells.
+    """
+
+    first: float
+    best: float
+    cpu: float
+    split: dict[str, float] = field(default_factory=dict)
+    peak_mib: float = 0.0
+    total_dv_m_s: float = float("nan")
+    status: str = ""
+    details: dict[str, float] = field(default_factory=dict)
+
+
+def timed(run: Callable[[], object], repeats: int) -> Timed:
+    """Time the first run and the fastest of `repeats` later ones."""
+    walls, cpus = [], []
+    for _ in range(repeats + 1):
+        wall, cpu = perf_counter(), process_time()
+        run()
+        walls.append(perf_counter() - wall)
+        cpus.append(process_time() - cpu)
+    best = 1 + int(np.argmin(walls[1:])) if repeats else 0
+    return Timed(walls[0], walls[best], cpus[best])
+
+
+def _described(figures: Timed, mission: Mission, plans: list[Plan]) -> Timed:
+    found = min(plans[1:] or plans, key=lambda plan: plan.total_s)
+    parts = asdict(found.timing) | {"other": found.total_s - sum(vars(found.timing).values())}
+    p2 = [r.solver_s for stage in found.stages if stage.facets for r in stage.result.records]
+    solves = {"p2_subproblem": statistics.median(p2)} if p2 else {}
+    return replace(
+        figures,
+        split=parts,
+        total_dv_m_s=found.final.result.lin.iterate.total_dv * mission.units.speed_m_s,
+        status=found.final.result.status.value.name,
+        details=solves | {"iterations": float(sum(len(s.result.records) for s in found.stages))},
+    )
+
+
+def scp(mission: Mission, formulation: str, repeats: int) -> Timed:
+    """P3, facets and P2 from a cold start, each time by a new planner."""
+    start, plans = guess.cold(mission), list[Plan]()
+
+    def run() -> None:
+        plans.append(Planner(mission, formulation=formulation).plan(start))
+
+    return _described(timed(run, repeats), mission, plans)
+
+
+def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
+    """The same stages by IPOPT."""
+    from scp_recon import ipopt as reference
+
+    start, plans = guess.cold(mission), list[Plan]()
+
+    def run() -> None:
+        plans.append(reference.plan(mission, start, variant=variant))
+
+    return _described(timed(run, repeats), mission, plans)
+
+
+def replan(mission: Mission, repeats: int) -> Timed:
+    """P2 again from initial states drawn from their covariance, against planning them cold."""
+    del repeats
+    planner = Planner(mission)
+    last, start = planner.plan(guess.cold(mission)), guess.cold(mission)
+    rng, again, cold = np.random.default_rng(0), [], []
+    converged = 0
+    first = perf_counter()
+    planner.replan(last, mission.initial_state)
+    first = perf_counter() - first
+    for _ in range(REPLANS):
+        state = mission.initial_state + mission.initial_sigma * rng.standard_normal(6)
+        begin = perf_counter()
+        found = planner.replan(last, state)
+        again.append(perf_counter() - begin)
+        converged += found.final.result.status.value.exit_code == 0
+        begin = perf_counter()
+        Planner(mission.with_initial_state(state)).plan(start)
+        cold.append(perf_counter() - begin)
+    details = {"cold": statistics.median(cold), "converged": float(converged)}
+    return Timed(first, statistics.median(again), float("nan"), details=details)
+
+
+def montecarlo(mission: Mission, repeats: int) -> Timed:
+    """A block of flights with crossing times."""
+    found = Planner(mission).plan(guess.cold(mission)).final.result.lin.iterate.burns
+    setting = Setting(mission, found * mission.units.speed_m_s)
+    figures = timed(lambda: run_block(setting, (0, BLOCK)), 4 * repeats)
+    return replace(figures, details={"flights_per_s": BLOCK / figures.best})
+
+
+METHODS: dict[str, Callable[[Mission, int], Timed]] = {
+    "scp condensed": lambda mission, n: scp(mission, "condensed", n),
+    "scp frozen-stm": lambda mission, n: scp(mission, "frozen-stm", n),
+    "scp frozen-covariance": lambda mission, n: scp(mission, "frozen-covariance", n),
+    "scp lifted": lambda mission, n: scp(mission, "lifted", n),
+    "ipopt tuned": lambda mission, n: ipopt(mission, "tuned", n),
+    "ipopt shooting": lambda mission, n: ipopt(mission, "shooting", n),
+    "ipopt printed": lambda mission, n: ipopt(mission, "printed", n),
+    "replan": replan,
+    "montecarlo": montecarlo,
+}
+
+
+def main() -> None:
+    """Print a method's figures as JSON; `NAME REPEATS [OVERRIDE ...]`."""
+    name, repeats, *overrides = sys.argv[1:]
+    mission = Mission.from_scenario(load_scenario(None, overrides))
+    figures = METHODS[name](mission, int(repeats))
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(json.dumps(asdict(replace(figures, peak_mib=peak))))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""The parts of an iteration by pytest-benchmark: `python -m pytest benchmarks/micro.py`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from formulations.direct import DirectSubproblem
+from formulations.lifting import Linearisation, condense
+from formulations.rows import P2Rows
+from scp_recon import guess
+from scp_recon.campaign import Setting, run_block
+from scp_recon.flow import differentiate
+from scp_recon.mission import Mission
+from scp_recon.planner import Plan, plan
+from scp_recon.scenario import load_scenario
+
+
+@pytest.fixture(scope="module")
+def mission() -> Mission:
+    return Mission.from_scenario(load_scenario())
+
+
+@pytest.fixture(scope="module")
+def planned(mission: Mission) -> Plan:
+    return plan(mission, guess.cold(mission))
+
+
+def fresh(lin: Linearisation) -> Linearisation:
+    """Without what it remembers."""
+    return Linearisation(lin.problem, lin.iterate, lin.arcs)
+
+
+def test_first_derivatives_of_all_arcs(benchmark: Any, mission: Mission, planned: Plan) -> None:
+    dynamics, mean = mission.dynamics, planned.final.result.lin.iterate.mean[:-1]
+    benchmark(differentiate, mean, dynamics.durations, dynamics.forces, dynamics.substeps)
+
+
+def test_second_derivatives_of_all_arcs(benchmark: Any, mission: Mission, planned: Plan) -> None:
+    dynamics, mean = mission.dynamics, planned.final.result.lin.iterate.mean[:-1]
+    arguments = mean, dynamics.durations, dynamics.forces, dynamics.substeps
+    benchmark(lambda: differentiate(*arguments).tensor)
+
+
+def test_condense(benchmark: Any, planned: Plan) -> None:
+    nodes = planned.final.subproblem.rows.nodes
+    benchmark(lambda: condense(fresh(planned.final.result.lin), nodes))
+
+
+def test_cones_of_p2(benchmark: Any, planned: Plan) -> None:
+    rows, lin = planned.final.subproblem.rows, planned.final.result.lin
+    assert isinstance(rows, P2Rows)
+    sensitivity = condense(lin, rows.nodes)
+    benchmark(rows.cones, lin, sensitivity)
+
+
+@pytest.mark.parametrize("stage", [0, -1], ids=["P3", "P2"])
+def test_solve_a_subproblem(benchmark: Any, planned: Plan, stage: int) -> None:
+    chosen = planned.stages[stage]
+    subproblem = DirectSubproblem(chosen.subproblem.problem, chosen.subproblem.rows)
+    subproblem.update(chosen.result.lin)
+    benchmark(subproblem.solve, 1.0, 10.0)
+
+
+def test_fly_a_step(benchmark: Any, mission: Mission, planned: Plan) -> None:
+    lin = planned.stages[0].result.lin
+    benchmark(mission.dynamics.fly, lin, planned.final.result.lin.iterate.burns)
+
+
+def test_fly_a_thousand_samples(benchmark: Any, mission: Mission, planned: Plan) -> None:
+    burns = planned.final.result.lin.iterate.burns * mission.units.speed_m_s
+    benchmark(run_block, Setting(mission, burns), (0, 1000))
