@@ -1,7 +1,8 @@
 """Every table and figure of the paper that the project can make: `python -m paper_figs`.
 
 They are made from what `python -m experiments.observation_table` wrote: figures as PNG and PDF,
-tables as Markdown and CSV, and `captions.md` that explains them.
+tables as Markdown and CSV, and `captions.md` that explains them. The studies of the spacecraft are
+drawn where their folders are found.
 """
 
 from __future__ import annotations
@@ -10,14 +11,17 @@ import argparse
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from matplotlib.figure import Figure
 
 from paper_figs import (
+    battery_cones,
     cone_polytopes,
     control_history,
+    model_fidelity,
     observation_geometry,
     observation_histories,
     observation_table,
@@ -25,6 +29,8 @@ from paper_figs import (
     parameters,
     terminal_normality,
     trajectories,
+    uncertainty_quantiles,
+    uncertainty_sources,
 )
 from paper_figs.drawing import PICTURES, save
 from paper_figs.inputs import TABLE, Runs, read_runs
@@ -52,6 +58,25 @@ class Tabulated(Protocol):
         ...
 
 
+class Study(Protocol):
+    """A module of a figure that is drawn from a study's folder."""
+
+    FOLDER: str
+    COMMAND: str
+
+    def read(self, folder: Path) -> Any:
+        """What the study left in its folder."""
+        ...
+
+    def draw(self, found: Any) -> Figure:
+        """The figure; nothing is written."""
+        ...
+
+    def caption(self, found: Any) -> str:
+        """What it shows."""
+        ...
+
+
 FIGURES: dict[str, Drawn] = {
     "observation_geometry": observation_geometry,
     "cone_polytopes": cone_polytopes,
@@ -61,13 +86,26 @@ FIGURES: dict[str, Drawn] = {
     "observation_times": observation_times,
     "terminal_normality": terminal_normality,
 }
+STUDIES: dict[str, Study] = {
+    "battery_cones": battery_cones,
+    "model_fidelity": model_fidelity,
+    "uncertainty_sources": uncertainty_sources,
+    "uncertainty_quantiles": uncertainty_quantiles,
+}
 TABLES: dict[str, Tabulated] = {"parameters": parameters, "observation_table": observation_table}
 
 
-def make_all(runs: Runs, source: Path, out: Path) -> Iterator[Path]:
+def make_all(runs: Runs, source: Path, out: Path, studies: Path | None = None) -> Iterator[Path]:
     """Write everything into a folder, yielding each file as it is done.
 
+    Args:
+        runs: what the figures are drawn from.
+        source: folder of the table to copy.
+        out: folder to write into.
+        studies: folder in which the studies' folders are looked for.
+
     Raises:
+        InputError: if a study's folder is unusable.
         OSError: if the folder cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
@@ -75,12 +113,23 @@ def make_all(runs: Runs, source: Path, out: Path) -> Iterator[Path]:
         yield write_atomically(out / f"{name}.md", tabulated.table(runs))
     yield Path(shutil.copyfile(source / TABLE, out / TABLE))
     captions = ["# Captions"]
-    for name, drawn in FIGURES.items():
-        figure = drawn.draw(runs)
+    drawings = ((name, drawn.draw(runs), drawn.caption(runs)) for name, drawn in FIGURES.items())
+    for name, figure, caption in chain(drawings, _draw_studies(studies)):
         for ending in PICTURES:
             yield save(figure, out / f"{name}{ending}")
-        captions.append(f"## {name}\n\n{drawn.caption(runs)}")
+        captions.append(f"## {name}\n\n{caption}")
     yield write_atomically(out / "captions.md", "\n\n".join(captions) + "\n")
+
+
+def _draw_studies(folder: Path | None) -> Iterator[tuple[str, Figure, str]]:
+    """Name, figure and caption of every study that is there."""
+    if folder is None:
+        return
+    for name, study in STUDIES.items():
+        place = folder / study.FOLDER
+        if place.is_dir():
+            found = study.read(place)
+            yield name, study.draw(found), study.caption(found)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -94,6 +143,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="what experiments.observation_table wrote (default: runs/paper)",
     )
     p.add_argument(
+        "--studies",
+        type=Path,
+        default=Path("runs"),
+        metavar="DIR",
+        help="folder of the studies' folders (default: runs)",
+    )
+    p.add_argument(
         "--out",
         type=Path,
         default=Path("runs") / "figures",
@@ -102,8 +158,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options = p.parse_args(arguments)
     try:
-        for path in make_all(read_runs(options.runs), options.runs, options.out):
+        runs = read_runs(options.runs)
+        for path in make_all(runs, options.runs, options.out, options.studies):
             print(f"written: {path}", flush=True)
+        for name, study in STUDIES.items():
+            if not (options.studies / study.FOLDER).is_dir():
+                print(f"not drawn: {name}, for want of `{study.COMMAND}`")
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from matplotlib import style
 from matplotlib.figure import Figure
@@ -31,6 +31,9 @@ HALO = [withStroke(linewidth=2.5, foreground="w")]
 
 PICTURES = (".png", ".pdf")
 
+Read = TypeVar("Read")
+"""What a figure is drawn from."""
+
 
 def save(figure: Figure, path: Path) -> Path:
     """Write a figure in the format of the path's ending, the same bytes every time."""
@@ -46,12 +49,22 @@ def command(
     make: Callable[[Runs], Figure | str], about: str | None, arguments: Sequence[str] | None = None
 ) -> int:
     """The command line of a module: one figure or table from a folder of runs to a file."""
+    return command_from(read_runs, make, about, arguments)
+
+
+def command_from(
+    read: Callable[[Path], Read],
+    make: Callable[[Read], Figure | str],
+    about: str | None,
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """The command line of a module that is drawn from what `read` finds in a folder or file."""
     p = argparse.ArgumentParser(description=about)
     p.add_argument("runs", type=Path, metavar="RUNS", help="what experiments wrote")
     p.add_argument("file", type=Path, metavar="FILE", help="e.g. figure.png, figure.pdf, table.md")
     options = p.parse_args(arguments)
     try:
-        made = make(read_runs(options.runs))
+        made = make(read(options.runs))
         if isinstance(made, Figure):
             save(made, options.file)
         else:

@@ -78,20 +78,30 @@ def _flown(folder: Path, key: str, label: str) -> Flown:
 
 
 def _table(folder: Path) -> list[dict[str, str]]:
-    path = _require(folder / TABLE, folder)
+    _require(folder / TABLE, folder)
+    return read_csv(folder, TABLE, "mean_s", f"{COMMAND} --fresh")
+
+
+def read_csv(folder: Path, name: str, column: str, command: str) -> list[dict[str, str]]:
+    """A table that a command of `experiments` left in a folder, a dictionary per row.
+
+    Raises:
+        InputError: if the file is missing or lacks a column, naming the command that writes it.
+    """
+    path = _require(folder / name, folder, command)
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
-    if not rows or "mean_s" not in rows[0]:
-        raise _unusable(path, folder)
+    if not rows or column not in rows[0]:
+        raise _unusable(path, folder, command)
     return rows
 
 
-def _require(path: Path, folder: Path) -> Path:
+def _require(path: Path, folder: Path, command: str = COMMAND) -> Path:
     if not path.is_file():
-        raise InputError(str(path), "no such file", f"written by `{COMMAND} --out {folder}`")
+        raise InputError(str(path), "no such file", f"written by `{command} --out {folder}`")
     return path
 
 
-def _unusable(path: Path, folder: Path) -> InputError:
-    written = f"written anew by `{COMMAND} --fresh --out {folder}`"
+def _unusable(path: Path, folder: Path, command: str = f"{COMMAND} --fresh") -> InputError:
+    written = f"written anew by `{command} --out {folder}`"
     return InputError(str(path), "an unusable file", written)

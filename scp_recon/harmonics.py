@@ -41,6 +41,14 @@ class HarmonicField:
                 c[n, m], s[n, m] = norm * c_bar, norm * s_bar
         return cls(gm, data["reference_radius_m"], c, s)
 
+    def normalised(self) -> tuple[Array, Array]:
+        """Fully normalised coefficients, shape (n + 1, n + 1) each."""
+        degree = len(self.c)
+        norm = np.array(
+            [[_normalisation(n, min(m, n)) for m in range(degree)] for n in range(degree)]
+        )
+        return self.c / norm, self.s / norm
+
     def acceleration(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         """Acceleration in the body's frame by Cunningham's recursion.
 

@@ -215,12 +215,12 @@ class Solution(Part):
         return write_atomically(folder / FILE_NAME, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
-def write_atomically(path: Path, text: str) -> Path:
+def write_atomically(path: Path, content: str | bytes) -> Path:
     """Write beside the target and rename, so that a reader sees the old file or the new one."""
     beside = path.with_name(f".{path.name}.{uuid4().hex}")
     try:
-        with beside.open("x", encoding="utf-8") as file:
-            file.write(text)
+        with beside.open("xb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
             file.flush()
             os.fsync(file.fileno())
         beside.replace(path)

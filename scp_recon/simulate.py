@@ -1,0 +1,137 @@
+"""Fly a plan with the spacecraft in the loop: `python -m scp_recon.simulate SOLUTION`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
+from rich.table import Table
+
+from scp_recon.errors import InputError
+from scp_recon.solution import read_solution
+from scp_recon.spacecraft.vehicle import load_vehicle
+from scp_recon.status import Status
+
+BAD_INPUT = 2
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(prog="python -m scp_recon.simulate", description=__doc__)
+    p.add_argument(
+        "solution", type=Path, metavar="SOLUTION", help="folder with a solution.json, or the file"
+    )
+    p.add_argument("--seed", type=_seed, default=0, metavar="N", help="of all errors (default: 0)")
+    p.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for simulation.npz (default: the solution's)",
+    )
+    p.add_argument(
+        "--vehicle", type=Path, metavar="FILE", help="vehicle as TOML (default: the packaged DARE)"
+    )
+    return p
+
+
+def _seed(text: str) -> int:
+    if not text.isdigit() or int(text) >= 2**63:
+        raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 0 to 2^63 - 1")
+    return int(text)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0, 2 after bad input or without Basilisk, 130 if interrupted."""
+    options = parser().parse_args(arguments)
+    console, errors = Console(), Console(stderr=True)
+
+    def refuse(message: str) -> int:
+        errors.print(f"error: {message}", style="red", markup=False, highlight=False)
+        return BAD_INPUT
+
+    try:
+        # Basilisk is an extra, and takes seconds to import.
+        from scp_recon.spacecraft.record import make_record, write_record
+        from scp_recon.spacecraft.simulation import simulate
+    except ImportError as error:
+        return refuse(
+            f"{error.name or 'Basilisk'} is missing: the simulation needs the extra [sim], "
+            "pip install 'scp_recon[sim]'"
+        )
+    try:
+        solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
+        home = options.solution if options.solution.is_dir() else options.solution.parent
+        folder = options.out or home
+        folder.mkdir(parents=True, exist_ok=True)
+        bar = Progress(
+            "flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), console=errors
+        )
+        with bar:
+            task = bar.add_task("flight", total=solution.scenario.duration_s)
+            flight = simulate(
+                solution,
+                vehicle,
+                options.seed,
+                progress=lambda time: bar.update(task, completed=time),
+            )
+        record = make_record(flight, solution, options.seed)
+        path = write_record(record, folder)
+    except InputError as error:
+        return refuse(str(error))
+    except OSError as error:
+        return refuse(f"cannot write to {options.out or options.solution}: {error.strerror}")
+    except KeyboardInterrupt:
+        errors.print("interrupted, nothing written", style="red")
+        return Status.INTERRUPTED.value.exit_code
+    show(console, record.summary)
+    console.print(f"written: {path}", markup=False, highlight=False)
+    return 0
+
+
+def show(console: Console, summary: dict[str, Any]) -> None:
+    """The figures that matter."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for heading in ("mode", "from s", "for s", "at least s"):
+        table.add_column(heading, justify="left" if heading == "mode" else "right")
+    for leg in summary["legs"]:
+        mark = "" if leg["ok"] else " too short"
+        numbers = (leg["start_s"], leg["duration_s"], leg["required_s"])
+        table.add_row(leg["mode"] + mark, *(f"{x:.0f}" for x in numbers))
+    console.print(table)
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for heading in ("burn at s", "planned m/s", "executed m/s", "pointing deg"):
+        table.add_column(heading, justify="right")
+    for burn in summary["burns"]:
+        sizes = (sum(x * x for x in burn[key]) ** 0.5 for key in ("planned_m_s", "executed_m_s"))
+        row = (f"{burn['t_s']:.0f}", *(f"{x:.5f}" for x in sizes), f"{burn['pointing_deg']:.3f}")
+        table.add_row(*row)
+    console.print(table)
+    lines = [
+        f"{name:22} " + ", ".join(f"{key} {value:.3f}" for key, value in spread.items()) + " deg"
+        for name, spread in (
+            ("camera against command", summary["window_pointing_deg"]["camera"]),
+            ("camera against site", summary["window_pointing_deg"]["site"]),
+            ("estimated attitude", summary["estimate_deg"]),
+        )
+    ]
+    miss = summary["terminal_miss"]
+    lines += [
+        f"least state of charge  {summary['least_charge']:.3f} (floor {summary['floor_charge']:.2f})",
+        f"energy ledger error    {summary['ledger_error']:.1e} of what is generated",
+        f"momentum dumps         {summary['dumps']}",
+        f"final state            {miss['position_m']:.1f} m and {miss['velocity_m_s']:.4f} m/s "
+        "from the planned mean",
+        f"within 3 sigma         at {100 * summary['within_3_sigma']:.1f} % of the nodes, "
+        f"at most {summary['largest_sigma_distance']:.2f} sigma",
+    ]
+    for line in lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,127 @@
+"""What a flight says about its plan: modes, pointing, energy, and where it went."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from scp_recon import geometry
+from scp_recon.frames import unit
+from scp_recon.schedule import Leg, Mode
+from scp_recon.solution import Solution
+from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
+from scp_recon.spacecraft.simulation import Flight
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LegOutcome:
+    """A mode as flown against the least time that the rules give it, s."""
+
+    leg: Leg
+    duration_s: float
+    required_s: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether it was long enough; a control period is forgiven."""
+        return self.duration_s >= self.required_s - CONTROL_PERIOD_S
+
+
+def leg_outcomes(plan: FlightPlan) -> list[LegOutcome]:
+    """Every mode after the first burn, whose attitude is there from the start."""
+    rules, window = plan.mission.scenario.schedule, plan.mission.schedule.window_s
+    outcomes = []
+    for leg in plan.legs[1:]:
+        if leg.mode is Mode.SUN_POINTING:
+            required = rules.attitude_s + rules.recharge_s
+        elif leg.mode is Mode.OBSERVATION:
+            required = rules.attitude_s + window[1] - window[0]
+        else:
+            required = rules.attitude_s + rules.heating_s
+        outcomes.append(LegOutcome(leg, leg.end_s - leg.start_s, required))
+    return outcomes
+
+
+@dataclass(frozen=True)
+class Pointing:
+    """Angles in rad.
+
+    Attributes:
+        attitude: between the commanded and the true attitude, shape (n,).
+        estimate: between the estimated and the true one, shape (n,).
+        burns: between each planned burn and the thrust when it starts, shape (m,).
+        camera: between boresight and command at the samples of the window, shape (w,).
+        site: between boresight and true line of sight to the site there, shape (w,).
+    """
+
+    attitude: Array
+    estimate: Array
+    burns: Array
+    camera: Array
+    site: Array
+
+
+def pointing(flight: Flight) -> Pointing:
+    """How well the spacecraft pointed."""
+    plan, vehicle = flight.plan, flight.plan.vehicle
+    thrust = unit(vehicle.chemical_thruster.direction)
+    starts = [round(firing.start_s / CONTROL_PERIOD_S) for firing in plan.firings]
+    planned = np.array([firing.direction for firing in plan.firings])
+    first, last = plan.mission.schedule.window_s
+    window = (flight.times_s >= first) & (flight.times_s <= last)
+    camera = unit(vehicle.sensors.camera)
+    boresight = flight.attitudes[window].apply(camera)
+    mission = plan.mission
+    track = geometry.track(mission.site, mission.rotation, flight.times_s[window])
+    return Pointing(
+        attitude=_between(flight.commands, flight.attitudes),
+        estimate=_between(flight.estimates, flight.attitudes),
+        burns=geometry.angle(flight.attitudes[starts].apply(thrust), planned),
+        camera=geometry.angle(boresight, flight.commands[window].apply(camera)),
+        site=geometry.angle(boresight, track.position - flight.states[window, :3]),
+    )
+
+
+def _between(first: Rotation, second: Rotation) -> Array:
+    """Angles between attitudes, rad, shape (n,)."""
+    return np.asarray((first.inv() * second).magnitude())
+
+
+def node_states(flight: Flight, solution: Solution) -> Array:
+    """States at the solution's nodes, shape (n, 6); the last with its burn as an impulse."""
+    nodes = np.array(solution.nodes.t_s)
+    states = np.stack([np.interp(nodes, flight.times_s, x) for x in flight.states.T], axis=1)
+    states[-1] = flight.terminal_state
+    return states
+
+
+def sigma_distance(flight: Flight, solution: Solution) -> Array:
+    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,)."""
+    error = (node_states(flight, solution) - np.array(solution.nodes.state))[:, :3]
+    covariance = np.array(solution.nodes.covariance)[:, :3, :3]
+    return np.sqrt(
+        np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    )
+
+
+def state_of_charge(flight: Flight) -> Array:
+    """Of each battery, shape (n, batteries)."""
+    return flight.stored_wh / flight.plan.vehicle.battery.capacity_wh
+
+
+def ledger_error(flight: Flight) -> float:
+    """What is left of the energy balance, over the energy generated.
+
+    Generated and taken from the batteries = consumed, lost, unused and short (negative).
+    """
+    hours = CONTROL_PERIOD_S / 3600.0
+    generated = float(flight.panels_w[1:].sum()) * hours
+    consumed = float(flight.consumed_w[1:].sum()) * hours
+    other = float((flight.lost_w + flight.unused_w - flight.short_w)[1:].sum()) * hours
+    stored = float((flight.stored_wh[-1] - flight.stored_wh[0]).sum())
+    return (generated - consumed - other - stored) / generated

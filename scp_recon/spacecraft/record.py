@@ -1,0 +1,178 @@
+"""The file of a simulated flight: arrays every few seconds, and a summary.
+
+`docs/simulation_file.md` describes both.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.errors import InputError
+from scp_recon.schedule import Mode
+from scp_recon.solution import Solution, write_atomically
+from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
+from scp_recon.spacecraft.outcome import (
+    Pointing,
+    ledger_error,
+    leg_outcomes,
+    node_states,
+    pointing,
+    sigma_distance,
+    state_of_charge,
+)
+from scp_recon.spacecraft.simulation import Flight
+
+SCHEMA = "scp_recon.simulation/1"
+FILE_NAME = "simulation.npz"
+SAMPLE_S = 10.0
+MODES = tuple(Mode)
+QUANTILES = (0.5, 0.95, 0.997, 1.0)
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Record:
+    """A simulation file: arrays by name, and the summary."""
+
+    arrays: Arrays
+    summary: dict[str, Any]
+
+
+def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
+    """Collect what is worth keeping of a flight."""
+    every = round(SAMPLE_S / CONTROL_PERIOD_S)
+    angles, plan = pointing(flight), flight.plan
+    mode = np.zeros(len(flight.times_s), dtype=np.int8)
+    for leg in plan.legs:
+        mode[flight.times_s >= leg.start_s] = MODES.index(leg.mode)
+    arrays: Arrays = {
+        "t_s": flight.times_s[::every],
+        "state": flight.states[::every],
+        "attitude": flight.attitudes[::every].as_quat(canonical=True, scalar_first=True),
+        "command": flight.commands[::every].as_quat(canonical=True, scalar_first=True),
+        "estimate": flight.estimates[::every].as_quat(canonical=True, scalar_first=True),
+        "rate_rad_s": flight.rates_rad_s[::every],
+        "mode": mode[::every],
+        "actuators": flight.in_use[::every],
+        "wheel_speed_rad_s": flight.wheel_speeds_rad_s[::every],
+        "panel_w": flight.panels_w[::every],
+        "panel_peak_w": plan.panels.peak_w,
+        "consumed_w": flight.consumed_w[::every],
+        "state_of_charge": state_of_charge(flight)[::every],
+        "pointing_error_rad": angles.attitude.astype(np.float32),
+        "node_state": node_states(flight, solution),
+        "node_sigma_distance": sigma_distance(flight, solution),
+    }
+    return Record(arrays, _summary(flight, solution, angles, seed))
+
+
+def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) -> dict[str, Any]:
+    plan = flight.plan
+    charge, distance = state_of_charge(flight), sigma_distance(flight, solution)
+    miss = flight.terminal_state - np.array(solution.nodes.state[-1])
+    return {
+        "schema": SCHEMA,
+        "vehicle": plan.vehicle.name,
+        "seed": seed,
+        "modes": list(MODES),
+        "legs": [
+            {
+                "mode": outcome.leg.mode,
+                "start_s": outcome.leg.start_s,
+                "duration_s": outcome.duration_s,
+                "required_s": outcome.required_s,
+                "ok": outcome.ok,
+            }
+            for outcome in leg_outcomes(plan)
+        ],
+        "burns": [
+            {
+                "t_s": firing.start_s,
+                "duration_s": firing.duration_s,
+                "planned_m_s": firing.dv_m_s.tolist(),
+                "executed_m_s": executed.tolist(),
+                "pointing_deg": float(np.rad2deg(angle)),
+            }
+            for firing, executed, angle in zip(
+                plan.firings, flight.burns_m_s, angles.burns, strict=True
+            )
+        ],
+        "window_pointing_deg": {"camera": _spread(angles.camera), "site": _spread(angles.site)},
+        "estimate_deg": _spread(angles.estimate),
+        "least_charge": float(charge.min()),
+        "floor_charge": plan.vehicle.battery.floor_charge,
+        "energy_wh": _energy(flight),
+        "ledger_error": ledger_error(flight),
+        "dumps": flight.dumps,
+        "terminal_miss": {
+            "position_m": float(np.linalg.norm(miss[:3])),
+            "velocity_m_s": float(np.linalg.norm(miss[3:])),
+        },
+        "within_3_sigma": float((distance <= 3.0).mean()),
+        "largest_sigma_distance": float(distance.max()),
+    }
+
+
+def _spread(angle: npt.NDArray[np.float64]) -> dict[str, float]:
+    """Mean and quantiles in degrees."""
+    degrees = np.rad2deg(angle)
+    named = {f"q{100 * q:g}": float(np.quantile(degrees, q)) for q in QUANTILES}
+    return {"mean": float(degrees.mean()), **named}
+
+
+def _energy(flight: Flight) -> dict[str, float]:
+    """Totals of the bus."""
+    hours = CONTROL_PERIOD_S / 3600.0
+    totals = {
+        "generated": flight.panels_w,
+        "consumed": flight.consumed_w,
+        "lost": flight.lost_w,
+        "unused": flight.unused_w,
+        "short": flight.short_w,
+    }
+    return {name: float(power[1:].sum()) * hours for name, power in totals.items()}
+
+
+def write_record(record: Record, folder: Path) -> Path:
+    """Write `simulation.npz` into a folder, whole or not at all.
+
+    Raises:
+        OSError: if the folder cannot be written.
+    """
+    buffer = io.BytesIO()
+    text = np.array(json.dumps(record.summary))
+    np.savez_compressed(buffer, allow_pickle=False, summary=text, **record.arrays)
+    return write_atomically(folder / FILE_NAME, buffer.getvalue())
+
+
+def read_record(path: Path) -> Record:
+    """Read a simulation file, or the one in a folder.
+
+    Raises:
+        InputError: if there is none, it is of another version or it is damaged.
+    """
+    file = path / FILE_NAME if path.is_dir() else path
+    try:
+        with np.load(file, allow_pickle=False) as data:
+            arrays = {name: data[name] for name in data.files if name != "summary"}
+            summary = json.loads(str(data["summary"]))
+    except OSError as error:
+        reason = (error.strerror or "unreadable").lower()
+        raise InputError(f"simulation {file}", reason, "must be a readable file") from None
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"simulation {file}", str(error)[:80], "must be a simulation file"
+        ) from None
+    if summary.get("schema") != SCHEMA:
+        given = repr(summary.get("schema"))
+        raise InputError(f"simulation {file}", given, f"schema must be {SCHEMA!r}")
+    return Record(arrays, summary)

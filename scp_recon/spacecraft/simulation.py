@@ -1,0 +1,270 @@
+"""A flight of a solution: Basilisk's spacecraft under its own control, with chosen sources of error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+import numpy.typing as npt
+from Basilisk.utilities import SimulationBaseClass, macros
+from scipy.spatial.transform import Rotation
+
+from scp_recon.frames import unit
+from scp_recon.mission import Mission
+from scp_recon.solution import Solution
+from scp_recon.spacecraft.control import build_flight_software
+from scp_recon.spacecraft.estimator import AttitudeFilter, SensorSigmas
+from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
+from scp_recon.spacecraft.plant import (
+    STEP_S,
+    SURROUNDINGS_S,
+    Start,
+    build_plant,
+    build_sensors,
+)
+from scp_recon.spacecraft.power import Bus
+from scp_recon.spacecraft.vehicle import Errors, Vehicle
+
+Array = npt.NDArray[np.float64]
+ARCSEC = np.deg2rad(1.0 / 3600.0)
+
+
+class Source(StrEnum):
+    """What can err; the names are those of the vehicle's errors."""
+
+    SUN_SENSOR = "sun_sensor"
+    STAR_TRACKER = "star_tracker"
+    IMU = "imu"
+    MICRO_THRUSTER = "micro_thruster"
+    CHEMICAL_THRUSTER = "chemical_thruster"
+    INITIAL_STATE = "initial_state"
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A simulated flight, sampled once in a control period.
+
+    Attributes:
+        plan: what was commanded.
+        times_s: shape (n,).
+        states: position and velocity, m and m/s, J2000, shape (n, 6).
+        attitudes, commands, estimates: from the body to J2000.
+        rates_rad_s: of the body, in its frame, shape (n, 3).
+        in_use: which actuators control the attitude, shape (n,), of `Actuators`.
+        wheel_speeds_rad_s: shape (n, wheels).
+        micro_on_s: on-time of each micro-thruster in the period, shape (n, thrusters).
+        panels_w: generation, shape (n, panels).
+        consumed_w, lost_w, unused_w, short_w: balance of the bus, shape (n,).
+        stored_wh: charge of each battery, shape (n, batteries).
+        burns_m_s: executed, J2000, shape (m, 3).
+        dumps: how often the wheels' momentum was dumped.
+        terminal_state: at the planned end, with the last burn as an impulse, shape (6,).
+    """
+
+    plan: FlightPlan
+    times_s: Array
+    states: Array
+    attitudes: Rotation
+    commands: Rotation
+    estimates: Rotation
+    rates_rad_s: Array
+    in_use: npt.NDArray[np.int8]
+    wheel_speeds_rad_s: Array
+    micro_on_s: Array
+    panels_w: Array
+    consumed_w: Array
+    lost_w: Array
+    unused_w: Array
+    short_w: Array
+    stored_wh: Array
+    burns_m_s: Array
+    dumps: int
+    terminal_state: Array
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Realised errors of one seed; a source that is left out leaves the others' draws as they are."""
+
+    initial: Array
+    burns: Array
+    pulses: Array
+    seeds: dict[str, int]
+
+    @classmethod
+    def of(
+        cls,
+        plan: FlightPlan,
+        initial_sigma: Array,
+        periods: int,
+        seed: int,
+        sources: Collection[Source],
+    ) -> Draws:
+        """Draw the errors of the sources."""
+        children = np.random.SeedSequence(seed).spawn(len(Source))
+        stream = dict(zip(Source, children, strict=True))
+
+        def normal(source: Source, *shape: int) -> Array:
+            draws = np.random.default_rng(stream[source]).standard_normal(shape)
+            return draws if source in sources else np.zeros(shape)
+
+        errors, thrusters = plan.vehicle.errors, len(plan.vehicle.micro_thrusters.directions)
+        return cls(
+            initial=initial_sigma * normal(Source.INITIAL_STATE, 6),
+            burns=errors.chemical_thruster * normal(Source.CHEMICAL_THRUSTER, len(plan.firings)),
+            pulses=errors.micro_thruster_n * normal(Source.MICRO_THRUSTER, periods, thrusters),
+            seeds={s.value: int(c.generate_state(1)[0]) for s, c in stream.items()},
+        )
+
+
+def simulate(
+    solution: Solution,
+    vehicle: Vehicle,
+    seed: int = 0,
+    *,
+    sources: Collection[Source] = frozenset(Source),
+    initial_sigma_fraction: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Flight:
+    """Fly a solution.
+
+    Args:
+        solution: what is flown.
+        vehicle: what flies it.
+        seed: of all errors.
+        sources: those that err; every other is perfect.
+        initial_sigma_fraction: 1-sigma of the initial state by component, the scenario's without it.
+        progress: told the simulated time in s now and then.
+
+    Raises:
+        InputError: if the solution's scenario has no window or breaks a rule of the schedule.
+    """
+    mission = Mission.from_scenario(solution.scenario)
+    plan = FlightPlan.of(solution, mission, vehicle)
+    times = CONTROL_PERIOD_S * np.arange(round(plan.end_s / CONTROL_PERIOD_S) + 1.0)
+    fraction = initial_sigma_fraction
+    if fraction is None:
+        fraction = solution.scenario.uncertainty.initial_sigma_fraction
+    sigma = fraction * np.abs(mission.initial_state)
+    draws = Draws.of(plan, sigma, len(times), seed, sources)
+    first = plan.attitudes(times[:2])
+    start = Start(
+        mission.initial_state + draws.initial,
+        first[0],
+        (first[0].inv() * first[1]).as_rotvec() / CONTROL_PERIOD_S,
+        np.zeros(len(vehicle.wheels.axes)),
+    )
+    sim = Simulator(plan, start, draws, sensor_sigmas(vehicle.errors, sources), times)
+    sim.run(progress)
+    return sim.flight()
+
+
+def sensor_sigmas(errors: Errors, sources: Collection[Source]) -> SensorSigmas:
+    """1-sigma of the measurements, zero where a source is left out."""
+    return SensorSigmas(
+        star_tracker=errors.star_tracker_arcsec * ARCSEC * (Source.STAR_TRACKER in sources),
+        gyro=errors.imu_rad_s * CONTROL_PERIOD_S * (Source.IMU in sources),
+        sun_sensor=errors.sun_sensor_rad * (Source.SUN_SENSOR in sources),
+    )
+
+
+class Simulator:
+    """Basilisk's simulation of a flight, ready to run.
+
+    Args:
+        plan: what is commanded.
+        start: initial condition.
+        draws: realised errors.
+        sigmas: of the sensors.
+        times_s: control periods, shape (n,).
+    """
+
+    def __init__(
+        self, plan: FlightPlan, start: Start, draws: Draws, sigmas: SensorSigmas, times_s: Array
+    ) -> None:
+        self.plan, self.start, self.times_s = plan, start, times_s
+        self.plant = build_plant(plan.mission, plan.vehicle, start)
+        sensors = build_sensors(self.plant, plan.vehicle, sigmas, draws.seeds)
+        estimate = AttitudeFilter(
+            start.attitude.as_quat(scalar_first=True), sigmas, sigmas.star_tracker
+        )
+        software, self.navigator, self.allocator, self.firer = build_flight_software(
+            plan, self.plant, sensors, estimate, times_s, draws.pulses, draws.burns
+        )
+        self.bus = Bus(plan, self.plant, self.firer, times_s)
+        self.sim = SimulationBaseClass.SimBaseClass()
+        process = self.sim.CreateNewProcess("flight")
+        rates = {"surroundings": SURROUNDINGS_S, "dynamics": STEP_S}
+        for name in ("surroundings", "dynamics", "software", "power"):
+            task = self.sim.CreateNewTask(name, macros.sec2nano(rates.get(name, CONTROL_PERIOD_S)))
+            process.addTask(task, 10 - len(self.sim.TaskList))
+        self.sim.AddModelToTask("surroundings", self.plant.surroundings)
+        for effector in (*self.plant.effectors[1:], self.plant.hub):
+            self.sim.AddModelToTask("dynamics", effector)
+        for model in (*sensors.models, *software):
+            self.sim.AddModelToTask("software", model)
+        for model in self.bus.models():
+            self.sim.AddModelToTask("power", model)
+        period = macros.sec2nano(CONTROL_PERIOD_S)
+        self._states = self.plant.hub.scStateOutMsg.recorder(period)
+        self._wheels = self.plant.wheels.rwSpeedOutMsg.recorder(period)
+        for recorder in (self._states, self._wheels):
+            self.sim.AddModelToTask("power", recorder)
+
+    def run(self, progress: Callable[[float], None] | None = None) -> None:
+        """Fly to the end."""
+        self.sim.InitializeSimulation()
+        for time in np.append(np.arange(REPORT_S, self.times_s[-1], REPORT_S), self.times_s[-1]):
+            self.sim.ConfigureStopTime(macros.sec2nano(float(time)))
+            self.sim.ExecuteSimulation()
+            if progress is not None:
+                progress(float(time))
+        self.bus.close()
+
+    def flight(self) -> Flight:
+        """What was recorded."""
+        states, bus = self._states, self.bus
+        flown = np.hstack([states.r_CN_N, states.v_CN_N])
+        attitudes = Rotation.from_mrp(states.sigma_BN)
+        burns = self._executed_burns(attitudes)
+        last = self.plan.firings[-1]
+        terminal = flown[round(last.start_s / CONTROL_PERIOD_S)].copy()
+        terminal[3:] += burns[-1]
+        return Flight(
+            plan=self.plan,
+            times_s=self.times_s,
+            states=flown,
+            attitudes=attitudes,
+            commands=self.navigator.commands,
+            estimates=Rotation.from_quat(self.navigator.estimates, scalar_first=True),
+            rates_rad_s=states.omega_BN_B,
+            in_use=self.allocator.in_use,
+            wheel_speeds_rad_s=self._wheels.wheelSpeeds[:, : len(self.plan.vehicle.wheels.axes)],
+            micro_on_s=self.firer.on_time_s,
+            panels_w=bus.generated,
+            consumed_w=bus.consumed,
+            lost_w=bus.lost,
+            unused_w=bus.unused,
+            short_w=bus.short,
+            stored_wh=bus.stored_wh,
+            burns_m_s=burns,
+            dumps=self.allocator.dumps,
+            terminal_state=terminal,
+        )
+
+    def _executed_burns(self, attitudes: Rotation) -> Array:
+        """Impulse of the chemical thruster over the mass, J2000, with the attitudes it had."""
+        directions = attitudes.apply(unit(self.plan.vehicle.chemical_thruster.direction))
+        burns = np.empty((len(self.plan.firings), 3))
+        for i, firing in enumerate(self.plan.firings):
+            during = slice(*np.searchsorted(self.times_s, [firing.start_s, firing.end_s]).tolist())
+            ends = slice(during.start + 1, during.stop + 1)
+            mean = 0.5 * (directions[during] + directions[ends]).mean(axis=0)
+            size = np.linalg.norm(firing.dv_m_s) * (1.0 + self.firer.burn_error[i])
+            burns[i] = size * mean
+        return burns
+
+
+REPORT_S = 200.0

@@ -1,0 +1,145 @@
+"""Generation about the asteroid: the panels' law, the two cones, and the command."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.battery_cones import (
+    BOTTOM,
+    RADIUS_M,
+    SAMPLES,
+    TOLERANCE_DEG,
+    Cone,
+    main,
+    mode_loads,
+    sample,
+    study,
+)
+from scp_recon.forces import SPEED_OF_LIGHT_M_S
+from scp_recon.scenario import load_scenario
+from scp_recon.scenario_schema import Scenario
+from scp_recon.spacecraft.panels import SolarArray, irradiance
+from scp_recon.spacecraft.plates import Plates
+from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return load_scenario()
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle()
+
+
+@pytest.fixture(scope="module")
+def panels(scenario: Scenario, vehicle: Vehicle) -> SolarArray:
+    return SolarArray.of(vehicle, irradiance(scenario))
+
+
+@pytest.fixture(scope="module")
+def cones(scenario: Scenario, vehicle: Vehicle, panels: SolarArray) -> list[Cone]:
+    samples = sample(panels, SAMPLES, 0, scenario.body.reference_radius_m)
+    return study(panels, samples, mode_loads(vehicle, scenario), vehicle.loads.housekeeping_w)
+
+
+# --- the vehicle's panels and plates --------------------------------------------------------------
+
+
+def test_panel_powers(panels: SolarArray) -> None:
+    """Peaks of SP1 to SP5 by areas of 0.0286, 0.0676 and 0.36 m^2, 30 % cells and 1332 W/m^2."""
+    assert panels.peak_w == pytest.approx([11.4, 27.0, 27.0, 143.9, 143.9], abs=0.05)
+    sun = -np.eye(3)[0]
+    assert panels.generation(sun).sum() == pytest.approx(299.2, abs=0.2)
+    assert np.linalg.norm(panels.best_direction()) == pytest.approx(300.4, abs=0.2)
+
+
+def test_generation_goes_with_the_sine_of_the_angle(panels: SolarArray) -> None:
+    """Every panel faces across nadir: sqrt(0.7486^2 + 0.0676^2) m^2 of cells, and nothing else."""
+    angle = np.linspace(0.01, np.pi - 0.01, 101)
+    ratio = panels.best_about(BOTTOM, angle) / np.sin(angle)
+    area = np.hypot(0.7486, 0.0676)
+    np.testing.assert_allclose(ratio, panels.peak_w[-1] / 0.36 * area, rtol=1e-12)
+
+
+def test_light_pushes_the_vehicle_as_its_areas_say(scenario: Scenario, vehicle: Vehicle) -> None:
+    plates = Plates.of(vehicle)
+    pressure = irradiance(scenario) / SPEED_OF_LIGHT_M_S
+    cells, structure = 0.7486, 0.0614 + 0.036
+    to_panels = plates.force_per_pressure(-np.eye(3)[0])
+    np.testing.assert_allclose(to_panels, [1.01 * cells + 1.6 * structure, 0.0, 0.0], atol=1e-12)
+    assert pressure * to_panels[0] == pytest.approx(4.05e-6, rel=2e-3)
+
+
+# --- the cones ------------------------------------------------------------------------------------
+
+
+def test_calibrated_cones_are_the_papers(cones: list[Cone]) -> None:
+    found = {cone.load.mode: cone for cone in cones if cone.calibrated}
+    assert found["delta-V, warm-up"].half_angle_deg == pytest.approx(23.3, abs=TOLERANCE_DEG)
+    assert found["observation"].half_angle_deg == pytest.approx(18.2, abs=TOLERANCE_DEG)
+
+
+def test_uncalibrated_cones_are_what_the_panels_give(cones: list[Cone], panels: SolarArray) -> None:
+    most = np.linalg.norm(panels.best_direction())
+    plain = [cone for cone in cones if not cone.calibrated]
+    assert [cone.load.power_w for cone in plain] == [115.0, 90.0]
+    for cone in plain:
+        assert np.sin(np.deg2rad(cone.half_angle_deg)) * most == pytest.approx(cone.load.power_w)
+
+
+def test_samples_bracket_the_half_angles(cones: list[Cone]) -> None:
+    for cone in cones:
+        assert cone.inside_deg <= cone.half_angle_deg <= cone.outside_deg
+        assert cone.outside_deg - cone.inside_deg < 0.2
+        solid_angle = 1.0 - np.cos(np.deg2rad(cone.half_angle_deg))
+        # Five standard deviations, as a wrong share would miss by more.
+        spread = np.sqrt(solid_angle * (1.0 - solid_angle) / SAMPLES)
+        assert cone.fraction.value == pytest.approx(solid_angle, abs=5.0 * spread)
+        assert cone.fraction.low < cone.fraction.value < cone.fraction.high
+
+
+def test_the_shadow_lies_inside_both_cones(scenario: Scenario, cones: list[Cone]) -> None:
+    shadow = np.rad2deg(np.arcsin(scenario.body.reference_radius_m / RADIUS_M))
+    assert shadow < min(cone.half_angle_deg for cone in cones)
+
+
+def test_panels_too_small_for_a_load_never_meet_it(scenario: Scenario, vehicle: Vehicle) -> None:
+    weak = SolarArray.of(vehicle, 0.2 * irradiance(scenario))
+    found = study(weak, sample(weak, 500, 0, 0.0), mode_loads(vehicle, scenario), 0.0)
+    assert all(cone.half_angle_deg == pytest.approx(90.0) for cone in found)
+    assert all(cone.fraction.value == 1.0 for cone in found)
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def test_the_command_writes_the_same_tables_for_the_same_seed(tmp_path: Path) -> None:
+    for folder in ("first", "second"):
+        assert main(["--samples", "500", "--seed", "7", "--out", str(tmp_path / folder)]) == 0
+    written = sorted((tmp_path / "first").iterdir())
+    assert len(written) == 3
+    for path in written:
+        assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes()
+    with (tmp_path / "first" / "battery_cones.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["calibrated"] for row in rows] == ["false", "false", "true", "true"]
+    text = (tmp_path / "first" / "battery_cones.md").read_text("utf-8")
+    assert "Uncalibrated: 22.51 and 17.43 deg" in text
+    assert "Calibrated by 3.8 W of housekeeping: 23.30 and 18.20 deg" in text
+
+
+def test_bad_options_exit_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["--samples", "1"])
+    assert stop.value.code == 2
+    assert main(["--vehicle", str(tmp_path / "none.toml"), "--out", str(tmp_path)]) == 2
+    assert "none.toml" in capsys.readouterr().err
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert main(["--samples", "100", "--out", str(tmp_path / "file")]) == 2
+    assert "cannot write" in capsys.readouterr().err

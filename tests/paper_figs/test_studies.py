@@ -1,0 +1,166 @@
+"""Figures of the spacecraft's studies: drawn in silence, readable, and true to the tables."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from experiments import battery_cones as battery_cones_study
+from experiments.model_fidelity import TOGETHER, Compared, history, records
+from experiments.studies import to_csv
+from experiments.uncertainty_flights import TRANSLATION
+from experiments.uncertainty_report import BOTH, ORDER, Measured, quantiles, record, sigmas
+from experiments.uncertainty_report import PATH as BY_PATH
+from experiments.uncertainty_report import SPACECRAFT as BY_SPACECRAFT
+from paper_figs import __main__ as command_line
+from paper_figs import battery_cones, model_fidelity, uncertainty_quantiles, uncertainty_sources
+from paper_figs.__main__ import STUDIES, make_all
+from paper_figs.drawing import PICTURES, command_from
+from scp_recon.errors import InputError
+from scp_recon.spacecraft.vehicle import load_vehicle
+
+
+def compared(flight: str, effect: str, model: str, end_m: float) -> Compared:
+    times = np.linspace(0.0, 34_842.0, 20)
+    return Compared(flight, effect, model, times, end_m * times / times[-1], (13_140.0, 16_537.0))
+
+
+def write_fidelity(folder: Path) -> None:
+    """Made-up distances in the study's own form."""
+    models = {
+        "solar radiation pressure": {"none": 12.0, "cannonball": 1.0},
+        "gravity": {"degree 0": 8.0, "J2": 0.9, "degree 7": 1e-3},
+        "burns": {"impulsive": 0.7, "impulsive, mid-firing": 1e-4},
+        TOGETHER: {"cannonball, degree 0, impulsive": 9.0},
+    }
+    entries = [
+        compared(flight, effect, model, end)
+        for flight in ("ballistic arc", "plan")
+        for effect, ends in models.items()
+        for model, end in ends.items()
+    ]
+    folder.mkdir()
+    (folder / model_fidelity.TABLE).write_text(to_csv(records(entries)), encoding="utf-8")
+    (folder / model_fidelity.HISTORY).write_text(to_csv(history(entries)), encoding="utf-8")
+
+
+def write_uncertainty(folder: Path) -> None:
+    """Made-up deviations in the study's own form: 200 m for each source of the path, else 1 m."""
+    rng = np.random.default_rng(0)
+    entries = []
+    for errs in ORDER:
+        on_path = errs in (*TRANSLATION, BOTH)
+        scale = 200.0 if on_path or errs == "all" else 0.0 if errs == "none" else 1.0
+        deviation = scale * rng.standard_normal((500 if on_path else 8, 6)) / np.sqrt(3.0)
+        by = BY_PATH if on_path else BY_SPACECRAFT
+        entries.append(Measured(errs, by, deviation, 2.0, np.nan if on_path else 1e-3))
+    words = sigmas(load_vehicle().errors)
+    table = to_csv([record(entry, words[entry.errs]) for entry in entries])
+    folder.mkdir()
+    (folder / uncertainty_sources.TABLE).write_text(table, encoding="utf-8")
+    points = to_csv(quantiles(entries))
+    (folder / uncertainty_quantiles.QUANTILES).write_text(points, encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders of all studies."""
+    out = tmp_path_factory.mktemp("studies")
+    battery_cones_study.main(["--samples", "2000", "--out", str(out / battery_cones.FOLDER)])
+    write_fidelity(out / model_fidelity.FOLDER)
+    write_uncertainty(out / uncertainty_sources.FOLDER)
+    return out
+
+
+@pytest.fixture(scope="module")
+def drawn(studies: Path) -> dict[str, Figure]:
+    figures = {}
+    for name, study in STUDIES.items():
+        figures[name] = study.draw(study.read(studies / study.FOLDER))
+        FigureCanvasAgg(figures[name]).draw()
+    return figures
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_words_stay_on_the_page_and_apart(drawn: dict[str, Figure], name: str) -> None:
+    figure = drawn[name]
+    page = figure.bbox.padded(1.0)
+    assert figure.get_figwidth() <= 7.0
+    assert any(axes.get_xlabel() for axes in figure.axes)
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            words = axis.label.get_text()
+            assert not words or words.endswith(")"), words
+        titles = [axes.title, axes._left_title]  # type: ignore[attr-defined]
+        texts = [t for t in (*axes.texts, *titles, axes.xaxis.label) if t.get_text()]
+        boxes = [text.get_window_extent() for text in texts]
+        for text, box in zip(texts, boxes, strict=True):
+            assert text.get_fontsize() >= 8.0
+            assert page.contains(box.x0, box.y0), text.get_text()
+            assert page.contains(box.x1, box.y1), text.get_text()
+        assert not any(one.overlaps(two) for one, two in itertools.combinations(boxes, 2))
+    titles_of_all = [axes._left_title.get_window_extent() for axes in figure.axes]  # type: ignore[attr-defined]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(titles_of_all, 2))
+    for legend in (*figure.legends, *(axes.get_legend() for axes in figure.axes)):
+        if legend:
+            box = legend.get_window_extent()
+            assert page.contains(box.x0, box.y0)
+            assert page.contains(box.x1, box.y1)
+
+
+def test_captions_carry_the_findings(studies: Path) -> None:
+    found = battery_cones.read(studies / battery_cones.FOLDER)
+    words = battery_cones.caption(found)
+    assert "2000 random positions" in words
+    assert "23.30 deg and 18.20 deg" in words
+    assert "22.51 deg and 17.43 deg" in words
+    words = model_fidelity.caption(model_fidelity.read(studies / model_fidelity.FOLDER))
+    assert "solar radiation pressure of the plan: cannonball (1 m)" in words
+    assert "gravity of the ballistic arc: degree 0 (8 m)" in words
+    assert "cannonball, degree 0, impulsive on the plan 9 m" in words
+    folder = studies / uncertainty_sources.FOLDER
+    words = uncertainty_sources.caption(uncertainty_sources.read(folder))
+    assert all(name in words for name in ("initial state", "IMU", "all together"))
+    assert "no errors" not in words
+    words = uncertainty_quantiles.caption(uncertainty_quantiles.read(folder))
+    assert "of 500 flights" in words
+    assert "initial state (1 sigma 3 % of each component): 0.99" in words
+
+
+def test_studies_are_drawn_where_they_are_found(
+    studies: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command_line, "FIGURES", {})
+    monkeypatch.setattr(command_line, "TABLES", {})
+    (tmp_path / "observation_table.csv").write_text("", encoding="utf-8")
+    shutil.copytree(studies / battery_cones.FOLDER, tmp_path / battery_cones.FOLDER)
+    out = tmp_path / "figures"
+    runs = None  # no figure of the runs is asked for
+    names = {path.name for path in make_all(runs, tmp_path, out, tmp_path)}  # type: ignore[arg-type]
+    expected = {f"battery_cones{ending}" for ending in PICTURES}
+    assert names == expected | {"observation_table.csv", "captions.md"}
+    assert "## battery_cones" in (out / "captions.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_study_alone_is_written_or_says_what_is_missing(
+    studies: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = STUDIES[name]
+    file = tmp_path / "figure.png"
+    arguments = [str(studies / study.FOLDER), str(file)]
+    assert command_from(study.read, study.draw, None, arguments) == 0
+    assert file.stat().st_size > 10_000
+    assert command_from(study.read, study.draw, None, [str(tmp_path), str(file)]) == 2
+    assert f"{study.COMMAND} --out {tmp_path}" in capsys.readouterr().err
+    damaged = Path(shutil.copytree(studies / study.FOLDER, tmp_path / "copy"))
+    for path in damaged.iterdir():
+        path.write_text("x\n1\n", encoding="utf-8")
+    with pytest.raises(InputError, match="unusable"):
+        study.read(damaged)
