@@ -6,8 +6,6 @@ allocation, a Schmitt trigger, momentum dumping. The modules here feed and join 
 
 from __future__ import annotations
 
-from enum import IntEnum
-
 import numpy as np
 import numpy.typing as npt
 from Basilisk.architecture import messaging, sysModel
@@ -27,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from scp_recon.frames import unit
 from scp_recon.schedule import Mode
 from scp_recon.spacecraft.estimator import AttitudeFilter
+from scp_recon.spacecraft.flight import Actuators
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
 from scp_recon.spacecraft.plant import STEP_S, Plant, Sensors
 from scp_recon.spacecraft.vehicle import Vehicle
@@ -42,14 +41,6 @@ HAND_OVER_RAD = 0.1
 
 DUMP_PAUSE = 20
 """Control periods between two pulses of a momentum dump, in which the wheels settle the attitude."""
-
-
-class Actuators(IntEnum):
-    """What controls the attitude."""
-
-    THRUSTERS = 1
-    WHEELS = 2
-    BOTH = 3
 
 
 class Navigator(sysModel.SysModel):

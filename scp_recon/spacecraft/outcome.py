@@ -12,8 +12,8 @@ from scp_recon import geometry
 from scp_recon.frames import unit
 from scp_recon.schedule import Leg, Mode
 from scp_recon.solution import Solution
+from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
-from scp_recon.spacecraft.simulation import Flight
 
 Array = npt.NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def pointing(flight: Flight) -> Pointing:
     starts = [round(firing.start_s / CONTROL_PERIOD_S) for firing in plan.firings]
     planned = np.array([firing.direction for firing in plan.firings])
     first, last = plan.mission.schedule.window_s
-    window = (flight.times_s >= first) & (flight.times_s <= last)
+    window = (flight.times_s >= first) & (flight.times_s < last)
     camera = unit(vehicle.sensors.camera)
     boresight = flight.attitudes[window].apply(camera)
     mission = plan.mission
