@@ -79,12 +79,17 @@ def pointing(flight: Flight) -> Pointing:
     mission = plan.mission
     track = geometry.track(mission.site, mission.rotation, flight.times_s[window])
     return Pointing(
-        attitude=_between(flight.commands, flight.attitudes),
+        attitude=attitude_error(flight),
         estimate=_between(flight.estimates, flight.attitudes),
         burns=geometry.angle(flight.attitudes[starts].apply(thrust), planned),
         camera=geometry.angle(boresight, flight.commands[window].apply(camera)),
         site=geometry.angle(boresight, track.position - flight.states[window, :3]),
     )
+
+
+def attitude_error(flight: Flight) -> Array:
+    """Angles between the commanded and the true attitude, rad, shape (n,)."""
+    return _between(flight.commands, flight.attitudes)
 
 
 def _between(first: Rotation, second: Rotation) -> Array:

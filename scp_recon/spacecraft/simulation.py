@@ -110,14 +110,15 @@ def simulate(
         fraction = solution.scenario.uncertainty.initial_sigma_fraction
     sigma = fraction * np.abs(mission.initial_state)
     draws = Draws.of(plan, sigma, len(times), seed, sources)
-    first = plan.attitudes(times[:2])
+    commands = plan.attitudes(times)
     start = Start(
         mission.initial_state + draws.initial,
-        first[0],
-        (first[0].inv() * first[1]).as_rotvec() / CONTROL_PERIOD_S,
+        commands[0],
+        (commands[0].inv() * commands[1]).as_rotvec() / CONTROL_PERIOD_S,
         np.zeros(len(vehicle.wheels.axes)),
     )
-    sim = Simulator(plan, start, draws, sensor_sigmas(vehicle.errors, sources), times)
+    sigmas = sensor_sigmas(vehicle.errors, sources)
+    sim = Simulator(plan, commands, start, draws, sigmas, times)
     sim.run(progress)
     return sim.flight()
 
@@ -135,7 +136,8 @@ class Simulator:
     """Basilisk's simulation of a flight, ready to run.
 
     Args:
-        plan: what is commanded.
+        plan: modes and burns.
+        commands: attitudes in every control period, from the body to J2000.
         start: initial condition.
         draws: realised errors.
         sigmas: of the sensors.
@@ -143,9 +145,15 @@ class Simulator:
     """
 
     def __init__(
-        self, plan: FlightPlan, start: Start, draws: Draws, sigmas: SensorSigmas, times_s: Array
+        self,
+        plan: FlightPlan,
+        commands: Rotation,
+        start: Start,
+        draws: Draws,
+        sigmas: SensorSigmas,
+        times_s: Array,
     ) -> None:
-        self.plan, self.start, self.times_s = plan, start, times_s
+        self.plan, self.times_s = plan, times_s
         field = HarmonicField.bennu(plan.mission.scenario.body.gm_m3_s2, HARMONICS_DEGREE)
         self.plant = build_plant(plan.mission, plan.vehicle, start, field=field)
         sensors = build_sensors(self.plant, plan.vehicle, sigmas, draws.seeds)
@@ -156,7 +164,7 @@ class Simulator:
             start.attitude.as_quat(scalar_first=True), expected, expected.star_tracker
         )
         software, self.navigator, self.allocator, self.firer = build_flight_software(
-            plan, self.plant, sensors, estimate, times_s, draws.pulses, draws.burns
+            plan, commands, self.plant, sensors, estimate, times_s, draws.pulses, draws.burns
         )
         self.bus = Bus(plan, self.plant, self.firer, times_s)
         self.sim = SimulationBaseClass.SimBaseClass()
@@ -194,9 +202,10 @@ class Simulator:
         flown = np.hstack([states.r_CN_N, states.v_CN_N])
         attitudes = Rotation.from_mrp(states.sigma_BN)
         burns = self._executed_burns(attitudes)
-        last = self.plan.firings[-1]
-        terminal = flown[round(last.start_s / CONTROL_PERIOD_S)].copy()
-        terminal[3:] += burns[-1]
+        terminal = flown[-1]
+        if self.plan.firings:
+            last = round(self.plan.firings[-1].start_s / CONTROL_PERIOD_S)
+            terminal = flown[last] + np.concatenate([np.zeros(3), burns[-1]])
         return Flight(
             plan=self.plan,
             times_s=self.times_s,

@@ -180,9 +180,11 @@ def short_run(
     plan = FlightPlan.of(solution, mission, vehicle)
     times = np.arange(float(periods))
     draws = Draws.of(plan, mission.initial_sigma, periods, 1, frozenset(Source))
-    attitude = plan.attitudes(np.array([100.0]))[0]
-    start = Start(mission.initial_state, attitude, np.zeros(3), np.array(speeds))
-    sim = Simulator(plan, start, draws, sensor_sigmas(vehicle.errors, frozenset(Source)), times)
+    commands = plan.attitudes(times)
+    start = Start(mission.initial_state, commands[100], np.zeros(3), np.array(speeds))
+    sim = Simulator(
+        plan, commands, start, draws, sensor_sigmas(vehicle.errors, frozenset(Source)), times
+    )
     sim.run()
     return sim
 
