@@ -2,7 +2,8 @@
 
 The plan is simulated with every source of error, once for each seed. Charge, modes, pointing and the
 flown path against the planned covariance go to OUT/flown_plan.csv, a line for each seed, and .md;
-the flights themselves to OUT/seed_N/simulation.npz.
+the flights themselves to OUT/seed_N/simulation.npz. Flights of the same burns and vehicle that are
+there already are not flown again.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +25,8 @@ from scp_recon.errors import InputError
 from scp_recon.estimates import proportion
 from scp_recon.mission import Mission
 from scp_recon.solution import Solution, read_solution, write_atomically
+from scp_recon.spacecraft.record import Record, make_record, read_record, write_record
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
-
-Array = npt.NDArray[np.float64]
 
 NAME = "flown_plan"
 DEFAULT_OUT = Path("runs") / NAME
@@ -35,143 +35,128 @@ RADIUS_SIGMA = 3.0
 EXPECTED = float(chi2.cdf(RADIUS_SIGMA**2, 3))
 """Share of a normal position that lies within three sigma."""
 
-
-@dataclass(frozen=True)
-class Flown:
-    """What is kept of one simulated flight.
-
-    Attributes:
-        seed: of its errors.
-        least_charge: of any battery.
-        legs: modes after the first burn: name, duration and least duration in s.
-        burn_pointing_deg: thrust against planned burn when it starts, shape (m,).
-        camera_deg: camera against command in the window, shape (w,).
-        site_deg: camera against the site in the window, shape (w,).
-        sigma_distance: of the position at the nodes from the planned mean, shape (n,).
-        dumps: of the wheels' momentum.
-        miss_m: of the final position.
-    """
-
-    seed: int
-    least_charge: float
-    legs: tuple[tuple[str, float, float], ...]
-    burn_pointing_deg: Array
-    camera_deg: Array
-    site_deg: Array
-    sigma_distance: Array
-    dumps: int
-    miss_m: float
-
-    @property
-    def modes_hold(self) -> bool:
-        """Whether no mode is shorter than its rule, but for one control period."""
-        return all(duration >= least - 1.0 for _, duration, least in self.legs)
+ANGLES = {
+    "camera against command, in the window": "camera",
+    "camera against the site, in the window": "site",
+}
 
 
-def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Flown:
-    """Simulate one flight and write it into a folder.
+def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path, *, fresh: bool) -> Record:
+    """One flight: the one in the folder if it is of these burns, else simulated and written there.
 
     Raises:
-        InputError: if Basilisk is not installed.
+        InputError: if Basilisk is not installed and the flight is not there.
+        OSError: if the folder cannot be written.
     """
+    found = None if fresh else _found(solution, vehicle, seed, folder)
+    if found is not None:
+        return found
     try:
-        from scp_recon.spacecraft.outcome import pointing
-        from scp_recon.spacecraft.record import make_record, write_record
         from scp_recon.spacecraft.simulation import simulate
     except ImportError as error:
         raise InputError("Basilisk", f"no module {error.name}", "needs the extra [sim]") from None
-    flight = simulate(solution, vehicle, seed)
-    record, angles = make_record(flight, solution, seed), pointing(flight)
+    record = make_record(simulate(solution, vehicle, seed), solution, seed)
     folder.mkdir(parents=True, exist_ok=True)
     write_record(record, folder)
+    return record
+
+
+def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Record | None:
+    try:
+        record = read_record(folder)
+    except InputError:
+        return None
     summary = record.summary
-    return Flown(
-        seed=seed,
-        least_charge=summary["least_charge"],
-        legs=tuple((leg["mode"], leg["duration_s"], leg["required_s"]) for leg in summary["legs"]),
-        burn_pointing_deg=np.rad2deg(angles.burns),
-        camera_deg=np.rad2deg(angles.camera),
-        site_deg=np.rad2deg(angles.site),
-        sigma_distance=record.arrays["node_sigma_distance"],
-        dumps=summary["dumps"],
-        miss_m=summary["terminal_miss"]["position_m"],
+    flown = [burn["planned_m_s"] for burn in summary["burns"]]
+    same = (summary["seed"], summary["vehicle"], flown) == (
+        seed,
+        vehicle.name,
+        solution.burns_m_s.tolist(),
     )
+    return record if same else None
 
 
-def record_of(flown: Flown) -> dict[str, Cell]:
+def line(record: Record) -> dict[str, Cell]:
     """One line of the table."""
-    distance = flown.sigma_distance
+    summary, distance = record.summary, record.arrays["node_sigma_distance"]
+    camera, site = (summary["window_pointing_deg"][key] for key in ("camera", "site"))
     return {
-        "seed": flown.seed,
-        "least_charge": flown.least_charge,
-        "modes_hold": flown.modes_hold,
-        "burn_pointing_max_deg": float(flown.burn_pointing_deg.max()),
-        "camera_mean_deg": float(flown.camera_deg.mean()),
-        "camera_max_deg": float(flown.camera_deg.max()),
-        "site_mean_deg": float(flown.site_deg.mean()),
-        "site_max_deg": float(flown.site_deg.max()),
-        "dumps": flown.dumps,
-        "terminal_miss_m": flown.miss_m,
+        "seed": summary["seed"],
+        "least_charge": summary["least_charge"],
+        "modes_hold": all(leg["ok"] for leg in summary["legs"]),
+        "burn_pointing_max_deg": max(burn["pointing_deg"] for burn in summary["burns"]),
+        "camera_mean_deg": camera["mean"],
+        "camera_max_deg": camera["q100"],
+        "site_mean_deg": site["mean"],
+        "site_max_deg": site["q100"],
+        "dumps": summary["dumps"],
+        "ledger_error": summary["ledger_error"],
+        "terminal_miss_m": summary["terminal_miss"]["position_m"],
         "terminal_sigma": float(distance[-1]),
         "largest_sigma": float(distance.max()),
         "nodes_within_3_sigma": float((distance <= RADIUS_SIGMA).mean()),
     }
 
 
-def to_markdown(flights: Sequence[Flown], mission: Mission, floor: float) -> str:
+def to_markdown(records: Sequence[Record], mission: Mission) -> str:
     """What all flights say together."""
-    within = np.array([flight.sigma_distance <= RADIUS_SIGMA for flight in flights])
-    window, n = mission.window_nodes, len(flights)
+    summaries = [record.summary for record in records]
+    distances = np.array([record.arrays["node_sigma_distance"] for record in records])
+    within, window = distances <= RADIUS_SIGMA, mission.window_nodes
     shares = [
         ("at the final node", within[:, -1]),
         ("at every node of the window", within[:, window].all(axis=1)),
         ("at every node", within.all(axis=1)),
     ]
+    least = min(summary["least_charge"] for summary in summaries)
+    dumps = np.mean([summary["dumps"] for summary in summaries])
     lines = [
-        f"# A plan flown {n} times",
-        f"Least state of charge {min(f.least_charge for f in flights):.3f}; the floor is {floor:.2f}.",
+        f"# A plan flown {len(records)} times",
+        f"Least state of charge {least:.3f}; the floor is {summaries[0]['floor_charge']:.2f}. "
+        f"Momentum is dumped {dumps:.2f} times a flight.",
         "## Modes",
-        markdown(("mode", "shortest s", "at least s", "holds"), _mode_lines(flights)),
+        markdown(("mode", "shortest s", "at least s", "holds"), _mode_lines(summaries)),
         "## Pointing",
-        markdown(
-            ("angle, deg", "mean", "median", "95 %", "99.7 %", "largest"), _angle_lines(flights)
-        ),
+        "Means are over all flights; quantiles of each flight are its worst flight's.",
+        markdown(("angle, deg", "mean", "95 %", "99.7 %", "largest"), _angle_lines(summaries)),
         "## Position against the planned covariance",
         f"A normal position lies within {RADIUS_SIGMA:g} sigma with probability {EXPECTED:.3f}. "
-        f"Over all flights and nodes {within.mean():.3f} of the positions do.",
+        f"Over all flights and nodes {within.mean():.3f} of the positions do; the largest distance "
+        f"is {distances.max():.2f} sigma.",
         markdown(
             ("flights within 3 sigma", "share", "95 % interval"),
-            [(name, *_share(int(inside.sum()), n)) for name, inside in shares],
+            [(name, *_share(np.atleast_1d(inside))) for name, inside in shares],
         ),
     ]
     return "\n\n".join(lines) + "\n"
 
 
-def _mode_lines(flights: Sequence[Flown]) -> list[tuple[str, ...]]:
+def _mode_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
     lines: list[tuple[str, ...]] = []
-    for index, (mode, _, least) in enumerate(flights[0].legs):
-        shortest = min(flight.legs[index][1] for flight in flights)
-        holds = "yes" if shortest >= least - 1.0 else "no"
-        lines.append((mode, f"{shortest:.0f}", f"{least:.0f}", holds))
+    for legs in zip(*(summary["legs"] for summary in summaries), strict=True):
+        shortest = min(leg["duration_s"] for leg in legs)
+        holds = "yes" if all(leg["ok"] for leg in legs) else "no"
+        row = (f"{shortest:.0f}", f"{legs[0]['required_s']:.0f}", holds)
+        lines.append((f"{legs[0]['mode']}, from {legs[0]['start_s']:.0f} s", *row))
     return lines
 
 
-def _angle_lines(flights: Sequence[Flown]) -> list[tuple[str, ...]]:
-    pooled = {
-        "thrust against burn, as it starts": [f.burn_pointing_deg for f in flights],
-        "camera against command, in the window": [f.camera_deg for f in flights],
-        "camera against the site, in the window": [f.site_deg for f in flights],
-    }
-    lines: list[tuple[str, ...]] = []
-    for name, parts in pooled.items():
-        angle = np.concatenate(parts)
-        figures = (angle.mean(), *np.quantile(angle, (0.5, 0.95, 0.997, 1.0)))
-        lines.append((name, *(f"{x:.3f}" for x in figures)))
-    return lines
+def _angle_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    burns = np.array([[b["pointing_deg"] for b in s["burns"]] for s in summaries]).ravel()
+    rows = {"thrust against burn, as it starts": (burns, *np.quantile(burns, (0.95, 0.997, 1.0)))}
+    for name, key in ANGLES.items():
+        spreads = [summary["window_pointing_deg"][key] for summary in summaries]
+        means = np.array([spread["mean"] for spread in spreads])
+        worst = (max(spread[q] for spread in spreads) for q in ("q95", "q99.7", "q100"))
+        rows[name] = (means, *worst)
+    return [
+        (name, *(f"{x:.3f}" for x in (values.mean(), *worst)))
+        for name, (values, *worst) in rows.items()
+    ]
 
 
-def _share(successes: int, n: int) -> tuple[str, str]:
-    share = proportion(successes, n)
+def _share(inside: npt.NDArray[np.bool_]) -> tuple[str, str]:
+    share = proportion(int(inside.sum()), len(inside))
     return f"{share.value:.2f}", f"{share.low:.2f} to {share.high:.2f}"
 
 
@@ -189,6 +174,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help=f"flights, of the seeds from 0 on (default: {SEEDS})",
     )
+    p.add_argument("--fresh", action="store_true", help="fly again what is there already")
     p.add_argument(
         "--vehicle", type=Path, metavar="FILE", help="vehicle file (default: the packaged DARE)"
     )
@@ -202,19 +188,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
-    mission = Mission.from_scenario(solution.scenario)
+    mission, out = Mission.from_scenario(solution.scenario), options.out
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
-        seeds = bar.track(range(options.seeds))
-        flights = [fly(solution, vehicle, i, options.out / f"seed_{i}") for i in seeds]
-    table = to_markdown(flights, mission, vehicle.battery.floor_charge)
+        records = [
+            fly(solution, vehicle, seed, out / f"seed_{seed}", fresh=options.fresh)
+            for seed in bar.track(range(options.seeds))
+        ]
+    table = to_markdown(records, mission)
     files = {
-        f"{NAME}.csv": to_csv([record_of(flown) for flown in flights]),
+        f"{NAME}.csv": to_csv([line(record) for record in records]),
         f"{NAME}.md": table,
     }
     print(table)
     for name, text in files.items():
-        print(f"written: {write_atomically(options.out / name, text)}")
+        print(f"written: {write_atomically(out / name, text)}")
     return 0
 
 
