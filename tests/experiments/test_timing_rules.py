@@ -53,8 +53,8 @@ def test_a_rule_holds_if_the_worst_is_within_it(mission: Mission, vehicle: Vehic
     slews = [
         Slew(np.eye(3)[i], 0.5, (t - 20.0, t - 10.0, t), 0.1) for i, t in enumerate((900, 1801))
     ]
-    found = rules(mission, vehicle, slews, 1200.0)
-    assert [rule.holds for rule in found] == [False, True, True]
+    found = rules(mission, vehicle, slews, (1200.0, 1201.0))
+    assert [rule.holds for rule in found] == [False, True, True, False]
     words = timing_rules.to_markdown(found, slews, vehicle)
     assert "| slew to steady state | 30.0 | 30 | no |" in words
     # 115 W for half an hour out of 80 Wh at 0.96.
