@@ -106,12 +106,14 @@ def node_states(flight: Flight, solution: Solution) -> Array:
 
 
 def sigma_distance(flight: Flight, solution: Solution) -> Array:
-    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,)."""
+    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,).
+
+    A millimetre is added to the spread: a plan without uncertainty has none.
+    """
     error = (node_states(flight, solution) - np.array(solution.nodes.state))[:, :3]
-    covariance = np.array(solution.nodes.covariance)[:, :3, :3]
-    return np.sqrt(
-        np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
-    )
+    covariance = np.array(solution.nodes.covariance)[:, :3, :3] + 1e-6 * np.eye(3)
+    weighted = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return np.sqrt(np.einsum("ni,ni->n", error, weighted))
 
 
 def state_of_charge(flight: Flight) -> Array:
