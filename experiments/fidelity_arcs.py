@@ -110,7 +110,7 @@ def _arc(
 
     def rate(time: float, y: Array) -> Array:
         to_j2000 = mission.rotation.body_to_j2000(time)
-        gravity = np.stack(model.gravity.acceleration(*(to_j2000.T @ y[:3])[:, None]))[:, 0]
+        gravity = np.array(model.gravity.acceleration(*(to_j2000.T @ y[:3])))
         return np.concatenate([y[3:], to_j2000 @ gravity + model.srp(min(time, inside)) + thrust])
 
     found = solve_ivp(

@@ -111,8 +111,8 @@ class Logbook:
     """Flights of the whole spacecraft in a folder, so that a study can go on where it stopped.
 
     Args:
-        folder: of the flights and of what they belong to; flights of another plan or vehicle that
-            are found there are forgotten.
+        folder: of the flights and of what they belong to; flights of another plan or vehicle, or
+            such as cannot be read, are forgotten.
         solution: plan.
         vehicle: that flies it.
     """
@@ -127,11 +127,13 @@ class Logbook:
             }
         )
         belongs = folder / "uncertainty_setting.json"
-        self.flown: dict[tuple[str, int], Flown] = {}
-        if belongs.is_file() and belongs.read_text("utf-8") == setting and self._file.is_file():
-            self.flown = dict(self._read())
-        else:
-            write_atomically(belongs, setting)
+        self.flown: dict[tuple[str, int], Flown]
+        try:
+            same = belongs.read_text("utf-8") == setting
+            self.flown = dict(self._read()) if same else {}
+        except (OSError, ValueError, KeyError):  # nothing there, or nothing that can be read
+            self.flown = {}
+        write_atomically(belongs, setting)
 
     def _read(self) -> Iterator[tuple[tuple[str, int], Flown]]:
         with self._file.open(encoding="utf-8", newline="") as file:

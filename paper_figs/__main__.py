@@ -18,6 +18,7 @@ from typing import Any, Protocol
 from matplotlib.figure import Figure
 
 from paper_figs import (
+    attitude_and_actuators,
     battery_cones,
     cone_polytopes,
     control_history,
@@ -27,6 +28,7 @@ from paper_figs import (
     observation_table,
     observation_times,
     parameters,
+    power_history,
     terminal_normality,
     trajectories,
     uncertainty_quantiles,
@@ -91,6 +93,8 @@ STUDIES: dict[str, Study] = {
     "model_fidelity": model_fidelity,
     "uncertainty_sources": uncertainty_sources,
     "uncertainty_quantiles": uncertainty_quantiles,
+    "attitude_and_actuators": attitude_and_actuators,
+    "power_history": power_history,
 }
 TABLES: dict[str, Tabulated] = {"parameters": parameters, "observation_table": observation_table}
 

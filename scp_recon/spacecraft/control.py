@@ -6,8 +6,6 @@ allocation, a Schmitt trigger, momentum dumping. The modules here feed and join 
 
 from __future__ import annotations
 
-from enum import IntEnum
-
 import numpy as np
 import numpy.typing as npt
 from Basilisk.architecture import messaging, sysModel
@@ -27,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from scp_recon.frames import unit
 from scp_recon.schedule import Mode
 from scp_recon.spacecraft.estimator import AttitudeFilter
+from scp_recon.spacecraft.flight import Actuators
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
 from scp_recon.spacecraft.plant import STEP_S, Plant, Sensors
 from scp_recon.spacecraft.vehicle import Vehicle
@@ -44,23 +43,19 @@ DUMP_PAUSE = 20
 """Control periods between two pulses of a momentum dump, in which the wheels settle the attitude."""
 
 
-class Actuators(IntEnum):
-    """What controls the attitude."""
-
-    THRUSTERS = 1
-    WHEELS = 2
-    BOTH = 3
-
-
 class Navigator(sysModel.SysModel):
     """Reads the sensors, estimates the attitude, and looks up the command of the moment."""
 
     def __init__(
-        self, plan: FlightPlan, sensors: Sensors, attitude_filter: AttitudeFilter, times_s: Array
+        self,
+        plan: FlightPlan,
+        commands: Rotation,
+        sensors: Sensors,
+        attitude_filter: AttitudeFilter,
+        times_s: Array,
     ) -> None:
         super().__init__()
-        self.plan, self.filter = plan, attitude_filter
-        self.commands = plan.attitudes(times_s)
+        self.plan, self.commands, self.filter = plan, commands, attitude_filter
         self.estimates = np.empty((len(times_s), 4))
         self.navigation, self.reference = messaging.NavAttMsg(), messaging.AttRefMsg()
         self._tracker = sensors.star_tracker.sensorOutMsg.addSubscriber()
@@ -229,6 +224,7 @@ class Firer(sysModel.SysModel):
 
 def build_flight_software(
     plan: FlightPlan,
+    commands: Rotation,
     plant: Plant,
     sensors: Sensors,
     attitude_filter: AttitudeFilter,
@@ -239,7 +235,8 @@ def build_flight_software(
     """Modules in the order of their execution, and those that keep a record.
 
     Args:
-        plan: commands and burns.
+        plan: modes and burns.
+        commands: attitudes in every control period, from the body to J2000.
         plant: what is controlled; its actuators are connected.
         sensors: what is known of it.
         attitude_filter: first estimate.
@@ -252,7 +249,7 @@ def build_flight_software(
         ISCPntB_B=vehicle.inertia.ravel().tolist(), massSC=vehicle.mass.mass_kg
     )
     config = messaging.VehicleConfigMsg().write(known)
-    navigator = Navigator(plan, sensors, attitude_filter, times_s)
+    navigator = Navigator(plan, commands, sensors, attitude_filter, times_s)
     tracking = attTrackingError.attTrackingError()
     tracking.attNavInMsg.subscribeTo(navigator.navigation)
     tracking.attRefInMsg.subscribeTo(navigator.reference)

@@ -121,8 +121,7 @@ class FlightPlan:
         position = self.position(time_s)
         camera = unit(self.vehicle.sensors.camera)
         if leg.mode is Mode.SUN_POINTING:
-            # Towards the asteroid as far as the Sun allows.
-            return align(unit(self.panels.best_direction()), sun, camera, -position)
+            return sun_pointing(self.panels, camera, sun, position)
         if leg.mode is Mode.DELTA_V:
             firing = next(f for f in self.firings if f.end_s >= leg.end_s - CONTROL_PERIOD_S)
             axis_body = unit(self.vehicle.chemical_thruster.direction)
@@ -138,6 +137,21 @@ class FlightPlan:
 
 
 CONTROL_PERIOD_S = 1.0
+
+
+def sun_pointing(panels: SolarArray, camera: Array, sun: Array, position: Array) -> Array:
+    """Attitudes of the largest power, the camera towards the asteroid as far as that allows.
+
+    Args:
+        panels: of the vehicle.
+        camera: boresight, body frame, shape (3,).
+        sun: unit vectors to the Sun, J2000, shape (..., 3).
+        position: about the asteroid, J2000, shape (..., 3).
+
+    Returns:
+        Matrices from the body to J2000, shape (..., 3, 3).
+    """
+    return align(unit(panels.best_direction()), sun, camera, -position)
 
 
 def _interpolate(solution: Solution) -> tuple[CubicHermiteSpline, ...]:

@@ -12,8 +12,8 @@ from scp_recon import geometry
 from scp_recon.frames import unit
 from scp_recon.schedule import Leg, Mode
 from scp_recon.solution import Solution
+from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
-from scp_recon.spacecraft.simulation import Flight
 
 Array = npt.NDArray[np.float64]
 
@@ -73,18 +73,23 @@ def pointing(flight: Flight) -> Pointing:
     starts = [round(firing.start_s / CONTROL_PERIOD_S) for firing in plan.firings]
     planned = np.array([firing.direction for firing in plan.firings])
     first, last = plan.mission.schedule.window_s
-    window = (flight.times_s >= first) & (flight.times_s <= last)
+    window = (flight.times_s >= first) & (flight.times_s < last)
     camera = unit(vehicle.sensors.camera)
     boresight = flight.attitudes[window].apply(camera)
     mission = plan.mission
     track = geometry.track(mission.site, mission.rotation, flight.times_s[window])
     return Pointing(
-        attitude=_between(flight.commands, flight.attitudes),
+        attitude=attitude_error(flight),
         estimate=_between(flight.estimates, flight.attitudes),
         burns=geometry.angle(flight.attitudes[starts].apply(thrust), planned),
         camera=geometry.angle(boresight, flight.commands[window].apply(camera)),
         site=geometry.angle(track.position - flight.states[window, :3], boresight),
     )
+
+
+def attitude_error(flight: Flight) -> Array:
+    """Angles between the commanded and the true attitude, rad, shape (n,)."""
+    return _between(flight.commands, flight.attitudes)
 
 
 def _between(first: Rotation, second: Rotation) -> Array:
@@ -101,12 +106,14 @@ def node_states(flight: Flight, solution: Solution) -> Array:
 
 
 def sigma_distance(flight: Flight, solution: Solution) -> Array:
-    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,)."""
+    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,).
+
+    A millimetre is added to the spread: a plan without uncertainty has none.
+    """
     error = (node_states(flight, solution) - np.array(solution.nodes.state))[:, :3]
-    covariance = np.array(solution.nodes.covariance)[:, :3, :3]
-    return np.sqrt(
-        np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[..., None])[..., 0])
-    )
+    covariance = np.array(solution.nodes.covariance)[:, :3, :3] + 1e-6 * np.eye(3)
+    weighted = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return np.sqrt(np.einsum("ni,ni->n", error, weighted))
 
 
 def state_of_charge(flight: Flight) -> Array:

@@ -144,7 +144,7 @@ def build_plant(
     vehicle: Vehicle,
     start: Start,
     *,
-    degree: int = 8,
+    field: HarmonicField | None,
     light: bool = True,
     gravity_gradient: bool = True,
 ) -> Plant:
@@ -154,7 +154,7 @@ def build_plant(
         mission: asteroid and Sun.
         vehicle: what flies.
         start: initial condition.
-        degree: of the gravity field; 0 is a point mass.
+        field: gravity in the asteroid's frame; without it a point mass.
         light: whether solar radiation pressure acts.
         gravity_gradient: whether its torque acts.
     """
@@ -168,7 +168,7 @@ def build_plant(
     hub.hub.sigma_BNInit = start.attitude.as_mrp().tolist()
     hub.hub.omega_BN_BInit = start.rate_rad_s.tolist()
     surroundings.states.subscribeTo(hub.scStateOutMsg)
-    asteroid = _attach_gravity(hub, mission, degree)
+    asteroid = _attach_gravity(hub, mission, field)
     asteroid.planetBodyInMsg.subscribeTo(surroundings.asteroid)
     wheels, wheel_config = _attach_wheels(hub, vehicle, start.wheel_speeds_rad_s)
     micro, micro_thrusters, micro_config = _attach_micro_thrusters(hub, vehicle)
@@ -231,15 +231,14 @@ def build_sensors(
 
 
 def _attach_gravity(
-    hub: spacecraft.Spacecraft, mission: Mission, degree: int
+    hub: spacecraft.Spacecraft, mission: Mission, field: HarmonicField | None
 ) -> simIncludeGravBody.gravityEffector.GravBodyData:
     body = mission.scenario.body
     factory = simIncludeGravBody.gravBodyFactory()
     asteroid = factory.createCustomGravObject(body.name, mu=body.gm_m3_s2)
     asteroid.isCentralBody = True
     asteroid.radEquator = body.reference_radius_m
-    if degree > 0:
-        field = HarmonicField.bennu(body.gm_m3_s2, degree)
+    if field is not None:
         asteroid.radEquator = field.radius
         asteroid.gravityModel = harmonic_gravity(field)
     factory.addBodiesTo(hub)

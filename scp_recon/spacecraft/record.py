@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scp_recon.errors import InputError
 from scp_recon.schedule import Mode
 from scp_recon.solution import Solution, write_atomically
+from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 from scp_recon.spacecraft.outcome import (
     Pointing,
@@ -28,7 +29,6 @@ from scp_recon.spacecraft.outcome import (
     sigma_distance,
     state_of_charge,
 )
-from scp_recon.spacecraft.simulation import Flight
 
 SCHEMA = "scp_recon.simulation/1"
 FILE_NAME = "simulation.npz"

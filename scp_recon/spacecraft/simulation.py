@@ -12,10 +12,13 @@ from Basilisk.utilities import SimulationBaseClass, macros
 from scipy.spatial.transform import Rotation
 
 from scp_recon.frames import unit
+from scp_recon.harmonics import HarmonicField
 from scp_recon.mission import Mission
+from scp_recon.sampling import HARMONICS_DEGREE
 from scp_recon.solution import Solution
 from scp_recon.spacecraft.control import build_flight_software
 from scp_recon.spacecraft.estimator import AttitudeFilter, SensorSigmas
+from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
 from scp_recon.spacecraft.plant import (
     STEP_S,
@@ -40,48 +43,6 @@ class Source(StrEnum):
     MICRO_THRUSTER = "micro_thruster"
     CHEMICAL_THRUSTER = "chemical_thruster"
     INITIAL_STATE = "initial_state"
-
-
-@dataclass(frozen=True)
-class Flight:
-    """A simulated flight, sampled once in a control period.
-
-    Attributes:
-        plan: what was commanded.
-        times_s: shape (n,).
-        states: position and velocity, m and m/s, J2000, shape (n, 6).
-        attitudes, commands, estimates: from the body to J2000.
-        rates_rad_s: of the body, in its frame, shape (n, 3).
-        in_use: which actuators control the attitude, shape (n,), of `Actuators`.
-        wheel_speeds_rad_s: shape (n, wheels).
-        micro_on_s: on-time of each micro-thruster in the period, shape (n, thrusters).
-        panels_w: generation, shape (n, panels).
-        consumed_w, lost_w, unused_w, short_w: balance of the bus, shape (n,).
-        stored_wh: charge of each battery, shape (n, batteries).
-        burns_m_s: executed, J2000, shape (m, 3).
-        dumps: how often the wheels' momentum was dumped.
-        terminal_state: at the planned end, with the last burn as an impulse, shape (6,).
-    """
-
-    plan: FlightPlan
-    times_s: Array
-    states: Array
-    attitudes: Rotation
-    commands: Rotation
-    estimates: Rotation
-    rates_rad_s: Array
-    in_use: npt.NDArray[np.int8]
-    wheel_speeds_rad_s: Array
-    micro_on_s: Array
-    panels_w: Array
-    consumed_w: Array
-    lost_w: Array
-    unused_w: Array
-    short_w: Array
-    stored_wh: Array
-    burns_m_s: Array
-    dumps: int
-    terminal_state: Array
 
 
 @dataclass(frozen=True)
@@ -149,14 +110,15 @@ def simulate(
         fraction = solution.scenario.uncertainty.initial_sigma_fraction
     sigma = fraction * np.abs(mission.initial_state)
     draws = Draws.of(plan, sigma, len(times), seed, sources)
-    first = plan.attitudes(times[:2])
+    commands = plan.attitudes(times)
     start = Start(
         mission.initial_state + draws.initial,
-        first[0],
-        (first[0].inv() * first[1]).as_rotvec() / CONTROL_PERIOD_S,
+        commands[0],
+        (commands[0].inv() * commands[1]).as_rotvec() / CONTROL_PERIOD_S,
         np.zeros(len(vehicle.wheels.axes)),
     )
-    sim = Simulator(plan, start, draws, sensor_sigmas(vehicle.errors, sources), times)
+    sigmas = sensor_sigmas(vehicle.errors, sources)
+    sim = Simulator(plan, commands, start, draws, sigmas, times)
     sim.run(progress)
     return sim.flight()
 
@@ -174,7 +136,8 @@ class Simulator:
     """Basilisk's simulation of a flight, ready to run.
 
     Args:
-        plan: what is commanded.
+        plan: modes and burns.
+        commands: attitudes in every control period, from the body to J2000.
         start: initial condition.
         draws: realised errors.
         sigmas: of the sensors.
@@ -182,16 +145,26 @@ class Simulator:
     """
 
     def __init__(
-        self, plan: FlightPlan, start: Start, draws: Draws, sigmas: SensorSigmas, times_s: Array
+        self,
+        plan: FlightPlan,
+        commands: Rotation,
+        start: Start,
+        draws: Draws,
+        sigmas: SensorSigmas,
+        times_s: Array,
     ) -> None:
-        self.plan, self.start, self.times_s = plan, start, times_s
-        self.plant = build_plant(plan.mission, plan.vehicle, start)
+        self.plan, self.times_s = plan, times_s
+        field = HarmonicField.bennu(plan.mission.scenario.body.gm_m3_s2, HARMONICS_DEGREE)
+        self.plant = build_plant(plan.mission, plan.vehicle, start, field=field)
         sensors = build_sensors(self.plant, plan.vehicle, sigmas, draws.seeds)
+        # Designed for all errors: the filter cannot know which sources are left out, and one that took
+        # the gyro for perfect would in time ignore the star tracker.
+        expected = sensor_sigmas(plan.vehicle.errors, frozenset(Source))
         estimate = AttitudeFilter(
-            start.attitude.as_quat(scalar_first=True), sigmas, sigmas.star_tracker
+            start.attitude.as_quat(scalar_first=True), expected, expected.star_tracker
         )
         software, self.navigator, self.allocator, self.firer = build_flight_software(
-            plan, self.plant, sensors, estimate, times_s, draws.pulses, draws.burns
+            plan, commands, self.plant, sensors, estimate, times_s, draws.pulses, draws.burns
         )
         self.bus = Bus(plan, self.plant, self.firer, times_s)
         self.sim = SimulationBaseClass.SimBaseClass()
@@ -229,9 +202,10 @@ class Simulator:
         flown = np.hstack([states.r_CN_N, states.v_CN_N])
         attitudes = Rotation.from_mrp(states.sigma_BN)
         burns = self._executed_burns(attitudes)
-        last = self.plan.firings[-1]
-        terminal = flown[round(last.start_s / CONTROL_PERIOD_S)].copy()
-        terminal[3:] += burns[-1]
+        terminal = flown[-1]
+        if self.plan.firings:
+            last = round(self.plan.firings[-1].start_s / CONTROL_PERIOD_S)
+            terminal = flown[last] + np.concatenate([np.zeros(3), burns[-1]])
         return Flight(
             plan=self.plan,
             times_s=self.times_s,

@@ -6,11 +6,11 @@ import tomllib
 from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from scp_recon.errors import InputError
 from scp_recon.frames import unit
@@ -55,7 +55,7 @@ class Panels(Section):
     efficiency: PositiveShare
     packing: PositiveShare
     specular: Share
-    panel: Annotated[tuple[Panel, ...], Field(min_length=1)]
+    panel: Annotated[tuple[Panel, ...], Field(min_length=1, max_length=16)]
 
 
 class BatterySection(Section):
@@ -116,6 +116,12 @@ class MicroThrusters(Section):
     thrust_n: Positive
     specific_impulse_s: Positive
     pulse_min_s: Positive
+
+    @model_validator(mode="after")
+    def _as_many(self) -> Self:
+        if len(self.offsets_m) != len(self.directions):
+            raise ValueError("offsets_m and directions must be as many")
+        return self
 
 
 class ChemicalThruster(Section):

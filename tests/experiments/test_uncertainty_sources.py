@@ -208,6 +208,16 @@ def test_flights_in_the_logbook_are_not_flown_again(
     assert not Logbook(tmp_path, solution, other).flown
 
 
+def test_a_damaged_logbook_is_begun_anew(
+    solution: Solution, vehicle: Vehicle, tmp_path: Path
+) -> None:
+    job = ("imu", 4)
+    Logbook(tmp_path, solution, vehicle).add(simulated(solution, vehicle, job))
+    assert set(Logbook(tmp_path, solution, vehicle).flown) == {job}
+    (tmp_path / "uncertainty_flights.csv").write_text("errs,seed\nimu,x\n", encoding="utf-8")
+    assert not Logbook(tmp_path, solution, vehicle).flown
+
+
 # --- verdicts -------------------------------------------------------------------------------------
 
 

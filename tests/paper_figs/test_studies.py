@@ -19,10 +19,18 @@ from experiments.uncertainty_report import BOTH, ORDER, Measured, quantiles, rec
 from experiments.uncertainty_report import PATH as BY_PATH
 from experiments.uncertainty_report import SPACECRAFT as BY_SPACECRAFT
 from paper_figs import __main__ as command_line
-from paper_figs import battery_cones, model_fidelity, uncertainty_quantiles, uncertainty_sources
+from paper_figs import (
+    attitude_and_actuators,
+    battery_cones,
+    model_fidelity,
+    power_history,
+    uncertainty_quantiles,
+    uncertainty_sources,
+)
 from paper_figs.__main__ import STUDIES, make_all
 from paper_figs.drawing import PICTURES, command_from
 from scp_recon.errors import InputError
+from scp_recon.spacecraft.record import SCHEMA, Record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
 
 
@@ -68,6 +76,40 @@ def write_uncertainty(folder: Path) -> None:
     (folder / uncertainty_quantiles.QUANTILES).write_text(points, encoding="utf-8")
 
 
+def write_flight(folder: Path) -> None:
+    """A made-up flight of two hours: a slew each half hour, a dump, a battery that runs low."""
+    t = np.arange(0.0, 7200.0, 10.0)
+    n, step = len(t), (t // 1800.0)
+    angle = 1.5 * step
+    zero = np.zeros(n)
+    command = np.stack([np.cos(angle / 2), np.sin(angle / 2), zero, zero], axis=1)
+    panel = np.array([11.4, 27.0, 27.0, 143.8, 143.8])
+    arrays = {
+        "t_s": t,
+        "attitude": -command,
+        "command": command * np.sign(command[:, :1]),
+        "mode": (step % 3).astype(np.int8),
+        "actuators": (1 + step % 3).astype(np.int8),
+        "panel_w": np.outer(0.5 + 0.5 * np.cos(t / 1000.0) ** 2, panel),
+        "panel_peak_w": panel,
+        "consumed_w": 46.0 + 20.0 * step,
+        "state_of_charge": np.stack([1.0 - t / 9000.0, np.ones(n)], axis=1),
+        "pointing_error_rad": np.exp(-np.arange(7200.0) % 1800.0 / 200.0) + 1e-3,
+    }
+    summary = {
+        "schema": SCHEMA,
+        "seed": 4,
+        "modes": ["delta-V", "sun-pointing", "observation"],
+        "burns": [{"t_s": 0.0, "pointing_deg": 0.02}, {"t_s": 3600.0, "pointing_deg": 0.5}],
+        "window_pointing_deg": {"camera": {"q100": 0.123}},
+        "dumps": 1,
+        "least_charge": 0.2,
+        "floor_charge": 0.3,
+    }
+    folder.mkdir()
+    write_record(Record(arrays, summary), folder)
+
+
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of all studies."""
@@ -75,6 +117,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     battery_cones_study.main(["--samples", "2000", "--out", str(out / battery_cones.FOLDER)])
     write_fidelity(out / model_fidelity.FOLDER)
     write_uncertainty(out / uncertainty_sources.FOLDER)
+    write_flight(out / power_history.FOLDER)
     return out
 
 
@@ -131,6 +174,10 @@ def test_captions_carry_the_findings(studies: Path) -> None:
     words = uncertainty_quantiles.caption(uncertainty_quantiles.read(folder))
     assert "of 500 flights" in words
     assert "initial state (1 sigma 3 % of each component): 0.99" in words
+    flight = power_history.read(studies / power_history.FOLDER)
+    words = attitude_and_actuators.caption(flight)
+    assert all(figure in words for figure in ("seed 4", "0.123 deg", "0.500 deg", "1 times"))
+    assert "the least charge is 20.0 %" in power_history.caption(flight)
 
 
 def test_studies_are_drawn_where_they_are_found(

@@ -12,7 +12,7 @@ import pytest
 
 PROJECT = Path(__file__).parents[2]
 LIBRARY = ("formulations", "scp_recon")
-COMMANDS = {"scp_recon.solve", "scp_recon.verify", "scp_recon.montecarlo"}
+COMMANDS = {f"scp_recon.{name}" for name in ("solve", "verify", "montecarlo", "simulate")}
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
 
 

@@ -1,0 +1,210 @@
+"""Whether the spacecraft can fly a plan: `python -m experiments.flown_plan SOLUTION`.
+
+The plan is simulated with every source of error, once for each seed. Charge, modes, pointing and the
+flown path against the planned covariance go to OUT/flown_plan.csv, a line for each seed, and .md;
+the flights themselves to OUT/seed_N/simulation.npz. Flights of the same burns and vehicle that are
+there already are not flown again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+from scipy.stats import chi2
+
+from experiments.studies import Cell, add_out, markdown, run, to_csv, whole
+from scp_recon.errors import InputError
+from scp_recon.estimates import proportion
+from scp_recon.mission import Mission
+from scp_recon.solution import Solution, read_solution, write_atomically
+from scp_recon.spacecraft.record import Record, make_record, read_record, write_record
+from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
+
+NAME = "flown_plan"
+DEFAULT_OUT = Path("runs") / NAME
+SEEDS = 20
+RADIUS_SIGMA = 3.0
+EXPECTED = float(chi2.cdf(RADIUS_SIGMA**2, 3))
+"""Share of a normal position that lies within three sigma."""
+
+ANGLES = {
+    "camera against command, in the window": "camera",
+    "camera against the site, in the window": "site",
+}
+
+
+def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path, *, fresh: bool) -> Record:
+    """One flight: the one in the folder if it is of these burns, else simulated and written there.
+
+    Raises:
+        InputError: if Basilisk is not installed and the flight is not there.
+        OSError: if the folder cannot be written.
+    """
+    found = None if fresh else _found(solution, vehicle, seed, folder)
+    if found is not None:
+        return found
+    try:
+        from scp_recon.spacecraft.simulation import simulate
+    except ImportError as error:
+        raise InputError("Basilisk", f"no module {error.name}", "needs the extra [sim]") from None
+    record = make_record(simulate(solution, vehicle, seed), solution, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_record(record, folder)
+    return record
+
+
+def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Record | None:
+    try:
+        record = read_record(folder)
+    except InputError:
+        return None
+    summary = record.summary
+    flown = [burn["planned_m_s"] for burn in summary["burns"]]
+    same = (summary["seed"], summary["vehicle"], flown) == (
+        seed,
+        vehicle.name,
+        solution.burns_m_s.tolist(),
+    )
+    return record if same else None
+
+
+def line(record: Record) -> dict[str, Cell]:
+    """One line of the table."""
+    summary, distance = record.summary, record.arrays["node_sigma_distance"]
+    camera, site = (summary["window_pointing_deg"][key] for key in ("camera", "site"))
+    return {
+        "seed": summary["seed"],
+        "least_charge": summary["least_charge"],
+        "modes_hold": all(leg["ok"] for leg in summary["legs"]),
+        "burn_pointing_max_deg": max(burn["pointing_deg"] for burn in summary["burns"]),
+        "camera_mean_deg": camera["mean"],
+        "camera_max_deg": camera["q100"],
+        "site_mean_deg": site["mean"],
+        "site_max_deg": site["q100"],
+        "dumps": summary["dumps"],
+        "ledger_error": summary["ledger_error"],
+        "terminal_miss_m": summary["terminal_miss"]["position_m"],
+        "terminal_sigma": float(distance[-1]),
+        "largest_sigma": float(distance.max()),
+        "nodes_within_3_sigma": float((distance <= RADIUS_SIGMA).mean()),
+    }
+
+
+def to_markdown(records: Sequence[Record], mission: Mission) -> str:
+    """What all flights say together."""
+    summaries = [record.summary for record in records]
+    distances = np.array([record.arrays["node_sigma_distance"] for record in records])
+    within, window = distances <= RADIUS_SIGMA, mission.window_nodes
+    shares = [
+        ("at the final node", within[:, -1]),
+        ("at every node of the window", within[:, window].all(axis=1)),
+        ("at every node", within.all(axis=1)),
+    ]
+    least = min(summary["least_charge"] for summary in summaries)
+    dumps = np.mean([summary["dumps"] for summary in summaries])
+    lines = [
+        f"# A plan flown {len(records)} times",
+        f"Least state of charge {least:.3f}; the floor is {summaries[0]['floor_charge']:.2f}. "
+        f"Momentum is dumped {dumps:.2f} times a flight.",
+        "## Modes",
+        markdown(("mode", "shortest s", "at least s", "holds"), _mode_lines(summaries)),
+        "## Pointing",
+        "Means are over all flights; quantiles of each flight are its worst flight's.",
+        markdown(("angle, deg", "mean", "95 %", "99.7 %", "largest"), _angle_lines(summaries)),
+        "## Position against the planned covariance",
+        f"A normal position lies within {RADIUS_SIGMA:g} sigma with probability {EXPECTED:.3f}. "
+        f"Over all flights and nodes {within.mean():.3f} of the positions do; the largest distance "
+        f"is {distances.max():.2f} sigma.",
+        markdown(
+            ("flights within 3 sigma", "share", "95 % interval"),
+            [(name, *_share(np.atleast_1d(inside))) for name, inside in shares],
+        ),
+    ]
+    return "\n\n".join(lines) + "\n"
+
+
+def _mode_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    lines: list[tuple[str, ...]] = []
+    for legs in zip(*(summary["legs"] for summary in summaries), strict=True):
+        shortest = min(leg["duration_s"] for leg in legs)
+        holds = "yes" if all(leg["ok"] for leg in legs) else "no"
+        row = (f"{shortest:.0f}", f"{legs[0]['required_s']:.0f}", holds)
+        lines.append((f"{legs[0]['mode']}, from {legs[0]['start_s']:.0f} s", *row))
+    return lines
+
+
+def _angle_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    burns = np.array([[b["pointing_deg"] for b in s["burns"]] for s in summaries]).ravel()
+    rows = {"thrust against burn, as it starts": (burns, *np.quantile(burns, (0.95, 0.997, 1.0)))}
+    for name, key in ANGLES.items():
+        spreads = [summary["window_pointing_deg"][key] for summary in summaries]
+        means = np.array([spread["mean"] for spread in spreads])
+        worst = (max(spread[q] for spread in spreads) for q in ("q95", "q99.7", "q100"))
+        rows[name] = (means, *worst)
+    return [
+        (name, *(f"{x:.3f}" for x in (values.mean(), *worst)))
+        for name, (values, *worst) in rows.items()
+    ]
+
+
+def _share(inside: npt.NDArray[np.bool_]) -> tuple[str, str]:
+    share = proportion(int(inside.sum()), len(inside))
+    return f"{share.value:.2f}", f"{share.low:.2f} to {share.high:.2f}"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(prog=f"python -m experiments.{NAME}", description=__doc__)
+    p.add_argument(
+        "solution", type=Path, metavar="SOLUTION", help="folder with a solution.json, or the file"
+    )
+    add_out(p, DEFAULT_OUT)
+    p.add_argument(
+        "--seeds",
+        type=whole(1, 10_000),
+        default=SEEDS,
+        metavar="N",
+        help=f"flights, of the seeds from 0 on (default: {SEEDS})",
+    )
+    p.add_argument("--fresh", action="store_true", help="fly again what is there already")
+    p.add_argument(
+        "--vehicle", type=Path, metavar="FILE", help="vehicle file (default: the packaged DARE)"
+    )
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0 if everything was written, 2 for bad input."""
+    return run(_run, parser().parse_args(arguments))
+
+
+def _run(options: argparse.Namespace) -> int:
+    solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
+    mission, out = Mission.from_scenario(solution.scenario), options.out
+    columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        records = [
+            fly(solution, vehicle, seed, out / f"seed_{seed}", fresh=options.fresh)
+            for seed in bar.track(range(options.seeds))
+        ]
+    table = to_markdown(records, mission)
+    files = {
+        f"{NAME}.csv": to_csv([line(record) for record in records]),
+        f"{NAME}.md": table,
+    }
+    print(table)
+    for name, text in files.items():
+        print(f"written: {write_atomically(out / name, text)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,49 @@
+"""What the figures of a simulated flight share: the file they are drawn from, and its time axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from scp_recon.errors import InputError
+from scp_recon.spacecraft.record import FILE_NAME, Record, read_record
+
+Array = npt.NDArray[np.float64]
+
+FOLDER = "simulation"
+COMMAND = "python -m scp_recon.simulate SOLUTION"
+HOUR_S = 3600.0
+
+
+def read(folder: Path) -> Record:
+    """Read the simulation file in a folder.
+
+    Raises:
+        InputError: if it is missing or unusable, naming the command that writes it.
+    """
+    file, written = folder / FILE_NAME, f"written by `{COMMAND} --out {folder}`"
+    if not file.is_file():
+        raise InputError(str(file), "no such file", written)
+    try:
+        return read_record(file)
+    except InputError:
+        raise InputError(str(file), "an unusable file", written) from None
+
+
+def bands(values: Array, times: Array, value: int) -> Iterator[tuple[float, float]]:
+    """Start and length, h, of every stretch in which the samples have a value."""
+    inside = np.concatenate([[False], values == value, [False]])
+    edges = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
+    end = np.append(times, times[-1]) / HOUR_S
+    for first, last in edges.tolist():
+        yield float(end[first]), float(end[last] - end[first])
+
+
+def mark_burns(axes: Axes, record: Record) -> None:
+    """A line at every burn."""
+    for burn in record.summary["burns"]:
+        axes.axvline(burn["t_s"] / HOUR_S, color="0.3", lw=0.8, ls=":")

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("Basilisk", reason="needs the extra [sim]")
+
+from experiments import flown_plan
+from scp_recon.mission import Mission
+from scp_recon.solution import Solution
+from scp_recon.spacecraft import simulation
+from scp_recon.spacecraft.record import read_record
+from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
+from tests.scp_recon.support import mission_of
+
+
+@pytest.fixture(scope="module")
+def mission() -> Mission:
+    return mission_of(*SHORT)
+
+
+@pytest.fixture(scope="module")
+def flown(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> tuple[Solution, Path]:
+    """The folder after one flight."""
+    solution, out = short_plan(mission), tmp_path_factory.mktemp("flown")
+    solution.write(out)
+    assert flown_plan.main([str(out), "--out", str(out), "--seeds", "1"]) == 0
+    return solution, out
+
+
+def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None:
+    _, out = flown
+    with (out / "flown_plan.csv").open(encoding="utf-8", newline="") as file:
+        (row,) = csv.DictReader(file)
+    record = read_record(out / "seed_0")
+    assert row["modes_hold"] == "true"
+    assert float(row["least_charge"]) == record.summary["least_charge"] > 0.3
+    assert float(row["camera_max_deg"]) == record.summary["window_pointing_deg"]["camera"]["q100"]
+    assert float(row["terminal_sigma"]) == record.arrays["node_sigma_distance"][-1]
+    words = (out / "flown_plan.md").read_text("utf-8")
+    assert "with probability 0.971" in words
+    assert "| observation, from 709 s |" in words or "| observation, from 710 s |" in words
+
+
+def test_a_flight_that_is_there_is_not_flown_again(
+    flown: tuple[Solution, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, out = flown
+    before = (out / "flown_plan.csv").read_bytes()
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("flown again")
+
+    monkeypatch.setattr(simulation, "simulate", refuse)
+    arguments = [str(out), "--out", str(out), "--seeds", "1"]
+    assert flown_plan.main(arguments) == 0
+    assert (out / "flown_plan.csv").read_bytes() == before
+    for more in ("--fresh", "--seeds=2"):
+        with pytest.raises(AssertionError, match="flown again"):
+            flown_plan.main([*arguments, more])

@@ -1,0 +1,27 @@
+"""The vehicle, and a short plan for it."""
+
+from __future__ import annotations
+
+import pytest
+
+from scp_recon.mission import Mission
+from scp_recon.solution import Solution
+from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
+from tests.scp_recon.support import mission_of
+
+from .short_plan import SHORT, short_plan
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    return load_vehicle()
+
+
+@pytest.fixture(scope="session")
+def short_mission() -> Mission:
+    return mission_of(*SHORT)
+
+
+@pytest.fixture(scope="session")
+def short_solution(short_mission: Mission) -> Solution:
+    return short_plan(short_mission)
