@@ -158,9 +158,12 @@ def initial_guess(mission: Mission, cell: Cell) -> Iterate:
 
 
 def full_design(guesses: int = 50) -> tuple[Cell, ...]:
-    """Everything meets in the default scenario, a few methods in the others and from random guesses."""
+    """Everything meets in the default scenario from the straight line, a few methods elsewhere."""
+    default: dict[str, tuple[str, ...]] = {"recon_b": ()}
+    by_clarabel = [method for method in SCP_METHODS if method.solver == "CLARABEL"]
     return (
-        *_cells("matrix", {"recon_b": ()}, (*SCP_METHODS, *NLP_METHODS), ("cold", "warm")),
+        *_cells("matrix", default, (*SCP_METHODS, *NLP_METHODS), ("cold",)),
+        *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), ("warm",)),
         *_cells("scenarios", scenarios(), FEW, ("p3",)),
         *_guesses(GUESSED, guesses),
     )

@@ -6,7 +6,7 @@ import importlib
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 
@@ -49,6 +49,7 @@ class Row:
         retried: whether P3 was tried again from the ballistic arc.
         total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
             nothing is imported.
+        cpu_s: of the processor in that time, which other work on the machine does not lengthen.
         solver_s: in the conic solver, or in IPOPT without its evaluations.
         peak_mib: resident memory of the process, imports included.
         observed_s: mean observation time of many flights.
@@ -74,6 +75,7 @@ class Row:
     iterations_p2: int = 0
     retried: bool = False
     total_s: float = np.nan
+    cpu_s: float = np.nan
     solver_s: float = np.nan
     peak_mib: float = np.nan
     observed_s: float = np.nan
@@ -90,9 +92,9 @@ class Row:
         return self.problem == "P2" and self.status == Status.CONVERGED.value.name
 
 
-def failed_row(cell: Cell, reason: str, total_s: float = np.nan) -> Row:
+def failed_row(cell: Cell, reason: str, cpu_s: float = np.nan) -> Row:
     """The row of a cell that did not come to an end of its own."""
-    return replace(_empty_row(cell), detail=reason, total_s=total_s)
+    return replace(_empty_row(cell), detail=reason, cpu_s=cpu_s)
 
 
 def solve_cell(cell: Cell, flights: int) -> Row:
@@ -125,6 +127,7 @@ def solve_cell(cell: Cell, flights: int) -> Row:
         iterations_p2=found.iterations_p2,
         retried=found.retried,
         total_s=found.total_s,
+        cpu_s=found.cpu_s,
         solver_s=found.solver_s,
         peak_mib=peak,
         observed_s=observed,
@@ -171,12 +174,14 @@ class _Found:
     iterations_p2: int
     retried: bool
     total_s: float
+    cpu_s: float
     solver_s: float
 
 
 def _whole(mission: Mission, cell: Cell) -> _Found:
     """P3, facets and P2 by one method."""
     start, method = initial_guess(mission, cell), cell.method
+    begin = process_time()
     if method.solver == IPOPT:
         from scp_recon import ipopt
 
@@ -190,10 +195,10 @@ def _whole(mission: Mission, cell: Cell) -> _Found:
             algorithm=method.algorithm,
             solver=method.solver,
         )
-    return _of_plan(done)
+    return _of_plan(done, process_time() - begin)
 
 
-def _of_plan(done: Plan) -> _Found:
+def _of_plan(done: Plan, cpu_s: float) -> _Found:
     counts = {stage.name: 0 for stage in done.stages}
     for stage in done.stages:
         counts[stage.name] += len(stage.result.records)
@@ -205,6 +210,7 @@ def _of_plan(done: Plan) -> _Found:
         iterations_p2=sum(n for name, n in counts.items() if name.startswith("P2")),
         retried="P3.2" in counts,
         total_s=done.total_s,
+        cpu_s=cpu_s,
         solver_s=done.timing.conic_solver,
     )
 
@@ -218,7 +224,8 @@ def _from_p3(mission: Mission, cell: Cell) -> _Found:
     clearance = CLEARANCE_M / mission.units.length_m
     included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
     solve = _solver_of_p2(mission, cell.method)
-    begin, lin, iterations, solver_s = perf_counter(), p3, 0, 0.0
+    begin, cpu_begin = perf_counter(), process_time()
+    lin, iterations, solver_s = p3, 0, 0.0
     while True:
         rows = P2Rows(problem, facets, included)
         subproblem, result = solve(rows, lin)
@@ -229,8 +236,17 @@ def _from_p3(mission: Mission, cell: Cell) -> _Found:
         if not missed.any():
             break
         included = included | missed
-    total_s = perf_counter() - begin
-    return _Found(result.status, lin, subproblem, 0, iterations, False, total_s, solver_s)
+    return _Found(
+        status=result.status,
+        lin=lin,
+        subproblem=subproblem,
+        iterations_p3=0,
+        iterations_p2=iterations,
+        retried=False,
+        total_s=perf_counter() - begin,
+        cpu_s=process_time() - cpu_begin,
+        solver_s=solver_s,
+    )
 
 
 def _solver_of_p2(

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 import multiprocessing as mp
+import resource
 import signal
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
+from math import ceil
 from multiprocessing.connection import Connection
 from pathlib import Path
-from time import perf_counter
+from time import process_time
 
 from experiments.compare_cases import Cell
 from experiments.compare_cell import Row, failed_row, solve_cell
@@ -20,6 +22,9 @@ from experiments.compare_cell import Row, failed_row, solve_cell
 FILE_NAME = "rows.jsonl"
 PRELOADED = ["experiments.compare_cell"]
 """Imported once by the server that the cells' processes are forked from."""
+
+ASLEEP = 20.0
+"""Times its limit that a cell's process may take by the clock, on a machine with other work."""
 
 Solve = Callable[[Cell, int], Row]
 
@@ -33,7 +38,7 @@ def run_cells(
         cells: what to solve.
         path: of the rows.
         flights: of each cell's Monte Carlo estimate.
-        limit_s: seconds that a cell may take, its estimate included.
+        limit_s: seconds of the processor that a cell may take, its estimate included.
         solve: what solves one; a function of a module.
     """
     known = read_rows(path)
@@ -46,7 +51,7 @@ def run_cells(
             row = known.get(cell.key)
             if row is None:
                 receive, send = context.Pipe(duplex=False)
-                process = context.Process(target=_work, args=(send, solve, cell, flights))
+                process = context.Process(target=_work, args=(send, solve, cell, flights, limit_s))
                 row = _row_of(process, receive, send, cell, limit_s)
                 file.write(json.dumps(asdict(row)) + "\n")
                 file.flush()
@@ -68,8 +73,10 @@ def read_rows(path: Path) -> dict[str, Row]:
     return rows
 
 
-def _work(send: Connection, solve: Solve, cell: Cell, flights: int) -> None:
+def _work(send: Connection, solve: Solve, cell: Cell, flights: int, limit_s: float) -> None:
     """In the cell's process: its row, or the words of what went wrong."""
+    used = int(process_time())  # which a process that was forked may count from
+    resource.setrlimit(resource.RLIMIT_CPU, (used + ceil(limit_s), resource.RLIM_INFINITY))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     try:
         send.send(solve(cell, flights))
@@ -85,16 +92,17 @@ def _row_of(
     limit_s: float,
 ) -> Row:
     """Wait for a cell's process as long as it may take, and end it."""
-    begin = perf_counter()
     process.start()
     send.close()  # this end of it, so that a process that dies is noticed
     try:
-        if not receive.poll(limit_s):
-            return failed_row(cell, f"no end after {limit_s:g} s", perf_counter() - begin)
+        if not receive.poll(ASLEEP * limit_s):
+            return failed_row(cell, f"asleep for {ASLEEP * limit_s:g} s")
         row: Row = receive.recv()
         return row
     except EOFError:
         process.join()
+        if process.exitcode == -signal.SIGXCPU:
+            return failed_row(cell, f"no end after {limit_s:g} s", limit_s)
         return failed_row(cell, f"its process ended with exit code {process.exitcode}")
     finally:
         process.kill()

@@ -23,7 +23,7 @@ from scp_recon.errors import InputError
 from scp_recon.solution import write_atomically
 
 DEFAULT_OUT = Path("runs") / "comparison"
-FLIGHTS, LIMIT_S, QUICK_LIMIT_S = 2_000, 40.0, 20.0
+FLIGHTS, LIMIT_S, QUICK_LIMIT_S = 2_000, 30.0, 20.0
 
 
 def parser() -> argparse.ArgumentParser:

@@ -37,7 +37,7 @@ def solved(row: Row) -> bool:
 
 
 def draw_times(rows: Sequence[Row]) -> Figure:
-    """Seconds from the straight line to P2's end, by formulation, algorithm and solver."""
+    """Seconds of the processor from the straight line to the end of P2."""
     chosen = [row for row in rows if row["group"] == "matrix" and row["start"] == "cold"]
     forms = list(dict.fromkeys(row["formulation"] for row in chosen))
     with style.context(STYLE):
@@ -48,14 +48,14 @@ def draw_times(rows: Sequence[Row]) -> Figure:
             y += 0.14 * (1 - list(COLOURS).index(row["algorithm"]) % 3)
             colour = COLOURS[row["algorithm"]]
             axes.plot(
-                float(row["total_s"]),
+                float(row["cpu_s"]),
                 y,
                 MARKERS.get(row["solver"], OTHER),
                 color=colour,
                 markerfacecolor=colour if solved(row) else "none",
                 markersize=6,
             )
-        axes.set(xscale="log", xlabel="seconds from the straight line, P3 and P2")
+        axes.set(xscale="log", xlabel="seconds of the processor from the straight line, P3 and P2")
         axes.xaxis.set_major_formatter("{x:g}")
         axes.set_yticks(range(len(forms)), forms[::-1])
         _keys(axes, chosen)
