@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test lint format types check figures clean
+.PHONY: help solve test nightly coverage mutation lint format types check figures clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -26,6 +26,17 @@ format: $(VENV)/.dev  ## format, and fix what can be fixed
 types: $(VENV)/.dev  ## check the types
 	$(BIN)/mypy
 
+nightly: $(VENV)/.test  ## look harder: 1000 examples a property, and the table of reliability figures
+	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest -n 2 --timeout 3600 \
+	--reliability runs/reliability.md
+
+coverage: $(VENV)/.dev  ## lines and branches that the tests reach
+	$(BIN)/python -m pytest -n 2 --cov --cov-report term --cov-report json:runs/coverage.json
+
+mutation: $(VENV)/.dev  ## change formulations in every small way, and see which changes no test notices
+	HYPOTHESIS_PROFILE=mutation OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2
+	$(BIN)/mutmut results
+
 check: lint types test  ## everything that a change has to pass
 
 figures: $(VENV)/.test  ## make the paper's table and figures, and the README's picture
@@ -34,7 +45,7 @@ figures: $(VENV)/.test  ## make the paper's table and figures, and the README's 
 	$(BIN)/python -m paper_figs.flyby runs/paper/scp_cold docs/flyby.png
 
 clean:  ## remove the environment and what it produced
-	rm -rf $(VENV) runs .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) runs mutants .coverage .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
 
 $(VENV)/.venv:
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed, and none was found" >&2; exit 1; }

@@ -48,12 +48,13 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    if report.when == "call" and report.passed:
-        PASSED.add(report.nodeid)
+    if report.when == "call":
         for key, pair in report.user_properties:
             if key == COUNT:
                 name, times = pair
                 TOTALS[name] += times
+        if report.passed:
+            PASSED.add(report.nodeid)
     # Left there at the very end by Hypothesis's own plugin.
     if report.nodeid in PASSED and (said := getattr(report, "_hypothesis_stats", "")):
         TOTALS[reliability.PROPERTIES] += 1

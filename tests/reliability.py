@@ -1,7 +1,8 @@
 """Counts, from the test run itself, of what the reliability table reports.
 
-Tests call `count`; the hooks in `conftest.py` collect the counts of all tests that passed, over all
-processes, and the examples that Hypothesis ran. `pytest --reliability FILE` writes the table.
+Tests call `count` after what they count was checked; the hooks in `conftest.py` collect the counts of
+all tests, over all processes, and the examples that Hypothesis ran. `pytest --reliability FILE` writes
+the table.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ COUNTS: Counter[str] = Counter()
 
 
 def count(what: str) -> None:
-    """One more of something, if the test that counts it passes."""
+    """One more of something."""
     COUNTS[what] += 1
 
 

@@ -190,6 +190,17 @@ def test_pyramids_tighten_with_every_facet(half_angle: float, facets: int) -> No
     assert 0.0 < fewer < more < half_angle
 
 
+@given(half_angles, st.integers(8, 200))
+def test_pyramids_approach_the_cone_at_the_rate_of_one_over_the_square_of_the_facets(
+    half_angle: float, facets: int
+) -> None:
+    def gap(n: int) -> float:
+        return 1.0 - np.tan(inner_pyramid_angle(half_angle, n)) / np.tan(half_angle)
+
+    # 1 - cos(pi / n) = pi^2 / 2 n^2 up to the fourth order.
+    assert gap(facets) * facets**2 == pytest.approx(0.5 * np.pi**2, rel=0.02)
+
+
 @given(half_angles)
 def test_pyramids_become_the_cone(half_angle: float) -> None:
     assert inner_pyramid_angle(half_angle, 10_000) == pytest.approx(half_angle, rel=1e-6)

@@ -1,0 +1,137 @@
+"""Every subproblem is convex, exact at its iterate, and wrong by the square of the step."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from formulations.facets import Polytopes, choose_facets
+from formulations.formulations import FORMULATIONS, make_subproblem
+from formulations.lifting import Linearisation, condense
+from formulations.modelled import ModelledSubproblem
+from formulations.penalty import Charge, Penalty
+from formulations.polytopes import ball
+from formulations.problem import FlybyProblem
+from formulations.rows import P2Rows, P3Rows, Rows
+from tests.helpers import Array, Flyby, Waves, constrain, generators, random_flyby
+
+WEIGHT = 10.0
+few = settings(max_examples=settings().max_examples // 6)
+
+
+def rows_of(lin: Linearisation, name: str, facets: int) -> Rows:
+    if name == "P3":
+        return P3Rows(lin.problem)
+    polytopes = Polytopes(ball(facets), facets)
+    chosen = choose_facets(lin.problem, polytopes, lin.iterate.mean, lin.factor)
+    return P2Rows(lin.problem, chosen, np.ones(len(chosen.node), dtype=np.bool_))
+
+
+def some_flyby(rng: np.random.Generator) -> Flyby:
+    keeps = [("in",), ("out",), ("in", "out")][int(rng.integers(3))]
+    return constrain(rng, random_flyby(rng, nodes=7, burns=3), keeps)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@settings(max_examples=settings().max_examples // 30)
+@given(generators, st.sampled_from(get_args(Penalty)), st.integers(4, 8))
+def test_every_subproblem_is_disciplined_convex_and_parametrised(
+    formulation: str, name: str, rng: np.random.Generator, penalty: Penalty, facets: int
+) -> None:
+    lin = some_flyby(rng).perturbed(rng, 0.1, 0.05)
+    rows = rows_of(lin, name, facets)
+    program = ModelledSubproblem(lin.problem, rows, formulation, penalty=penalty).program
+    assert program.is_dcp(dpp=True)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@few
+@given(generators, st.integers(4, 8))
+def test_the_linearisation_is_exact_at_the_iterate(
+    name: str, rng: np.random.Generator, facets: int
+) -> None:
+    flyby = some_flyby(rng)
+    lin = flyby.perturbed(rng, 0.1, 0.0)
+    subproblem = make_subproblem(lin.problem, rows_of(lin, name, facets))
+    subproblem.update(lin)
+    merit = subproblem.merit(lin, WEIGHT)
+    # A step of next to nothing changes next to nothing.
+    assert subproblem.solve(1e-10, Charge(WEIGHT)).merit == pytest.approx(merit, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@few
+@given(generators, st.integers(4, 8))
+def test_the_model_error_falls_with_the_square_of_the_step(
+    name: str, rng: np.random.Generator, facets: int
+) -> None:
+    flyby = some_flyby(rng)
+    lin = flyby.perturbed(rng, 0.1, 0.0)
+    subproblem = make_subproblem(lin.problem, rows_of(lin, name, facets))
+    subproblem.update(lin)
+
+    def error(radius: float) -> float:
+        step = subproblem.solve(radius, Charge(WEIGHT))
+        flown = flyby.waves.linearise(flyby.problem, flyby.waves.rollout(flyby.problem, step.burns))
+        return abs(subproblem.merit(flown, WEIGHT) - step.merit)
+
+    coarse, fine = error(1e-2), error(1e-3)
+    # A hundredth, but for the direction of the step, which changes, and the solver's tolerance.
+    assert fine < 0.05 * coarse + 1e-6 * subproblem.merit(lin, WEIGHT)
+    # And by no more than a moderate multiple of the square.
+    assert fine < 1e3 * WEIGHT * 1e-3**2
+
+
+# --- the derivative by automatic differentiation ------------------------------------------------
+
+
+def differentiated(problem: FlybyProblem, waves: Waves, burns: Array) -> tuple[Array, Array]:
+    """Derivatives of all node means and factors by the burns, by CasADi, from the definitions."""
+    z = ca.SX.sym("z", 3 * problem.n_burns)
+    x = ca.SX.sym("x", 6)
+    mean, columns = ca.DM(problem.initial_state), problem.factor_columns
+    factor = ca.SX.zeros(6, columns)
+    factor[:, : problem.initial_factor.shape[1]] = problem.initial_factor
+    means, factors = [], []
+    for k in range(problem.n_nodes):
+        if k > 0:
+            turned = ca.mtimes(ca.DM(waves.frequency[k - 1]), x)
+            end = ca.mtimes(ca.DM(waves.linear[k - 1]), x)
+            end += ca.mtimes(ca.DM(waves.amplitude[k - 1]), ca.sin(turned))
+            arc = ca.Function("arc", [x], [end, ca.jacobian(end, x)])
+            mean, stm = arc(mean)
+            factor = ca.mtimes(stm, factor)
+        for i in np.flatnonzero(problem.burn_nodes == k):
+            burn = z[3 * i : 3 * i + 3]
+            mean = mean + ca.vertcat(ca.SX.zeros(3), burn)
+            first = problem.columns_of_burn(int(i)).start
+            factor[3:, first : first + 3] = problem.execution_error * ca.diag(burn)
+        means.append(mean)
+        factors.append(ca.vec(factor.T))
+    by_mean, by_factor = (ca.jacobian(ca.vertcat(*part), z) for part in (means, factors))
+    values = ca.Function("d", [z], [by_mean, by_factor])(burns.ravel())
+    nodes = problem.n_nodes
+    return (
+        np.array(values[0]).reshape(nodes, 6, -1),
+        np.array(values[1]).reshape(nodes, 6, columns, -1),
+    )
+
+
+@few
+@given(generators)
+def test_full_linearisation_is_the_derivative_by_automatic_differentiation(
+    rng: np.random.Generator,
+) -> None:
+    flyby = random_flyby(rng, nodes=6, burns=3)
+    burns = flyby.burns + 0.3 * rng.normal(size=flyby.burns.shape)
+    lin = flyby.waves.linearise(flyby.problem, flyby.waves.rollout(flyby.problem, burns))
+    ours = condense(lin)
+    by_mean, by_factor = differentiated(flyby.problem, flyby.waves, burns)
+    np.testing.assert_allclose(ours.mean_jacobian, by_mean, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(ours.factor_jacobian, by_factor, rtol=1e-9, atol=1e-10)

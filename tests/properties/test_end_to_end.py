@@ -1,0 +1,100 @@
+"""The command line on random scenarios: verified, or refused in so many words; nothing else."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from scp_recon.solution import Solution, read_solution
+from scp_recon.status import Status
+from tests import reliability
+from tests.scenarios import scenarios
+from tests.scp_recon.support import CommandLine, run_solve
+
+NOT_VERIFIED = 4
+OPTIONS = st.tuples(
+    st.sampled_from([[], ["--init", "warm"]]), st.sampled_from([[], ["--facet-rounds", "1"]])
+)
+expensive = settings(
+    max_examples=settings().max_examples // 10,
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],
+    suppress_health_check=[HealthCheck.too_slow],
+)
+
+
+@expensive
+@given(scenarios(), OPTIONS)
+def test_random_scenarios_end_verified_or_honestly_refused(
+    overrides: tuple[str, ...], options: tuple[list[str], list[str]]
+) -> None:
+    try:
+        assert_honest(overrides, [*options[0], *options[1]])
+    except BaseException:
+        reliability.count(reliability.WRONG)
+        raise
+
+
+def assert_honest(overrides: tuple[str, ...], options: list[str]) -> None:
+    sets = [argument for override in overrides for argument in ("--set", override)]
+    with tempfile.TemporaryDirectory() as name:
+        run = run_solve(Path(name), *sets, *options)
+        assert "Traceback" not in run.output + run.errors
+        if run.exit_code == 2:
+            assert_barred(run)
+            reliability.count(reliability.BARRED)
+            return
+        solution = read_solution(run.folder)
+    assert run.errors == ""
+    {0: assert_solved, 3: assert_infeasible, NOT_VERIFIED: assert_unfinished}[run.exit_code](
+        run, solution
+    )
+
+
+def assert_barred(run: CommandLine) -> None:
+    """No plan was begun, one message says why, and nothing is written."""
+    assert run.output == ""
+    assert run.errors.count("error: ") == 1
+    assert run.errors.startswith(("error: observation", "error: burns.times_s"))
+    assert list(run.folder.iterdir()) == []
+
+
+def assert_solved(run: CommandLine, solution: Solution) -> None:
+    assert solution.status == Status.CONVERGED.value.name
+    assert solution.verification is not None
+    assert solution.verification.ok
+    assert solution.verification.failed == []
+    assert run.output.rstrip().splitlines()[-2] == "verified"
+    assert (solution.violation.max, solution.violation.by_constraint) == (0.0, {})
+    # To a tenth of a millimetre: a binding margin is rounded.
+    assert min(c.worst_margin_m_or_rad for c in solution.constraints) > -1e-3
+    asked = solution.scenario.risk.p_chance
+    assert min(p.estimate for p in solution.verification.probabilities) >= asked
+    largest = np.linalg.norm(solution.burns_m_s, axis=1).max()
+    assert largest <= solution.scenario.burns.dv_max_m_s * (1.0 + 1e-5)
+    reliability.count(reliability.SOLVED)
+
+
+def assert_infeasible(run: CommandLine, solution: Solution) -> None:
+    assert solution.status == Status.INFEASIBLE.value.name
+    assert solution.verification is not None
+    assert not solution.verification.ok
+    assert solution.violation.max > 0.0
+    for name, amount in solution.violation.by_constraint.items():
+        assert amount.max > 0.0
+        assert name in run.output
+    assert "not verified" in run.output
+    reliability.count(reliability.REFUSED)
+
+
+def assert_unfinished(run: CommandLine, solution: Solution) -> None:
+    """Not converged; or converged, and the verification says what it does not confirm."""
+    assert solution.status != Status.INFEASIBLE.value.name
+    assert solution.verification is not None
+    assert not solution.verification.ok
+    assert solution.verification.failed
+    assert "not verified" in run.output
+    reliability.count(reliability.UNFINISHED)

@@ -1,0 +1,406 @@
+"""Whatever is given, the answer is a result or one message; and nothing else is read or written."""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import io
+import json
+import math
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator
+from datetime import date, datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from scp_recon import guess, montecarlo, planner, solve, verify
+from scp_recon.errors import InputError
+from scp_recon.mission import Mission
+from scp_recon.results import make_solution
+from scp_recon.scenario import load_scenario
+from scp_recon.solution import read_solution
+from tests import reliability
+from tests.scenarios import COARSE
+
+RECON_B: dict[str, Any] = tomllib.loads(
+    (files("scp_recon") / "data" / "recon_b.toml").read_text("utf-8")
+)
+patient = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
+
+# --- damage -------------------------------------------------------------------------------------
+
+numbers = (
+    st.sampled_from(
+        [
+            0,
+            -0.0,
+            -1,
+            1,
+            5e-324,
+            1e-300,
+            1e308,
+            -1e308,
+            math.nan,
+            math.inf,
+            -math.inf,
+            10**18,
+            2**63,
+        ]
+    )
+    | st.floats()
+)
+words = st.sampled_from(
+    ["", " ", "nan", "1e3", "recon_b", "../../etc/passwd", "/dev/zero", "$(id)", "__import__('os')"]
+) | st.text(max_size=20)
+plain = numbers | words | st.booleans()
+moments = st.just(datetime(2020, 1, 21, 20, 33, 17)) | st.just(date(2020, 1, 21))
+hostile = st.recursive(
+    plain | moments,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(words, inner, max_size=3),
+    max_leaves=6,
+)
+
+
+def places(data: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Every place in nested tables and lists."""
+    items = data.items() if isinstance(data, dict) else enumerate(data)
+    for key, value in items:
+        yield (*path, key)
+        if isinstance(value, dict | list):
+            yield from places(value, (*path, key))
+
+
+@st.composite
+def damaged(draw: st.DrawFn, original: dict[str, Any], values: st.SearchStrategy[Any]) -> Any:
+    """One to three entries replaced, wrapped, dropped, doubled or added."""
+    data = copy.deepcopy(original)
+    for _ in range(draw(st.integers(1, 3))):
+        where = draw(st.sampled_from(list(places(data))))
+        inside: Any = data
+        for key in where[:-1]:
+            inside = inside[key]
+        last = where[-1]
+        how = draw(st.sampled_from(["replace", "replace", "replace", "wrap", "drop", "add"]))
+        if how == "replace":
+            inside[last] = draw(values)
+        elif how == "wrap":
+            inside[last] = draw(st.sampled_from([[inside[last]], {"value": inside[last]}]))
+        elif how == "drop":
+            del inside[last]
+        elif isinstance(inside, dict):
+            inside[draw(words)] = draw(values)
+        else:
+            inside.append(draw(values))
+        if not data:
+            break
+    return data
+
+
+def toml(value: Any) -> str:
+    """A value, inline; TOML has no null, and ours draw none."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{toml(str(k))} = {toml(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(toml, value)) + "]"
+    if isinstance(value, datetime | date):
+        return value.isoformat()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)
+
+
+def document(data: dict[str, Any]) -> str:
+    return "\n".join(f"{toml(key)} = {toml(value)}" for key, value in data.items())
+
+
+# --- what the program touches -------------------------------------------------------------------
+
+TOUCHED: list[tuple[str, Any]] | None = None
+WATCHED = ("open", "os.system", "subprocess.Popen", "os.exec", "os.posix_spawn", "os.fork", "exec")
+WATCHED += ("os.remove", "os.rename", "os.mkdir", "os.link", "os.symlink", "socket.connect")
+
+
+def hook(event: str, arguments: tuple[Any, ...]) -> None:
+    if TOUCHED is not None and event in WATCHED:
+        TOUCHED.append((event, arguments))
+
+
+sys.addaudithook(hook)
+
+
+@contextlib.contextmanager
+def watched() -> Iterator[list[tuple[str, Any]]]:
+    """Everything that Python opens, runs, makes, moves or removes meanwhile."""
+    global TOUCHED
+    TOUCHED = touched = []
+    try:
+        yield touched
+    finally:
+        TOUCHED = None
+
+
+PACKAGE = Path(str(files("scp_recon"))).resolve()
+LIBRARIES = (Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve(), PACKAGE.parent)
+
+
+def assert_touched_only(touched: list[tuple[str, Any]], *allowed: Path) -> None:
+    """Only what was named, and the libraries' own files for reading."""
+    for event, arguments in touched:
+        assert event in ("open", "os.remove", "os.rename", "os.mkdir"), (event, arguments)
+        path = arguments[0]
+        if isinstance(path, int) or arguments[-1] is None:
+            continue
+        at = Path(str(path)).resolve()
+        if any(at.is_relative_to(place) for place in allowed):
+            continue
+        writes = event != "open" or set("wxa+") & set(str(arguments[1] or "r"))
+        assert not writes, (event, arguments)
+        assert any(at.is_relative_to(place) for place in LIBRARIES), (event, arguments)
+
+
+# --- scenarios ----------------------------------------------------------------------------------
+
+
+def read_or_refuse(read: Callable[[], object]) -> None:
+    """A result, or an error of the user's whose message is short and printable."""
+    try:
+        read()
+    except InputError as error:
+        message = str(error)
+        assert message
+        assert len(message) < 3000
+        assert message.replace("\n", "").isprintable()  # no control sequence for the terminal
+        reliability.count(reliability.BAD_INPUTS)
+
+
+def mission_of(path: Path) -> None:
+    mission = Mission.from_scenario(load_scenario(path))
+    assert mission.problem.n_nodes >= 2
+
+
+@patient
+@given(damaged(RECON_B, hostile))
+def test_a_damaged_scenario_is_read_or_refused(data: dict[str, Any]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mine.toml"
+        path.write_text(document(data), "utf-8")
+        tomllib.loads(document(data))  # what is refused is the content and not our writing
+        with watched() as touched:
+            read_or_refuse(lambda: mission_of(path))
+        assert_touched_only(touched, path.resolve())
+
+
+bytes_of_files = st.one_of(
+    st.binary(max_size=200),
+    st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")),
+    st.sampled_from(["utf-16", "utf-32", "utf-8-sig", "utf-7", "cp037"]).map(
+        lambda name: document(RECON_B).encode(name)
+    ),
+    st.integers(0, 2000).map(lambda n: document(RECON_B).encode()[:n]),
+    st.sampled_from([b"", b"\n" * 1000, b"[" * 5000, b"a=" + b"[" * 5000, b"\x00", b'base = "']),
+    st.sampled_from([b"x = " + b"1" * 5000, b'"' + b"k" * 10**5 + b'" = 1', b"[a]\n[a]\n"]),
+)
+
+
+@patient
+@given(bytes_of_files)
+def test_no_bytes_end_in_anything_but_a_scenario_or_a_message(content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mine.toml"
+        path.write_bytes(content)
+        with watched() as touched:
+            read_or_refuse(lambda: mission_of(path))
+        assert_touched_only(touched, path.resolve())
+
+
+@patient
+@given(st.lists(words | hostile.map(str), max_size=3), words)
+def test_no_base_reaches_beyond_the_package(values: list[str], name: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mine.toml"
+        base = values if values else name
+        path.write_text(document({"base": base, "name": name or "x"}), "utf-8")
+        with watched() as touched:
+            read_or_refuse(lambda: load_scenario(path))
+        assert_touched_only(touched, path.resolve(), PACKAGE / "data")
+
+
+entries = st.sampled_from([".".join(map(str, where)) for where in places(RECON_B)]) | words
+
+
+@patient
+@given(st.lists(st.tuples(entries, hostile), min_size=1, max_size=3))
+def test_no_override_ends_in_anything_but_a_mission_or_a_message(
+    changes: list[tuple[str, Any]],
+) -> None:
+    overrides = [f"{entry}={toml(value)}" for entry, value in changes]
+    read_or_refuse(lambda: Mission.from_scenario(load_scenario(None, overrides)).problem)
+
+
+# --- solutions ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small solution."""
+    folder = tmp_path_factory.mktemp("solved")
+    mission = Mission.from_scenario(load_scenario(None, ["grid.step_max_s=3000.0"]))
+    found = planner.plan(mission, guess.cold(mission))
+    make_solution(mission, found, "cold", "condensed").write(folder)
+    return folder
+
+
+@patient
+@given(st.data())
+def test_a_damaged_solution_is_read_or_refused(solved: Path, data: st.DataObject) -> None:
+    original = json.loads((solved / "solution.json").read_text("utf-8"))
+    content = data.draw(damaged(original, plain | st.none() | st.lists(plain, max_size=3)))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "solution.json"
+        path.write_text(json.dumps(content), "utf-8")
+        with watched() as touched:
+            read_or_refuse(lambda: Mission.from_scenario(read_solution(path).scenario))
+        assert_touched_only(touched, path.resolve())
+
+
+@settings(patient, max_examples=settings().max_examples // 6)
+@given(st.data())
+def test_a_damaged_solution_is_verified_or_refused(solved: Path, data: st.DataObject) -> None:
+    """And never confirmed where a number of the plan was changed."""
+    original = json.loads((solved / "solution.json").read_text("utf-8"))
+    parts = {key: original[key] for key in ("burns", "nodes", "total_dv_m_s", "status", "problem")}
+    content = original | data.draw(damaged(parts, plain))
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "solution.json").write_text(json.dumps(content), "utf-8")
+        code = command(verify.main, [folder])
+    assert code in (0, 2, 4)
+    if any(content.get(key) != original[key] for key in ("total_dv_m_s", "status")):
+        assert code != 0
+    reliability.count(reliability.BAD_INPUTS)
+
+
+@patient
+@given(bytes_of_files)
+def test_no_bytes_end_in_anything_but_a_solution_or_a_message(content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "solution.json"
+        path.write_bytes(content)
+        read_or_refuse(lambda: read_solution(path))
+
+
+@pytest.fixture(scope="module")
+def coarse() -> Mission:
+    return Mission.from_scenario(load_scenario(None, [COARSE]))
+
+
+cells = st.sampled_from(["0", "1", "nan", "inf", "1e308", "-1e308", "", "x", "40000", '"', "\x00"])
+tables = st.lists(st.lists(cells, min_size=6, max_size=8).map(",".join), max_size=5).map(
+    lambda rows: "\n".join(["t,x,y,z,vx,vy,vz", *rows]).encode()
+)
+
+
+@patient
+@given(bytes_of_files | tables)
+def test_no_bytes_end_in_anything_but_a_guess_or_a_message(coarse: Mission, content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "table.csv"
+        path.write_bytes(content)
+        read_or_refuse(lambda: guess.from_table(coarse, path))
+
+
+# --- command lines ------------------------------------------------------------------------------
+
+
+def command(main: Callable[[list[str]], int], arguments: list[str]) -> int:
+    """A command's exit status, with its output swallowed but for a traceback."""
+    errors = io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
+        try:
+            code = main(arguments)
+        except SystemExit as end:  # as argparse ends
+            code = int(end.code or 0)
+    assert "Traceback" not in errors.getvalue()
+    if code == 2:
+        assert "error: " in errors.getvalue()
+    return code
+
+
+OPTIONS = [
+    *("--scenario", "--set", "--init", "--problem", "--method", "--formulation", "--algorithm"),
+    *("--solver", "--facet-rounds", "--samples", "--until", "--truth", "--errors", "--seed"),
+    *("--workers", "--help", "-h", "--", "-", "--sc", "--s"),
+]
+VALUES = [
+    *("cold", "warm", "P2", "P3", "scp", "ipopt", "lifted", "tuned", "-1", "1e9", "nan", "0.5%"),
+    *("risk.p_chance=0.8", "risk=", "=", "a=b=c", "name=[", "/", ".", "/dev/null", "nowhere.json"),
+    *("~", "*", "\x00", "\udc80", "é", "a" * 5000, "--set=x", "@file", "%s", "{}", "[bold]"),
+]
+argument_lists = st.lists(st.sampled_from(OPTIONS + VALUES) | st.text(max_size=8), max_size=6)
+
+
+def interrupted(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+@patient
+@given(argument_lists)
+def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments: list[str]) -> None:
+    with tempfile.TemporaryDirectory() as folder, watched() as touched:
+        out = Path(folder) / "out"
+        with mock.patch.object(solve, "_by_scp", return_value=("condensed", ("", ""), interrupted)):
+            code = command(solve.main, ["--out", str(out), *arguments, "--method", "scp"])
+        written = [path for path in Path(folder).rglob("*") if path.is_file()]
+    assert code in (0, 2, 130)  # help, bad input, and the interrupt that stands for the planning
+    assert written == []
+    for event, given_ in touched:
+        if event in ("os.mkdir", "os.remove", "os.rename"):
+            assert Path(str(given_[0])).is_relative_to(folder), (event, given_)
+    if code == 2:
+        reliability.count(reliability.BAD_INPUTS)
+
+
+@patient
+@given(argument_lists, st.sampled_from([verify.main, montecarlo.main]))
+def test_no_arguments_of_the_other_commands_end_in_a_traceback(
+    arguments: list[str], main: Callable[[list[str]], int]
+) -> None:
+    code = command(main, arguments)
+    assert code in (0, 2)
+    if code == 2:
+        reliability.count(reliability.BAD_INPUTS)
+
+
+# --- links --------------------------------------------------------------------------------------
+
+
+def test_a_link_in_the_folder_is_replaced_and_not_followed(solved: Path, tmp_path: Path) -> None:
+    """What a link named solution.json points to was not named by the user."""
+    target = tmp_path / "precious"
+    target.write_text("mine", "utf-8")
+    folder = tmp_path / "out"
+    folder.mkdir()
+    (folder / "solution.json").symlink_to(target)
+    read_solution(solved).write(folder)
+    assert target.read_text("utf-8") == "mine"
+    assert not (folder / "solution.json").is_symlink()
+    reliability.count(reliability.BAD_INPUTS)
+
+
+@pytest.mark.parametrize("kind", ["scenario", "solution"])
+def test_a_link_in_a_circle_is_refused(tmp_path: Path, kind: str) -> None:
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    reader = {"scenario": load_scenario, "solution": read_solution}[kind]
+    with pytest.raises(InputError):
+        reader(circle)
+    reliability.count(reliability.BAD_INPUTS)

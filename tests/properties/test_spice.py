@@ -1,0 +1,78 @@
+"""Observation geometry at random times and places, against SPICE and the kernel of Bennu."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon import geometry
+from scp_recon.frames import unit
+from scp_recon.geometry import Site
+from scp_recon.mission import Mission
+from scp_recon.scenario import load_scenario
+from tests.helpers import generators, random_unit
+from tests.scp_recon.support import EPOCH_ET, shared
+
+BENNU, GM_SUN_KM3_S2 = 2101955, 132_712_440_041.939
+"""NAIF's number; DE440's constant."""
+SECOND_ORDER = 2e-5
+"""Rad, by which the Sun's direction bends away from a straight line within ten hours."""
+
+times = st.floats(-2e4, 4e4)
+
+
+@pytest.fixture(scope="module")
+def spice() -> Iterator[ModuleType]:
+    spiceypy = pytest.importorskip("spiceypy")
+    spiceypy.kclear()
+    spiceypy.furnsh(str(shared("bennu_v16.tpc")))
+    yield spiceypy
+    spiceypy.kclear()
+
+
+@pytest.fixture(scope="module")
+def mission() -> Mission:
+    return Mission.from_scenario(load_scenario())
+
+
+@given(times)
+def test_the_rotation_is_that_of_spice(mission: Mission, spice: ModuleType, t: float) -> None:
+    theirs = spice.tipbod("J2000", BENNU, EPOCH_ET + t).T
+    np.testing.assert_allclose(mission.rotation.body_to_j2000(t), theirs, rtol=0.0, atol=1e-9)
+
+
+@given(times)
+def test_the_sun_is_where_two_bodies_put_it(mission: Mission, spice: ModuleType, t: float) -> None:
+    sun = mission.scenario.sun
+    start = np.concatenate([sun.body_position_km, sun.body_velocity_km_s])
+    body = spice.prop2b(GM_SUN_KM3_S2, start, t)[:3]
+    assert spice.vsep(mission.sun_direction(t), -body) < SECOND_ORDER
+
+
+@given(times, generators, st.floats(300.0, 5000.0))
+def test_phase_emission_and_incidence_are_those_of_spice(
+    mission: Mission, spice: ModuleType, t: float, rng: np.random.Generator, distance: float
+) -> None:
+    site = Site(250.0 * random_unit(rng), unit(random_unit(rng)))
+    craft, sun = distance * random_unit(rng), random_unit(rng)
+    turn = spice.tipbod("J2000", BENNU, EPOCH_ET + t)
+    to_craft = spice.vsub(craft, spice.mtxv(turn, site.position_body))
+    normal = spice.mtxv(turn, site.normal_body)
+    track = geometry.track(site, mission.rotation, np.array([t]))
+    position, towards_sun = craft[None], sun[None]
+    accurate = {"rel": 0.0, "abs": 1e-8}
+    assert geometry.distance(position, track)[0] == pytest.approx(spice.vnorm(to_craft), rel=1e-9)
+    assert geometry.emission(position, track)[0] == pytest.approx(
+        spice.vsep(to_craft, normal), **accurate
+    )
+    assert geometry.phase(position, track, towards_sun)[0] == pytest.approx(
+        spice.vsep(to_craft, sun), **accurate
+    )
+    assert geometry.incidence(track, towards_sun)[0] == pytest.approx(
+        spice.vsep(normal, sun), **accurate
+    )
