@@ -136,7 +136,7 @@ class Cone:
         """Signed distance to the surface, positive inside, (n,)."""
         d = point - self.apex
         along = np.einsum("ni,ni->n", d, self.axis)
-        across = np.linalg.norm(reject(d, self.axis), axis=1)
+        across = np.linalg.norm(d - along[:, None] * self.axis, axis=1)
         return np.sin(self.half_angle) * along - np.cos(self.half_angle) * across
 
     @cached_property
