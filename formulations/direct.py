@@ -199,8 +199,8 @@ class _Pattern:
         row, column = np.concatenate(rows), np.concatenate(columns)
         self._order = np.lexsort((row, column))
         starts = np.searchsorted(column[self._order], np.arange(variables + 1))
-        self._row, self._starts = row[self._order].astype(np.int32), starts.astype(np.int32)
-        self._shape = first, variables
+        indices = row[self._order].astype(np.int32), starts.astype(np.int32)
+        self._matrix = sp.csc_array((np.zeros(len(row)), *indices), shape=(first, variables))
         count = {dim: sum(len(b.constants) for b in blocks if b.dimension == dim) for dim in (0, 1)}
         self._zero, self._nonnegative = count[0], count[1]
         self._second_order = tuple(
@@ -211,15 +211,15 @@ class _Pattern:
         )
 
     def program(self, blocks: list[Block], cost: Array) -> ConeProgram:
-        """Fill in the numbers."""
+        """Fill in the numbers: a program's matrix is its own until the next one is made."""
         values = [
             np.broadcast_to(block.values, present.shape)[present]
             for block, present in zip(blocks, self._present, strict=True)
         ]
-        data = -np.concatenate(values)[self._order]
+        self._matrix.data = -np.concatenate(values)[self._order]
         return ConeProgram(
             cost,
-            sp.csc_array((data, self._row, self._starts), shape=self._shape),
+            self._matrix,
             np.concatenate([block.constants for block in blocks]),
             self._zero,
             self._nonnegative,
