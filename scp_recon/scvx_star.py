@@ -23,16 +23,16 @@ class AugmentedLagrangian(TrustRegion):
     non-convex optimal control problems", CDC 2023, alg. 1: once the merit of an accepted step changes
     by less than a falling bound, l <- l + w m and l <- max(l + w h, 0), and the weight grows. It has
     no test for infeasibility; here a case counts as infeasible when it is stationary at the largest
-    weight, and a further update of the multipliers does not halve the violation.
+    weight, and a further update of the multipliers does not take a tenth off the violation.
 
     Attributes are those of `ExactPenalty`, weights being those of the squares.
     """
 
     penalty: ClassVar[Penalty] = "augmented"
     weight: float = 100.0
-    weight_max: float = 1e6
+    weight_max: float = 1e5
     max_iterations: int = 100
-    HEAVIER, TIGHTER = 2.0, 0.9
+    HEAVIER, TIGHTER, HOPELESS = 2.0, 0.9, 0.9
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from the guess, without multipliers."""
@@ -50,7 +50,7 @@ class AugmentedLagrangian(TrustRegion):
         violated = record.violated > self.feasible
         if not violated or not (settled or state.stationary):
             return state, record
-        hopeless = record.violated > 0.5 * state.violated and state.stationary
+        hopeless = record.violated > self.HOPELESS * state.violated and state.stationary
         if hopeless and state.charge.weight >= self.weight_max:
             return state, record
         return self._update(subproblem, state, record), record

@@ -1,0 +1,228 @@
+"""The comparison: cells that fail are rows, stopped runs continue, claims follow from the rows."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments import compare_solvers
+from experiments.compare_cases import (
+    ELASTIC,
+    REFERENCE,
+    TUNED,
+    Cell,
+    Method,
+    full_design,
+    quick_design,
+    random_guess,
+    scenarios,
+)
+from experiments.compare_cell import FAILED, Row, failed_row, solve_cell
+from experiments.compare_claims import FROZEN, agreements, claims
+from experiments.compare_report import to_csv, to_markdown
+from experiments.compare_runs import FILE_NAME, Solve, read_rows, run_cells
+from scp_recon import guess
+from scp_recon.mission import Mission
+from scp_recon.planner import plan
+
+FIGURES = ("total_dv_m_s", "merit_m_s", "heavy_merit_m_s", "violation_m", "total_s", "cpu_s")
+FIGURES += ("solver_s", "peak_mib", "observed_s")
+CELLS = [Cell("matrix", "recon_b", (), REFERENCE, "random", seed) for seed in range(3)]
+
+
+def fine(cell: Cell, flights: int) -> Row:
+    figures = dict.fromkeys(FIGURES, float(flights))  # NaN is not even equal to itself
+    return replace(failed_row(cell, ""), status="converged", problem="P2", **figures)
+
+
+def raises(cell: Cell, flights: int) -> Row:
+    raise ArithmeticError(f"nothing for {cell.seed} with {flights}")
+
+
+def dies(cell: Cell, flights: int) -> Row:
+    os._exit(7 + flights + 0 * cell.seed)
+
+
+def works_for_ever(cell: Cell, flights: int) -> Row:
+    while True:
+        flights += cell.seed
+
+
+def collect(path: Path, solve: Solve, cells: list[Cell] = CELLS) -> list[Row]:
+    return list(run_cells(cells, path, flights=5, limit_s=2.0, solve=solve))
+
+
+# --- cells and rows -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("solve", "words"),
+    [
+        (raises, "ArithmeticError: nothing for 0 with 5"),
+        (dies, "its process ended with exit code 12"),
+        (works_for_ever, "no end after 2 s"),
+    ],
+)
+def test_a_cell_that_fails_is_a_row(tmp_path: Path, solve: Solve, words: str) -> None:
+    (row,) = collect(tmp_path / FILE_NAME, solve, CELLS[:1])
+    assert (row.key, row.status, row.detail) == (CELLS[0].key, FAILED, words)
+    assert not row.solved
+
+
+def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
+    path = tmp_path / FILE_NAME
+    first = next(iter(run_cells(CELLS, path, flights=5, limit_s=2.0, solve=fine)))
+    with path.open("a") as file:
+        file.write(json.dumps(asdict(first))[:40])  # killed while it wrote the second
+    rows = collect(path, raises)
+    assert rows[0] == first
+    assert [row.status for row in rows] == ["converged", FAILED, FAILED]
+    assert [row.detail for row in collect(path, dies)] == [row.detail for row in rows]
+    assert list(read_rows(path)) == [cell.key for cell in CELLS]
+
+
+def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
+    done = plan(mission, guess.cold(mission))
+    expected = done.final.result.lin.iterate.total_dv * mission.units.speed_m_s
+    for start in ("cold", "p3"):
+        row = solve_cell(Cell("matrix", "recon_b", (), REFERENCE, start), 0)
+        assert row.solved
+        assert row.total_dv_m_s == pytest.approx(expected, rel=1e-9)
+        assert row.merit_m_s == pytest.approx(expected, rel=1e-6)
+        assert row.iterations_p2 == len(done.final.result.records)
+        assert 0.0 < row.solver_s < row.total_s
+        assert row.peak_mib > 10.0
+
+
+def test_ipopt_agrees_from_the_same_p3_solution_and_facets() -> None:
+    pytest.importorskip("casadi")
+    ours, theirs = (
+        solve_cell(Cell("scenarios", "recon_b", (), method, "p3"), 0)
+        for method in (REFERENCE, TUNED)
+    )
+    assert theirs.total_dv_m_s == pytest.approx(ours.total_dv_m_s, rel=1e-4)
+
+
+def test_frozen_covariance_calls_infeasible_what_the_full_method_solves() -> None:
+    ours, frozen = (
+        solve_cell(Cell("scenarios", "", scenarios()["shifted 1"], method, "p3"), 0)
+        for method in (REFERENCE, FROZEN[1])
+    )
+    assert ours.solved
+    assert frozen.status == "infeasible"
+    assert frozen.violation_m > 1.0
+
+
+# --- the design ---------------------------------------------------------------------------------
+
+
+def test_every_cell_of_a_design_has_a_key_of_its_own() -> None:
+    for design in (full_design(), quick_design()):
+        assert len({cell.key for cell in design}) == len(design)
+    assert {cell.key for cell in quick_design()} <= {cell.key for cell in full_design()}
+
+
+def test_the_full_design_has_what_it_is_to_have() -> None:
+    design = full_design()
+    guesses = {cell.seed for cell in design if cell.start == "random"}
+    assert len(guesses) >= 50
+    methods = {cell.method for cell in design if cell.group == "matrix" and cell.start == "cold"}
+    assert {m.formulation for m in methods} >= {"lifted", "condensed", "printed", "shooting"}
+    assert {m.algorithm for m in methods} >= {"scvx", "ptr", "scvx-star"}
+
+
+def test_a_random_guess_is_the_same_every_time_and_another_for_another_seed(
+    mission: Mission,
+) -> None:
+    one, again, other = (random_guess(mission, seed) for seed in (1, 1, 2))
+    assert np.array_equal(one.mean, again.mean)
+    assert np.array_equal(one.burns, again.burns)
+    assert np.abs(one.mean - other.mean).max() > 0.01
+    assert one.mean[0, :3] == pytest.approx(mission.problem.initial_state[:3])
+    assert one.mean[-1] == pytest.approx(mission.problem.final_state)
+
+
+# --- claims and tables --------------------------------------------------------------------------
+
+
+def row_of(scenario: str, method: Method, dv: float, status: str = "converged") -> Row:
+    cell = Cell("scenarios", scenario, (), method, "p3")
+    figures = {"total_dv_m_s": dv, "merit_m_s": dv, "heavy_merit_m_s": dv}
+    return replace(failed_row(cell, ""), status=status, problem="P2", **figures)
+
+
+AGREEING = [
+    row_of("a", REFERENCE, 0.14),
+    row_of("a", TUNED, 0.140001),
+    row_of("a", FROZEN[0], 0.141),
+    row_of("a", FROZEN[1], 0.13, "infeasible"),
+    row_of("b", REFERENCE, 5.0, "infeasible"),
+    row_of("b", TUNED, 0.1, FAILED),
+    row_of("b", ELASTIC, 5.0001, "infeasible"),
+]
+
+
+def verdicts(rows: list[Row]) -> list[bool | None]:
+    return [claim.holds for claim in claims(rows)]
+
+
+def test_claims_hold_where_the_rows_say_so() -> None:
+    assert verdicts(AGREEING) == [True, True, True, True, True, None, None]
+
+
+def test_without_rows_nothing_is_claimed() -> None:
+    assert set(verdicts([])) <= {None, False}
+
+
+def test_another_optimum_is_flagged_and_breaks_the_claim() -> None:
+    rows = [*AGREEING[:1], row_of("a", TUNED, 0.15), *AGREEING[2:]]
+    assert verdicts(rows)[0] is False
+    (first, second) = agreements(rows)
+    assert first.verdict == "another local optimum: SCP's is better"
+    assert second.verdict == "same optimum"
+    assert "another local optimum" in to_markdown(rows)
+
+
+def test_algorithms_that_disagree_break_the_claim() -> None:
+    ptr = Method("condensed", "ptr", "CLARABEL")
+    assert verdicts([*AGREEING, row_of("a", ptr, 0.14001)])[5] is True
+    assert verdicts([*AGREEING, row_of("a", ptr, 0.1401)])[5] is False
+
+
+def test_the_share_of_solved_guesses_comes_with_its_interval() -> None:
+    cells = [Cell("guesses", "recon_b", (), REFERENCE, "random", seed) for seed in range(50)]
+    solved = [replace(fine(cell, 0), total_dv_m_s=0.14) for cell in cells[:40]]
+    text = to_markdown([*solved, *(failed_row(cell, "no") for cell in cells[40:])])
+    # Clopper-Pearson for 40 of 50, from tables.
+    assert "| 50 | 80 % | 66 to 90 % |" in text
+
+
+def test_the_csv_has_a_line_for_every_row() -> None:
+    lines = to_csv(AGREEING).splitlines()
+    assert len(lines) == 1 + len(AGREEING)
+    assert lines[0].startswith("key,method,group")
+
+
+def test_the_command_leaves_table_and_figures_and_takes_up_its_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("casadi")
+    cells = (Cell("matrix", "recon_b", (), REFERENCE, "cold"),)
+    monkeypatch.setattr(compare_solvers, "quick_design", lambda: cells)
+    monkeypatch.setattr(compare_solvers, "FLIGHTS", 1000)
+    for _ in range(2):
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            assert compare_solvers.main(["--quick", "--out", str(tmp_path)]) == 0
+        assert "1/1" in printed.getvalue()
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"comparison.csv", "comparison.md", "comparison_times.png", FILE_NAME}
+    assert len(read_rows(tmp_path / FILE_NAME)) == 1
+    assert len((tmp_path / FILE_NAME).read_text().split()) > 1
