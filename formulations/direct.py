@@ -41,12 +41,14 @@ class Block(NamedTuple):
         values: shape (r, k) or (k,) for all rows alike.
         constants: shape (r,).
         dimension: of the second-order cones; 1 for the non-negative and 0 for the zero cone.
+        sparse: whether some columns are -1.
     """
 
     columns: Indices
     values: Array
     constants: Array
     dimension: int
+    sparse: bool = False
 
 
 class DirectSubproblem(Subproblem):
@@ -179,7 +181,7 @@ class DirectSubproblem(Subproblem):
             columns[:, 1 + row, column] = -1
         values = np.concatenate([cones.values, np.ones((n, d, 1))], axis=2)
         columns, values = columns.reshape(n * d, -1), values.reshape(n * d, -1)
-        return Block(columns, values, cones.constants.ravel(), d)
+        return Block(columns, values, cones.constants.ravel(), d, sparse=True)
 
 
 class _Pattern:
@@ -212,10 +214,10 @@ class _Pattern:
 
     def program(self, blocks: list[Block], cost: Array) -> ConeProgram:
         """Fill in the numbers: a program's matrix is its own until the next one is made."""
-        values = [
-            np.broadcast_to(block.values, present.shape)[present]
-            for block, present in zip(blocks, self._present, strict=True)
-        ]
+        values = []
+        for block, present in zip(blocks, self._present, strict=True):
+            every = np.broadcast_to(block.values, present.shape)
+            values.append(every[present] if block.sparse else every.ravel())
         self._matrix.data = -np.concatenate(values)[self._order]
         return ConeProgram(
             cost,
