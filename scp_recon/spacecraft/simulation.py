@@ -233,8 +233,10 @@ class Simulator:
     def _executed_burns(self, attitudes: Rotation) -> Array:
         """Impulse of the chemical thruster over the mass, J2000, with the attitudes it had."""
         directions = attitudes.apply(unit(self.plan.vehicle.chemical_thruster.direction))
-        burns = np.empty((len(self.plan.firings), 3))
+        burns = np.zeros((len(self.plan.firings), 3))
         for i, firing in enumerate(self.plan.firings):
+            if not firing.duration_s:
+                continue
             during = slice(*np.searchsorted(self.times_s, [firing.start_s, firing.end_s]).tolist())
             ends = slice(during.start + 1, during.stop + 1)
             mean = 0.5 * (directions[during] + directions[ends]).mean(axis=0)
