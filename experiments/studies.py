@@ -5,14 +5,10 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from scp_recon.errors import InputError
-from scp_recon.status import Status
-
-BAD_INPUT = 2
+from scp_recon.command import guarded
 
 Cell = str | float | int | bool
 
@@ -42,19 +38,8 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def run(study: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
-    """Run a command to its exit status; 2 for bad input, with one line that says which."""
-    try:
-        return study(options)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except OSError as error:
-        where = error.filename or "the terminal"
-        print(f"error: cannot write to {where}: {error.strerror}", file=sys.stderr)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return Status.INTERRUPTED.value.exit_code
+    """Run a study to its exit status; what goes wrong ends it as it ends every command."""
+    return guarded(lambda _: study(options))
 
 
 def to_csv(records: Sequence[Mapping[str, Cell]]) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import numpy.typing as npt
@@ -80,26 +82,35 @@ class Flown:
     attitude_error_rad: float
 
 
-def fly_spacecraft(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Flown:
-    """Simulate one flight: (what errs, seed).
+def simulator() -> ModuleType:
+    """The simulation of the whole spacecraft, which takes seconds to import.
 
     Raises:
         InputError: if Basilisk is not there.
     """
     try:
-        from scp_recon.spacecraft.simulation import Source, simulate
+        return importlib.import_module("scp_recon.spacecraft.simulation")
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith("Basilisk"):
             raise
         raise InputError(
             "--flights", "no Basilisk to fly them with", "needs the extra scp_recon[sim]"
         ) from None
+
+
+def fly_spacecraft(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Flown:
+    """Simulate one flight: (what errs, seed).
+
+    Raises:
+        InputError: if Basilisk is not there.
+    """
+    simulation = simulator()
     errs, seed = job
-    flight = simulate(
+    flight = simulation.simulate(
         solution,
         vehicle,
         seed,
-        sources=[Source(name) for name in SETS[errs]],
+        sources=[simulation.Source(name) for name in SETS[errs]],
         initial_sigma_fraction=vehicle.errors.initial_state,
     )
     at = int(np.searchsorted(flight.times_s, flight.plan.firings[-1].start_s))
@@ -171,6 +182,7 @@ def fly_all(
             logbook.add(work(job))
             tell()
     else:
+        simulator()  # what is missing is to be said once, and here
         with ProcessPoolExecutor(workers) as pool:
             try:
                 for flown in pool.map(work, missing):

@@ -12,12 +12,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 from rich.table import Table
 
+from scp_recon.command import guarded
 from scp_recon.errors import InputError
 from scp_recon.solution import read_solution
+from scp_recon.spacecraft.record import make_record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
-from scp_recon.status import Status
-
-BAD_INPUT = 2
 
 
 def parser() -> argparse.ArgumentParser:
@@ -48,49 +47,44 @@ def _seed(text: str) -> int:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0, 2 after bad input or without Basilisk, 130 if interrupted."""
     options = parser().parse_args(arguments)
-    console, errors = Console(), Console(stderr=True)
+    return guarded(lambda console: _simulate(options, console))
 
-    def refuse(message: str) -> int:
-        errors.print(f"error: {message}", style="red", markup=False, highlight=False)
-        return BAD_INPUT
 
+def _simulate(options: argparse.Namespace, console: Console) -> int:
     try:
         # Basilisk is an extra, and takes seconds to import.
-        from scp_recon.spacecraft.record import make_record, write_record
         from scp_recon.spacecraft.simulation import simulate
     except ImportError as error:
-        return refuse(
-            f"{error.name or 'Basilisk'} is missing: the simulation needs the extra [sim], "
-            "pip install 'scp_recon[sim]'"
-        )
+        raise InputError(
+            "python -m scp_recon.simulate",
+            f"no module named {error.name}",
+            "needs the extra [sim]: pip install 'scp_recon[sim]'",
+        ) from None
+    solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
+    home = options.solution if options.solution.is_dir() else options.solution.parent
+    folder = options.out or home
     try:
-        solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
-        home = options.solution if options.solution.is_dir() else options.solution.parent
-        folder = options.out or home
         folder.mkdir(parents=True, exist_ok=True)
-        bar = Progress(
-            "flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), console=errors
-        )
-        with bar:
-            task = bar.add_task("flight", total=solution.scenario.duration_s)
-            flight = simulate(
-                solution,
-                vehicle,
-                options.seed,
-                progress=lambda time: bar.update(task, completed=time),
-            )
-        record = make_record(flight, solution, options.seed)
-        path = write_record(record, folder)
-    except InputError as error:
-        return refuse(str(error))
     except OSError as error:
-        return refuse(f"cannot write to {options.out or options.solution}: {error.strerror}")
-    except KeyboardInterrupt:
-        errors.print("interrupted, nothing written", style="red")
-        return Status.INTERRUPTED.value.exit_code
+        raise _unwritable(folder, error) from None
+    columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("flight", total=solution.scenario.duration_s)
+        flight = simulate(
+            solution, vehicle, options.seed, progress=lambda time: bar.update(task, completed=time)
+        )
+    record = make_record(flight, solution, options.seed)
+    try:
+        path = write_record(record, folder)
+    except OSError as error:
+        raise _unwritable(folder, error) from None
     show(console, record.summary)
     console.print(f"written: {path}", markup=False, highlight=False)
     return 0
+
+
+def _unwritable(folder: Path, error: OSError) -> InputError:
+    return InputError(f"--out {folder}", error.strerror or str(error), "must be writable")
 
 
 def show(console: Console, summary: dict[str, Any]) -> None:

@@ -137,6 +137,7 @@ class FlightPlan:
 
 
 CONTROL_PERIOD_S = 1.0
+"""How often the sensors are read and the actuators commanded."""
 
 
 def sun_pointing(panels: SolarArray, camera: Array, sun: Array, position: Array) -> Array:

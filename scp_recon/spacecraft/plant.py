@@ -13,13 +13,10 @@ import numpy.typing as npt
 from Basilisk.architecture import messaging, sysModel
 from Basilisk.simulation import (
     GravityGradientEffector,
-    coarseSunSensor,
     facetSRPDynamicEffector,
-    imuSensor,
     reactionWheelStateEffector,
     spacecraft,
     sphericalHarmonicsGravityModel,
-    starTracker,
     thrusterDynamicEffector,
 )
 from Basilisk.utilities import macros, simIncludeGravBody, simIncludeRW, simIncludeThruster
@@ -28,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from scp_recon.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.harmonics import HarmonicField
 from scp_recon.mission import Mission
-from scp_recon.spacecraft.estimator import SensorSigmas, cross_matrix
+from scp_recon.spacecraft.surroundings import Surroundings
 from scp_recon.spacecraft.vehicle import Vehicle
 
 Array = npt.NDArray[np.float64]
@@ -36,65 +33,8 @@ Array = npt.NDArray[np.float64]
 STEP_S = 0.1
 """Of the Runge-Kutta integration: the shortest pulse of a micro-thruster."""
 
-SURROUNDINGS_S = 10.0
-"""How often the asteroid's attitude is renewed; Basilisk extrapolates it to 8e-6 rad in between."""
-
 BASILISK_PRESSURE = 1368.0 / SPEED_OF_LIGHT_M_S
 """Pressure of sunlight at 1 au that facetSRPDynamicEffector has built in, N/m^2."""
-
-
-class Surroundings(sysModel.SysModel):
-    """Attitude of the asteroid, position of the Sun, and the asteroid's shadow as messages.
-
-    The shadow is a cylinder of the reference radius.
-    """
-
-    def __init__(self, mission: Mission) -> None:
-        super().__init__()
-        self.mission = mission
-        self.asteroid = messaging.SpicePlanetStateMsg()
-        self.sun = messaging.SpicePlanetStateMsg()
-        self.shadow = messaging.EclipseMsg()
-        self.states = messaging.SCStatesMsgReader()
-
-    def Reset(self, now: int) -> None:  # noqa: N802, D102
-        self.UpdateState(now)
-
-    def UpdateState(self, now: int) -> None:  # noqa: N802, D102
-        time = now * macros.NANO2SEC
-        rotation = self.mission.rotation
-        to_body = rotation.body_to_j2000(time).T
-        rate = rotation.rate + rotation.acceleration * time
-        asteroid = messaging.SpicePlanetStateMsgPayload()
-        asteroid.J20002Pfix = to_body.tolist()
-        asteroid.J20002Pfix_dot = (
-            -rate * cross_matrix(np.array([0.0, 0.0, 1.0])) @ to_body
-        ).tolist()
-        self.asteroid.write(asteroid, now)
-        direction = self.mission.sun_direction(time)
-        distance = np.linalg.norm(self.mission.scenario.sun.body_position_km) * 1e3
-        sun = messaging.SpicePlanetStateMsgPayload()
-        sun.PositionVector = (distance * direction).tolist()
-        self.sun.write(sun, now)
-        position = np.array(self.states().r_BN_N)
-        along = float(position @ direction)
-        across = np.linalg.norm(position - along * direction)
-        dark = along < 0.0 and across < self.mission.scenario.body.reference_radius_m
-        self.shadow.write(messaging.EclipseMsgPayload(illuminationFactor=float(not dark)), now)
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """Basilisk's sensor models, each with its own seed."""
-
-    star_tracker: starTracker.StarTracker
-    gyro: imuSensor.ImuSensor
-    suns: tuple[coarseSunSensor.CoarseSunSensor, ...]
-
-    @property
-    def models(self) -> list[sysModel.SysModel]:
-        """All of them."""
-        return [self.star_tracker, self.gyro, *self.suns]
 
 
 @dataclass(frozen=True)
@@ -196,38 +136,6 @@ def build_plant(
         wheel_config,
         micro_config,
     )
-
-
-def build_sensors(
-    plant: Plant, vehicle: Vehicle, sigmas: SensorSigmas, seeds: dict[str, int]
-) -> Sensors:
-    """Sensors on a plant, whose noise is white with the given sigmas."""
-    states, white = plant.hub.scStateOutMsg, np.zeros((3, 3)).tolist()
-    tracker = starTracker.StarTracker()
-    tracker.scStateInMsg.subscribeTo(states)
-    tracker.PMatrix = (sigmas.star_tracker * np.eye(3)).tolist()
-    tracker.setAMatrix(white)
-    tracker.setWalkBounds([[np.pi]] * 3)
-    tracker.RNGSeed = seeds["star_tracker"]
-    gyro = imuSensor.ImuSensor()
-    gyro.scStateInMsg.subscribeTo(states)
-    gyro.PMatrixGyro = (sigmas.gyro / vehicle.sensors.period_s * np.eye(3)).tolist()
-    gyro.setAMatrixGyro(white)
-    gyro.setWalkBoundsGyro(np.full(3, np.pi))
-    gyro.RNGSeed = seeds["imu"]
-    suns = []
-    for index, boresight in enumerate(vehicle.sensors.sun_sensors):
-        sun = coarseSunSensor.CoarseSunSensor()
-        sun.stateInMsg.subscribeTo(states)
-        sun.sunInMsg.subscribeTo(plant.surroundings.sun)
-        sun.sunEclipseInMsg.subscribeTo(plant.surroundings.shadow)
-        sun.nHat_B = [[x] for x in boresight]
-        sun.fov = np.deg2rad(vehicle.sensors.sun_sensor_half_angle_deg)
-        sun.senNoiseStd = sigmas.sun_sensor
-        sun.minOutput, sun.maxOutput = -10.0, 10.0
-        sun.RNGSeed = (seeds["sun_sensor"] + index) % 2**32
-        suns.append(sun)
-    return Sensors(tracker, gyro, tuple(suns))
 
 
 def _attach_gravity(

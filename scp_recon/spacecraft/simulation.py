@@ -20,14 +20,10 @@ from scp_recon.spacecraft.control import build_flight_software
 from scp_recon.spacecraft.estimator import AttitudeFilter, SensorSigmas
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
-from scp_recon.spacecraft.plant import (
-    STEP_S,
-    SURROUNDINGS_S,
-    Start,
-    build_plant,
-    build_sensors,
-)
+from scp_recon.spacecraft.plant import STEP_S, Start, build_plant
 from scp_recon.spacecraft.power import Bus
+from scp_recon.spacecraft.sensors import build_sensors
+from scp_recon.spacecraft.surroundings import SURROUNDINGS_S
 from scp_recon.spacecraft.vehicle import Errors, Vehicle
 
 Array = npt.NDArray[np.float64]
@@ -156,7 +152,13 @@ class Simulator:
         self.plan, self.times_s = plan, times_s
         field = HarmonicField.bennu(plan.mission.scenario.body.gm_m3_s2, HARMONICS_DEGREE)
         self.plant = build_plant(plan.mission, plan.vehicle, start, field=field)
-        sensors = build_sensors(self.plant, plan.vehicle, sigmas, draws.seeds)
+        sensors = build_sensors(
+            self.plant.hub.scStateOutMsg,
+            self.plant.surroundings,
+            plan.vehicle,
+            sigmas,
+            draws.seeds,
+        )
         # Designed for all errors: the filter cannot know which sources are left out, and one that took
         # the gyro for perfect would in time ignore the star tracker.
         expected = sensor_sigmas(plan.vehicle.errors, frozenset(Source))
@@ -231,8 +233,10 @@ class Simulator:
     def _executed_burns(self, attitudes: Rotation) -> Array:
         """Impulse of the chemical thruster over the mass, J2000, with the attitudes it had."""
         directions = attitudes.apply(unit(self.plan.vehicle.chemical_thruster.direction))
-        burns = np.empty((len(self.plan.firings), 3))
+        burns = np.zeros((len(self.plan.firings), 3))
         for i, firing in enumerate(self.plan.firings):
+            if not firing.duration_s:
+                continue
             during = slice(*np.searchsorted(self.times_s, [firing.start_s, firing.end_s]).tolist())
             ends = slice(during.start + 1, during.stop + 1)
             mean = 0.5 * (directions[during] + directions[ends]).mean(axis=0)

@@ -135,14 +135,13 @@ class ChemicalThruster(Section):
 
 
 class Sensors(Section):
-    """Boresights, and how often all are read."""
+    """Boresights, and what the sensors see."""
 
     camera: NonZeroVector
     star_tracker: NonZeroVector
     star_tracker_sun_exclusion_deg: Annotated[float, Field(ge=0, le=180)]
     sun_sensors: Annotated[tuple[NonZeroVector, ...], Field(min_length=1)]
     sun_sensor_half_angle_deg: Annotated[float, Field(gt=0, le=90)]
-    period_s: Positive
 
 
 class Errors(Section):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import builtins
 import csv
+import subprocess
 import sys
 from pathlib import Path
 
@@ -25,7 +25,6 @@ from experiments.uncertainty_flights import (
     Logbook,
     fly_all,
     fly_paths,
-    fly_spacecraft,
 )
 from experiments.uncertainty_report import (
     BOTH,
@@ -37,7 +36,6 @@ from experiments.uncertainty_report import (
 )
 from experiments.uncertainty_sources import main
 from experiments.uncertainty_statistics import dispersion, normality
-from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.scenario import load_scenario
 from scp_recon.solution import Solution
@@ -115,21 +113,25 @@ def test_sets_are_the_simulations_sources() -> None:
     assert {source.value for source in simulation.Source} == set(SETS["all"])
 
 
+@pytest.mark.parametrize("workers", ["1", "2"])
 def test_without_basilisk_the_extra_is_named(
-    solution: Solution, vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
+    solution: Solution, tmp_path: Path, workers: str
 ) -> None:
-    name = "scp_recon.spacecraft.simulation"
-    real = builtins.__import__
-
-    def without(module: str, *rest: object) -> object:
-        if module == name:
-            raise ModuleNotFoundError("No module named 'Basilisk'", name="Basilisk")
-        return real(module, *rest)  # type: ignore[arg-type]
-
-    monkeypatch.delitem(sys.modules, name, raising=False)
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(InputError, match=r"scp_recon\[sim\]"):
-        fly_spacecraft(solution, vehicle, ("none", 0))
+    solution.write(tmp_path)
+    code = (
+        "import sys; sys.modules['Basilisk'] = None\n"
+        "from experiments.uncertainty_sources import main; sys.exit(main(sys.argv[1:]))"
+    )
+    options = ["--solution", str(tmp_path), "--out", str(tmp_path), "--workers", workers]
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code, *options],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert run.returncode == 2
+    assert "needs the extra scp_recon[sim]" in " ".join(run.stderr.split())
 
 
 # --- statistics -----------------------------------------------------------------------------------
@@ -206,6 +208,18 @@ def test_flights_in_the_logbook_are_not_flown_again(
     errors = vehicle.errors.model_copy(update={"imu_rad_s": 1e-3})
     other = vehicle.model_copy(update={"errors": errors})
     assert not Logbook(tmp_path, solution, other).flown
+
+
+def test_two_processes_fly_what_one_does(
+    solution: Solution, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("Basilisk")
+    monkeypatch.setattr(uncertainty_flights, "fly_spacecraft", simulated)
+    jobs = [("imu", seed) for seed in range(5)]
+    logbook = Logbook(tmp_path, solution, vehicle)
+    found = fly_all(logbook, solution, vehicle, jobs, workers=2)
+    assert found == [simulated(solution, vehicle, job) for job in jobs]
+    assert set(Logbook(tmp_path, solution, vehicle).flown) == set(jobs)
 
 
 def test_a_damaged_logbook_is_begun_anew(

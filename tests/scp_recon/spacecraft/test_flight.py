@@ -4,6 +4,7 @@ import contextlib
 import io
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -204,6 +205,27 @@ def test_momentum_is_dumped_and_the_attitude_kept(
     estimate = sim.navigator.filter.mrp
     wanted = sim.navigator.commands[499].as_mrp()
     assert np.abs(estimate - wanted).max() < 0.02
+
+
+def test_a_burn_of_zero_is_no_burn(
+    short_solution: Solution, short_mission: Mission, vehicle: Vehicle
+) -> None:
+    nothing = short_solution.burns[0].model_copy(update={"dv_m_s": (0.0, 0.0, 0.0)})
+    solution = short_solution.model_copy(update={"burns": [nothing, short_solution.burns[1]]})
+    plan = FlightPlan.of(solution, short_mission, vehicle)
+    times = np.arange(30.0)
+    commands = plan.attitudes(times)
+    draws = Draws.of(plan, short_mission.initial_sigma, len(times), 1, NOTHING)
+    start = Start(short_mission.initial_state, commands[0], np.zeros(3), np.zeros(4))
+    sigmas = sensor_sigmas(vehicle.errors, NOTHING)
+    only = replace(plan, firings=plan.firings[:1])
+    sim = Simulator(only, commands, start, draws, sigmas, times)
+    sim.run()
+    flight = sim.flight()
+    assert not flight.burns_m_s.any()
+    drift = flight.states[-1, :3] - short_mission.initial_state[:3]
+    expected = 29.0 * short_mission.initial_state[3:]
+    np.testing.assert_allclose(drift, expected, atol=0.01)
 
 
 def test_the_same_seed_gives_the_same_flight(
