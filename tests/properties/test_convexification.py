@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import get_args
 
 import casadi as ca
@@ -72,6 +73,9 @@ def test_the_model_error_falls_with_the_square_of_the_step(
     name: str, rng: np.random.Generator, facets: int
 ) -> None:
     flyby = some_flyby(rng)
+    # A spread that counts, or its linearisation would not.
+    wide = replace(flyby.problem, initial_factor=20.0 * flyby.problem.initial_factor)
+    flyby = replace(flyby, problem=wide)
     lin = flyby.perturbed(rng, 0.1, 0.0)
     subproblem = make_subproblem(lin.problem, rows_of(lin, name, facets))
     subproblem.update(lin)
@@ -81,11 +85,10 @@ def test_the_model_error_falls_with_the_square_of_the_step(
         flown = flyby.waves.linearise(flyby.problem, flyby.waves.rollout(flyby.problem, step.burns))
         return abs(subproblem.merit(flown, WEIGHT) - step.merit)
 
-    coarse, fine = error(1e-2), error(1e-3)
-    # A hundredth, but for the direction of the step, which changes, and the solver's tolerance.
-    assert fine < 0.05 * coarse + 1e-6 * subproblem.merit(lin, WEIGHT)
-    # And by no more than a moderate multiple of the square.
-    assert fine < 1e3 * WEIGHT * 1e-3**2
+    coarse, fine = error(1e-2), error(1e-4)
+    # A ten-thousandth, but that the step may turn, and for the solver's tolerance; a model that
+    # leaves out a derivative errs by a hundredth.
+    assert fine < 2e-3 * coarse + 1e-7 * subproblem.merit(lin, WEIGHT)
 
 
 # --- the derivative by automatic differentiation ------------------------------------------------
