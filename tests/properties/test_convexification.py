@@ -19,10 +19,18 @@ from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.problem import FlybyProblem
 from formulations.rows import P2Rows, P3Rows, Rows
-from tests.helpers import Array, Flyby, Waves, constrain, generators, random_flyby
+from tests.helpers import (
+    Array,
+    Flyby,
+    Waves,
+    constrain,
+    generators,
+    random_flyby,
+    share_of_examples,
+)
 
 WEIGHT = 10.0
-few = settings(max_examples=settings().max_examples // 6)
+few = settings(max_examples=share_of_examples(6))
 
 
 def rows_of(lin: Linearisation, name: str, facets: int) -> Rows:
@@ -40,7 +48,7 @@ def some_flyby(rng: np.random.Generator) -> Flyby:
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-@settings(max_examples=settings().max_examples // 30)
+@settings(max_examples=share_of_examples(30))
 @given(generators, st.sampled_from(get_args(Penalty)), st.integers(4, 8))
 def test_every_subproblem_is_disciplined_convex_and_parametrised(
     formulation: str, name: str, rng: np.random.Generator, penalty: Penalty, facets: int
