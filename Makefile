@@ -26,7 +26,7 @@ format: $(VENV)/.dev  ## format, and fix what can be fixed
 types: $(VENV)/.dev  ## check the types
 	$(BIN)/mypy
 
-nightly: $(VENV)/.test  ## look harder: 1000 examples a property, and the table of reliability figures
+nightly: $(VENV)/.test  ## look harder: 500 examples a property, and the table of reliability figures
 	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest -n 2 --timeout 3600 \
 	--reliability runs/reliability.md
 

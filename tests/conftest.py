@@ -15,7 +15,7 @@ from tests import reliability
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 
 settings.register_profile("default", max_examples=60, deadline=None, derandomize=False)
-settings.register_profile("nightly", max_examples=1000, deadline=None, derandomize=False)
+settings.register_profile("nightly", max_examples=500, deadline=None, derandomize=False)
 # For mutation testing: fast and repeatable, and a failure needs no simple example.
 settings.register_profile(
     "mutation",

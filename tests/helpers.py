@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from formulations.lifting import Linearisation
@@ -14,6 +15,12 @@ from formulations.problem import FlybyProblem, Iterate, StateConstraint
 from formulations.regions import Ball, Cone
 
 Array = npt.NDArray[np.float64]
+
+
+def share_of_examples(divisor: int) -> int:
+    """Examples of a property that takes its time: a fraction of the profile's."""
+    return max(1, settings().max_examples // divisor)
+
 
 generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 """Random generators for what is built rather than drawn."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import get_args
 
 import casadi as ca
@@ -18,10 +19,18 @@ from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.problem import FlybyProblem
 from formulations.rows import P2Rows, P3Rows, Rows
-from tests.helpers import Array, Flyby, Waves, constrain, generators, random_flyby
+from tests.helpers import (
+    Array,
+    Flyby,
+    Waves,
+    constrain,
+    generators,
+    random_flyby,
+    share_of_examples,
+)
 
 WEIGHT = 10.0
-few = settings(max_examples=settings().max_examples // 6)
+few = settings(max_examples=share_of_examples(6))
 
 
 def rows_of(lin: Linearisation, name: str, facets: int) -> Rows:
@@ -39,7 +48,7 @@ def some_flyby(rng: np.random.Generator) -> Flyby:
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-@settings(max_examples=settings().max_examples // 30)
+@settings(max_examples=share_of_examples(30))
 @given(generators, st.sampled_from(get_args(Penalty)), st.integers(4, 8))
 def test_every_subproblem_is_disciplined_convex_and_parametrised(
     formulation: str, name: str, rng: np.random.Generator, penalty: Penalty, facets: int
@@ -72,6 +81,9 @@ def test_the_model_error_falls_with_the_square_of_the_step(
     name: str, rng: np.random.Generator, facets: int
 ) -> None:
     flyby = some_flyby(rng)
+    # A spread that counts, or its linearisation would not.
+    wide = replace(flyby.problem, initial_factor=20.0 * flyby.problem.initial_factor)
+    flyby = replace(flyby, problem=wide)
     lin = flyby.perturbed(rng, 0.1, 0.0)
     subproblem = make_subproblem(lin.problem, rows_of(lin, name, facets))
     subproblem.update(lin)
@@ -81,11 +93,10 @@ def test_the_model_error_falls_with_the_square_of_the_step(
         flown = flyby.waves.linearise(flyby.problem, flyby.waves.rollout(flyby.problem, step.burns))
         return abs(subproblem.merit(flown, WEIGHT) - step.merit)
 
-    coarse, fine = error(1e-2), error(1e-3)
-    # A hundredth, but for the direction of the step, which changes, and the solver's tolerance.
-    assert fine < 0.05 * coarse + 1e-6 * subproblem.merit(lin, WEIGHT)
-    # And by no more than a moderate multiple of the square.
-    assert fine < 1e3 * WEIGHT * 1e-3**2
+    coarse, fine = error(1e-2), error(1e-4)
+    # A ten-thousandth, but that the step may turn, and for the solver's tolerance; a model that
+    # leaves out a derivative errs by a hundredth.
+    assert fine < 2e-3 * coarse + 1e-7 * subproblem.merit(lin, WEIGHT)
 
 
 # --- the derivative by automatic differentiation ------------------------------------------------

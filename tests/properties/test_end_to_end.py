@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scp_recon.solution import Solution, read_solution
 from scp_recon.status import Status
 from tests import reliability
+from tests.helpers import share_of_examples
 from tests.scenarios import scenarios
 from tests.scp_recon.support import CommandLine, run_solve
 
@@ -20,7 +21,7 @@ OPTIONS = st.tuples(
     st.sampled_from([[], ["--init", "warm"]]), st.sampled_from([[], ["--facet-rounds", "1"]])
 )
 expensive = settings(
-    max_examples=settings().max_examples // 10,
+    max_examples=share_of_examples(10),
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.too_slow],
 )

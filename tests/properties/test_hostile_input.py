@@ -28,6 +28,7 @@ from scp_recon.results import make_solution
 from scp_recon.scenario import load_scenario
 from scp_recon.solution import read_solution
 from tests import reliability
+from tests.helpers import share_of_examples
 from tests.scenarios import COARSE
 
 RECON_B: dict[str, Any] = tomllib.loads(
@@ -273,7 +274,7 @@ def test_a_damaged_solution_is_read_or_refused(solved: Path, data: st.DataObject
         assert_touched_only(touched, path.resolve())
 
 
-@settings(patient, max_examples=settings().max_examples // 6)
+@settings(patient, max_examples=share_of_examples(6))
 @given(st.data())
 def test_a_damaged_solution_is_verified_or_refused(solved: Path, data: st.DataObject) -> None:
     """And never confirmed where a number of the plan was changed."""

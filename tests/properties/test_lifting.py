@@ -102,6 +102,16 @@ def test_columns_left_out_are_zero_in_the_positions(flyby: Flyby, rng: np.random
         assert not np.any(part[nodes, :3, used:])
 
 
+@given(flybys)
+def test_columns_in_use_are_the_initial_ones_and_three_per_burn_before(flyby: Flyby) -> None:
+    problem = flyby.problem
+    initial = problem.initial_factor.shape[1]
+    assert factor_columns_used(problem, np.zeros(0, dtype=np.intp)) == initial
+    for node in range(problem.n_nodes):
+        before = int((problem.burn_nodes < node).sum())
+        assert factor_columns_used(problem, np.array([0, node])) == initial + 3 * before
+
+
 # --- the affine map is the derivative -----------------------------------------------------------
 
 

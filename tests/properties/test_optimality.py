@@ -25,11 +25,11 @@ from scp_recon.planner import Plan, Stage, plan
 from scp_recon.scenario import load_scenario
 from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
-from tests.helpers import Array
+from tests.helpers import Array, share_of_examples
 from tests.scenarios import planned, scenarios
 
 expensive = settings(
-    max_examples=settings().max_examples // 20,
+    max_examples=share_of_examples(20),
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )

@@ -238,6 +238,21 @@ def test_margins_are_positive_on_the_allowed_side_only(region: Region, point: Ar
 
 
 @given(generators)
+def test_no_node_knows_the_size_of_anothers_distance(rng: np.random.Generator) -> None:
+    """Points at distances of 1e-150 to 1e150 from their regions, in one call and one by one."""
+    sizes = np.array([1e-150, 1e-8, 1.0, 1e8, 1e150])[:, None]
+    anchor, axis = np.zeros((5, 3)), random_unit(rng, 5)
+    point = sizes * random_unit(rng, 5)
+    for together, each in (
+        (Ball(anchor, 0.7), [Ball(anchor[[i]], 0.7) for i in range(5)]),
+        (Cone(anchor, axis, 0.4), [Cone(anchor[[i]], axis[[i]], 0.4) for i in range(5)]),
+    ):
+        normals = together.supporting(point).normal
+        for i, alone in enumerate(each):
+            assert alone.supporting(point[[i]]).normal[0] == pytest.approx(normals[i], abs=EXACT)
+
+
+@given(generators)
 def test_each_nodes_region_is_its_own(rng: np.random.Generator) -> None:
     n = 5
     anchor, axis, point = rng.normal(size=(n, 3)), random_unit(rng, n), rng.normal(size=(n, 3))
