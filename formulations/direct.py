@@ -7,13 +7,16 @@ The same program as `modelled` writes in CVXPY, in the variables
     s   the sum of squares that a penalty charges, if it does: as a cone, because as a quadratic
         objective it keeps the solvers short of their tolerances
 
-Every constraint says that an affine function of them lies in a cone. Their sparsity never changes, so
-an iteration fills in numbers and the solver keeps its symbolic factorisation.
+Every constraint says that an affine function of them lies in a cone. As long as the same rows are in
+the program its sparsity does not change, so that an iteration fills in numbers and the solver keeps its
+symbolic factorisation. Rows far from binding are left out: the answer is checked against all of them,
+and solved again with those that it misses, so that it is the whole program's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
 
@@ -31,6 +34,13 @@ from formulations.rows import Cones, Rows
 from formulations.subproblem import Step, Subproblem, SubproblemError
 
 Indices = npt.NDArray[np.intp]
+
+NEAR, SHRINK = 0.04, 1.5
+"""Room, in units of length, up to which a row takes part from the start, and how many times more rows
+than that may take part before the others are dropped."""
+
+MISSED = 1e-9
+"""Violation of a row that takes no part at which it has to: the conic solver's own tolerance."""
 
 
 class Block(NamedTuple):
@@ -71,15 +81,20 @@ class DirectSubproblem(Subproblem):
         penalty: Penalty = "exact",
     ) -> None:
         super().__init__(problem, rows)
-        self._condense, self._penalty = CONDENSATIONS[formulation], penalty
-        self._solver = Recovering(solver)
-        m = problem.n_burns
-        squares = 0 if penalty == "exact" else 1
-        ends = np.cumsum([3 * m, m, 6, 3 * m + rows.count, squares])
+        self._condense, self._penalty, self._name = CONDENSATIONS[formulation], penalty, solver
+        self._choose(np.zeros(rows.count, dtype=np.bool_))
+
+    def _choose(self, active: npt.NDArray[np.bool_]) -> None:
+        """Lay out the program with some of the rows; the solver starts anew."""
+        m = self.problem.n_burns
+        self._active, self._place = active, np.cumsum(active) - 1
+        squares = 0 if self._penalty == "exact" else 1
+        ends = np.cumsum([3 * m, m, 6, 3 * m + int(active.sum()), squares])
         self._z, self._t, self._a, self._v, self._s = (
             np.arange(first, last) for first, last in zip([0, *ends], ends, strict=False)
         )
         self._pattern: _Pattern | None = None
+        self._solver = Recovering(self._name)
 
     def update(self, lin: Linearisation) -> None:
         """Convexify at an iterate. Raises as `Subproblem.update` does."""
@@ -90,11 +105,27 @@ class DirectSubproblem(Subproblem):
         self._burns, self._cones = lin.iterate.burns, self.rows.cones(lin, s)
         constant, jacobian = final_state_map(lin)
         self._miss = constant - self.problem.final_state, jacobian
+        near = self._slack(lin.iterate.burns) < NEAR
+        if np.any(near & ~self._active):
+            self._choose(near | self._active)
+        elif self._active.sum() > SHRINK * near.sum():
+            self._choose(near)
 
     def solve(self, radius: float, charge: float | Charge) -> Step:
         """See `Subproblem.solve`."""
-        start = perf_counter()
+        start, solver_s = perf_counter(), 0.0
         charge = charge if isinstance(charge, Charge) else Charge(charge)
+        while True:
+            step = self._attempt(radius, charge)
+            solver_s += step.solver_s
+            missed = ~self._active & (self._slack(step.burns) < -MISSED)
+            if not missed.any():
+                break
+            self._choose(self._active | missed)
+        return replace(step, solver_s=solver_s, canonicalise_s=perf_counter() - start - solver_s)
+
+    def _attempt(self, radius: float, charge: Charge) -> Step:
+        """Solve with the rows that are in the program."""
         blocks = sorted(self._blocks(radius), key=lambda block: block.dimension)
         if self._pattern is None:
             self._pattern = _Pattern(blocks, self._variables)
@@ -107,10 +138,16 @@ class DirectSubproblem(Subproblem):
         x = answer.x
         if self._penalty == "proximal":  # whose charge for the step is no part of the merit
             cost[self._s] = 0.0
-        merit = float(cost @ x)
-        other = perf_counter() - start - answer.solver_s
         burns = x[self._z].reshape(-1, 3)
-        return Step(burns, merit, answer.solver_s, other, answer.accurate)
+        return Step(burns, float(cost @ x), answer.solver_s, 0.0, answer.accurate)
+
+    def _slack(self, burns: Array) -> Array:
+        """Room that the model leaves in every row, >= 0 where it is satisfied, shape (rows,)."""
+        slack = np.empty(self.rows.count)
+        for cones in self._cones:
+            y = cones.values @ burns.ravel()[: cones.values.shape[2]] + cones.constants
+            slack[cones.rows] = y[:, 0] - np.linalg.norm(y[:, 1:], axis=1)
+        return slack
 
     @property
     def _variables(self) -> int:
@@ -121,7 +158,10 @@ class DirectSubproblem(Subproblem):
         cost = np.zeros(self._variables)
         cost[self._t] = 1.0
         if self._penalty == "augmented":
-            cost[np.concatenate([self._a, self._v])] = charge.multipliers
+            limits = 6 + 3 * self.problem.n_burns
+            assert charge.multipliers is not None
+            rows = charge.multipliers[limits:][self._active]
+            cost[self._a[0] : self._v[-1] + 1] = np.r_[charge.multipliers[:limits], rows]
             cost[self._s] = 0.5 * charge.weight
             return cost
         cost[self._a], cost[self._v] = DYNAMICS_WEIGHT * charge.weight, charge.weight
@@ -172,16 +212,18 @@ class DirectSubproblem(Subproblem):
         return Block(column, values, constants, len(constants))
 
     def _row_block(self, cones: Cones) -> Block:
-        n, d, p = cones.values.shape
+        chosen = self._active[cones.rows]
+        values, constants = cones.values[chosen], cones.constants[chosen]
+        n, d, p = values.shape
         columns = np.full((n, d, p + 1), -1)
         columns[:, :, :p] = self._z[:p]
-        columns[:, 0, p] = self._v[3 * self.problem.n_burns + cones.rows]
+        columns[:, 0, p] = self._v[3 * self.problem.n_burns + self._place[cones.rows[chosen]]]
         if cones.triangular:
             row, column = np.tril_indices(d - 1, -1, p)
             columns[:, 1 + row, column] = -1
-        values = np.concatenate([cones.values, np.ones((n, d, 1))], axis=2)
-        columns, values = columns.reshape(n * d, -1), values.reshape(n * d, -1)
-        return Block(columns, values, cones.constants.ravel(), d, sparse=True)
+        values = np.concatenate([values, np.ones((n, d, 1))], axis=2)
+        columns, values = columns.reshape(n * d, p + 1), values.reshape(n * d, p + 1)
+        return Block(columns, values, constants.ravel(), d, sparse=True)
 
 
 class _Pattern:

@@ -10,18 +10,18 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 
-from formulations import conic, interior_point
+from formulations import conic, direct, interior_point
 from formulations.condensations import CONDENSATIONS
 from formulations.direct import DirectSubproblem
-from formulations.facets import Facets, Polytopes, choose_facets
+from formulations.facets import Polytopes, choose_facets
 from formulations.interior_point import SOLVERS, Answer, ConeProgram, Recovering
 from formulations.lifting import Linearisation, condense
 from formulations.modelled import ModelledSubproblem
 from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Subproblem, SubproblemError
-from tests.helpers import Array, constrain, generators, random_flyby
+from formulations.subproblem import Step, Subproblem, SubproblemError
+from tests.helpers import constrain, generators, random_flyby
 
 PENALTIES: tuple[Penalty, ...] = get_args(Penalty)
 TIGHT = 1e-11
@@ -72,9 +72,9 @@ def test_the_direct_program_has_the_modelled_programs_solution(
         steps.append(subproblem.solve(0.8, charge))
     # A minimum is known better than where it is; the proximal term is part of what is minimised.
     proximal = [0.5 * charge.prox * ((s.burns - lin.iterate.burns) ** 2).sum() for s in steps]
-    direct, modelled = (step.merit + extra for step, extra in zip(steps, proximal, strict=True))
+    found, modelled = (step.merit + extra for step, extra in zip(steps, proximal, strict=True))
     # Where squares are charged the conic solver itself is no better than this.
-    assert direct == pytest.approx(modelled, rel=1e-7 if penalty == "exact" else 1e-6)
+    assert found == pytest.approx(modelled, rel=1e-7 if penalty == "exact" else 1e-6)
     assert steps[0].burns == pytest.approx(steps[1].burns, abs=1e-3)
 
 
@@ -137,31 +137,45 @@ def test_triangular_factors_preserve_every_facets_deviation(rng: np.random.Gener
     assert np.all(seen == 1)
 
 
-def test_facets_that_cannot_bind_may_be_left_out() -> None:
+@pytest.mark.parametrize("near", [-np.inf, 0.0, 0.2])
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@settings(max_examples=10)
+@given(generators)
+def test_rows_that_are_left_out_change_nothing(
+    name: str, penalty: Penalty, near: float, rng: np.random.Generator
+) -> None:
+    lin = linearised(rng)
+    rows = every_row(lin, name)
+    charge, steps = charge_for(penalty, rows, lin), []
+    with pytest.MonkeyPatch.context() as patch:
+        for room in (near, np.inf):
+            patch.setattr(direct, "NEAR", room)
+            subproblem = DirectSubproblem(lin.problem, rows, penalty=penalty)
+            subproblem.update(lin)
+            steps.append(subproblem.solve(0.5, charge))
+    moved = [0.5 * charge.prox * ((s.burns - lin.iterate.burns) ** 2).sum() for s in steps]
+    some, every = (step.merit + extra for step, extra in zip(steps, moved, strict=True))
+    assert some == pytest.approx(every, rel=1e-7 if penalty == "exact" else 1e-6)
+
+
+def test_rows_far_from_binding_are_left_out_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
     lin = linearised(np.random.default_rng(7))
-    every = every_row(lin, "P2")
-    assert isinstance(every, P2Rows)
-    steps = []
-    for rows in (every, P2Rows(lin.problem, every.facets, binding(lin, every.facets))):
-        subproblem = DirectSubproblem(lin.problem, rows)
-        subproblem.update(lin)
-        steps.append(subproblem.solve(0.05, 10.0))
-    assert steps[1].merit == pytest.approx(steps[0].merit, rel=1e-7)
+    rows, sizes = every_row(lin, "P2"), []
+    attempt = DirectSubproblem._attempt
 
+    def count(self: DirectSubproblem, radius: float, charge: Charge) -> Step:
+        sizes.append(int(self._active.sum()))
+        return attempt(self, radius, charge)
 
-def binding(lin: Linearisation, facets: Facets) -> Array:
-    """Those that any step of the trust region brings within reach."""
-    s = condense(lin)
-    worst = np.full(len(facets.node), np.inf)
-    rng = np.random.default_rng(0)
-    for _ in range(400):
-        z = lin.iterate.burns.ravel() + 0.05 * rng.choice([-1.0, 1.0], size=12)
-        mean = s.mean_constant + s.mean_jacobian @ z
-        factor = s.factor_constant + s.factor_jacobian @ z
-        worst = np.minimum(worst, facets.margin(mean, factor))
-    keep = worst < 0.0
-    assert 0 < keep.sum() < len(keep)
-    return keep
+    monkeypatch.setattr(DirectSubproblem, "_attempt", count)
+    monkeypatch.setattr(direct, "NEAR", -np.inf)
+    subproblem = DirectSubproblem(lin.problem, rows)
+    subproblem.update(lin)
+    subproblem.solve(0.5, 10.0)
+    assert sizes[0] == 0
+    assert sizes == sorted(set(sizes))
+    assert 0 < sizes[-1] < rows.count
 
 
 # --- failures -----------------------------------------------------------------------------------
