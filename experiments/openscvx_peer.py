@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
+import importlib.util
 import io
 import sys
 from collections.abc import Sequence
@@ -190,11 +191,12 @@ def _turning(ox: Any, mission: Mission, values: Array, time: Any, times_s: Array
     return fixed + ox.Cos(rate * time[0]) * cosine + ox.Sin(rate * time[0]) * sine
 
 
-def peers_row(mission: Mission, problem: Problem, weights: dict[str, float]) -> tuple[str, ...]:
+def peers_row(mission: Mission, start: Iterate, weights: dict[str, float]) -> tuple[str, ...]:
     """Solve it in OpenSCvx with given weights, and fly the burns by the planner's dynamics."""
     import openscvx as ox
 
     begin = perf_counter()
+    problem = pose(mission, start)  # anew: its variables belong to one problem
     with contextlib.redirect_stdout(io.StringIO()):  # it prints a table as it goes
         solver = ox.Problem(**problem.arguments, algorithm=dict(weights))
         solver.initialize()
@@ -248,16 +250,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(out: Path, console: Console) -> int:
     mission = Mission.from_scenario(load_scenario())
     start = guess.ballistic(mission)
-    try:
-        problem = pose(mission, start)
-    except ModuleNotFoundError as error:
-        if error.name != "openscvx":
-            raise
-        raise InputError("the peer", "no OpenSCvx", "install the extra scp_recon[peer]") from None
+    if importlib.util.find_spec("openscvx") is None:
+        raise InputError("the peer", "no OpenSCvx", "install the extra scp_recon[peer]")
     rows = [
         our_row(mission, start, "scvx", "CLARABEL"),
         our_row(mission, start, "ptr", "QOCO"),
-        *(peers_row(mission, problem, weights) for weights in WEIGHTS),
+        *(peers_row(mission, start, weights) for weights in WEIGHTS),
     ]
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([HEAD, *rows])
