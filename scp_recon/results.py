@@ -13,6 +13,7 @@ from scp_recon.scp import Record
 from scp_recon.solution import (
     Burn,
     ConstraintResult,
+    FacetTable,
     IterationRecord,
     Nodes,
     Solution,
@@ -59,6 +60,7 @@ def make_solution(
         ),
         stages=[_summary(mission, stage) for stage in plan.stages],
         constraints=constraint_results(mission, plan.final),
+        facets=_facet_table(mission, plan.final),
         violation=_violation(mission, plan.final),
         iterations=[
             iteration_record(mission, stage.name, record)
@@ -126,6 +128,20 @@ def _all_margins(mission: Mission, stage: Stage) -> dict[str, Margins]:
             rows = facets.constraint == index
             margins[constraint.name] = Margins(facets.node[rows], margin[rows])
     return margins
+
+
+def _facet_table(mission: Mission, stage: Stage) -> FacetTable | None:
+    facets = stage.facets
+    if facets is None:
+        return None
+    names = [c.name for c in mission.problem.constraints]
+    return FacetTable(
+        constraint=[names[i] for i in facets.constraint],
+        node=facets.node.tolist(),
+        normal=facets.normal.tolist(),
+        offset_m=(facets.offset * mission.units.length_m).tolist(),
+        quantile=facets.quantile.tolist(),
+    )
 
 
 def _violation(mission: Mission, stage: Stage) -> Violation:

@@ -61,6 +61,22 @@ class Nodes(Part):
         return self
 
 
+class FacetTable(Part):
+    """Facets n'y <= offset of P2, one row each; `node` counts from 0."""
+
+    constraint: list[Line]
+    node: list[Annotated[int, Field(ge=0)]]
+    normal: list[tuple[float, float, float]]
+    offset_m: list[float]
+    quantile: list[float]
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if len({len(column) for _, column in self}) != 1:
+            raise ValueError("facets must have columns of one length")
+        return self
+
+
 class StageSummary(Part):
     """One run of the SCP."""
 
@@ -186,6 +202,7 @@ class Solution(Part):
     nodes: Nodes
     stages: list[StageSummary]
     constraints: list[ConstraintResult]
+    facets: FacetTable | None = None
     violation: Violation
     iterations: list[IterationRecord]
     timing_s: TimingSummary

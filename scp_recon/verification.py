@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from scp_recon import geometry
+from scp_recon.consistency import inconsistencies
 from scp_recon.estimates import CONFIDENCE, proportion
 from scp_recon.forces import ForceModel, acceleration
 from scp_recon.mission import Mission
@@ -66,7 +67,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     failed = [
         name for (name, value), most in zip(figures.items(), limits, strict=True) if value > most
     ]
-    failed += _inconsistencies(mission, solution)
+    failed += inconsistencies(mission, solution)
     if solution.status != Status.CONVERGED.value.name:
         failed.append("status")
     failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
@@ -82,18 +83,6 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         failed=failed,
         ok=not failed,
     )
-
-
-def _inconsistencies(mission: Mission, solution: Solution) -> list[str]:
-    """Parts of a solution that contradict its scenario or each other."""
-    contradictions = {
-        "burns.t_s": [b.t_s for b in solution.burns] != list(mission.scenario.burns.times_s),
-        "nodes.t_s": not np.array_equal(solution.nodes.t_s, mission.times_s),
-        "total_dv_m_s": not np.isclose(
-            np.linalg.norm(solution.burns_m_s, axis=1).sum(), solution.total_dv_m_s, atol=1e-12
-        ),
-    }
-    return [name for name, contradicts in contradictions.items() if contradicts]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from scp_recon import guess
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan
+from tests import reliability
 
 from .support import Array, burns_of, constants, fly, integrate, mission_of, shared
 
@@ -198,6 +199,7 @@ def refused(mission: Mission, path: Path) -> InputError:
     with pytest.raises(InputError) as caught:
         guess.from_table(mission, path)
     assert str(path) in caught.value.entry
+    reliability.count(reliability.BAD_INPUTS)
     return caught.value
 
 

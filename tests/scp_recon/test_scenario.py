@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError
 from scp_recon.scenario import Scenario, base_names, load_scenario, validate_scenario
+from tests import reliability
 
 from .support import constants
 
@@ -24,6 +25,7 @@ from .support import constants
 def refused(*overrides: str) -> InputError:
     with pytest.raises(InputError) as caught:
         load_scenario(None, overrides)
+    reliability.count(reliability.BAD_INPUTS)
     return caught.value
 
 

@@ -13,6 +13,7 @@ from scp_recon import solution as solution_module
 from scp_recon.errors import InputError
 from scp_recon.scenario import validate_scenario
 from scp_recon.solution import SCHEMA, Solution, Verification, is_solution, read_solution
+from tests import reliability
 
 Data = dict[str, Any]
 
@@ -161,6 +162,7 @@ def refused(file: Path, content: str | bytes) -> InputError:
     with pytest.raises(InputError) as caught:
         read_solution(file)
     assert str(file) in caught.value.entry
+    reliability.count(reliability.BAD_INPUTS)
     return caught.value
 
 

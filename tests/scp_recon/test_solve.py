@@ -17,6 +17,7 @@ from scp_recon import planner, solve, verify
 from scp_recon.scp import Record, State
 from scp_recon.scvx import TrustRegion
 from scp_recon.solution import Solution, read_solution
+from tests import reliability
 
 from .support import SHARED, CommandLine, run_solve
 
@@ -295,6 +296,7 @@ def test_bad_input_ends_with_two_and_one_message(
     # Nothing half-written: no folder, or an empty one.
     assert list(out.rglob("*")) == []
     assert sorted(path for path in tmp_path.rglob("*") if path != out) == before
+    reliability.count(reliability.BAD_INPUTS)
 
 
 def run_with_own_out(given: list[str]) -> CommandLine:
@@ -322,6 +324,7 @@ def test_bad_options_end_with_two(arguments: list[str], tmp_path: Path) -> None:
     assert run.exit_code == 2
     assert run.output == ""
     assert "Traceback" not in run.errors
+    reliability.count(reliability.BAD_INPUTS)
     assert not (tmp_path / "out").exists()
 
 

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scp_recon import guess
+from scp_recon.consistency import inconsistencies
 from scp_recon.forces import acceleration, gravity_gradient
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
@@ -103,7 +104,7 @@ def test_the_same_solution_called_p2_is_not_confirmed(mission: Mission) -> None:
     )
     checked = verify(mission, p3.model_copy(update={"problem": "P2"}))
     assert not checked.ok
-    assert all(name.startswith("P(") for name in checked.failed)
+    assert all(name.startswith("P(") or name == "facets" for name in checked.failed)
 
 
 # --- wrong solutions ----------------------------------------------------------------------------
@@ -187,6 +188,94 @@ def test_a_falsified_solution_is_found_out(
     assert checked.failed
 
 
+def constraint_margin(data: dict[str, Any]) -> None:
+    data["constraints"][3]["worst_margin_m_or_rad"] += 0.01
+
+
+def burn_margin(data: dict[str, Any]) -> None:
+    entry = next(c for c in data["constraints"] if c["name"] == "dv_max")
+    entry["worst_margin_m_or_rad"] += 1e-6
+
+
+def constraint_left_out(data: dict[str, Any]) -> None:
+    del data["constraints"][2]
+
+
+def constraint_made_up(data: dict[str, Any]) -> None:
+    data["constraints"].append({**data["constraints"][2], "name": "moonlight"})
+
+
+def violation_made_up(data: dict[str, Any]) -> None:
+    data["violation"]["by_constraint"]["emission_max"] = {"max": 1.0, "total": 1.0, "unit": "m"}
+
+
+def violation_of_nothing(data: dict[str, Any]) -> None:
+    data["violation"]["max"] = 1.0
+
+
+def no_facets(data: dict[str, Any]) -> None:
+    data["facets"] = None
+
+
+def fewer_facets(data: dict[str, Any]) -> None:
+    for column in data["facets"].values():
+        del column[0]
+
+
+def facets_of_nothing(data: dict[str, Any]) -> None:
+    for column in data["facets"].values():
+        column.clear()
+
+
+def keep_out_plane_moved(data: dict[str, Any]) -> None:
+    row = data["facets"]["constraint"].index("site_distance_min")
+    data["facets"]["offset_m"][row] += 0.01
+
+
+def keep_out_plane_turned(data: dict[str, Any]) -> None:
+    row = data["facets"]["constraint"].index("emission_min")
+    data["facets"]["normal"][row] = [-x for x in data["facets"]["normal"][row]]
+
+
+def more_risk(data: dict[str, Any]) -> None:
+    data["facets"]["quantile"][5] -= 0.01
+
+
+def scaled_normal(data: dict[str, Any]) -> None:
+    data["facets"]["normal"][5] = [0.5 * x for x in data["facets"]["normal"][5]]
+
+
+def facet_of_another(data: dict[str, Any]) -> None:
+    for column in data["facets"].values():
+        column.append(column[-1])
+    data["facets"]["constraint"][-1] = "moonlight"
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        *((c, "constraints") for c in (constraint_margin, burn_margin)),
+        *((c, "constraints") for c in (constraint_left_out, constraint_made_up)),
+        *((c, "violation") for c in (violation_made_up, violation_of_nothing)),
+        *((c, "facets") for c in (no_facets, fewer_facets, facets_of_nothing, more_risk)),
+        *((c, "facets") for c in (keep_out_plane_moved, keep_out_plane_turned)),
+        *((c, "facets") for c in (scaled_normal, facet_of_another)),
+    ],
+)
+def test_what_is_said_of_the_constraints_is_worked_out_again(
+    mission: Mission, solution: Solution, change: Change, named: str
+) -> None:
+    assert inconsistencies(mission, solution) == []
+    assert inconsistencies(mission, changed(solution, change)) == [named]
+
+
+def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again() -> None:
+    for overrides, problem in (([], "P3"), (["burns.dv_max_m_s=0.03"], "P2")):
+        case = mission_of(*overrides)
+        found = plan(case, guess.cold(case), problem=problem)
+        assert inconsistencies(case, make_solution(case, found, "cold", "condensed")) == []
+
+
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize(
     ("override", "named"),
@@ -246,7 +335,8 @@ def test_constraints_are_checked_between_the_nodes(mission: Mission, solution: S
         cosine = offset @ to_j2000 @ mission.site.normal_body / np.linalg.norm(offset)
         assert np.rad2deg(np.arccos(cosine)) < 37.9
     checked = verify(coarse, thinned)
-    assert checked.failed == ["emission_max", "P(emission)"]
+    # The facets of the nodes that are gone are nobody's any more.
+    assert checked.failed == ["facets", "emission_max", "P(emission)"]
     (margin,) = (m for m in checked.mean_margins if m.name == "emission_max")
     (probability,) = (p for p in checked.probabilities if p.name == "emission")
     for time in (margin.worst_t_s, probability.worst_t_s):
