@@ -78,6 +78,8 @@ def test_every_mode_settles_on_wheels_after_a_slew_on_thrusters(perfect: Flight)
         assert perfect.in_use[before_burn] == Actuators.WHEELS
         assert angles.attitude[before_burn] < np.deg2rad(0.3)
     assert angles.camera.max() < np.deg2rad(0.3)
+    # The flight stays within three metres of the nominal path that the commands follow.
+    assert angles.site.max() < np.deg2rad(0.3) + 3.0 / 500.0
     assert angles.estimate.max() < 1e-6
     np.testing.assert_allclose(np.linalg.norm(perfect.attitudes.as_quat(), axis=1), 1.0, atol=1e-12)
 

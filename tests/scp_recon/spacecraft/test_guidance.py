@@ -60,7 +60,7 @@ def test_every_mode_points_what_it_serves_and_rolls_for_power(
         if leg.mode is Mode.DELTA_V:
             firing = next(f for f in plan.firings if f.end_s == leg.end_s)
             target = np.broadcast_to(firing.dv_m_s, target.shape)
-        assert geometry.angle(bottom[k], target).max() < 1e-9
+        assert geometry.angle(target, bottom[k]).max() < 1e-9
         most = plan.panels.best_about(np.array([0.0, 0.0, -1.0]), geometry.angle(target, sun[k]))
         np.testing.assert_allclose(power[k], most, rtol=1e-9)
 
