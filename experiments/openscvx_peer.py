@@ -208,7 +208,7 @@ def peers_row(mission: Mission, start: Iterate, weights: dict[str, float]) -> tu
     status = "converged" if result.converged else "not converged"
     figures = _flown(mission, burns)
     seconds = f"{built_s:.2f}", f"{solve_s:.2f}"
-    return f"OpenSCvx PTR/QOCO, {words}", status, *figures, str(len(result.X)), *seconds
+    return f"OpenSCvx PTR/QOCO, {words}", status, *figures, str(len(result.X) - 1), *seconds
 
 
 def our_row(mission: Mission, start: Iterate, algorithm: str, solver: str) -> tuple[str, ...]:
