@@ -227,12 +227,25 @@ def _joint_probabilities(mission: Mission, burns: Array) -> list[JointProbabilit
     positions = sample_positions(mission, burns, times, SAMPLES, SEED)
     seen = np.searchsorted(times, observed)
     joint = joint_margins(mission, observed, positions[seen])
-    radius = np.linalg.norm(positions, axis=2)
-    safe = radius >= mission.scenario.safety.radius_min_m
+    radius = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
     return [
-        _worst("safety_radius", times, safe),
-        *(_worst(name, observed, margin >= 0.0) for name, margin in joint.items()),
+        _worst("safety_radius", times, holds(radius, "m")),
+        *(
+            _worst(name, observed, holds(margin, "m" if name == "site_distance" else "rad"))
+            for name, margin in joint.items()
+        ),
     ]
+
+
+def holds(margin: Array, unit: str) -> npt.NDArray[np.bool_]:
+    """Which flights hold a constraint, margins (times, flights).
+
+    Where they spread by less than a binding mean may dip between nodes they are judged as the mean is:
+    without uncertainty every flight is the mean.
+    """
+    limit = MARGIN_LIMIT[unit]
+    allowed = np.where(margin.std(axis=1) < -limit, limit, 0.0)
+    return np.asarray(margin >= allowed[:, None])
 
 
 def _worst(name: str, times: Array, holds: npt.NDArray[np.bool_]) -> JointProbability:

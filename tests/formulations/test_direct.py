@@ -262,3 +262,30 @@ def test_a_program_without_a_solution_has_no_answer(solver: str) -> None:
     program = ConeProgram(np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
     with pytest.raises(ValueError, match=f"{solver} ended with status"):
         SOLVERS[solver]().solve(program)
+
+
+def some_program(rng: np.random.Generator, zero: int) -> ConeProgram:
+    """The lowest point of a ball within a box, on a plane through both if `zero` is 1."""
+    plane, sides = rng.uniform(0.5, 1.0, (zero, 3)), np.diag(rng.uniform(0.5, 1.0, 3))
+    matrix = np.vstack([plane, sides, -sides, np.zeros((1, 3)), -np.eye(3)])
+    bound = np.concatenate([plane @ rng.uniform(-0.2, 0.2, 3), np.ones(6), [1.1], np.zeros(3)])
+    return ConeProgram(rng.normal(size=3), sp.csc_array(matrix), bound, zero, 6, (4,))
+
+
+@pytest.mark.parametrize("zero", [0, 1])
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_solver_with_new_numbers_answers_as_a_new_one(solver: str, zero: int) -> None:
+    if solver == "QOCO":
+        pytest.importorskip("qoco", reason="QOCO is not installed")
+    rng = np.random.default_rng(7)
+    kept = SOLVERS[solver]()
+    for _ in range(5):
+        program = some_program(rng, zero)
+        updated, new = kept.solve(program), SOLVERS[solver]().solve(program)
+        assert updated.x == pytest.approx(new.x, abs=1e-5)
+        assert updated.accurate == (updated.status in ("Solved", "QOCO_SOLVED"))
+        assert "solved" in updated.status.lower()
+        assert 0.0 <= updated.solver_s < 1.0
+        slack = program.bound - program.matrix @ updated.x
+        assert np.abs(slack[:zero]).max(initial=0.0) < 1e-6
+        assert slack[zero : zero + 6].min() > -1e-6

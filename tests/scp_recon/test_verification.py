@@ -19,7 +19,7 @@ from scp_recon.planner import plan
 from scp_recon.results import make_solution
 from scp_recon.sampling import sample_positions
 from scp_recon.solution import Solution, Verification
-from scp_recon.verification import variational_rate, verify
+from scp_recon.verification import MARGIN_LIMIT, holds, variational_rate, verify
 
 from .support import Array, mission_of
 
@@ -267,6 +267,19 @@ def test_what_is_said_of_the_constraints_is_worked_out_again(
 ) -> None:
     assert inconsistencies(mission, solution) == []
     assert inconsistencies(mission, changed(solution, change)) == [named]
+
+
+@given(st.sampled_from(["m", "rad"]), st.floats(0.0, 0.9), st.floats(2.0, 100.0))
+def test_flights_are_judged_as_the_mean_is_only_where_they_hardly_spread(
+    unit: str, dip: float, spread: float
+) -> None:
+    """Without uncertainty every flight is the mean, whose constraints bind to the last digit."""
+    limit = -MARGIN_LIMIT[unit]
+    together = np.full((1, 100), -dip * limit)
+    apart = np.linspace(-spread, spread, 100)[None] * limit
+    assert holds(together, unit).all()
+    assert not holds(together - 1.01 * limit, unit).any()
+    assert holds(apart, unit).tolist() == (apart >= 0.0).tolist()
 
 
 def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again() -> None:
