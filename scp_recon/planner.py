@@ -37,6 +37,10 @@ The second figure is for starting at a solution of P2, which moves less than one
 """
 
 
+OTHER_OPTIMUM = 0.999
+"""Share of a merit below which another run has found another optimum."""
+
+
 @dataclass(frozen=True)
 class Stage:
     """A run of the SCP on one problem.
@@ -118,7 +122,9 @@ class Planner:
     ) -> Plan:
         """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-        Where P3 does not converge from the guess it is tried once more from the ballistic arc.
+        Where P3 does not converge from the guess it is tried once more from the ballistic arc; and so
+        it is where P2 does not converge, because P3 may have stopped at a local optimum from which
+        there is no way.
 
         Args:
             guess: initial iterate, which may have defects.
@@ -130,17 +136,22 @@ class Planner:
         work = _Work(self, self.mission, observe)
 
         def stages() -> Stage:
-            final = work.solve_p3(guess)
-            if final.result.status is not Status.CONVERGED:
-                final = work.retry_p3(final)
-            if problem == "P2" and final.result.status is not Status.SOLVER_FAILED:
-                final = work.solve_p2("P2", final.result.lin)
-                for round_ in range(2, facet_rounds + 2):
-                    again = work.solve_p2(f"P2.{round_}", final.result.lin)
-                    if not _better(again, final):
-                        break
-                    final = again
-            return final
+            p3 = first = work.solve_p3(guess)
+            if p3.result.status is not Status.CONVERGED:
+                p3 = work.retry_p3(first)
+            if problem == "P3" or p3.result.status is Status.SOLVER_FAILED:
+                return p3
+            final = work.solve_p2_in_rounds(p3, facet_rounds)
+            if (
+                final.result.status is Status.CONVERGED
+                or first.result.status is not Status.CONVERGED
+            ):
+                return final
+            p3 = work.retry_p3(first)
+            if _merit(p3) > OTHER_OPTIMUM * _merit(first):
+                return final
+            again = work.solve_p2_in_rounds(p3, facet_rounds)
+            return again if _better(again, final) else final
 
         return work.done(stages)
 
@@ -229,6 +240,16 @@ class _Work:
             return failed
         again = self.solve_p3(guess, "P3.2")
         return again if _better(again, failed) else failed
+
+    def solve_p2_in_rounds(self, p3: Stage, rounds: int) -> Stage:
+        """P2 from a solution of P3, and again with new facets as long as that helps."""
+        final = self.solve_p2("P2", p3.result.lin)
+        for round_ in range(2, rounds + 2):
+            again = self.solve_p2(f"P2.{round_}", final.result.lin)
+            if not _better(again, final):
+                break
+            final = again
+        return final
 
     def solve_p2(self, name: str, lin: Linearisation) -> Stage:
         """P2 with the facets chosen at the start."""

@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
+from experiments.compare_cases import random_guess
 from formulations.facets import choose_facets, included_rows
 from formulations.formulations import make_subproblem
 from formulations.problem import Iterate
@@ -326,6 +327,16 @@ def test_hopeless_magnitudes_end_in_a_status(overrides: list[str]) -> None:
     mission = mission_of(*overrides)
     found = plan(mission, guess.cold(mission), problem="P3")
     assert found.final.result.status is not Status.CONVERGED
+
+
+def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) -> None:
+    """This path leads P3 to its second optimum, half as dear again."""
+    found = plan(mission, random_guess(mission, 0))
+    assert [stage.name for stage in found.stages] == ["P3", "P2", "P3.2", "P2"]
+    assert found.stages[1].result.status is Status.INFEASIBLE
+    assert found.final is found.stages[-1]
+    assert total_dv(mission, found.stages[0]) > 1.3 * total_dv(mission, found.stages[2])
+    assert total_dv(mission, found.final) == pytest.approx(0.140135, rel=1e-4)
 
 
 # --- planning again -----------------------------------------------------------------------------
