@@ -27,6 +27,10 @@ FILE_NAME = "solution.json"
 Speed = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
+Number = Annotated[float, Field(ge=-1e30, le=1e30)]
+"""Of what is worked with: its square and its quotients stay finite."""
+
+
 class Part(BaseModel):
     """Frozen; keys that are not known here are kept out."""
 
@@ -43,9 +47,9 @@ class Burn(Part):
 class Nodes(Part):
     """Mean and covariance on the grid, after the burn where one falls on the node."""
 
-    t_s: list[float]
-    state: list[list[float]]
-    covariance: list[list[list[float]]]
+    t_s: list[Number]
+    state: list[list[Number]]
+    covariance: list[list[list[Number]]]
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:
@@ -66,9 +70,9 @@ class FacetTable(Part):
 
     constraint: list[Line]
     node: list[Annotated[int, Field(ge=0)]]
-    normal: list[tuple[float, float, float]]
-    offset_m: list[float]
-    quantile: list[float]
+    normal: list[tuple[Number, Number, Number]]
+    offset_m: list[Number]
+    quantile: list[Number]
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:
@@ -197,7 +201,7 @@ class Solution(Part):
     formulation: Line
     algorithm: Line
     solver: Line
-    total_dv_m_s: float
+    total_dv_m_s: Number
     burns: list[Burn]
     nodes: Nodes
     stages: list[StageSummary]

@@ -35,6 +35,8 @@ COVARIANCE_LIMIT = 1e-6
 MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
 """Between nodes a constraint that binds at them may dip below by this much."""
 NO_BURN_M_S = 1e-6
+SMALLEST = 1e-30
+"""Scaled covariance that counts as none."""
 SAMPLED_PARTS_PER_ARC = 4
 
 
@@ -159,7 +161,7 @@ def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
     units = np.outer(mission.units.state, mission.units.state)
     size = np.abs(flown / units).max(axis=(1, 2))
     error = np.abs((stored - flown) / units).max(axis=(1, 2))
-    return float((error / np.maximum(size, np.finfo(float).tiny)).max())
+    return float((error / np.maximum(size, SMALLEST)).max())
 
 
 def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
