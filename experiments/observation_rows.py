@@ -120,7 +120,7 @@ def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> So
     # No iteration was allowed, which is what the status says of a plan that is none.
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
     stage = Stage(init, result, subproblem, None, TrustRegion().feasible)
-    plan_of_one = Plan((stage,), stage, Timing(), 0.0)
+    plan_of_one = Plan(mission, (stage,), stage, Timing(), 0.0)
     none = NOT_OPTIMISED
     solution = make_solution(mission, plan_of_one, init, none, algorithm=none, solver=none)
     return solution.model_copy(update={"message": message})

@@ -35,9 +35,11 @@ from formulations.subproblem import Step, Subproblem, SubproblemError
 
 Indices = npt.NDArray[np.intp]
 
-NEAR, SHRINK = 0.04, 1.5
-"""Room, in units of length, up to which a row takes part from the start, and how many times more rows
-than that may take part before the others are dropped."""
+NEAR = 0.04
+"""Room, in units of length, up to which a row takes part from the start; see `DirectSubproblem`."""
+
+SHRINK, FEW = 1.5, 20
+"""Rows that take part are dropped when there are so many more than near ones: it costs a new solver."""
 
 MISSED = 1e-9
 """Violation of a row that takes no part at which it has to: the conic solver's own tolerance."""
@@ -87,13 +89,13 @@ class DirectSubproblem(Subproblem):
     def _choose(self, active: npt.NDArray[np.bool_]) -> None:
         """Lay out the program with some of the rows; the solver starts anew."""
         m = self.problem.n_burns
+        self._pattern: _Pattern | None = None
         self._active, self._place = active, np.cumsum(active) - 1
         squares = 0 if self._penalty == "exact" else 1
         ends = np.cumsum([3 * m, m, 6, 3 * m + int(active.sum()), squares])
         self._z, self._t, self._a, self._v, self._s = (
             np.arange(first, last) for first, last in zip([0, *ends], ends, strict=False)
         )
-        self._pattern: _Pattern | None = None
         self._solver = Recovering(self._name)
 
     def update(self, lin: Linearisation) -> None:
@@ -108,7 +110,7 @@ class DirectSubproblem(Subproblem):
         near = self._slack(lin.iterate.burns) < NEAR
         if np.any(near & ~self._active):
             self._choose(near | self._active)
-        elif self._active.sum() > SHRINK * near.sum():
+        elif self._active.sum() > SHRINK * near.sum() + FEW:
             self._choose(near)
 
     def solve(self, radius: float, charge: float | Charge) -> Step:

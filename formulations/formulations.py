@@ -13,6 +13,11 @@ from formulations.subproblem import Subproblem
 FORMULATIONS = ("condensed", "lifted", "frozen-stm", "frozen-covariance")
 
 
+def is_direct(formulation: str, solver: str) -> bool:
+    """Whether no modelling layer is needed."""
+    return formulation in CONDENSATIONS and solver in SOLVERS
+
+
 def make_subproblem(
     problem: FlybyProblem,
     rows: Rows,
@@ -29,7 +34,7 @@ def make_subproblem(
         solver: name of a CVXPY conic solver.
         penalty: how violations and steps are charged.
     """
-    if formulation in CONDENSATIONS and solver in SOLVERS:
+    if is_direct(formulation, solver):
         return DirectSubproblem(problem, rows, formulation, solver, penalty)
     from formulations.modelled import ModelledSubproblem  # CVXPY takes a second to import
 

@@ -40,12 +40,21 @@ class ConeProgram:
 
 
 class Answer(NamedTuple):
-    """Variables, the solver's word for them, whether it vouches for its tolerances, its seconds."""
+    """What a solver has to say.
+
+    Attributes:
+        x: variables.
+        status: the solver's word for them.
+        accurate: whether it vouches for its tolerances.
+        solver_s: its seconds.
+        multipliers: z of the constraints, by which it can be held to its word.
+    """
 
     x: Array
     status: str
     accurate: bool
     solver_s: float
+    multipliers: Array | None = None
 
 
 class ConicSolver(Protocol):
@@ -88,10 +97,8 @@ class Clarabel:
         status = str(found.status)
         if status not in ("Solved", "AlmostSolved"):
             raise ValueError(f"CLARABEL ended with status {status}")
-        x = np.array(found.x)
-        if status == "Solved" and not closes_gap(program, x, np.array(found.z)):
-            raise ValueError(f"CLARABEL ended with status {status} and an open duality gap")
-        return Answer(x, status, status == "Solved", seconds)
+        x, z = np.array(found.x), np.array(found.z)
+        return Answer(x, status, status == "Solved", seconds, z)
 
 
 class Qoco:
@@ -120,33 +127,56 @@ class Qoco:
         found = self._solver.solve()
         if found.status not in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE"):
             raise ValueError(f"QOCO ended with status {found.status}")
+        multipliers = np.concatenate([found.y, found.z]) if z else np.array(found.z)
         accurate = found.status == "QOCO_SOLVED"
-        return Answer(np.array(found.x), found.status, accurate, found.solve_time_sec)
+        return Answer(np.array(found.x), found.status, accurate, found.solve_time_sec, multipliers)
 
 
 GAP, HUGE = 1e-6, 1e30
-"""Largest relative duality gap of a verdict; no variable of a nondimensional program is as huge."""
+"""Largest relative error in the proof of a verdict; no nondimensional variable is as huge."""
 
 
-def closes_gap(program: ConeProgram, x: Array, z: Array) -> bool:
-    """Whether multipliers z vouch for x: a verdict rests on this arithmetic, not on a status.
+def is_optimal(program: ConeProgram, x: Array, z: Array) -> bool:
+    """Whether multipliers z prove x optimal: a verdict rests on this arithmetic, not on a status.
 
-    Weak duality: no x' has q'x' < -b'z where q + A'z = 0 and z is in the dual cones.
+    Weak duality: with q + A'z = 0 and z in the dual cones no x' whose b - A x' is in the cones has
+    q'x' < -b'z. All of it holds here to `GAP`.
     """
     primal, dual = float(program.cost @ x), -float(program.bound @ z)
     gradient = program.cost + program.matrix.T @ z
-    size = max(1.0, float(np.abs(program.cost).max()), float(np.abs(z).max()))
-    flat = np.abs(gradient).max() <= GAP * size
-    return bool(flat and abs(primal - dual) <= GAP * max(1.0, abs(primal)))
+    slack = program.bound - program.matrix @ x
+    prices = max(1.0, float(np.abs(program.cost).max()), float(np.abs(z).max()))
+    sizes = max(1.0, float(np.abs(program.bound).max(initial=0.0)), float(np.abs(x).max()))
+    return bool(
+        np.abs(gradient).max() <= GAP * prices
+        and np.abs(slack[: program.zero]).max(initial=0.0) <= GAP * sizes
+        and outside(program, slack) <= GAP * sizes
+        and outside(program, z) <= GAP * prices
+        and abs(primal - dual) <= GAP * max(1.0, abs(primal))
+    )
+
+
+def outside(program: ConeProgram, y: Array) -> float:
+    """How far y is from the non-negative and second-order cones, which are their own duals."""
+    first = program.zero + program.nonnegative
+    worst = float((-y[program.zero : first]).max(initial=0.0))
+    if not program.second_order:
+        return worst
+    heads = np.cumsum([0, *program.second_order[:-1]])
+    tails = y[first:] ** 2
+    tails[heads] = 0.0
+    excess = np.sqrt(np.add.reduceat(tails, heads)) - y[first:][heads]
+    return max(worst, float(excess.max()))
 
 
 class Recovering:
     """A solver with others behind it.
 
     A solver keeps the equilibration of the numbers that it was built with: where that does not serve
-    the new ones, or it fails, it is built again. Where it still fails the others are asked. A solver
-    is foreign code: whatever it raises is a failure to answer, as is a number that is not finite.
-    What is left after that, the algorithm answers with a smaller trust region.
+    the new ones, or it fails, it is built again. Where it is still no better the others are asked. A
+    solver is foreign code: whatever it raises is a failure to answer, as is a number that is not
+    finite, or an answer called accurate that its multipliers do not prove optimal. What is left after
+    that, the algorithm answers with a smaller trust region.
 
     Args:
         name: a key of `SOLVERS`.
@@ -156,18 +186,21 @@ class Recovering:
         self._name, self._kept = name, SOLVERS[name]()
 
     def solve(self, program: ConeProgram) -> Answer:
-        """See `ConicSolver`. An inaccurate answer is one where building again gives none better."""
+        """See `ConicSolver`. An inaccurate answer is one where nobody gives a better."""
         failures: dict[str, str] = {}
         answer = self._ask(self._name, self._kept, program, failures)
-        if answer is None or not answer.accurate:
-            self._kept = SOLVERS[self._name]()
-            answer = self._ask(self._name, self._kept, program, failures) or answer
-        others = (name for name in SOLVERS if name != self._name)
-        while answer is None and (name := next(others, None)):
-            answer = self._ask(name, SOLVERS[name](), program, failures)
+        solver_s = answer.solver_s if answer else 0.0
+        for name in (self._name, *(name for name in SOLVERS if name != self._name)):
+            if answer is not None and answer.accurate:
+                break
+            solver = SOLVERS[name]()
+            self._kept = solver if name == self._name else self._kept
+            other = self._ask(name, solver, program, failures)
+            solver_s += other.solver_s if other else 0.0
+            answer = other if answer is None or (other and other.accurate) else answer
         if answer is None:
             raise ValueError("; ".join(failures.values()))
-        return answer
+        return answer._replace(solver_s=solver_s)
 
     def _ask(
         self, name: str, solver: ConicSolver, program: ConeProgram, failures: dict[str, str]
@@ -181,10 +214,14 @@ class Recovering:
         except BaseException as error:  # a panic in Rust is no Exception
             failures[name] = str(error)
             return None
-        if np.abs(answer.x).max() < HUGE:
-            return answer
-        failures[name] = "the conic solver gave no finite burns"
-        return None
+        if not np.abs(answer.x).max() < HUGE:
+            failures[name] = "the conic solver gave no finite burns"
+            return None
+        z = answer.multipliers
+        if answer.accurate and z is not None and not is_optimal(program, answer.x, z):
+            failures[name] = f"{name} ended with status {answer.status} and proves nothing by it"
+            return None
+        return answer
 
 
 SOLVERS: dict[str, Callable[[], ConicSolver]] = {"CLARABEL": Clarabel, "QOCO": Qoco}

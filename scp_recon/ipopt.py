@@ -102,7 +102,7 @@ def plan(
     timing = Timing()
     for stage in stages:
         timing.add(stage.result.timing)
-    return Plan(tuple(stages), final, timing, perf_counter() - started)
+    return Plan(mission, tuple(stages), final, timing, perf_counter() - started)
 
 
 @dataclass(frozen=True)

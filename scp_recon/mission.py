@@ -130,7 +130,17 @@ class Mission:
         )
 
     def with_initial_state(self, state: Array) -> Mission:
-        """The same mission from another state before the first burn, shape (6,), in the same units."""
+        """The same mission from another state before the first burn, shape (6,), in the same units.
+
+        Raises:
+            ValueError: if it is not a finite state outside the body's reference radius.
+        """
+        state = np.asarray(state, dtype=float)
+        radius = self.scenario.body.reference_radius_m
+        if state.shape != (6,) or not np.isfinite(state).all():
+            raise ValueError(f"an initial state has six finite components, not {state}")
+        if np.linalg.norm(state[:3]) <= radius:
+            raise ValueError(f"an initial state is outside the body, whose radius is {radius:g} m")
         matrix = _boundary_axes(self.scenario, self.rotation)
         given = {
             "initial_position_m": tuple((matrix.T @ state[:3]).tolist()),
@@ -138,7 +148,7 @@ class Mission:
         }
         boundary = self.scenario.boundary.model_copy(update=given)
         scenario = self.scenario.model_copy(update={"boundary": boundary})
-        return replace(self, scenario=scenario, initial_state=np.array(state, dtype=float))
+        return replace(self, scenario=scenario, initial_state=state.copy())
 
     def sun_direction(self, time_s: npt.ArrayLike) -> Array:
         """Unit vectors from the body to the Sun, J2000, shape (..., 3)."""

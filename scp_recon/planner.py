@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 
 from formulations.facets import Facets, choose_facets, included_rows
-from formulations.formulations import make_subproblem
+from formulations.formulations import is_direct, make_subproblem
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
 from formulations.regions import Array
@@ -28,7 +28,7 @@ from scp_recon.status import Status
 Observer = Callable[[str, Record], None]
 
 PROGRAM_NODES_MAX = 48
-"""Nodes in the convex program of P2 to begin with: its memory grows with them times the factor."""
+"""Nodes in CVXPY's program of P2 to begin with: its memory grows with them times the factor."""
 
 CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 """Facets farther than this from binding stay out of the convex program, and are checked after it.
@@ -62,8 +62,9 @@ class Stage:
 
 @dataclass(frozen=True)
 class Plan:
-    """All stages; the last one in `stages` that `final` names holds the answer."""
+    """All stages of planning a mission; the one in `stages` that `final` names holds the answer."""
 
+    mission: Mission
     stages: tuple[Stage, ...]
     final: Stage
     timing: Timing
@@ -106,9 +107,10 @@ class Planner:
         algorithm: str = "scvx",
         solver: str = "CLARABEL",
     ) -> None:
-        self.mission = mission
-        self.formulation, self.solver = formulation, solver
-        self.algorithm = ALGORITHMS[algorithm]()
+        self.mission: Final = mission
+        self.formulation: Final = formulation
+        self.solver: Final = solver
+        self.algorithm: Final = ALGORITHMS[algorithm]()
         self._p2_rows: P2Rows | None = None
         self._kept: dict[type[Rows], Subproblem] = {}
 
@@ -163,9 +165,20 @@ class Planner:
             initial_state: before the first burn, J2000, SI, shape (6,). Its covariance is as large a
                 fraction of it as the mission says.
             observe: called after each iteration with the stage's name and the record.
+
+        Returns:
+            A plan whose `mission` is the one from that state.
+
+        Raises:
+            ValueError: if the plan is not one of P2, or of a mission that differs in more than the
+                initial state; or if the state is none outside the body.
         """
         if last.final.facets is None:
             raise ValueError("only a plan of P2 can be planned again")
+        if last.mission.with_initial_state(initial_state).scenario != (
+            self.mission.with_initial_state(initial_state).scenario
+        ):
+            raise ValueError("the plan is of another mission")
         mission = self.mission.with_initial_state(initial_state)
         work = _Work(self, mission, observe)
         final = last.final
@@ -180,7 +193,9 @@ class Planner:
         """P2's constraints, those in the program that an iterate comes near; the last are kept."""
         margin = facets.margin(lin.iterate.mean, lin.factor)
         clearance = clearance_m / self.mission.units.length_m
-        included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
+        direct = is_direct(self.formulation, self.solver)
+        nodes_max = self.mission.problem.n_nodes if direct else PROGRAM_NODES_MAX
+        included = included_rows(facets, margin, clearance, nodes_max)
         kept = self._p2_rows
         if kept is None or kept.facets is not facets or np.any(kept.included != included):
             self._p2_rows = kept = P2Rows(self.mission.problem, facets, included)
@@ -216,7 +231,7 @@ class _Work:
             if not self.stages:
                 raise
             final = self.interrupted()
-        return Plan(tuple(self.stages), final, self.timing, perf_counter() - started)
+        return Plan(self.mission, tuple(self.stages), final, self.timing, perf_counter() - started)
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearised at a guess; whatever it says, the flight starts where the problem does."""

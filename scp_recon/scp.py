@@ -158,10 +158,10 @@ def attempt(
     subproblem.update(state.lin)
     timing.linearise += perf_counter() - start
     answer = subproblem.solve(radius, state.charge)
-    if state.lin.is_flown and answer.merit > state.merit + slack * max(1.0, abs(state.merit)):
-        raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
     timing.canonicalise += answer.canonicalise_s
     timing.conic_solver += answer.solver_s
+    if state.lin.is_flown and answer.merit > state.merit + slack * max(1.0, abs(state.merit)):
+        raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
     start = perf_counter()
     trial = dynamics.fly(state.lin, answer.burns)
     timing.linearise += perf_counter() - start

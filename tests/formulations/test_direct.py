@@ -14,7 +14,14 @@ from formulations import conic, direct, interior_point
 from formulations.condensations import CONDENSATIONS
 from formulations.direct import DirectSubproblem
 from formulations.facets import Polytopes, choose_facets
-from formulations.interior_point import SOLVERS, Answer, ConeProgram, Recovering
+from formulations.interior_point import (
+    SOLVERS,
+    Answer,
+    Clarabel,
+    ConeProgram,
+    Recovering,
+    is_optimal,
+)
 from formulations.lifting import Linearisation, condense
 from formulations.modelled import ModelledSubproblem
 from formulations.penalty import Charge, Penalty
@@ -217,7 +224,7 @@ def test_a_solver_that_its_old_scaling_does_not_serve_is_built_again(
     solver = Recovering("CLARABEL")
     solver.solve(PROGRAM)
     assert Scripted.built == 1
-    assert solver.solve(PROGRAM) is GOOD
+    assert solver.solve(PROGRAM).accurate
     assert Scripted.built == 2
 
 
@@ -252,6 +259,75 @@ def some_subproblem() -> Subproblem:
     subproblem = DirectSubproblem(lin.problem, P3Rows(lin.problem))
     subproblem.update(lin)
     return subproblem
+
+
+def small_program() -> tuple[ConeProgram, Answer]:
+    """Min t subject to t >= ||(x - 1, x + 1)||, x <= 10, and y = x; optimal at x = 0."""
+    cost = np.array([1.0, 0.0, 0.0])
+    matrix = sp.csc_array(
+        np.array([[0, 1, -1], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, -1, 0]], dtype=float)
+    )
+    program = ConeProgram(cost, matrix, np.array([0.0, 10.0, 0.0, -1.0, 1.0]), 1, 1, (3,))
+    return program, Clarabel().solve(program)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_multipliers_prove_an_optimum(solver: str) -> None:
+    if solver == "QOCO":
+        pytest.importorskip("qoco", reason="QOCO is not installed")
+    program, _ = small_program()
+    answer = SOLVERS[solver]().solve(program)
+    assert answer.x == pytest.approx([np.sqrt(2.0), 0.0, 0.0], abs=1e-4)
+    assert answer.multipliers is not None
+    assert is_optimal(program, answer.x, answer.multipliers)
+
+
+@pytest.mark.parametrize(
+    ("dx", "dz"),
+    [
+        ((0.1, 0.0, 0.0), (0.0,) * 5),  # dearer than it has to be
+        ((-0.1, 0.0, 0.0), (0.0,) * 5),  # outside the second-order cone
+        ((0.0, 0.0, 0.1), (0.0,) * 5),  # off the equality
+        ((10.0, 11.0, 11.0), (0.0,) * 5),  # beyond the bound
+        ((0.0,) * 3, (0.0, 0.0, 0.1, 0.0, 0.0)),  # a gradient that does not vanish
+        ((0.0,) * 3, (0.0, -0.1, 0.0, 0.1, 0.0)),  # a negative multiplier
+    ],
+)
+def test_nothing_else_is_taken_for_an_optimum(dx: tuple[float, ...], dz: tuple[float, ...]) -> None:
+    program, answer = small_program()
+    assert answer.multipliers is not None
+    assert not is_optimal(program, answer.x + np.array(dx), answer.multipliers + np.array(dz))
+
+
+def test_multipliers_outside_their_cone_prove_nothing() -> None:
+    """Min x subject to -1 <= x <= 10: signs of multipliers make any gap close anywhere."""
+    matrix, bound = sp.csc_array(np.array([[1.0], [-1.0]])), np.array([10.0, 1.0])
+    program = ConeProgram(np.ones(1), matrix, bound, 0, 2, ())
+    for x in (-8.0, 0.0, 5.0, 12.0):
+        z0 = -(1.0 + x) / 11.0  # so that -b'z = x with z1 = 1 + z0
+        assert -bound @ np.array([z0, 1.0 + z0]) == pytest.approx(x)
+        assert not is_optimal(program, np.array([x]), np.array([z0, 1.0 + z0]))
+    assert is_optimal(program, np.array([-1.0]), np.array([0.0, 1.0]))
+
+
+def test_an_answer_that_its_multipliers_do_not_prove_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    program, right = small_program()
+    assert right.multipliers is not None
+    wrong = right._replace(x=right.x + 0.1)
+    scripted(monkeypatch, wrong, right)
+    assert Recovering("CLARABEL").solve(program).x is right.x
+    scripted(monkeypatch, wrong, wrong)
+    with pytest.raises(ValueError, match="proves nothing by it; no"):
+        Recovering("CLARABEL").solve(program)
+
+
+def test_where_a_solver_stays_inaccurate_another_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    better = POOR._replace(status="better", accurate=True)
+    scripted(monkeypatch, POOR, POOR)
+    monkeypatch.setitem(SOLVERS, "QOCO", lambda: Scripted([better]))
+    assert Recovering("CLARABEL").solve(PROGRAM).status == "better"
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

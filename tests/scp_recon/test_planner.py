@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from experiments.compare_cases import random_guess
+from formulations import direct
 from formulations.facets import choose_facets, included_rows
 from formulations.formulations import make_subproblem
 from formulations.problem import Iterate
@@ -22,8 +23,9 @@ from scp_recon.scp import Record, Result, run
 from scp_recon.scvx import TrustRegion
 from scp_recon.solution import Solution
 from scp_recon.status import Status
+from scp_recon.verification import verify
 
-from .support import burns_of, mission_of
+from .support import Array, burns_of, mission_of
 
 TIGHT = ("polytopes.ball=tangent", "polytopes.cone=12")
 
@@ -397,3 +399,54 @@ def test_only_p2_can_be_planned_again(mission: Mission) -> None:
     p3 = planner.plan(guess.cold(mission), problem="P3")
     with pytest.raises(ValueError, match="only a plan of P2"):
         planner.replan(p3, mission.initial_state)
+
+
+def test_a_plan_of_another_mission_cannot_be_planned_again(
+    mission: Mission, default_plan: Plan
+) -> None:
+    for override in ("risk.p_chance=0.9", "grid.step_max_s=400", "burns.dv_max_m_s=0.1"):
+        with pytest.raises(ValueError, match="another mission"):
+            Planner(mission_of(override)).replan(default_plan, mission.initial_state)
+
+
+@pytest.mark.parametrize(
+    "state", [np.zeros(6), np.full(6, np.nan), np.ones(3), np.r_[100.0, 0.0, 0.0, 1.0, 1.0, 1.0]]
+)
+def test_no_plan_starts_from_what_is_no_state_outside_the_body(
+    mission: Mission, default_plan: Plan, state: Array
+) -> None:
+    with pytest.raises(ValueError, match="an initial state"):
+        Planner(mission).replan(default_plan, state)
+
+
+def test_what_is_planned_again_is_verified_with_its_own_mission(
+    mission: Mission, default_plan: Plan
+) -> None:
+    found = Planner(mission).replan(default_plan, 1.002 * mission.initial_state)
+    assert found.mission.initial_state == pytest.approx(1.002 * mission.initial_state)
+    solution = make_solution(found.mission, found, "replan", "condensed")
+    assert verify(found.mission, solution).ok
+    assert verify(Mission.from_scenario(solution.scenario), solution).ok
+    assert not verify(mission, solution).ok
+
+
+# --- reductions leave a stage's solution unchanged ----------------------------------------------
+
+
+def test_rows_left_out_of_its_programs_do_not_change_a_stage(
+    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither those far from binding at the start nor those that the direct program leaves out."""
+    facets, start = default_plan.final.facets, default_plan.stages[0].result.lin
+    assert facets is not None
+    found = []
+    for near, clearance_m in ((0.04, CLEARANCE_M), (0.04, 40.0), (np.inf, np.inf)):
+        monkeypatch.setattr(direct, "NEAR", near)
+        planner = Planner(mission)
+        rows = planner.p2_rows(facets, start, clearance_m)
+        subproblem = planner.subproblem(rows)
+        result = run(subproblem, mission.dynamics, start, TrustRegion(), lambda _: None)
+        assert result.status is Status.CONVERGED
+        assert not rows.missed(result.lin, 1e-6).any()
+        found.append(result.lin.iterate.total_dv)
+    assert found == pytest.approx([found[-1]] * 3, rel=1e-7)
