@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test nightly coverage mutation lint format types check figures clean
+.PHONY: help solve test nightly coverage mutation lint format types check bench figures clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -36,6 +36,9 @@ coverage: $(VENV)/.dev  ## lines and branches that the tests reach
 mutation: $(VENV)/.dev  ## change formulations in every small way, and see which changes no test notices
 	HYPOTHESIS_PROFILE=mutation OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2
 	$(BIN)/mutmut results
+
+bench: $(VENV)/.dev  ## time everything, and renew the README's performance section
+	$(BIN)/python -m benchmarks --readme
 
 check: lint types test  ## everything that a change has to pass
 

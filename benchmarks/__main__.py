@@ -1,7 +1,8 @@
 """Time everything in one run on one machine: `python -m benchmarks`.
 
 Every method runs in a process of its own, the methods in turn and that several times over, so that
-what else the machine does hits all of them. The smallest figures count.
+what else the machine does hits all of them. The smallest figures count. `make bench` sets up what it
+needs.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -58,20 +60,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def measure(
     rounds: int, ordered: Callable[[list[tuple[int, str]]], list[tuple[int, str]]]
 ) -> dict[str, Timed]:
-    """The smallest figures of every method over all rounds."""
+    """Every method's figures, those of the process with the smallest `best`, and the least `first`."""
     found: dict[str, Timed] = {}
     for _, name in ordered([(round_, name) for round_ in range(rounds) for name in METHODS]):
         figures = in_a_process(name, 1 if name in SLOW else REPEATS)
-        best = found.get(name)
-        if best is None or figures.best < best.best:
-            found[name] = figures
+        other = found.get(name, figures)
+        better = min(figures, other, key=lambda timed: timed.best)
+        found[name] = replace(better, first=min(figures.first, other.first))
     return found
 
 
-def in_a_process(name: str, repeats: int, *overrides: str) -> Timed:
-    """One method's figures from a process of its own."""
-    command = [sys.executable, "-m", "benchmarks.methods", name, str(repeats), *overrides]
-    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+def in_a_process(name: str, repeats: int) -> Timed:
+    """One method's figures from a process of its own, whose errors go to the terminal."""
+    command = [sys.executable, "-m", "benchmarks.methods", name, str(repeats)]
+    output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     return Timed(**json.loads(output))
 
 
@@ -85,7 +87,7 @@ def command_times(rounds: int) -> dict[str, float]:
     for _ in range(2 * rounds):
         for name, command in commands.items():
             begin = perf_counter()
-            subprocess.run([sys.executable, *command], check=True, capture_output=True)
+            subprocess.run([sys.executable, *command], check=True, stdout=subprocess.DEVNULL)
             best[name] = min(best[name], perf_counter() - begin)
     return best
 

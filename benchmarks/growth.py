@@ -1,4 +1,4 @@
-"""How the cost of an iteration grows with nodes, facets and burns."""
+"""How the cost of a plan grows with nodes, facets and burns."""
 
 from __future__ import annotations
 
@@ -26,12 +26,25 @@ class Study:
 
 @dataclass(frozen=True)
 class Fit:
-    """Seconds of an iteration by size, and the exponent of the power law through them."""
+    """Plans by size.
+
+    Attributes:
+        name: of the study.
+        sizes: of what grows.
+        seconds: of a whole plan, the fastest of a few.
+        iterations: in it.
+        statuses: how it ended.
+        exponent: of the power law through all sizes.
+        last: between the last two sizes.
+    """
 
     name: str
     sizes: tuple[int, ...]
     seconds: tuple[float, ...]
+    iterations: tuple[int, ...]
+    statuses: tuple[str, ...]
     exponent: float
+    last: float
 
 
 def burn_times(count: int) -> list[str]:
@@ -55,17 +68,25 @@ STUDIES = (
 
 
 def fit(study: Study) -> Fit:
-    """Time a study, each size by the fastest of a few plans."""
-    seconds = tuple(_iteration_s(study.overrides(size)) for size in study.sizes)
-    slope = np.polyfit(np.log(study.sizes), np.log(seconds), 1)[0]
-    return Fit(study.name, study.sizes, seconds, float(slope))
+    """Time a study."""
+    seconds, iterations, statuses = zip(
+        *(_plan(study.overrides(size)) for size in study.sizes), strict=True
+    )
+    x, y = np.log(study.sizes), np.log(seconds)
+    return Fit(
+        study.name,
+        study.sizes,
+        seconds,
+        iterations,
+        statuses,
+        float(np.polyfit(x, y, 1)[0]),
+        float((y[-1] - y[-2]) / (x[-1] - x[-2])),
+    )
 
 
-def _iteration_s(overrides: list[str]) -> float:
+def _plan(overrides: list[str]) -> tuple[float, int, str]:
     mission = Mission.from_scenario(load_scenario(None, overrides))
-    start, best = guess.cold(mission), np.inf
-    for _ in range(REPEATS):
-        found = Planner(mission).plan(start)
-        count = sum(len(stage.result.records) for stage in found.stages)
-        best = min(best, found.total_s / count)
-    return float(best)
+    start = guess.cold(mission)
+    best = min((Planner(mission).plan(start) for _ in range(REPEATS)), key=lambda p: p.total_s)
+    iterations = sum(len(stage.result.records) for stage in best.stages)
+    return best.total_s, iterations, best.final.result.status.value.name

@@ -1,4 +1,4 @@
-"""What is timed, each in a process of its own: `python -m benchmarks.methods NAME [OVERRIDE ...]`."""
+"""What is timed, each in a process of its own: `python -m benchmarks.methods NAME REPEATS`."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ from scp_recon import guess
 from scp_recon.campaign import Setting, run_block
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, Planner
+from scp_recon.results import make_solution
 from scp_recon.sampling import BLOCK
 from scp_recon.scenario import load_scenario
+from scp_recon.verification import verify
 
 REPLANS = 100
 
@@ -28,12 +30,13 @@ class Timed:
 
     Attributes:
         first: of the first run in the process, programs built and solvers set up in it.
-        best: of the fastest of the later runs.
-        cpu: processor time of that one.
+        best: of the fastest of the later runs; of replans the median.
+        cpu: processor time of the fastest run.
         split: its seconds by what they were spent on.
         peak_mib: resident memory at the end, imports included.
         total_dv_m_s: what was found.
         status: how it ended.
+        verified: whether an independent integration and Monte Carlo confirm it.
         details: whatever else the method tells.
     """
 
@@ -44,6 +47,7 @@ class Timed:
     peak_mib: float = 0.0
     total_dv_m_s: float = float("nan")
     status: str = ""
+    verified: bool = False
     details: dict[str, float] = field(default_factory=dict)
 
 
@@ -59,8 +63,9 @@ def timed(run: Callable[[], object], repeats: int) -> Timed:
     return Timed(walls[0], walls[best], cpus[best])
 
 
-def _described(figures: Timed, mission: Mission, plans: list[Plan]) -> Timed:
+def _described(figures: Timed, mission: Mission, plans: list[Plan], name: str) -> Timed:
     found = min(plans[1:] or plans, key=lambda plan: plan.total_s)
+    solution = make_solution(mission, found, "cold", name)
     parts = asdict(found.timing) | {"other": found.total_s - sum(vars(found.timing).values())}
     p2 = [r.solver_s for stage in found.stages if stage.facets for r in stage.result.records]
     solves = {"p2_subproblem": statistics.median(p2)} if p2 else {}
@@ -69,6 +74,7 @@ def _described(figures: Timed, mission: Mission, plans: list[Plan]) -> Timed:
         split=parts,
         total_dv_m_s=found.final.result.lin.iterate.total_dv * mission.units.speed_m_s,
         status=found.final.result.status.value.name,
+        verified=verify(mission, solution).ok,
         details=solves | {"iterations": float(sum(len(s.result.records) for s in found.stages))},
     )
 
@@ -80,7 +86,7 @@ def scp(mission: Mission, formulation: str, repeats: int) -> Timed:
     def run() -> None:
         plans.append(Planner(mission, formulation=formulation).plan(start))
 
-    return _described(timed(run, repeats), mission, plans)
+    return _described(timed(run, repeats), mission, plans, formulation)
 
 
 def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
@@ -92,7 +98,7 @@ def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
     def run() -> None:
         plans.append(reference.plan(mission, start, variant=variant))
 
-    return _described(timed(run, repeats), mission, plans)
+    return _described(timed(run, repeats), mission, plans, variant)
 
 
 def replan(mission: Mission, repeats: int) -> Timed:
@@ -140,10 +146,9 @@ METHODS: dict[str, Callable[[Mission, int], Timed]] = {
 
 
 def main() -> None:
-    """Print a method's figures as JSON; `NAME REPEATS [OVERRIDE ...]`."""
-    name, repeats, *overrides = sys.argv[1:]
-    mission = Mission.from_scenario(load_scenario(None, overrides))
-    figures = METHODS[name](mission, int(repeats))
+    """Print a method's figures as JSON."""
+    name, repeats = sys.argv[1:]
+    figures = METHODS[name](Mission.from_scenario(load_scenario()), int(repeats))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(json.dumps(asdict(replace(figures, peak_mib=peak))))
 
