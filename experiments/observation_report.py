@@ -83,7 +83,7 @@ def to_markdown(entries: Sequence[Measured | Failed]) -> str:
         "reached by all but 15.9 % of the flights.\n",
         _table(*_observation_times(entries)),
         "\n## What the paper's table does not have\n",
-        "Closest approach: distance from the centre of mass on the planner's grid over the whole "
+        "Closest approach: distance from the centre of mass, every 240 s at least, over the whole "
         "flight, which 0.3 % of the flights fall below; the paper prints one, "
         f"{PRINTED_CLOSEST_M} m. Joint probability: of the least probable joint constraint, and of "
         "all observation constraints at once, each at its least probable time.\n",
