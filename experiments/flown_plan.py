@@ -2,8 +2,8 @@
 
 The plan is simulated with every source of error, once for each seed. Charge, modes, pointing and the
 flown path against the planned covariance go to OUT/flown_plan.csv, a line for each seed, and .md;
-the flights themselves to OUT/seed_N/simulation.npz. Flights of the same burns and vehicle that are
-there already are not flown again.
+the flights themselves to OUT/seed_N/simulation.npz. Flights of the same scenario, burns and vehicle
+that are there already are not flown again.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from scp_recon.errors import InputError
 from scp_recon.estimates import proportion
 from scp_recon.mission import Mission
 from scp_recon.solution import Solution, read_solution, write_atomically
-from scp_recon.spacecraft.record import Record, make_record, read_record, write_record
+from scp_recon.spacecraft.record import (
+    Record,
+    inputs_digest,
+    make_record,
+    read_record,
+    write_record,
+)
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
 NAME = "flown_plan"
@@ -53,7 +59,9 @@ def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path, *, fresh:
         return found
     try:
         from scp_recon.spacecraft.simulation import simulate
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("Basilisk"):
+            raise
         raise InputError("Basilisk", f"no module {error.name}", "needs the extra [sim]") from None
     record = make_record(simulate(solution, vehicle, seed), solution, seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -66,14 +74,9 @@ def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Rec
         record = read_record(folder)
     except InputError:
         return None
-    summary = record.summary
-    flown = [burn["planned_m_s"] for burn in summary["burns"]]
-    same = (summary["seed"], summary["vehicle"], flown) == (
-        seed,
-        vehicle.name,
-        solution.burns_m_s.tolist(),
-    )
-    return record if same else None
+    # Files of earlier versions lack the digest, and are flown again.
+    flown = record.summary["seed"], record.summary.get("inputs_sha256")
+    return record if flown == (seed, inputs_digest(solution, vehicle)) else None
 
 
 def line(record: Record) -> dict[str, Cell]:
@@ -84,7 +87,9 @@ def line(record: Record) -> dict[str, Cell]:
         "seed": summary["seed"],
         "least_charge": summary["least_charge"],
         "modes_hold": all(leg["ok"] for leg in summary["legs"]),
-        "burn_pointing_max_deg": max(burn["pointing_deg"] for burn in summary["burns"]),
+        "settled_in_time": all(leg["settled_in_time"] for leg in summary["legs"]),
+        "burn_start_max_deg": max(burn["pointing_deg"] for burn in summary["burns"]),
+        "burn_executed_max_deg": max(burn["executed_pointing_deg"] for burn in summary["burns"]),
         "camera_mean_deg": camera["mean"],
         "camera_max_deg": camera["q100"],
         "site_mean_deg": site["mean"],
