@@ -141,14 +141,23 @@ def node_states(flight: Flight, solution: Solution) -> Array:
 
 
 def sigma_distance(flight: Flight, solution: Solution) -> Array:
-    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,).
+    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,)."""
+    return distance_in_sigmas(node_states(flight, solution)[:, :3], solution)
+
+
+def distance_in_sigmas(positions: Array, solution: Solution) -> Array:
+    """Mahalanobis distances from the planned mean, shape (..., nodes).
 
     A millimetre is added to the spread: a plan without uncertainty has none.
+
+    Args:
+        positions: at the solution's nodes, m, J2000, shape (..., nodes, 3).
+        solution: plan.
     """
-    error = (node_states(flight, solution) - np.array(solution.nodes.state))[:, :3]
+    error = positions - np.array(solution.nodes.state)[:, :3]
     covariance = np.array(solution.nodes.covariance)[:, :3, :3] + 1e-6 * np.eye(3)
     weighted = np.linalg.solve(covariance, error[..., None])[..., 0]
-    return np.sqrt(np.einsum("ni,ni->n", error, weighted))
+    return np.sqrt(np.einsum("...i,...i->...", error, weighted))
 
 
 def state_of_charge(flight: Flight) -> Array:
