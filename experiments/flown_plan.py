@@ -2,15 +2,15 @@
 
 The plan is simulated with every source of error, once for each seed. Charge, modes, pointing and the
 flown path against the planned covariance go to OUT/flown_plan.csv, a line for each seed, and .md;
-the flights themselves to OUT/seed_N/simulation.npz. Flights of the same burns and vehicle that are
-there already are not flown again.
+the flights themselves to OUT/seed_N/simulation.npz. Flights of the same scenario, burns and vehicle
+that are there already are not flown again.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +20,27 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from scipy.stats import chi2
 
+from experiments.flown_samples import sample_distances
 from experiments.studies import Cell, add_out, markdown, run, to_csv, whole
 from scp_recon.errors import InputError
 from scp_recon.estimates import proportion
 from scp_recon.mission import Mission
 from scp_recon.solution import Solution, read_solution, write_atomically
-from scp_recon.spacecraft.record import Record, make_record, read_record, write_record
+from scp_recon.spacecraft.record import (
+    Record,
+    inputs_digest,
+    make_record,
+    read_record,
+    write_record,
+)
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
+
+Array = npt.NDArray[np.float64]
+Inside = npt.NDArray[np.bool_]
 
 NAME = "flown_plan"
 DEFAULT_OUT = Path("runs") / NAME
-SEEDS = 20
+SEEDS, SAMPLES = 20, 10_000
 RADIUS_SIGMA = 3.0
 EXPECTED = float(chi2.cdf(RADIUS_SIGMA**2, 3))
 """Share of a normal position that lies within three sigma."""
@@ -53,7 +63,9 @@ def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path, *, fresh:
         return found
     try:
         from scp_recon.spacecraft.simulation import simulate
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("Basilisk"):
+            raise
         raise InputError("Basilisk", f"no module {error.name}", "needs the extra [sim]") from None
     record = make_record(simulate(solution, vehicle, seed), solution, seed)
     folder.mkdir(parents=True, exist_ok=True)
@@ -66,14 +78,9 @@ def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Rec
         record = read_record(folder)
     except InputError:
         return None
-    summary = record.summary
-    flown = [burn["planned_m_s"] for burn in summary["burns"]]
-    same = (summary["seed"], summary["vehicle"], flown) == (
-        seed,
-        vehicle.name,
-        solution.burns_m_s.tolist(),
-    )
-    return record if same else None
+    # Files of earlier versions lack the digest, and are flown again.
+    flown = record.summary["seed"], record.summary.get("inputs_sha256")
+    return record if flown == (seed, inputs_digest(solution, vehicle)) else None
 
 
 def line(record: Record) -> dict[str, Cell]:
@@ -84,7 +91,9 @@ def line(record: Record) -> dict[str, Cell]:
         "seed": summary["seed"],
         "least_charge": summary["least_charge"],
         "modes_hold": all(leg["ok"] for leg in summary["legs"]),
-        "burn_pointing_max_deg": max(burn["pointing_deg"] for burn in summary["burns"]),
+        "settled_in_time": all(leg["settled_in_time"] for leg in summary["legs"]),
+        "burn_start_max_deg": max(burn["pointing_deg"] for burn in summary["burns"]),
+        "burn_executed_max_deg": max(burn["executed_pointing_deg"] for burn in summary["burns"]),
         "camera_mean_deg": camera["mean"],
         "camera_max_deg": camera["q100"],
         "site_mean_deg": site["mean"],
@@ -98,37 +107,78 @@ def line(record: Record) -> dict[str, Cell]:
     }
 
 
-def to_markdown(records: Sequence[Record], mission: Mission) -> str:
-    """What all flights say together."""
+def to_markdown(records: Sequence[Record], mission: Mission, sampled: Sequence[Array]) -> str:
+    """What all flights say together.
+
+    Args:
+        records: of the flights.
+        mission: that they flew.
+        sampled: distances in sigmas without a spacecraft, with the vehicle's and with the planner's
+            error of the burns, shape (samples, nodes) each.
+    """
     summaries = [record.summary for record in records]
     distances = np.array([record.arrays["node_sigma_distance"] for record in records])
-    within, window = distances <= RADIUS_SIGMA, mission.window_nodes
-    shares = [
-        ("at the final node", within[:, -1]),
-        ("at every node of the window", within[:, window].all(axis=1)),
-        ("at every node", within.all(axis=1)),
-    ]
-    least = min(summary["least_charge"] for summary in summaries)
-    dumps = np.mean([summary["dumps"] for summary in summaries])
     lines = [
         f"# A plan flown {len(records)} times",
-        f"Least state of charge {least:.3f}; the floor is {summaries[0]['floor_charge']:.2f}. "
-        f"Momentum is dumped {dumps:.2f} times a flight.",
+        _power_and_end(records),
         "## Modes",
-        markdown(("mode", "shortest s", "at least s", "holds"), _mode_lines(summaries)),
+        markdown(
+            ("mode", "shortest s", "at least s", "holds", "steady after s, worst", "in time"),
+            _mode_lines(summaries),
+        ),
         "## Pointing",
-        "Means are over all flights; quantiles of each flight are its worst flight's.",
+        "Burns of all flights together; of the camera, the mean and the quantiles of the worst flight.",
         markdown(("angle, deg", "mean", "95 %", "99.7 %", "largest"), _angle_lines(summaries)),
         "## Position against the planned covariance",
         f"A normal position lies within {RADIUS_SIGMA:g} sigma with probability {EXPECTED:.3f}. "
-        f"Over all flights and nodes {within.mean():.3f} of the positions do; the largest distance "
-        f"is {distances.max():.2f} sigma.",
+        f"The largest distance is {distances.max():.2f} sigma. The last two columns are "
+        f"{len(sampled[0])} samples of the planner's dynamics: with the vehicle's error of thrust and "
+        "with the planner's own error of each component.",
         markdown(
-            ("flights within 3 sigma", "share", "95 % interval"),
-            [(name, *_share(np.atleast_1d(inside))) for name, inside in shares],
+            (
+                "within 3 sigma",
+                "share",
+                "95 % interval",
+                "error of thrust",
+                "planner's error",
+            ),
+            _within_lines([distances, *sampled], mission),
         ),
     ]
     return "\n\n".join(lines) + "\n"
+
+
+def _power_and_end(records: Sequence[Record]) -> str:
+    summaries = [record.summary for record in records]
+    generated = np.concatenate([r.arrays["panel_w"][1:].sum(axis=1) for r in records])
+    drawn = np.concatenate([r.arrays["consumed_w"][1:] for r in records])
+    misses = [summary["terminal_miss"]["position_m"] for summary in summaries]
+    return (
+        f"Least state of charge {min(s['least_charge'] for s in summaries):.3f}; the floor is "
+        f"{summaries[0]['floor_charge']:.2f}. Panels generate {generated.min():.0f} to "
+        f"{generated.max():.0f} W, loads draw {drawn.min():.0f} to {drawn.max():.0f} W. Momentum is "
+        f"dumped {np.mean([s['dumps'] for s in summaries]):.2f} times a flight. Flights end "
+        f"{min(misses):.0f} to {max(misses):.0f} m from the planned mean."
+    )
+
+
+def _within_lines(distances: Sequence[Array], mission: Mission) -> list[tuple[str, ...]]:
+    """Shares of the flights, with an interval, and of each sample, from distances (flights, nodes)."""
+    flown, *sampled = [distance <= RADIUS_SIGMA for distance in distances]
+    window = mission.window_nodes
+    kinds: dict[str, Callable[[Inside], Inside]] = {
+        "flights, at the final node": lambda inside: inside[:, -1],
+        "flights, at every node of the window": lambda inside: inside[:, window].min(axis=1),
+        "flights, at every node": lambda inside: inside.min(axis=1),
+    }
+    lines = [("positions at all nodes", f"{flown.mean():.3f}", "", *_means(sampled))]
+    for name, kind in kinds.items():
+        lines.append((name, *_share(kind(flown)), *_means([kind(x) for x in sampled])))
+    return lines
+
+
+def _means(samples: Sequence[Inside]) -> list[str]:
+    return [f"{np.mean(sample):.3f}" for sample in samples]
 
 
 def _mode_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
@@ -136,14 +186,31 @@ def _mode_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
     for legs in zip(*(summary["legs"] for summary in summaries), strict=True):
         shortest = min(leg["duration_s"] for leg in legs)
         holds = "yes" if all(leg["ok"] for leg in legs) else "no"
-        row = (f"{shortest:.0f}", f"{legs[0]['required_s']:.0f}", holds)
+        settled = [np.inf if leg["settled_s"] is None else leg["settled_s"] for leg in legs]
+        in_time = sum(leg["settled_in_time"] for leg in legs)
+        row = (
+            f"{shortest:.0f}",
+            f"{legs[0]['required_s']:.0f}",
+            holds,
+            f"{max(settled):.0f}",
+            f"{in_time} of {len(legs)}",
+        )
         lines.append((f"{legs[0]['mode']}, from {legs[0]['start_s']:.0f} s", *row))
     return lines
 
 
 def _angle_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
-    burns = np.array([[b["pointing_deg"] for b in s["burns"]] for s in summaries]).ravel()
-    rows = {"thrust against burn, as it starts": (burns, *np.quantile(burns, (0.95, 0.997, 1.0)))}
+    burns = [burn for summary in summaries for burn in summary["burns"]]
+    # At time zero the attitude is what it should be, by construction.
+    starts = np.array([burn["pointing_deg"] for burn in burns if burn["t_s"] > 0.0])
+    executed = np.array([burn["executed_pointing_deg"] for burn in burns])
+    rows = {
+        name: (angles, *np.quantile(angles, (0.95, 0.997, 1.0)))
+        for name, angles in (
+            ("thrust against burn, as it starts, but for the first", starts),
+            ("velocity gained against burn", executed),
+        )
+    }
     for name, key in ANGLES.items():
         spreads = [summary["window_pointing_deg"][key] for summary in summaries]
         means = np.array([spread["mean"] for spread in spreads])
@@ -155,7 +222,7 @@ def _angle_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
     ]
 
 
-def _share(inside: npt.NDArray[np.bool_]) -> tuple[str, str]:
+def _share(inside: Inside) -> tuple[str, str]:
     share = proportion(int(inside.sum()), len(inside))
     return f"{share.value:.2f}", f"{share.low:.2f} to {share.high:.2f}"
 
@@ -195,7 +262,8 @@ def _run(options: argparse.Namespace) -> int:
             fly(solution, vehicle, seed, out / f"seed_{seed}", fresh=options.fresh)
             for seed in bar.track(range(options.seeds))
         ]
-    table = to_markdown(records, mission)
+    sampled = [sample_distances(solution, errs, SAMPLES) for errs in (vehicle, None)]
+    table = to_markdown(records, mission, sampled)
     files = {
         f"{NAME}.csv": to_csv([line(record) for record in records]),
         f"{NAME}.md": table,

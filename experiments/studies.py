@@ -8,7 +8,10 @@ import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
+from rich.console import Console
+
 from scp_recon.command import guarded
+from scp_recon.errors import InputError
 
 Cell = str | float | int | bool
 
@@ -39,7 +42,17 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 def run(study: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
     """Run a study to its exit status; what goes wrong ends it as it ends every command."""
-    return guarded(lambda _: study(options))
+
+    def action(_: Console) -> int:
+        try:
+            return study(options)
+        except OSError as error:
+            if error.filename is None:  # the terminal, or a pipe
+                raise
+            reason = (error.strerror or "unusable").lower()
+            raise InputError(str(error.filename), reason, "must be writable") from None
+
+    return guarded(action)
 
 
 def to_csv(records: Sequence[Mapping[str, Cell]]) -> str:

@@ -30,7 +30,7 @@ from scp_recon.schedule import Leg, Mode
 from scp_recon.solution import write_atomically
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import FlightPlan, sun_pointing
-from scp_recon.spacecraft.outcome import attitude_error, state_of_charge
+from scp_recon.spacecraft.outcome import attitude_error, settling_time, state_of_charge
 from scp_recon.spacecraft.panels import SolarArray, irradiance
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
@@ -52,7 +52,7 @@ class Slew:
     Attributes:
         axis: body frame, shape (3,).
         wheel_share: largest wheel speed at its start over the largest there is.
-        settling_s: until the attitude error stays below each of `STEADY_DEG`.
+        settling_s: until the attitude error stays below each of `STEADY_DEG`; inf if it never does.
         steady_deg: root mean square error in the last five minutes.
     """
 
@@ -101,7 +101,9 @@ def coast(
     try:
         from scp_recon.spacecraft.plant import Start
         from scp_recon.spacecraft.simulation import Draws, Simulator, Source, sensor_sigmas
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("Basilisk"):
+            raise
         raise InputError("Basilisk", f"no module {error.name}", "needs the extra [sim]") from None
     times = np.arange(float(len(commands)))
     plan = FlightPlan(mission, vehicle, (), (Leg(Mode.SUN_POINTING, 0.0, times[-1]),), ())
@@ -135,7 +137,7 @@ def measure_slew(mission: Mission, vehicle: Vehicle, index: int, seed: int) -> S
     commands = Rotation.concatenate([end] * int(SLEW_S))
     flight = coast(mission, vehicle, commands, begin, speeds, seed + index)
     error = np.rad2deg(attitude_error(flight))
-    settling = [float(np.flatnonzero(error > limit)[-1] + 1) for limit in STEADY_DEG]
+    settling = [settling_time(error, limit) for limit in STEADY_DEG]
     return Slew(axis, share, tuple(settling), float(np.sqrt((error[-300:] ** 2).mean())))
 
 

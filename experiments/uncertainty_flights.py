@@ -144,7 +144,11 @@ class Logbook:
             self.flown = dict(self._read()) if same else {}
         except (OSError, ValueError, KeyError):  # nothing there, or nothing that can be read
             self.flown = {}
-        write_atomically(belongs, setting)
+            same = False
+        if not same:
+            # In this order: flights never lie beside a setting that is not theirs.
+            self._file.unlink(missing_ok=True)
+            write_atomically(belongs, setting)
 
     def _read(self) -> Iterator[tuple[tuple[str, int], Flown]]:
         with self._file.open(encoding="utf-8", newline="") as file:

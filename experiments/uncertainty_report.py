@@ -37,6 +37,10 @@ NORMAL_MIN = 8
 """Flights below which nothing is said about normality."""
 
 
+ROUNDING_M = 1e-6
+"""Below it flights differ by rounding alone."""
+
+
 @dataclass(frozen=True)
 class Measured:
     """What a set of sources does.
@@ -63,7 +67,7 @@ class Measured:
     @property
     def normality(self) -> dict[str, Normality]:
         """Of the final position by axis, if there are enough flights that differ."""
-        if len(self.deviation) < NORMAL_MIN or not self.rms.value:
+        if len(self.deviation) < NORMAL_MIN or self.rms.value < ROUNDING_M:
             return {}
         return {axis: normality(self.deviation[:, i]) for i, axis in enumerate(AXES)}
 
@@ -244,6 +248,8 @@ def verdicts(entries: Sequence[Measured], solution: Solution) -> list[str]:
     )
     for errs in (INITIAL, CHEMICAL):
         normal = found[errs].normality
+        if not normal:  # of flights that all end alike, nothing can be said
+            continue
         straight = min(n.correlation for n in normal.values())
         rejected = [axis for axis, n in normal.items() if n.p_value < SIGNIFICANCE]
         kept = f"rejected for {', '.join(rejected)}" if rejected else "not rejected for any axis"

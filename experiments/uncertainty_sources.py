@@ -20,7 +20,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from experiments.observation_rows import rows
 from experiments.studies import add_out, run, to_csv, whole
-from experiments.uncertainty_flights import NO_ERRORS, SETS, TRANSLATION, Logbook, fly_all
+from experiments.uncertainty_flights import (
+    NO_ERRORS,
+    SETS,
+    TRANSLATION,
+    Logbook,
+    fly_all,
+    simulator,
+)
 from experiments.uncertainty_report import (
     ORDER,
     measure_flights,
@@ -82,6 +89,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    if options.flights:
+        simulator()  # without it nothing is written
     vehicle, solution = load_vehicle(options.vehicle), _plan(options.solution)
     options.out.mkdir(parents=True, exist_ok=True)
     # Seed by seed, so that an interrupted study has as many flights of every set.

@@ -54,7 +54,9 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
     try:
         # Basilisk is an extra, and takes seconds to import.
         from scp_recon.spacecraft.simulation import simulate
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("Basilisk"):
+            raise
         raise InputError(
             "python -m scp_recon.simulate",
             f"no module named {error.name}",
@@ -90,19 +92,22 @@ def _unwritable(folder: Path, error: OSError) -> InputError:
 def show(console: Console, summary: dict[str, Any]) -> None:
     """The figures that matter."""
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in ("mode", "from s", "for s", "at least s"):
+    for heading in ("mode", "from s", "for s", "at least s", "steady after s"):
         table.add_column(heading, justify="left" if heading == "mode" else "right")
     for leg in summary["legs"]:
         mark = "" if leg["ok"] else " too short"
+        mark += "" if leg["settled_in_time"] else " not steady in time"
+        settled = "never" if leg["settled_s"] is None else f"{leg['settled_s']:.0f}"
         numbers = (leg["start_s"], leg["duration_s"], leg["required_s"])
-        table.add_row(leg["mode"] + mark, *(f"{x:.0f}" for x in numbers))
+        table.add_row(leg["mode"] + mark, *(f"{x:.0f}" for x in numbers), settled)
     console.print(table)
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in ("burn at s", "planned m/s", "executed m/s", "pointing deg"):
+    for heading in ("burn at s", "planned m/s", "executed m/s", "off at start deg", "executed deg"):
         table.add_column(heading, justify="right")
     for burn in summary["burns"]:
         sizes = (sum(x * x for x in burn[key]) ** 0.5 for key in ("planned_m_s", "executed_m_s"))
-        row = (f"{burn['t_s']:.0f}", *(f"{x:.5f}" for x in sizes), f"{burn['pointing_deg']:.3f}")
+        angles = (burn["pointing_deg"], burn["executed_pointing_deg"])
+        row = (f"{burn['t_s']:.0f}", *(f"{x:.5f}" for x in sizes), *(f"{x:.3f}" for x in angles))
         table.add_row(*row)
     console.print(table)
     lines = [

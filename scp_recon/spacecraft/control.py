@@ -113,7 +113,9 @@ class Allocator(sysModel.SysModel):
 class Firer(sysModel.SysModel):
     """Joins what control and dumping ask of the micro-thrusters, and fires the burns.
 
-    Every pulse has its own error of thrust. A burn has one error for its whole length.
+    Every pulse has its own error of thrust. A burn has one error for its whole length. Its torque is
+    fed forward one period after it begins and ends: pulses start with their period, so that each
+    undoes what the burn did in the last; without the delay the error grows all through the burn.
     """
 
     def __init__(
@@ -122,12 +124,13 @@ class Firer(sysModel.SysModel):
         plant: Plant,
         allocator: Allocator,
         servo: rateServoFullNonlinear.rateServoFullNonlinear,
+        pulses: thrFiringSchmitt.thrFiringSchmitt,
         pulse_error: Array,
         burn_error: Array,
     ) -> None:
         super().__init__()
         self.plan, self.plant, self.allocator, self.servo = plan, plant, allocator, servo
-        self.pulse_error, self.burn_error = pulse_error, burn_error
+        self.pulses, self.pulse_error, self.burn_error = pulses, pulse_error, burn_error
         self.on_time_s = np.zeros((len(pulse_error), len(plant.micro_thrusters)))
         self.micro, self.chemical = (
             messaging.THRArrayOnTimeCmdMsg(),
@@ -142,6 +145,9 @@ class Firer(sysModel.SysModel):
 
     def UpdateState(self, now: int) -> None:  # noqa: N802, D102
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
+        if k == 0:
+            # The trigger takes a call at time zero for none, and would rest in its second call too.
+            self.pulses.prevCallTime = 1
         thrusters = self.plant.micro_thrusters
         n = len(thrusters)
         on_time = np.array(self.control().OnTimeRequest[:n])
@@ -221,7 +227,7 @@ def build_flight_software(
     pulses.level_on, pulses.level_off = 0.75, 0.25
     pulses.thrForceInMsg.subscribeTo(forces.thrForceCmdOutMsg)
     pulses.thrConfInMsg.subscribeTo(plant.micro_config)
-    firer = Firer(plan, plant, allocator, servo, pulse_error, burn_error)
+    firer = Firer(plan, plant, allocator, servo, pulses, pulse_error, burn_error)
     firer.control.subscribeTo(pulses.onTimeOutMsg)
     firer.dumping.subscribeTo(dumping.thrusterOnTimeOutMsg)
     plant.micro.cmdsInMsg.subscribeTo(firer.micro)

@@ -62,6 +62,8 @@ class AttitudeFilter:
     def see(self, stars: Array | None, cosines: Array, boresights: Array, sun: Array) -> None:
         """Update with what the sensors see.
 
+        A Sun sensor that contradicts the prediction by `GATE_SIGMA`, as in a shadow, is left out.
+
         Args:
             stars: measured attitude, shape (4,), if the tracker sees any.
             cosines: between the Sun and the boresights of the Sun sensors that see it, shape (n,).
@@ -73,6 +75,11 @@ class AttitudeFilter:
         # A small rotation e of the body moves the Sun by s x e.
         sensitivity = boresights @ cross_matrix(sun_body)
         variance = np.full(len(cosines), self.sigmas.sun_sensor**2)
+        spread = np.einsum("ni,ij,nj->n", sensitivity, self.covariance, sensitivity) + variance
+        credible = innovation**2 <= GATE_SIGMA**2 * np.maximum(spread, VARIANCE_MIN)
+        innovation, sensitivity, variance = (
+            x[credible] for x in (innovation, sensitivity, variance)
+        )
         if stars is not None:
             error = product(self.quaternion * np.array([1.0, -1.0, -1.0, -1.0]), stars)
             innovation = np.append(2.0 * np.sign(error[0]) * error[1:], innovation)
@@ -88,6 +95,9 @@ class AttitudeFilter:
         rest = np.eye(3) - gain @ sensitivity
         self.covariance = rest @ self.covariance @ rest.T + gain * variance @ gain.T
 
+
+GATE_SIGMA = 6.0
+"""Of the innovation; by chance it happens once in 5e8 readings."""
 
 VARIANCE_MIN = 1e-18
 """Keeps the gain defined where a sensor is taken as perfect, rad^2."""

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
 from scp_recon import geometry
+from scp_recon.errors import InputError
 from scp_recon.frames import unit
 from scp_recon.mission import Mission
 from scp_recon.schedule import Leg, Mode
@@ -72,7 +73,11 @@ class FlightPlan:
 
     @classmethod
     def of(cls, solution: Solution, mission: Mission, vehicle: Vehicle) -> FlightPlan:
-        """Prepare a solution for flight."""
+        """Prepare a solution for flight.
+
+        Raises:
+            InputError: if the vehicle's thruster takes longer for a burn than the schedule has.
+        """
         thrust, mass = vehicle.chemical_thruster.thrust_n, vehicle.mass.mass_kg
         firings = []
         for burn in solution.burns:
@@ -83,6 +88,13 @@ class FlightPlan:
         legs = [Leg(Mode.DELTA_V, 0.0, firings[0].end_s)]
         for leg in mission.schedule.legs:
             late = next((f.end_s for f in firings if abs(f.start_s - leg.end_s) < 1.0), leg.end_s)
+            if legs[-1].end_s >= late:
+                took = f"a burn until {legs[-1].end_s:g} s"
+                raise InputError(
+                    "vehicle: chemical_thruster",
+                    took,
+                    f"must end before the mode at {late:g} s does",
+                )
             legs.append(Leg(leg.mode, legs[-1].end_s, late))
         return cls(mission, vehicle, tuple(firings), tuple(legs), _interpolate(solution))
 

@@ -13,27 +13,55 @@ from scp_recon.frames import unit
 from scp_recon.schedule import Leg, Mode
 from scp_recon.solution import Solution
 from scp_recon.spacecraft.flight import Flight
-from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
+from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LegOutcome:
-    """A mode as flown against the least time that the rules give it, s."""
+    """A mode as commanded and as flown against the rules, s.
+
+    Attributes:
+        leg: which.
+        duration_s: how long it was commanded.
+        required_s: least that the rules give it.
+        settled_s: from its start until the attitude error stays below `STEADY_RAD` to its end, in
+            delta-V mode to the burn; inf if never.
+        attitude_s: what the rules allow for that.
+    """
 
     leg: Leg
     duration_s: float
     required_s: float
+    settled_s: float
+    attitude_s: float
 
     @property
     def ok(self) -> bool:
         """Whether it was long enough; a control period is forgiven."""
         return self.duration_s >= self.required_s - CONTROL_PERIOD_S
 
+    @property
+    def settled_in_time(self) -> bool:
+        """Whether the attitude was steady as early as the rules assume."""
+        return self.settled_s <= self.attitude_s
 
-def leg_outcomes(plan: FlightPlan) -> list[LegOutcome]:
+
+STEADY_RAD = np.deg2rad(0.25)
+"""Attitude error in steady state."""
+
+
+def settling_time(error: Array, limit: float) -> float:
+    """Time in s from which the errors, one a control period, stay below a limit; inf if never."""
+    rough = np.flatnonzero(error >= limit)
+    after = int(rough[-1]) + 1 if len(rough) else 0
+    return after * CONTROL_PERIOD_S if after < len(error) else np.inf
+
+
+def leg_outcomes(flight: Flight) -> list[LegOutcome]:
     """Every mode after the first burn, whose attitude is there from the start."""
+    plan, error, times = flight.plan, attitude_error(flight), flight.times_s
     rules, window = plan.mission.scenario.schedule, plan.mission.schedule.window_s
     outcomes = []
     for leg in plan.legs[1:]:
@@ -43,7 +71,11 @@ def leg_outcomes(plan: FlightPlan) -> list[LegOutcome]:
             required = rules.attitude_s + window[1] - window[0]
         else:
             required = rules.attitude_s + rules.heating_s
-        outcomes.append(LegOutcome(leg, leg.end_s - leg.start_s, required))
+        burn = next((f.start_s for f in plan.firings if f.end_s == leg.end_s), leg.end_s)
+        during = (times >= leg.start_s) & (times < burn)
+        settled = settling_time(error[during], STEADY_RAD)
+        duration = leg.end_s - leg.start_s
+        outcomes.append(LegOutcome(leg, duration, required, settled, rules.attitude_s))
     return outcomes
 
 
@@ -55,6 +87,7 @@ class Pointing:
         attitude: between the commanded and the true attitude, shape (n,).
         estimate: between the estimated and the true one, shape (n,).
         burns: between each planned burn and the thrust when it starts, shape (m,).
+        executed: between each planned burn and the velocity it gave, shape (m,); 0 if none.
         camera: between boresight and command at the samples of the window, shape (w,).
         site: between boresight and true line of sight to the site there, shape (w,).
     """
@@ -62,6 +95,7 @@ class Pointing:
     attitude: Array
     estimate: Array
     burns: Array
+    executed: Array
     camera: Array
     site: Array
 
@@ -76,12 +110,13 @@ def pointing(flight: Flight) -> Pointing:
     window = (flight.times_s >= first) & (flight.times_s < last)
     camera = unit(vehicle.sensors.camera)
     boresight = flight.attitudes[window].apply(camera)
-    mission = plan.mission
+    mission, executed = plan.mission, geometry.angle(flight.burns_m_s, planned)
     track = geometry.track(mission.site, mission.rotation, flight.times_s[window])
     return Pointing(
         attitude=attitude_error(flight),
         estimate=_between(flight.estimates, flight.attitudes),
         burns=geometry.angle(flight.attitudes[starts].apply(thrust), planned),
+        executed=np.where(flight.burns_m_s.any(axis=1), executed, 0.0),
         camera=geometry.angle(boresight, flight.commands[window].apply(camera)),
         site=geometry.angle(track.position - flight.states[window, :3], boresight),
     )
@@ -106,14 +141,23 @@ def node_states(flight: Flight, solution: Solution) -> Array:
 
 
 def sigma_distance(flight: Flight, solution: Solution) -> Array:
-    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,).
+    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,)."""
+    return distance_in_sigmas(node_states(flight, solution)[:, :3], solution)
+
+
+def distance_in_sigmas(positions: Array, solution: Solution) -> Array:
+    """Mahalanobis distances from the planned mean, shape (..., nodes).
 
     A millimetre is added to the spread: a plan without uncertainty has none.
+
+    Args:
+        positions: at the solution's nodes, m, J2000, shape (..., nodes, 3).
+        solution: plan.
     """
-    error = (node_states(flight, solution) - np.array(solution.nodes.state))[:, :3]
+    error = positions - np.array(solution.nodes.state)[:, :3]
     covariance = np.array(solution.nodes.covariance)[:, :3, :3] + 1e-6 * np.eye(3)
     weighted = np.linalg.solve(covariance, error[..., None])[..., 0]
-    return np.sqrt(np.einsum("ni,ni->n", error, weighted))
+    return np.sqrt(np.einsum("...i,...i->...", error, weighted))
 
 
 def state_of_charge(flight: Flight) -> Array:

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import zipfile
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,12 +31,25 @@ from scp_recon.spacecraft.outcome import (
     sigma_distance,
     state_of_charge,
 )
+from scp_recon.spacecraft.vehicle import Vehicle
 
 SCHEMA = "scp_recon.simulation/1"
 FILE_NAME = "simulation.npz"
 SAMPLE_S = 10.0
 MODES = tuple(Mode)
 QUANTILES = (0.5, 0.95, 0.997, 1.0)
+
+ARRAYS = (
+    "t_s", "state", "attitude", "command", "estimate", "rate_rad_s", "mode", "actuators",
+    "wheel_speed_rad_s", "panel_w", "panel_peak_w", "consumed_w", "state_of_charge",
+    "pointing_error_rad", "node_state", "node_sigma_distance",
+)  # fmt: skip
+KEYS = (
+    "schema", "vehicle", "seed", "modes", "legs", "burns", "window_pointing_deg", "estimate_deg",
+    "least_charge", "floor_charge", "energy_wh", "ledger_error", "dumps", "terminal_miss",
+    "within_3_sigma", "largest_sigma_distance",
+)  # fmt: skip
+"""What every file of this schema has; what was added later may be missing."""
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -75,6 +90,16 @@ def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
     return Record(arrays, _summary(flight, solution, angles, seed))
 
 
+def inputs_digest(solution: Solution, vehicle: Vehicle) -> str:
+    """SHA-256 of what is flown: scenario, burns and vehicle; flights of the same differ by the seed."""
+    inputs = {
+        "scenario": solution.scenario.model_dump(mode="json"),
+        "burns": solution.burns_m_s.tolist(),
+        "vehicle": vehicle.model_dump(mode="json"),
+    }
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+
 def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) -> dict[str, Any]:
     plan = flight.plan
     charge, distance = state_of_charge(flight), sigma_distance(flight, solution)
@@ -83,6 +108,7 @@ def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) ->
         "schema": SCHEMA,
         "vehicle": plan.vehicle.name,
         "seed": seed,
+        "inputs_sha256": inputs_digest(solution, plan.vehicle),
         "modes": list(MODES),
         "legs": [
             {
@@ -91,8 +117,10 @@ def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) ->
                 "duration_s": outcome.duration_s,
                 "required_s": outcome.required_s,
                 "ok": outcome.ok,
+                "settled_s": outcome.settled_s if np.isfinite(outcome.settled_s) else None,
+                "settled_in_time": outcome.settled_in_time,
             }
-            for outcome in leg_outcomes(plan)
+            for outcome in leg_outcomes(flight)
         ],
         "burns": [
             {
@@ -100,10 +128,15 @@ def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) ->
                 "duration_s": firing.duration_s,
                 "planned_m_s": firing.dv_m_s.tolist(),
                 "executed_m_s": executed.tolist(),
-                "pointing_deg": float(np.rad2deg(angle)),
+                "pointing_deg": start,
+                "executed_pointing_deg": mean,
             }
-            for firing, executed, angle in zip(
-                plan.firings, flight.burns_m_s, angles.burns, strict=True
+            for firing, executed, start, mean in zip(
+                plan.firings,
+                flight.burns_m_s,
+                np.rad2deg(angles.burns).tolist(),
+                np.rad2deg(angles.executed).tolist(),
+                strict=True,
             )
         ],
         "window_pointing_deg": {"camera": _spread(angles.camera), "site": _spread(angles.site)},
@@ -162,17 +195,24 @@ def read_record(path: Path) -> Record:
     """
     file = path / FILE_NAME if path.is_dir() else path
     try:
+        with file.open("rb") as stream, zipfile.ZipFile(stream):
+            pass  # or it is no archive, of which NumPy has other readers
         with np.load(file, allow_pickle=False) as data:
             arrays = {name: data[name] for name in data.files if name != "summary"}
             summary = json.loads(str(data["summary"]))
     except OSError as error:
         reason = (error.strerror or "unreadable").lower()
         raise InputError(f"simulation {file}", reason, "must be a readable file") from None
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise InputError(
             f"simulation {file}", str(error)[:80], "must be a simulation file"
         ) from None
+    if not isinstance(summary, dict):
+        raise InputError(f"simulation {file}", "a summary that is no object", "must be one")
     if summary.get("schema") != SCHEMA:
-        given = repr(summary.get("schema"))
+        given = repr(summary.get("schema"))[:80]
         raise InputError(f"simulation {file}", given, f"schema must be {SCHEMA!r}")
+    missing = [name for name in (*ARRAYS, *KEYS) if name not in arrays and name not in summary]
+    if missing:
+        raise InputError(f"simulation {file}", f"no {missing[0]}", "must have every entry")
     return Record(arrays, summary)

@@ -8,6 +8,7 @@ import numpy as np
 from Basilisk.architecture import messaging, sysModel
 from Basilisk.simulation import coarseSunSensor, imuSensor, starTracker
 
+from scp_recon.mission import AU_KM
 from scp_recon.spacecraft.estimator import SensorSigmas
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 from scp_recon.spacecraft.surroundings import Surroundings
@@ -49,6 +50,9 @@ def build_sensors(
     gyro.setAMatrixGyro(white)
     gyro.setWalkBoundsGyro(np.full(3, np.pi))
     gyro.RNGSeed = seeds["imu"]
+    # Basilisk's are as bright as the Sun; of that a sensor's cosine must not depend, nor its noise.
+    sun_km = np.linalg.norm(surroundings.mission.scenario.sun.body_position_km)
+    scale = float(sun_km / AU_KM) ** 2
     suns = []
     for index, boresight in enumerate(vehicle.sensors.sun_sensors):
         sun = coarseSunSensor.CoarseSunSensor()
@@ -57,7 +61,7 @@ def build_sensors(
         sun.sunEclipseInMsg.subscribeTo(surroundings.shadow)
         sun.nHat_B = [[x] for x in boresight]
         sun.fov = np.deg2rad(vehicle.sensors.sun_sensor_half_angle_deg)
-        sun.senNoiseStd = sigmas.sun_sensor
+        sun.scaleFactor, sun.senNoiseStd = scale, sigmas.sun_sensor / scale
         sun.minOutput, sun.maxOutput = -10.0, 10.0
         sun.RNGSeed = (seeds["sun_sensor"] + index) % 2**32
         suns.append(sun)

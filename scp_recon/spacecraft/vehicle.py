@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from functools import cached_property
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
 from scp_recon.errors import InputError
+from scp_recon.files import read_text
 from scp_recon.frames import unit
 from scp_recon.scenario_schema import NonNegative, NonZeroVector, Positive, Section, Vector
 
@@ -27,6 +29,12 @@ class MassProperties(Section):
     mass_kg: Positive
     centre_of_mass_m: Vector
     inertia_kg_m2: tuple[Positive, Positive, Positive]
+
+    @model_validator(mode="after")
+    def _of_a_body(self) -> Self:
+        if 2.0 * max(self.inertia_kg_m2) > sum(self.inertia_kg_m2):
+            raise ValueError("no moment of inertia may exceed the sum of the others")
+        return self
 
 
 class Face(Section):
@@ -80,12 +88,12 @@ class Loads(Section):
 
     @property
     def observation_w(self) -> float:
-        """Largest draw in observation mode."""
+        """Draw in observation mode, without what spinning wheels take."""
         return self.quiescent_w + self.attitude_control_w + self.payload_w
 
     @property
     def warm_up_w(self) -> float:
-        """Largest draw in delta-V mode, before the burn."""
+        """Draw in delta-V mode before the burn, without what spinning wheels take."""
         return self.quiescent_w + self.attitude_control_w + self.heater_w
 
 
@@ -106,6 +114,15 @@ class Wheels(Section):
     dump_start: PositiveShare
     dump_end: Share
     power_w: Annotated[tuple[tuple[NonNegative, NonNegative], ...], Field(min_length=2)]
+
+    @model_validator(mode="after")
+    def _usable(self) -> Self:
+        if np.linalg.matrix_rank(unit(self.axes), tol=1e-3) < 3:
+            raise ValueError("axes must span space")
+        speeds = [speed for speed, _ in self.power_w]
+        if any(a >= b for a, b in pairwise(speeds)):
+            raise ValueError("power_w must have ascending speeds")
+        return self
 
 
 class MicroThrusters(Section):
@@ -208,10 +225,7 @@ def load_vehicle(path: Path | None = None) -> Vehicle:
     if path is None:
         text = (files("scp_recon.spacecraft") / "data" / "dare.toml").read_text(encoding="utf-8")
     else:
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"vehicle {path}", str(error), "must be a readable file") from None
+        text = read_text(path, f"vehicle {path}", "vehicle file")
     try:
         return Vehicle.model_validate(tomllib.loads(text), strict=False)
     except tomllib.TOMLDecodeError as error:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -36,11 +37,22 @@ def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None
         (row,) = csv.DictReader(file)
     record = read_record(out / "seed_0")
     assert row["modes_hold"] == "true"
+    # The short plan allows ten minutes for a slew, less than its longest takes with errors.
+    assert row["settled_in_time"] == "false"
+    assert max(leg["settled_s"] for leg in record.summary["legs"]) > 600.0
+    executed = [burn["executed_pointing_deg"] for burn in record.summary["burns"]]
+    assert float(row["burn_executed_max_deg"]) == max(executed) < 0.5
     assert float(row["least_charge"]) == record.summary["least_charge"] > 0.3
     assert float(row["camera_max_deg"]) == record.summary["window_pointing_deg"]["camera"]["q100"]
     assert float(row["terminal_sigma"]) == record.arrays["node_sigma_distance"][-1]
     words = (out / "flown_plan.md").read_text("utf-8")
     assert "with probability 0.971" in words
+    for kind in (
+        "positions at all nodes",
+        "flights, at every node",
+        "velocity gained against burn",
+    ):
+        assert f"| {kind} |" in words
     assert "| observation, from 709 s |" in words or "| observation, from 710 s |" in words
 
 
@@ -57,6 +69,10 @@ def test_a_flight_that_is_there_is_not_flown_again(
     arguments = [str(out), "--out", str(out), "--seeds", "1"]
     assert flown_plan.main(arguments) == 0
     assert (out / "flown_plan.csv").read_bytes() == before
-    for more in ("--fresh", "--seeds=2"):
+    # A vehicle of the same name that differs in one figure is another vehicle.
+    text = (files("scp_recon.spacecraft") / "data" / "dare.toml").read_text("utf-8")
+    other = out / "other.toml"
+    other.write_text(text.replace("imu_rad_s = 9.7e-5", "imu_rad_s = 9.8e-5"), encoding="utf-8")
+    for more in ("--fresh", "--seeds=2", f"--vehicle={other}"):
         with pytest.raises(AssertionError, match="flown again"):
             flown_plan.main([*arguments, more])

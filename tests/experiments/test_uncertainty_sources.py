@@ -132,6 +132,7 @@ def test_without_basilisk_the_extra_is_named(
     )
     assert run.returncode == 2
     assert "needs the extra scp_recon[sim]" in " ".join(run.stderr.split())
+    assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
 
 
 # --- statistics -----------------------------------------------------------------------------------
@@ -209,6 +210,7 @@ def test_flights_in_the_logbook_are_not_flown_again(
     errors = vehicle.errors.model_copy(update={"imu_rad_s": 1e-3})
     other = vehicle.model_copy(update={"errors": errors})
     assert not Logbook(tmp_path, solution, other).flown
+    assert not Logbook(tmp_path, solution, other).flown  # and stay none of it
 
 
 def test_two_processes_fly_what_one_does(
@@ -297,6 +299,26 @@ def test_the_command_measures_every_set(
     text = (out / "uncertainty_sources.md").read_text("utf-8")
     assert "| star tracker | 15 arcsec | whole spacecraft | 10 |" in text
     assert "| chemical thruster | 10 % of the thrust | planner's dynamics | 500 |" in text
+
+
+def test_a_source_that_does_not_err_is_not_called_normal(
+    solution: Solution, vehicle: Vehicle
+) -> None:
+    errors = vehicle.errors.model_copy(update={"chemical_thruster": 0.0})
+    found = measure_paths(solution, vehicle.model_copy(update={"errors": errors}), 30, 0)
+    assert found[CHEMICAL].normality == {}
+    said = verdicts(list(found.values()), solution)
+    assert not any("chemical thruster: quantiles" in line for line in said)
+
+
+def test_an_output_below_a_file_is_named(
+    solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    solution.write(tmp_path)
+    out = tmp_path / "solution.json" / "x"
+    arguments = ["--solution", str(tmp_path), "--out", str(out), "--flights", "0"]
+    assert main(arguments) == 2
+    assert "solution.json" in capsys.readouterr().err
 
 
 def test_without_flights_the_path_is_measured_alone(solution: Solution, tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from paper_figs import (
 from paper_figs.__main__ import STUDIES, make_all
 from paper_figs.drawing import PICTURES, command_from
 from scp_recon.errors import InputError
-from scp_recon.spacecraft.record import SCHEMA, Record, write_record
+from scp_recon.spacecraft.record import ARRAYS, KEYS, SCHEMA, Record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
 
 
@@ -84,7 +84,7 @@ def write_flight(folder: Path) -> None:
     zero = np.zeros(n)
     command = np.stack([np.cos(angle / 2), np.sin(angle / 2), zero, zero], axis=1)
     panel = np.array([11.4, 27.0, 27.0, 143.8, 143.8])
-    arrays = {
+    arrays = dict.fromkeys(ARRAYS, zero) | {
         "t_s": t,
         "attitude": -command,
         "command": command * np.sign(command[:, :1]),
@@ -96,7 +96,7 @@ def write_flight(folder: Path) -> None:
         "state_of_charge": np.stack([1.0 - t / 9000.0, np.ones(n)], axis=1),
         "pointing_error_rad": np.exp(-np.arange(7200.0) % 1800.0 / 200.0) + 1e-3,
     }
-    summary = {
+    summary = dict.fromkeys(KEYS) | {
         "schema": SCHEMA,
         "seed": 4,
         "modes": ["delta-V", "sun-pointing", "observation"],

@@ -6,6 +6,7 @@ import pytest
 
 from scp_recon.mission import Mission
 from scp_recon.solution import Solution
+from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 from tests.scp_recon.support import mission_of
 
@@ -25,3 +26,11 @@ def short_mission() -> Mission:
 @pytest.fixture(scope="session")
 def short_solution(short_mission: Mission) -> Solution:
     return short_plan(short_mission)
+
+
+@pytest.fixture(scope="session")
+def perfect(short_solution: Solution, vehicle: Vehicle) -> Flight:
+    """The short plan flown without errors."""
+    simulation = pytest.importorskip("scp_recon.spacecraft.simulation")
+    flight: Flight = simulation.simulate(short_solution, vehicle, sources=())
+    return flight

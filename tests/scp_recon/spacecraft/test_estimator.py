@@ -58,3 +58,14 @@ def test_errors_are_as_large_as_the_filter_says(rng: np.random.Generator, stars:
         squares.append(error @ np.linalg.solve(estimate.covariance, error))
     # Chi-squared of 180 degrees of freedom over 60: 3 with a deviation of 0.32.
     assert 1.6 < np.mean(squares) < 4.6
+
+
+def test_a_sun_sensor_in_shadow_is_not_believed() -> None:
+    sun = np.array([0.0, 0.0, 1.0])
+    boresight = np.array([[0.0, 0.6, 0.8]])
+    for reading, moves in ((0.0, False), (0.7, True)):
+        estimate = AttitudeFilter(
+            np.array([1.0, 0.0, 0.0, 0.0]), SensorSigmas(1e-4, 1e-4, 0.05), 0.01
+        )
+        estimate.see(None, np.array([reading]), boresight, sun)
+        assert estimate.quaternion[1:].any() == moves

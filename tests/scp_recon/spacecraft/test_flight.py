@@ -16,7 +16,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scp_recon import simulate as command
-from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.schedule import Mode
 from scp_recon.solution import Solution
@@ -27,6 +26,7 @@ from scp_recon.spacecraft.outcome import (
     leg_outcomes,
     node_states,
     pointing,
+    settling_time,
     sigma_distance,
 )
 from scp_recon.spacecraft.power import distribute, mode_loads
@@ -40,13 +40,6 @@ from scp_recon.spacecraft.simulation import (
     simulate,
 )
 from scp_recon.spacecraft.vehicle import Vehicle
-
-NOTHING: frozenset[Source] = frozenset()
-
-
-@pytest.fixture(scope="module")
-def perfect(short_solution: Solution, vehicle: Vehicle) -> Flight:
-    return simulate(short_solution, vehicle, sources=NOTHING)
 
 
 def test_a_flight_without_errors_stays_with_the_plan(
@@ -85,11 +78,20 @@ def test_every_mode_settles_on_wheels_after_a_slew_on_thrusters(perfect: Flight)
 
 
 def test_modes_last_as_long_as_the_rules_say(perfect: Flight) -> None:
-    outcomes = leg_outcomes(perfect.plan)
+    outcomes = leg_outcomes(perfect)
     assert [outcome.leg.mode for outcome in outcomes] == [
         Mode.SUN_POINTING, Mode.OBSERVATION, Mode.SUN_POINTING, Mode.DELTA_V,
     ]  # fmt: skip
-    assert all(outcome.ok for outcome in outcomes)
+    assert all(outcome.ok and outcome.settled_in_time for outcome in outcomes)
+    # A half turn at 0.4 deg/s takes as long as that.
+    assert max(outcome.settled_s for outcome in outcomes) > 180.0 / 0.4
+
+
+def test_settled_is_what_stays_below_the_limit() -> None:
+    error = np.array([0.9, 0.1, 0.3, 0.1, 0.1])
+    assert settling_time(error, 0.2) == 3.0
+    assert settling_time(error, 1.0) == 0.0
+    assert settling_time(error, 0.05) == np.inf
 
 
 def test_panels_generate_by_their_law(perfect: Flight) -> None:
@@ -217,9 +219,9 @@ def test_a_burn_of_zero_is_no_burn(
     plan = FlightPlan.of(solution, short_mission, vehicle)
     times = np.arange(30.0)
     commands = plan.attitudes(times)
-    draws = Draws.of(plan, short_mission.initial_sigma, len(times), 1, NOTHING)
+    draws = Draws.of(plan, short_mission.initial_sigma, len(times), 1, ())
     start = Start(short_mission.initial_state, commands[0], np.zeros(3), np.zeros(4))
-    sigmas = sensor_sigmas(vehicle.errors, NOTHING)
+    sigmas = sensor_sigmas(vehicle.errors, ())
     only = replace(plan, firings=plan.firings[:1])
     sim = Simulator(only, commands, start, draws, sigmas, times)
     sim.run()
@@ -286,9 +288,3 @@ def test_bad_input_ends_with_two(tmp_path: Path) -> None:
     with contextlib.redirect_stderr(errors):
         assert command.main([str(tmp_path)]) == 2
     assert "solution" in errors.getvalue()
-
-
-def test_a_damaged_file_is_named(tmp_path: Path) -> None:
-    (tmp_path / "simulation.npz").write_bytes(b"PK not a zip")
-    with pytest.raises(InputError, match=r"simulation\.npz"):
-        read_record(tmp_path)

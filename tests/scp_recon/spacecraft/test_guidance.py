@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from scp_recon import geometry
+from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.schedule import Mode
 from scp_recon.solution import Solution
@@ -70,3 +71,11 @@ def test_commands_are_continuous_within_a_mode(plan: FlightPlan) -> None:
         times = np.arange(np.ceil(leg.start_s), leg.end_s)
         attitudes = plan.attitudes(times)
         assert (attitudes[1:] * attitudes[:-1].inv()).magnitude().max() < np.deg2rad(0.05)
+
+
+def test_a_burn_longer_than_its_mode_is_refused(
+    solution: Solution, mission: Mission, vehicle: Vehicle
+) -> None:
+    weak = vehicle.chemical_thruster.model_copy(update={"thrust_n": 1e-3})
+    with pytest.raises(InputError, match="chemical_thruster"):
+        FlightPlan.of(solution, mission, vehicle.model_copy(update={"chemical_thruster": weak}))

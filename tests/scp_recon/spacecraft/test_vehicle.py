@@ -65,6 +65,13 @@ def test_micro_thrusters_make_every_torque_without_a_force(vehicle: Vehicle) -> 
         ("camera = ", "kamera = ", "sensors"),
         ("[0.17, 0.0, 0.15], [0.17", "[0.17", "micro_thrusters"),
         ('name = "DARE"', "name = ", "vehicle"),
+        ("[62.7, 4.1, 60.0]", "[64.2, 4.1, 60.0]", "sum of the others"),
+        (
+            "[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [-1.0, 0.0, 1.0]]",
+            "[0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]",
+            "span",
+        ),
+        ("[26.2, 0.6], [251.0, 6.0]", "[251.0, 6.0], [26.2, 0.6]", "ascending"),
     ],
 )
 def test_a_bad_entry_is_named(tmp_path: Path, old: str, new: str, entry: str) -> None:
@@ -76,6 +83,8 @@ def test_a_bad_entry_is_named(tmp_path: Path, old: str, new: str, entry: str) ->
         load_vehicle(file)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no\.toml"):
         load_vehicle(tmp_path / "no.toml")
+    with pytest.raises(InputError, match="more than 100 megabytes"):
+        load_vehicle(Path("/dev/zero"))
