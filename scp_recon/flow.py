@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.forces import ForceModel, acceleration, gravity_curvature, gravity_gradient
+from scp_recon.forces import ForceModel, accelerations, gravity_curvature, gravity_gradient
 
 Array = npt.NDArray[np.float64]
 
@@ -76,12 +76,12 @@ def propagate(
     state: Array, duration: Array | float, forces: ForceModel, substeps: int = 1
 ) -> Array:
     """Carry states over their arcs; `state` (..., 6), `duration` broadcast against (...)."""
-    return rk4(state, duration, lambda r, _: _acceleration(r, forces), substeps)
+    return rk4(state, duration, lambda r, _: _anywhere(r, forces), substeps)
 
 
-def _acceleration(r: Array, forces: ForceModel) -> Array:
-    """At positions (3, ...)."""
-    return np.stack(acceleration(r[0], r[1], r[2], forces))
+def _anywhere(r: Array, forces: ForceModel) -> Array:
+    """Accelerations at positions of any shape (3, ...)."""
+    return accelerations(r.reshape(3, -1), forces).reshape(r.shape)
 
 
 def rk4(
@@ -168,12 +168,12 @@ def _stage_positions(
 ) -> tuple[Array, Array, Array]:
     """Positions of the four stages (4, n, 3), and the step's end, for r and v of shape (3, n)."""
     half, full = r + (0.5 * h) * v, r + h * v
-    a1 = _acceleration(r, forces)
-    a2 = _acceleration(half, forces)
+    a1 = accelerations(r, forces)
+    a2 = accelerations(half, forces)
     third = half + (0.25 * h * h) * a1
-    a3 = _acceleration(third, forces)
+    a3 = accelerations(third, forces)
     fourth = full + (0.5 * h * h) * a2
-    a4 = _acceleration(fourth, forces)
+    a4 = accelerations(fourth, forces)
     middle = a2 + a3
     position = np.stack([r, half, third, fourth]).transpose(0, 2, 1)
     end = full + (h * h / 6.0) * (a1 + middle)

@@ -61,21 +61,34 @@ def cannonball_srp(
 
 
 def acceleration(x: Any, y: Any, z: Any, forces: ForceModel) -> tuple[Any, Any, Any]:
-    """Acceleration at a position given by components (scalars, arrays or symbols alike).
-
-    With u = p . r and k = 3/2 gm J2 R^2 the oblateness part is the gradient of
-    -k/3 (3 u^2 / r^5 - 1 / r^3), Montenbruck & Gill, Satellite Orbits, eq. 3.32 for n = 2, m = 0.
-    """
+    """Acceleration at a position given by components (scalars, arrays or symbols alike)."""
     px, py, pz = forces.pole
-    r2 = x * x + y * y + z * z
-    inverse = 1.0 / r2
-    inverse3 = inverse * inverse**0.5
-    inverse5 = inverse3 * inverse
-    u = px * x + py * y + pz * z
-    radial = -forces.gm * inverse3 + forces.j2_strength * inverse5 * (5.0 * u * u * inverse - 1.0)
-    polar = -2.0 * forces.j2_strength * inverse5 * u
+    radial, polar = _pulls(x * x + y * y + z * z, px * x + py * y + pz * z, forces)
     sx, sy, sz = forces.srp
     return radial * x + polar * px + sx, radial * y + polar * py + sy, radial * z + polar * pz + sz
+
+
+def accelerations(position: Array, forces: ForceModel) -> Array:
+    """The same at many positions, shape (3, n), in a third of the operations."""
+    r2 = np.einsum("in,in->n", position, position)
+    radial, polar = _pulls(r2, forces.pole @ position, forces)
+    value = radial * position
+    value += forces.pole[:, None] * polar
+    value += forces.srp[:, None]
+    return value
+
+
+def _pulls(r2: Any, u: Any, forces: ForceModel) -> tuple[Any, Any]:
+    """Factors of position and pole in the acceleration, from r . r and u = p . r.
+
+    With k = 3/2 gm J2 R^2 the oblateness part is the gradient of -k/3 (3 u^2 / r^5 - 1 / r^3),
+    Montenbruck & Gill, Satellite Orbits, eq. 3.32 for n = 2, m = 0.
+    """
+    inverse = 1.0 / r2
+    inverse3 = inverse * inverse**0.5
+    inverse5 = forces.j2_strength * inverse3 * inverse
+    radial = inverse5 * (5.0 * u * u * inverse - 1.0) - forces.gm * inverse3
+    return radial, -2.0 * inverse5 * u
 
 
 def gravity_gradient(position: Array, forces: ForceModel) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.flow import advance, interpolate
-from scp_recon.forces import acceleration
+from scp_recon.forces import accelerations
 from scp_recon.harmonics import HarmonicField
 from scp_recon.mission import RK4_STEP_MAX_S, Mission, make_grid
 
@@ -137,7 +137,7 @@ def _flow(mission: Mission, truth: TruthModel) -> Flow:
 
     def planner(r: Array, v: Array, _: float, duration: float) -> tuple[Array, Array]:
         def rate(at: Array, _: float) -> Array:
-            return np.stack(acceleration(at[0], at[1], at[2], forces))
+            return accelerations(at, forces)
 
         return advance(r, v, duration, rate, 1)
 

@@ -12,7 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.forces import ForceModel, acceleration, gravity_curvature, gravity_gradient
+from scp_recon.forces import (
+    ForceModel,
+    acceleration,
+    accelerations,
+    gravity_curvature,
+    gravity_gradient,
+)
 from scp_recon.mission import Mission
 
 from .support import Array, constants, mission_of, shared
@@ -126,6 +132,12 @@ def test_acceleration_broadcasts_over_arrays_of_any_shape(mission: Mission) -> N
     for index in np.ndindex(4, 5):
         alone = at(r[(slice(None), *index)], mission.forces)
         np.testing.assert_allclose(together[(slice(None), *index)], alone, rtol=1e-14)
+
+
+def test_accelerations_are_the_acceleration_at_every_position(mission: Mission) -> None:
+    r = np.random.default_rng(2).normal(scale=800.0, size=(3, 20))
+    expected = np.stack(acceleration(r[0], r[1], r[2], mission.forces))
+    np.testing.assert_allclose(accelerations(r, mission.forces), expected, rtol=1e-13)
 
 
 def test_complex_steps_give_the_gradient(mission: Mission) -> None:
