@@ -35,7 +35,7 @@ from formulations.subproblem import Step, Subproblem, SubproblemError
 
 Indices = npt.NDArray[np.intp]
 
-NEAR = 0.04
+NEAR = 0.02
 """Room, in units of length, up to which a row takes part from the start; see `DirectSubproblem`."""
 
 SHRINK, FEW = 1.5, 20
@@ -120,10 +120,10 @@ class DirectSubproblem(Subproblem):
         while True:
             step = self._attempt(radius, charge)
             solver_s += step.solver_s
-            missed = ~self._active & (self._slack(step.burns) < -MISSED)
-            if not missed.any():
+            slack = self._slack(step.burns)
+            if not np.any(~self._active & (slack < -MISSED)):
                 break
-            self._choose(self._active | missed)
+            self._choose(self._active | (slack < max(NEAR, -MISSED)))
         return replace(step, solver_s=solver_s, canonicalise_s=perf_counter() - start - solver_s)
 
     def _attempt(self, radius: float, charge: Charge) -> Step:
