@@ -130,25 +130,20 @@ class Logbook:
 
     def __init__(self, folder: Path, solution: Solution, vehicle: Vehicle) -> None:
         self._file = folder / "uncertainty_flights.csv"
-        setting = json.dumps(
+        self._setting = json.dumps(
             {
                 "scenario": solution.scenario.model_dump(mode="json"),
                 "burns": solution.burns_m_s.tolist(),
                 "vehicle": vehicle.model_dump(mode="json"),
             }
         )
-        belongs = folder / "uncertainty_setting.json"
+        self._belongs = folder / "uncertainty_setting.json"
         self.flown: dict[tuple[str, int], Flown]
         try:
-            same = belongs.read_text("utf-8") == setting
+            same = self._belongs.read_text("utf-8") == self._setting
             self.flown = dict(self._read()) if same else {}
         except (OSError, ValueError, KeyError):  # nothing there, or nothing that can be read
             self.flown = {}
-            same = False
-        if not same:
-            # In this order: flights never lie beside a setting that is not theirs.
-            self._file.unlink(missing_ok=True)
-            write_atomically(belongs, setting)
 
     def _read(self) -> Iterator[tuple[tuple[str, int], Flown]]:
         with self._file.open(encoding="utf-8", newline="") as file:
@@ -159,6 +154,11 @@ class Logbook:
 
     def add(self, flown: Flown) -> None:
         """Keep a flight."""
+        if not self.flown:
+            # In this order: flights never lie beside a setting that is not theirs.
+            self._belongs.parent.mkdir(parents=True, exist_ok=True)
+            self._file.unlink(missing_ok=True)
+            write_atomically(self._belongs, self._setting)
         self.flown[flown.errs, flown.seed] = flown
         lines = [",".join(("errs", "seed", *STATE, "attitude_error_rad"))]
         for one in self.flown.values():

@@ -26,7 +26,6 @@ from experiments.uncertainty_flights import (
     TRANSLATION,
     Logbook,
     fly_all,
-    simulator,
 )
 from experiments.uncertainty_report import (
     ORDER,
@@ -89,10 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.flights:
-        simulator()  # without it nothing is written
     vehicle, solution = load_vehicle(options.vehicle), _plan(options.solution)
-    options.out.mkdir(parents=True, exist_ok=True)
     # Seed by seed, so that an interrupted study has as many flights of every set.
     jobs = [
         (errs, options.seed + k)
@@ -120,6 +116,7 @@ def _run(options: argparse.Namespace) -> int:
         f"{NAME}.md": to_markdown(entries, words, solution),
         QUANTILES: to_csv(quantiles(entries)),
     }
+    options.out.mkdir(parents=True, exist_ok=True)
     written = [write_atomically(options.out / name, text) for name, text in files.items()]
     for line in verdicts(entries, solution):
         print(line)

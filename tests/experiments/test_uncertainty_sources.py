@@ -210,7 +210,9 @@ def test_flights_in_the_logbook_are_not_flown_again(
     errors = vehicle.errors.model_copy(update={"imu_rad_s": 1e-3})
     other = vehicle.model_copy(update={"errors": errors})
     assert not Logbook(tmp_path, solution, other).flown
-    assert not Logbook(tmp_path, solution, other).flown  # and stay none of it
+    begun = Logbook(tmp_path, solution, other)
+    begun.add(simulated(solution, other, ("imu", 9)))
+    assert set(Logbook(tmp_path, solution, other).flown) == {("imu", 9)}
 
 
 def test_two_processes_fly_what_one_does(
