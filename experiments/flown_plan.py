@@ -67,8 +67,8 @@ def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path, *, fresh:
         if not (error.name or "").startswith("Basilisk"):
             raise
         raise InputError("Basilisk", f"no module {error.name}", "needs the extra [sim]") from None
-    record = make_record(simulate(solution, vehicle, seed), solution, seed)
     folder.mkdir(parents=True, exist_ok=True)
+    record = make_record(simulate(solution, vehicle, seed), solution, seed)
     write_record(record, folder)
     return record
 
