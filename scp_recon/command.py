@@ -26,7 +26,10 @@ def guarded(action: Callable[[Console], int]) -> int:
     errors = Console(stderr=True)
 
     def fail(message: str) -> int:
-        errors.print(f"error: {message}", style="red", markup=False, highlight=False)
+        # the terminal, not the message, breaks long lines: a path stays whole for who copies it
+        errors.print(
+            f"error: {message}", style="red", markup=False, highlight=False, soft_wrap=True
+        )
         return BAD_INPUT
 
     try:

@@ -19,7 +19,7 @@ def test_without_it_the_command_names_the_extra(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert openscvx_peer.main(["--out", str(tmp_path)]) == 2
-    assert "scp_recon[peer]" in " ".join(capsys.readouterr().err.split())
+    assert "scp_recon[peer]" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -131,7 +131,7 @@ def test_without_basilisk_the_extra_is_named(
         check=False,
     )
     assert run.returncode == 2
-    assert "needs the extra scp_recon[sim]" in " ".join(run.stderr.split())
+    assert "needs the extra scp_recon[sim]" in run.stderr
     assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
 
 

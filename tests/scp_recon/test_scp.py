@@ -142,8 +142,9 @@ def test_p2_ends_superlinearly(default_plan: Plan) -> None:
     assert len(predicted) == 3
     for now, after in itertools.pairwise(predicted):
         assert after <= max(now**1.5, 1e-6)
-    ratios = [record.actual / record.predicted for record in records[-3:]]
-    assert ratios == pytest.approx([1.0] * 3, abs=0.05)
+    for record in records[-3:]:  # reductions are known to the conic solver's 1e-8 of the merit
+        noise = 1e-7 * record.merit
+        assert record.actual == pytest.approx(record.predicted, rel=0.05, abs=noise)
 
 
 # --- every status -------------------------------------------------------------------------------
