@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from formulations.lifting import Linearisation, final_state_map, step_mean
 from formulations.problem import FlybyProblem, Iterate
-from scp_recon.flow import differentiate, propagate
+from scp_recon.flow import FlowDerivatives, differentiate, propagate
 from scp_recon.forces import ForceModel
 
 Array = npt.NDArray[np.float64]
@@ -46,8 +46,10 @@ class Dynamics:
 
     def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
         """An iterate with the derivatives of all its arcs."""
-        arcs = differentiate(iterate.mean[:-1], self.durations, self.forces, self.substeps)
-        return Linearisation(problem, iterate, arcs)
+        return Linearisation(problem, iterate, self._arcs(iterate))
+
+    def _arcs(self, iterate: Iterate) -> FlowDerivatives:
+        return differentiate(iterate.mean[:-1], self.durations, self.forces, self.substeps)
 
     def fly(self, lin: Linearisation, burns: Array) -> Linearisation:
         """Make a step of the linear model dynamically exact.
@@ -70,7 +72,8 @@ class Dynamics:
         if np.abs(goal - problem.final_state).max() < SOLVER_MISS:
             goal = problem.final_state
         for _ in range(NEWTON_MAX):
-            trial = self.linearise(problem, iterate)
+            arcs = self._arcs(iterate)
+            trial = Linearisation(problem, iterate, arcs)
             defect = np.abs(trial.defects[:-1]).max()
             if defect < NEWTON_TOLERANCE:
                 return trial
@@ -80,9 +83,14 @@ class Dynamics:
             miss = goal - constant - jacobian @ iterate.burns.ravel()
             correction = np.linalg.lstsq(jacobian, miss)[0].reshape(-1, 3)
             corrected = iterate.burns + correction
-            iterate = Iterate(corrected, step_mean(trial, corrected))
+            before, iterate = iterate, Iterate(corrected, step_mean(trial, corrected))
+            if defect < NEWTON_LAST:
+                moved = arcs.moved(iterate.mean[:-1] - before.mean[:-1])
+                return Linearisation(problem, iterate, moved)
         return self.linearise(problem, Iterate(burns, self.rollout(problem.initial_state, burns)))
 
 
 SOLVER_MISS = 1e-6
 NEWTON_MAX, NEWTON_TOLERANCE, NEWTON_DIVERGED = 12, 1e-12, 1e3
+NEWTON_LAST = 1e-8
+"""Defect whose correction is the last: its square is rounding, and the derivatives stay as they are."""

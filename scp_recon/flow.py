@@ -8,7 +8,7 @@ the exact derivatives of the discrete map, not approximations of those of the co
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -49,6 +49,11 @@ class FlowDerivatives:
                 part = _second_order(part, step.of(arcs), self._forces)
             tensor[arcs] = part.reshape(-1, 6, 6, 6)
         return tensor
+
+
+    def moved(self, deviation: Array) -> FlowDerivatives:
+        """For starts off by so little, (n, 6), that first order gives their end states to rounding."""
+        return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])
 
 
 ARCS_AT_ONCE = 32

@@ -60,7 +60,14 @@ class Record:
 
 @dataclass
 class Timing:
-    """Seconds by what they were spent on."""
+    """Seconds by what they were spent on.
+
+    Attributes:
+        setup: building subproblems, once each.
+        linearise: flying steps, differentiating every arc, and the constraints from that.
+        canonicalise: from the constraints to the conic solver's numbers, and back.
+        conic_solver: inside the solver's library: taking in the numbers, and solving.
+    """
 
     setup: float = 0.0
     linearise: float = 0.0

@@ -148,6 +148,17 @@ def test_all_arcs_in_one_call_are_the_arcs_one_by_one(forces: ForceModel, arc: f
             )
 
 
+@given(state=states(), seed=st.integers(0, 2**32 - 1))
+def test_a_small_move_needs_no_new_derivatives(
+    state: Array, forces: ForceModel, arc: float, seed: int
+) -> None:
+    deviation = 1e-8 * np.random.default_rng(seed).standard_normal((1, 6))
+    there = differentiate(state[None] + deviation, np.array([arc]), forces, SUBSTEPS)
+    here = differentiate(state[None], np.array([arc]), forces, SUBSTEPS).moved(deviation)
+    np.testing.assert_allclose(here.state, there.state, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(here.stm, there.stm, rtol=0.0, atol=1e-6)
+
+
 def test_propagation_broadcasts_durations(forces: ForceModel, arc: float) -> None:
     state = np.array([1.0, 0.1, 0.0, 0.0, 0.9, 0.2])
     durations = arc * np.array([[0.5, 1.0, 1.5], [-1.0, 0.0, 2.0]])
