@@ -8,7 +8,7 @@ from typing import ClassVar
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge
 from formulations.subproblem import Subproblem
-from scp_recon.scp import Record, State, record_of
+from scp_recon.scp import Record, State, Trial, record_of
 from scp_recon.status import Status
 
 
@@ -63,6 +63,32 @@ class ExactPenalty:
             return state
         merit = subproblem.merit(state.lin, self.weight_max)
         return State(state.lin, merit, self.initial_radius, Charge(self.weight_max))
+
+    def _judged(
+        self,
+        subproblem: Subproblem,
+        state: State,
+        k: int,
+        trial: Trial,
+        *,
+        accepted: bool,
+        radius: float,
+    ) -> tuple[State, Record]:
+        """Where a trial's acceptance leaves the algorithm, its next radius given."""
+        if accepted:
+            new = State(trial.lin, trial.merit, radius, state.charge)
+        else:
+            new = replace(state, radius=radius, failures=0)
+        record = replace(
+            record_of(subproblem, new, k),
+            predicted=trial.predicted,
+            actual=trial.actual,
+            accepted=accepted,
+            trust_radius=state.radius,
+            step=float(abs(trial.answer.burns - state.lin.iterate.burns).max()),
+            solver_s=trial.answer.solver_s,
+        )
+        return new, record
 
     def _failed(
         self, subproblem: Subproblem, state: State, k: int, words: str

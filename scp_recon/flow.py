@@ -50,7 +50,6 @@ class FlowDerivatives:
             tensor[arcs] = part.reshape(-1, 6, 6, 6)
         return tensor
 
-
     def moved(self, deviation: Array) -> FlowDerivatives:
         """For starts off by so little, (n, 6), that first order gives their end states to rounding."""
         return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])

@@ -11,7 +11,7 @@ from formulations.penalty import Penalty
 from formulations.subproblem import Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.exact_penalty import ExactPenalty
-from scp_recon.scp import Record, State, Timing, attempt, record_of
+from scp_recon.scp import Record, State, Timing, attempt
 
 
 @dataclass(frozen=True)
@@ -40,30 +40,16 @@ class ProxLinear(ExactPenalty):
         state = replace(state, charge=replace(state.charge, prox=prox))
         guess = not state.lin.is_flown
         try:
-            answer, trial = attempt(subproblem, dynamics, state, self.FREE, timing, self.stationary)
+            trial = attempt(subproblem, dynamics, state, self.FREE, timing, self.stationary)
         except SubproblemError as error:
             return self._failed(subproblem, state, k, str(error))
-        trial_merit = subproblem.merit(trial, state.charge)
-        predicted, actual = state.merit - answer.merit, state.merit - trial_merit
-        moved = answer.burns - state.lin.iterate.burns
-        accepted = guess or actual > self.ACCEPT * max(predicted, 0.0)
-        radius = state.radius * (self.GROW if accepted else self.SHRINK)
-        radius = min(radius, self.FREE)
-        if accepted:
-            new = State(trial, trial_merit, radius, state.charge)
-        else:
-            new = replace(state, radius=radius, failures=0)
-        record = replace(
-            record_of(subproblem, new, k),
-            predicted=predicted,
-            actual=actual,
-            accepted=accepted,
-            trust_radius=state.radius,
-            step=float(abs(moved).max()),
-            solver_s=answer.solver_s,
-        )
+        accepted = guess or trial.actual > self.ACCEPT * max(trial.predicted, 0.0)
+        radius = min(state.radius * (self.GROW if accepted else self.SHRINK), self.FREE)
+        new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)
         # At the answer -p s is a subgradient of the convex model, which bounds what any step of no
         # component above one can gain: predicted + p (||s||_1 - ||s||^2).
-        bound = predicted + prox * float(np.abs(moved).sum() - (moved**2).sum())
+        moved = trial.answer.burns - state.lin.iterate.burns
+        bound = trial.predicted + prox * float(np.abs(moved).sum() - (moved**2).sum())
         worth = self.stationary * max(1.0, abs(record.merit))
-        return replace(new, stationary=answer.accurate and not guess and bound <= worth), record
+        stationary = trial.answer.accurate and not guess and bound <= worth
+        return replace(new, stationary=stationary), record

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge, Penalty
@@ -138,6 +138,24 @@ class Algorithm(Protocol):
         ...
 
 
+class Trial(NamedTuple):
+    """Where a subproblem's answer leads.
+
+    Attributes:
+        answer: the subproblem's.
+        lin: the flown iterate.
+        merit: its merit.
+        predicted: reduction of the merit that the model promised.
+        actual: reduction that the flight gave.
+    """
+
+    answer: Step
+    lin: Linearisation
+    merit: float
+    predicted: float
+    actual: float
+
+
 def attempt(
     subproblem: Subproblem,
     dynamics: Dynamics,
@@ -145,7 +163,7 @@ def attempt(
     radius: float,
     timing: Timing,
     slack: float,
-) -> tuple[Step, Linearisation]:
+) -> Trial:
     """Linearise, solve within a radius, and fly the answer.
 
     Standing still is always possible: an answer that is worse by its own model is none.
@@ -170,9 +188,10 @@ def attempt(
     if state.lin.is_flown and answer.merit > state.merit + slack * max(1.0, abs(state.merit)):
         raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
     start = perf_counter()
-    trial = dynamics.fly(state.lin, answer.burns)
+    lin = dynamics.fly(state.lin, answer.burns)
     timing.linearise += perf_counter() - start
-    return answer, trial
+    merit = subproblem.merit(lin, state.charge)
+    return Trial(answer, lin, merit, state.merit - answer.merit, state.merit - merit)
 
 
 def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:

@@ -9,7 +9,7 @@ from formulations.penalty import Penalty
 from formulations.subproblem import Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.exact_penalty import ExactPenalty
-from scp_recon.scp import Record, State, Timing, attempt, record_of
+from scp_recon.scp import Record, State, Timing, attempt
 
 
 @dataclass(frozen=True)
@@ -36,33 +36,19 @@ class TrustRegion(ExactPenalty):
         guess = not state.lin.is_flown
         radius = max(state.radius, self.GUESS_RADIUS) if guess else state.radius
         try:
-            answer, trial = attempt(subproblem, dynamics, state, radius, timing, self.stationary)
+            trial = attempt(subproblem, dynamics, state, radius, timing, self.stationary)
         except SubproblemError as error:
             return self._failed(subproblem, state, k, str(error))
-        trial_merit = subproblem.merit(trial, state.charge)
-        predicted, actual = state.merit - answer.merit, state.merit - trial_merit
-        step = float(abs(answer.burns - state.lin.iterate.burns).max())
-        ratio = actual / predicted if predicted > 0.0 else 0.0
-        accepted = guess or ratio > self.ACCEPT
+        step = float(abs(trial.answer.burns - state.lin.iterate.burns).max())
+        ratio = trial.actual / trial.predicted if trial.predicted > 0.0 else 0.0
         radius = state.radius
         if ratio < self.SHRINK_BELOW and not guess:
             radius = self.SHRINK * min(radius, step)
         elif ratio > self.GROW_ABOVE and step > 0.99 * radius:
             radius = self.GROW * radius
-        if accepted:
-            new = State(trial, trial_merit, radius, state.charge)
-        else:
-            new = replace(state, radius=radius, failures=0)
-        record = replace(
-            record_of(subproblem, new, k),
-            predicted=predicted,
-            actual=actual,
-            accepted=accepted,
-            trust_radius=state.radius,
-            step=step,
-            solver_s=answer.solver_s,
-        )
-        stationary = answer.accurate and not guess and self._is_stationary(record)
+        accepted = guess or ratio > self.ACCEPT
+        new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)
+        stationary = trial.answer.accurate and not guess and self._is_stationary(record)
         if stationary and state.radius < self.VERDICT_RADIUS:
             # Within a tiny radius the solver's rounding hides what there is to gain: look again.
             return replace(new, radius=self.VERDICT_RADIUS), record
