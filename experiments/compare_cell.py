@@ -208,7 +208,7 @@ def _of_plan(done: Plan, cpu_s: float) -> _Found:
         subproblem=done.final.subproblem,
         iterations_p3=sum(n for name, n in counts.items() if name.startswith("P3")),
         iterations_p2=sum(n for name, n in counts.items() if name.startswith("P2")),
-        retried="P3.2" in counts,
+        retried="P3b" in counts,
         total_s=done.total_s,
         cpu_s=cpu_s,
         solver_s=done.timing.conic_solver,

@@ -107,6 +107,7 @@ class Qoco:
     """
 
     def __init__(self) -> None:
+        self._qoco = importlib.import_module("qoco")
         self._solver: Any = None
 
     def solve(self, program: ConeProgram) -> Answer:
@@ -116,7 +117,7 @@ class Qoco:
         b, h = program.bound[:z], program.bound[z:]
         start = perf_counter()
         if self._solver is None:
-            self._solver = importlib.import_module("qoco").QOCO()
+            self._solver = self._qoco.QOCO()
             sizes = len(q), len(h), z
             matrices = None, q, a if z else None, b if z else None, g, h
             cones = program.nonnegative, len(program.second_order), np.array(program.second_order)
@@ -181,6 +182,9 @@ class Recovering:
 
     Args:
         name: a key of `SOLVERS`.
+
+    Raises:
+        ModuleNotFoundError: if that solver is not installed.
     """
 
     def __init__(self, name: str) -> None:
@@ -194,7 +198,10 @@ class Recovering:
         for name in (self._name, *(name for name in SOLVERS if name != self._name)):
             if answer is not None and answer.accurate:
                 break
-            solver = SOLVERS[name]()
+            try:
+                solver = SOLVERS[name]()
+            except ModuleNotFoundError:  # the other one, which need not be installed
+                continue
             self._kept = solver if name == self._name else self._kept
             other = self._ask(name, solver, program, failures)
             solver_s += other.solver_s if other else 0.0
@@ -208,8 +215,6 @@ class Recovering:
     ) -> Answer | None:
         try:
             answer = solver.solve(program)
-        except ModuleNotFoundError:
-            return None
         except (KeyboardInterrupt, MemoryError):
             raise
         except BaseException as error:  # a panic in Rust is no Exception

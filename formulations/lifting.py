@@ -22,13 +22,14 @@ from formulations.problem import ArcDerivatives, FlybyProblem, Iterate, Nodes
 from formulations.regions import Array
 
 
-def propagate_factor(problem: FlybyProblem, stm: Array, burns: Array) -> Array:
-    """Factor at every node, shape (n_nodes, 6, columns); columns of later burns are zero."""
-    return _factor(problem, problem.legs.compose(stm), burns)
+def propagate_factor(problem: FlybyProblem, from_burn: Array, burns: Array) -> Array:
+    """Factor at every node, shape (n_nodes, 6, columns); columns of later burns are zero.
 
-
-def _factor(problem: FlybyProblem, from_burn: Array, burns: Array) -> Array:
-    """The factor at every node, for STMs from the last burn before it, (n_nodes, 6, 6)."""
+    Args:
+        problem: for its burns and their errors.
+        from_burn: STMs from the last burn before each node, shape (n_nodes, 6, 6).
+        burns: shape (m, 3).
+    """
     legs = problem.legs
     start = np.zeros((problem.n_burns, 6, problem.factor_columns))
     start[0, :, : problem.initial_factor.shape[1]] = problem.initial_factor
@@ -75,7 +76,7 @@ class Linearisation:
     @cached_property
     def factor(self) -> Array:
         """Covariance factor at every node, shape (n_nodes, 6, columns)."""
-        return _factor(self.problem, self.from_burn[:, :6, :6], self.iterate.burns)
+        return propagate_factor(self.problem, self.from_burn[:, :6, :6], self.iterate.burns)
 
     @cached_property
     def from_burn(self) -> Array:

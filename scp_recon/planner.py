@@ -46,7 +46,8 @@ class Stage:
     """A run of the SCP on one problem.
 
     Attributes:
-        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...
+        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
+            that began again at the ballistic arc.
         result: how it ended and where.
         subproblem: of which it was; it knows the constraints' margins.
         facets: of P2, None for P3.
@@ -253,14 +254,15 @@ class _Work:
             guess = ballistic(self.mission)
         except InputError:
             return failed
-        again = self.solve_p3(guess, "P3.2")
+        again = self.solve_p3(guess, "P3b")
         return again if _better(again, failed) else failed
 
     def solve_p2_in_rounds(self, p3: Stage, rounds: int) -> Stage:
         """P2 from a solution of P3, and again with new facets as long as that helps."""
-        final = self.solve_p2("P2", p3.result.lin)
+        name = p3.name.replace("P3", "P2")
+        final = self.solve_p2(name, p3.result.lin)
         for round_ in range(2, rounds + 2):
-            again = self.solve_p2(f"P2.{round_}", final.result.lin)
+            again = self.solve_p2(f"{name}.{round_}", final.result.lin)
             if not _better(again, final):
                 break
             final = again

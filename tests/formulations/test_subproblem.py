@@ -374,7 +374,9 @@ def test_frozen_stm_moves_the_factor_with_the_burns_by_the_iterates_stms(
     rng: np.random.Generator,
 ) -> None:
     lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
-    expected = propagate_factor(lin.problem, lin.arcs.stm, other_burns(lin))
+    expected = propagate_factor(
+        lin.problem, lin.problem.legs.compose(lin.arcs.stm), other_burns(lin)
+    )
     assert frozen(CONDENSATIONS["frozen-stm"], lin)[1] == pytest.approx(
         expected, rel=1e-9, abs=1e-11
     )

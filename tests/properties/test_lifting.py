@@ -47,7 +47,7 @@ def nonlinear(flyby: Flyby, burns: Array, defects: Array | float = 0.0) -> tuple
     """Mean and factor of the arcs themselves."""
     mean = flyby.waves.rollout(flyby.problem, burns, defects).mean
     stm = flyby.waves.derivatives(mean[:-1]).stm
-    return mean, propagate_factor(flyby.problem, stm, burns)
+    return mean, propagate_factor(flyby.problem, flyby.problem.legs.compose(stm), burns)
 
 
 def some_burns(rng: np.random.Generator, problem: FlybyProblem) -> Array:
@@ -69,7 +69,7 @@ def test_the_factors_square_obeys_the_covariance_recursion(
 ) -> None:
     problem, burns = flyby.problem, some_burns(rng, flyby.problem)
     stm = rng.normal(size=(problem.n_nodes - 1, 6, 6))
-    lifted = covariance(propagate_factor(problem, stm, burns))
+    lifted = covariance(propagate_factor(problem, problem.legs.compose(stm), burns))
     beta, expected = problem.execution_error, covariance(problem.initial_factor)
     for k in range(problem.n_nodes):
         if k > 0:
@@ -85,8 +85,10 @@ def test_the_factor_is_affine_in_the_burns(flyby: Flyby, rng: np.random.Generato
     stm = rng.normal(size=(problem.n_nodes - 1, 6, 6))
     first, second = some_burns(rng, problem), some_burns(rng, problem)
     t = rng.normal()
-    between = propagate_factor(problem, stm, first + t * (second - first))
-    ends = [propagate_factor(problem, stm, burns) for burns in (first, second)]
+    between = propagate_factor(problem, problem.legs.compose(stm), first + t * (second - first))
+    ends = [
+        propagate_factor(problem, problem.legs.compose(stm), burns) for burns in (first, second)
+    ]
     expected = ends[0] + t * (ends[1] - ends[0])
     assert between == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
 
@@ -197,7 +199,7 @@ def test_without_curvature_the_factor_is_that_of_the_iterates_stms(
     lin = flyby.perturbed(rng, 0.3, 0.1)
     burns = some_burns(rng, flyby.problem)
     _, factor = applied(condense(lin, curvature=False), burns)
-    expected = propagate_factor(flyby.problem, lin.arcs.stm, burns)
+    expected = propagate_factor(flyby.problem, flyby.problem.legs.compose(lin.arcs.stm), burns)
     assert factor == pytest.approx(expected, **EXACT)
 
 
@@ -275,7 +277,7 @@ def test_composed_arcs_give_the_condensed_map_at_their_nodes(
     expected = applied(condense(lin), burns)
 
     mean = lin.iterate.mean[0] + np.r_[0.0, 0.0, 0.0, burns[0] - lin.iterate.burns[0]]
-    factor = propagate_factor(problem, lin.arcs.stm, burns)[0]
+    factor = propagate_factor(problem, problem.legs.compose(lin.arcs.stm), burns)[0]
     for arc, (first, last) in enumerate(itertools.pairwise(nodes)):
         deviation = mean - lin.iterate.mean[first]
         bent = arcs.shift_stm[arc] + arcs.tensor[arc] @ deviation

@@ -334,7 +334,7 @@ def test_hopeless_magnitudes_end_in_a_status(overrides: list[str]) -> None:
 def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) -> None:
     """This path leads P3 to its second optimum, half as dear again."""
     found = plan(mission, random_guess(mission, 0))
-    assert [stage.name for stage in found.stages] == ["P3", "P2", "P3.2", "P2"]
+    assert [stage.name for stage in found.stages] == ["P3", "P2", "P3b", "P2b"]
     assert found.stages[1].result.status is Status.INFEASIBLE
     assert found.final is found.stages[-1]
     assert total_dv(mission, found.stages[0]) > 1.3 * total_dv(mission, found.stages[2])
