@@ -35,7 +35,7 @@ from formulations.subproblem import Step, Subproblem, SubproblemError
 
 Indices = npt.NDArray[np.intp]
 
-NEAR = 0.02
+NEAR = 0.002
 """Room, in units of length, up to which a row takes part from the start; see `DirectSubproblem`."""
 
 SHRINK, FEW = 1.5, 20
