@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -225,6 +226,25 @@ def test_two_processes_fly_what_one_does(
     found = fly_all(logbook, solution, vehicle, jobs, workers=2)
     assert found == [simulated(solution, vehicle, job) for job in jobs]
     assert set(Logbook(tmp_path, solution, vehicle).flown) == set(jobs)
+
+
+def stopped(_: Solution, __: Vehicle, job: tuple[str, int]) -> Flown:
+    """A first flight that is stopped, while all others last a minute."""
+    if job[1] == 0:
+        raise KeyboardInterrupt
+    time.sleep(60.0)
+    raise AssertionError
+
+
+def test_a_stop_waits_for_no_flight(
+    solution: Solution, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("Basilisk")
+    monkeypatch.setattr(uncertainty_flights, "fly_spacecraft", stopped)
+    jobs, start = [("imu", seed) for seed in range(4)], time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        fly_all(Logbook(tmp_path, solution, vehicle), solution, vehicle, jobs, workers=2)
+    assert time.monotonic() - start < 30.0
 
 
 def test_a_damaged_logbook_is_begun_anew(
