@@ -6,14 +6,13 @@ Drawn from what `python -m scp_recon.simulate SOLUTION --out RUNS` wrote.
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command_from
+from paper_figs.drawing import ABOVE, LEGEND_PT, STYLE, WIDTH_IN, command_from
 from paper_figs.flight_record import COMMAND, FOLDER, HOUR_S, mark_burns, read
 from scp_recon.spacecraft.record import Record
 
@@ -22,14 +21,6 @@ __all__ = ["COMMAND", "FOLDER", "caption", "draw", "read"]
 COLOURS = ("k", "tab:blue", "tab:orange", "tab:green", "tab:red")
 DASHES = ("-", "-", "-", "-", "--")
 """The last two panels are equal: the one is seen through the other."""
-
-ABOVE: dict[str, Any] = {
-    "loc": "lower left",
-    "bbox_to_anchor": (0.0, 1.0),
-    "borderaxespad": 0.1,
-    "fontsize": LEGEND_PT,
-}
-"""Where a legend hides nothing."""
 
 
 def draw(record: Record) -> Figure:
