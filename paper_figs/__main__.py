@@ -22,6 +22,7 @@ from paper_figs import (
     battery_cones,
     cone_polytopes,
     control_history,
+    flown_plan,
     model_fidelity,
     observation_geometry,
     observation_histories,
@@ -30,6 +31,7 @@ from paper_figs import (
     parameters,
     power_history,
     terminal_normality,
+    timing_rules,
     trajectories,
     uncertainty_quantiles,
     uncertainty_sources,
@@ -95,6 +97,8 @@ STUDIES: dict[str, Study] = {
     "uncertainty_quantiles": uncertainty_quantiles,
     "attitude_and_actuators": attitude_and_actuators,
     "power_history": power_history,
+    "flown_plan": flown_plan,
+    "timing_rules": timing_rules,
 }
 TABLES: dict[str, Tabulated] = {"parameters": parameters, "observation_table": observation_table}
 

@@ -23,6 +23,14 @@ WIDTH_IN = 7.0
 LEGEND_PT = 8.0
 """Size of the words in legends."""
 
+ABOVE: dict[str, Any] = {
+    "loc": "lower left",
+    "bbox_to_anchor": (0.0, 1.0),
+    "borderaxespad": 0.1,
+    "fontsize": LEGEND_PT,
+}
+"""Where a legend hides nothing."""
+
 BANDS = ((2.28, 97.72, "0.85", "2 sigma"), (15.87, 84.13, "0.65", "1 sigma"))
 """Percentiles between which a normal variable lies with 95.4 % and 68.3 % probability."""
 
