@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable
 from io import TextIOWrapper
 
@@ -33,7 +34,10 @@ def guarded(action: Callable[[Console], int]) -> int:
         return BAD_INPUT
 
     try:
-        return action(Console())
+        with warnings.catch_warnings():
+            # What overflows shows in the figures, which have to be finite, and not on the terminal.
+            warnings.filterwarnings("ignore", category=RuntimeWarning)
+            return action(Console())
     except InputError as error:
         return fail(str(error))
     except MemoryError:

@@ -121,12 +121,17 @@ def _bounds(location: list[str | int]) -> str:
     field = _field(location)
     declared = [*field.metadata, *_declared(field.annotation)] if field else []
     rules = [
-        f"{words[name]} {getattr(rule, name):g}"
+        f"{words[name]} {_number(getattr(rule, name))}"
         for rule in declared
         for name in words
         if hasattr(rule, name)
     ]
-    return " and ".join(rules)
+    return " and ".join(dict.fromkeys(rules))  # the same for every item of a list
+
+
+def _number(value: float) -> str:
+    """As short as its value allows: 1e+07, and 0.999999999."""
+    return short if float(short := f"{value:g}") == value else f"{value:.15g}"
 
 
 def _fixed_length(location: list[str | int]) -> int | None:

@@ -131,9 +131,9 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
     _check_writable(options.out)
     report.show_mission(console, mission)
     console.print()
-    with report.live_iterations(console, mission) as observe:
-        result = make_plan(mission, start, observe)
     try:
+        with report.live_iterations(console, mission) as observe:
+            result = make_plan(mission, start, observe)
         solution = make_solution(mission, result, options.init, name, *label)
     except ValidationError:  # which only numbers that are not finite can cause
         raise InputError(

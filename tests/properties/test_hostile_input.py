@@ -12,13 +12,14 @@ import tempfile
 import tomllib
 from collections.abc import Callable, Iterator
 from datetime import date, datetime
+from functools import reduce
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from scp_recon import guess, montecarlo, planner, solve, verify
@@ -246,6 +247,82 @@ def test_no_override_ends_in_anything_but_a_mission_or_a_message(
 ) -> None:
     overrides = [f"{entry}={toml(value)}" for entry, value in changes]
     read_or_refuse(lambda: Mission.from_scenario(load_scenario(None, overrides)).problem)
+
+
+# --- planning -----------------------------------------------------------------------------------
+
+magnitudes = st.builds(
+    lambda sign, decade: sign * 10.0**decade, st.sampled_from([1, -1]), st.floats(-12.0, 12.0)
+)
+"""Most of which the schema lets pass where the sign fits."""
+VERY_COARSE = "grid.step_max_s=3000.0"
+numeric = [
+    (".".join(map(str, where)), value)
+    for where in places(RECON_B)
+    if isinstance(value := reduce(lambda inside, key: inside[key], where, RECON_B), float | list)
+    and isinstance(where[-1], str)
+]
+
+
+@st.composite
+def strained(draw: st.DrawFn) -> str:
+    """An override by numbers of the right kind and of any size, or scaled ones."""
+    entry, value = draw(st.sampled_from(numeric))
+    if draw(st.booleans()):
+        factor = draw(magnitudes)
+        changed = [x * factor for x in value] if isinstance(value, list) else value * factor
+    else:
+        changed = [draw(magnitudes) for _ in value] if isinstance(value, list) else draw(magnitudes)
+    return f"{entry}={changed}"
+
+
+def solved_or_refused(overrides: list[str], *options: str) -> None:
+    """One of the documented ends; where it is bad input nothing is written."""
+    sets = [argument for override in overrides for argument in ("--set", override)]
+    with tempfile.TemporaryDirectory() as folder:
+        code = command(solve.main, [*options, *sets, "--out", folder])
+        assert code in (0, 2, 3, 4)
+        assert (Path(folder) / "solution.json").exists() == (code != 2)
+    if code == 2:
+        reliability.count(reliability.BAD_INPUTS)
+
+
+slow = settings(patient, max_examples=share_of_examples(2), phases=set(Phase) - {Phase.shrink})
+
+
+@slow
+@given(st.lists(strained(), min_size=1, max_size=3))
+def test_no_magnitudes_end_in_anything_but_a_plan_or_a_message(overrides: list[str]) -> None:
+    solved_or_refused([VERY_COARSE, *overrides])
+
+
+@slow
+@given(damaged(RECON_B | {"grid": {"step_max_s": 3000.0}}, hostile | magnitudes))
+def test_a_damaged_scenario_is_solved_or_refused(data: dict[str, Any]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mine.toml"
+        path.write_text(document(data), "utf-8")
+        solved_or_refused([], "--scenario", str(path))
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "risk.p_chance=0.999999999",
+        "grid.step_max_s=1e7",
+        "body.gm_m3_s2=1e-6",
+        "body.gm_m3_s2=1e4",
+        "spacecraft.mass_kg=1e-9",
+        "safety.radius_min_m=1e12",
+        "boundary.final_position_m=[1e12, 1e12, 1e12]",
+        "boundary.initial_velocity_m_s=[1e6, 1e6, 1e6]",
+        "uncertainty.initial_sigma_fraction=0.999",
+        "site.position_body_m=[1e12, 0.0, 0.0]",
+        "sun.body_position_km=[1e12, 1e12, 1e12]",
+    ],
+)
+def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override: str) -> None:
+    solved_or_refused([VERY_COARSE, override])
 
 
 # --- solutions ----------------------------------------------------------------------------------
