@@ -23,10 +23,10 @@ from rich.console import Console
 from scp_recon import guess
 from scp_recon.command import guarded
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
 from scp_recon.scenario import load_scenario
-from scp_recon.solution import write_atomically
 
 if TYPE_CHECKING:
     from formulations.nlp import Variant

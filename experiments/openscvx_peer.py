@@ -38,11 +38,11 @@ from formulations.problem import Iterate
 from scp_recon import geometry, guess
 from scp_recon.command import guarded
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.forces import acceleration
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
 from scp_recon.scenario import load_scenario
-from scp_recon.solution import write_atomically
 
 Array = npt.NDArray[np.float64]
 

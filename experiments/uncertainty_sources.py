@@ -37,9 +37,10 @@ from experiments.uncertainty_report import (
     to_markdown,
     verdicts,
 )
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.scenario import load_scenario
-from scp_recon.solution import Solution, read_solution, write_atomically
+from scp_recon.solution import Solution, read_solution
 from scp_recon.spacecraft.vehicle import load_vehicle
 
 NAME = "uncertainty_sources"

@@ -37,7 +37,7 @@ from paper_figs import (
 from paper_figs.drawing import PICTURES, save
 from paper_figs.inputs import TABLE, Runs, read_runs
 from scp_recon.errors import InputError
-from scp_recon.solution import write_atomically
+from scp_recon.files import write_atomically
 
 
 class Drawn(Protocol):

@@ -1,8 +1,11 @@
-"""Reading what the user names: text of a sane size, or a message."""
+"""Reading what the user names, text of a sane size or a message; and writing it whole or not at all."""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from tempfile import TemporaryFile
+from uuid import uuid4
 
 from scp_recon.errors import InputError
 
@@ -37,3 +40,41 @@ def read_text(path: Path, entry: str, kind: str) -> str:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(entry, f"no UTF-8 text ({error.reason})", f"must be a {kind}") from None
+
+
+def check_writable(folder: Path, name: str, entry: str) -> None:
+    """Make a folder, and find out before the work that a file of that name can be written there.
+
+    Raises:
+        InputError: if not.
+    """
+    file = folder / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if file.is_dir():
+            raise InputError(entry, str(file), "must be a file, or nothing yet, and is a folder")
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise unwritable(folder, entry, error) from None
+
+
+def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
+    """What to say of a folder that cannot be written."""
+    reason = (error.strerror or "unwritable").lower()
+    return InputError(entry, f"{folder} ({reason})", "must be a folder to write to")
+
+
+def write_atomically(path: Path, content: str | bytes) -> Path:
+    """Write beside the target and rename, so that a reader sees the old file or the new one."""
+    beside = path.with_name(f".{path.name}.{uuid4().hex}")
+    try:
+        with beside.open("xb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+    return path

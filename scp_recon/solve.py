@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from tempfile import TemporaryFile
 
 from pydantic import ValidationError
 from rich.console import Console
@@ -17,12 +16,13 @@ from scp_recon import guess, report
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.command import NOT_VERIFIED, guarded
 from scp_recon.errors import InputError
+from scp_recon.files import check_writable, unwritable
 from scp_recon.mission import Mission
 from scp_recon.planner import Observer, Plan, plan
 from scp_recon.results import make_solution
 from scp_recon.scenario import base_names, load_scenario, validate_scenario
 from scp_recon.scenario_schema import Scenario
-from scp_recon.solution import Solution, read_solution
+from scp_recon.solution import FILE_NAME, Solution, read_solution
 from scp_recon.status import Status
 from scp_recon.verification import verify
 
@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _solve(options: argparse.Namespace, console: Console) -> int:
     name, label, make_plan = _method(options)
     mission, start = _inputs(options)
-    _check_writable(options.out)
+    check_writable(options.out, FILE_NAME, "--out")
     report.show_mission(console, mission)
     console.print()
     try:
@@ -243,23 +243,11 @@ def _is_solution(path: Path) -> bool:
         return False
 
 
-def _check_writable(folder: Path) -> None:
-    """Fail before the work, not after it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = (error.strerror or "unwritable").lower()
-        raise InputError("--out", f"{folder} ({reason})", "must be a folder to write to") from None
-
-
 def _write(solution: Solution, folder: Path) -> Path:
     try:
         return solution.write(folder)
     except OSError as error:
-        reason = (error.strerror or "unwritable").lower()
-        raise InputError("--out", f"{folder} ({reason})", "must be a folder to write to") from None
+        raise unwritable(folder, "--out", error) from None
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from scp_recon import guess, montecarlo, planner, solve, verify
+from scp_recon import guess, montecarlo, planner, simulate, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.results import make_solution
@@ -351,20 +351,77 @@ def test_a_damaged_solution_is_read_or_refused(solved: Path, data: st.DataObject
         assert_touched_only(touched, path.resolve())
 
 
-@settings(patient, max_examples=share_of_examples(6))
+markup = st.sampled_from(["[/red]", "[bold]", "[/]", "[link=http://x]y", "[", "\\[", ":smile:"])
+huge = st.sampled_from([10**30, -(10**30), 2**64])
+SHOWN = ("burns", "nodes", "total_dv_m_s", "status", "problem", "message", "facets", "stages")
+SHOWN += ("constraints", "violation", "units", "scenario", "timing_s")
+
+
+def with_a_word_as_key(content: dict[str, Any], word: str) -> None:
+    """A violated constraint of that name, which is shown."""
+    content["violation"]["by_constraint"][word] = {"max": 1.0, "total": 1.0, "unit": "m"}
+
+
+@settings(patient, max_examples=share_of_examples(3))
 @given(st.data())
 def test_a_damaged_solution_is_verified_or_refused(solved: Path, data: st.DataObject) -> None:
     """And never confirmed where a number of the plan was changed."""
     original = json.loads((solved / "solution.json").read_text("utf-8"))
-    parts = {key: original[key] for key in ("burns", "nodes", "total_dv_m_s", "status", "problem")}
-    content = original | data.draw(damaged(parts, plain))
+    part = data.draw(st.sampled_from(SHOWN))
+    content = original | data.draw(damaged({part: original[part]}, plain | markup | huge))
+    if data.draw(st.booleans()) and content["violation"] == original["violation"]:
+        content = copy.deepcopy(content)
+        with_a_word_as_key(content, data.draw(markup))
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "solution.json").write_text(json.dumps(content), "utf-8")
         code = command(verify.main, [folder])
     assert code in (0, 2, 4)
-    if any(content.get(key) != original[key] for key in ("total_dv_m_s", "status")):
+    confirmed = ("total_dv_m_s", "status", "violation", "units", "nodes", "burns")
+    if any(content.get(key) != original[key] for key in confirmed):
         assert code != 0
     reliability.count(reliability.BAD_INPUTS)
+
+
+EDITS: dict[str, Callable[[dict[str, Any]], object]] = {
+    "a node beyond all": lambda s: s["facets"]["node"].__setitem__(0, 10**30),
+    "a node too many": lambda s: s["facets"]["node"].__setitem__(0, len(s["nodes"]["t_s"])),
+    "a burn at another time": lambda s: s["burns"][1].update(t_s=8001.0),
+    "two nodes": lambda s: s["nodes"].update({k: v[:: len(v) - 1] for k, v in s["nodes"].items()}),
+    "a node at another time": lambda s: s["nodes"]["t_s"].__setitem__(1, 1.0),
+    "no unit of length": lambda s: s["units"].update(length_m=0.0),
+    "a large unit of length": lambda s: s["units"].update(length_m=1e308),
+    "another unit of time": lambda s: s["units"].update(time_s=1.001 * s["units"]["time_s"]),
+    "a negative violation": lambda s: s["violation"].update(max=-1.0),
+    "another grid": lambda s: s["scenario"]["grid"].update(step_max_s=2000.0),
+    "no window": lambda s: s["scenario"]["observation"].update(incidence_max_deg=1.0),
+}
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+@pytest.mark.parametrize("main", [verify.main, montecarlo.main, simulate.main])
+def test_a_solution_whose_parts_do_not_fit_together_is_refused(
+    solved: Path,
+    tmp_path: Path,
+    edit: Callable[[dict[str, Any]], object],
+    main: Callable[[list[str]], int],
+) -> None:
+    content = json.loads((solved / "solution.json").read_text("utf-8"))
+    edit(content)
+    (tmp_path / "solution.json").write_text(json.dumps(content), "utf-8")
+    assert command(main, [str(tmp_path)]) == 2
+    reliability.count(reliability.BAD_INPUTS)
+
+
+@pytest.mark.parametrize("word", ["[/red]", "[bold]", "[/]", "[", "\\["])
+def test_names_of_a_solution_are_shown_as_they_are(solved: Path, tmp_path: Path, word: str) -> None:
+    content = json.loads((solved / "solution.json").read_text("utf-8"))
+    content["constraints"][0]["name"] = content["stages"][0]["name"] = word
+    with_a_word_as_key(content, word + " too")
+    (tmp_path / "solution.json").write_text(json.dumps(content), "utf-8")
+    shown = io.StringIO()
+    with contextlib.redirect_stdout(shown):
+        assert verify.main([str(tmp_path)]) == 4
+    assert shown.getvalue().count(word) == 3
 
 
 @patient
