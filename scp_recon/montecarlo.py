@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, show_written, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import json
 import sys
@@ -16,7 +21,6 @@ from rich.table import Table
 from scipy.stats import chi2, normaltest
 
 from scp_recon.campaign import Campaign, Setting, fly_campaign
-from scp_recon.command import guarded
 from scp_recon.estimates import CONFIDENCE, Estimate, Tally, proportion
 from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.mission import Mission
@@ -288,7 +292,7 @@ def _fly(options: argparse.Namespace, console: Console) -> int:
     except OSError as error:
         raise unwritable(folder, "folder", error) from None
     show(console, report)
-    console.print(f"written: {path}", markup=False, highlight=False)
+    show_written(console, path)
     return 0
 
 

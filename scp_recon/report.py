@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -194,8 +193,3 @@ def show_verification(console: Console, mission: Mission, verification: Verifica
         console.print("[bold green]verified[/bold green]")
     else:
         console.print(f"[bold red]not verified[/bold red]: {', '.join(v.failed)}")
-
-
-def show_files(console: Console, path: Path) -> None:
-    """Where the result is."""
-    console.print(Text(f"written: {path}"))

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, show_written, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence
@@ -12,7 +17,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 from rich.table import Table
 
-from scp_recon.command import guarded
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
 from scp_recon.solution import read_solution
@@ -79,7 +83,7 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
     except OSError as error:
         raise unwritable(folder, "--out", error) from None
     show(console, record.summary)
-    console.print(f"written: {path}", markup=False, highlight=False)
+    show_written(console, path)
     return 0
 
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from scp_recon.command import NOT_VERIFIED, guarded, show_written, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Callable, Collection, Sequence
@@ -14,7 +19,6 @@ from formulations.formulations import FORMULATIONS
 from formulations.problem import Iterate
 from scp_recon import guess, report
 from scp_recon.algorithms import ALGORITHMS
-from scp_recon.command import NOT_VERIFIED, guarded
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission import Mission
@@ -146,12 +150,12 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
     report.show_solution(console, solution)
     status = Status.named(solution.status)
     if status is Status.INTERRUPTED:
-        report.show_files(console, path)
+        show_written(console, path)
         return status.value.exit_code
     verification = verify(mission, solution)
     path = _write(solution.model_copy(update={"verification": verification}), options.out)
     report.show_verification(console, mission, verification)
-    report.show_files(console, path)
+    show_written(console, path)
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
 
 
