@@ -457,3 +457,36 @@ def test_a_section_that_is_no_table_is_refused(tmp_path: Path) -> None:
     error = file_refused(file)
     assert error.entry == "risk"
     assert "0.8" in error.given
+
+
+# --- files of any size and shape ----------------------------------------------------------------
+
+
+def test_the_mark_that_some_editors_begin_a_file_with_is_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "recon_b"\nname = "mine"\n', encoding="utf-8-sig")
+    assert load_scenario(path).name == "mine"
+
+
+HEAD = 'base = "recon_b"\n'
+BURDENS = {
+    "a megabyte": (HEAD + "#" * 1_000_000, "more than 1 megabytes"),
+    "many keys": (HEAD + "\n".join(f"k{i} = 1" for i in range(50_000)), "and 49995 more"),
+    "a deep key": (HEAD + "a" + ".a" * 100_000 + " = 1", "a line of many dots"),
+    "a deep list": (f"{HEAD}x = {400 * '['}{400 * ']'}", "nested a few levels deep"),
+}
+
+
+@pytest.mark.timeout(10)
+@pytest.mark.parametrize(("text", "words"), BURDENS.values(), ids=BURDENS)
+def test_a_burdensome_file_is_refused_at_once(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text, "utf-8")
+    assert words in str(file_refused(path))
+
+
+@pytest.mark.parametrize(
+    "override", ["risk.p_chance=0.8\nburns.dv_max_m_s=0.1", "a.b.c.d=1", "name=a\tb"]
+)
+def test_an_override_is_one_entry_on_one_line(override: str) -> None:
+    assert refused(override).entry == "--set"
