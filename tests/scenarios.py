@@ -60,6 +60,53 @@ def scenarios(draw: st.DrawFn) -> tuple[str, ...]:
     return tuple(chosen)
 
 
+WIDE = (
+    *("observation.site_distance_min_m=450.0", "observation.site_distance_max_m=850.0"),
+    *("observation.emission_min_deg=10.0", "observation.emission_max_deg=60.0"),
+    *("observation.phase_min_deg=5.0", "battery.observation_cone_deg=10.0"),
+    *("battery.delta_v_cone_deg=10.0", "safety.radius_min_m=400.0", "burns.dv_max_m_s=0.3"),
+)
+"""Limits that plans near that of Reconnaissance B keep with room to spare."""
+
+
+@lru_cache(maxsize=1)
+def reference() -> tuple[Mission, Plan]:
+    """Reconnaissance B as it is, on the coarse grid."""
+    return planned((COARSE,))
+
+
+@st.composite
+def generous(draw: st.DrawFn) -> tuple[str, ...]:
+    """Overrides that are feasible by construction: burns are drawn and flown, and lead where they lead.
+
+    The burns are near those of Reconnaissance B, whose limits are widened and whose errors and risk
+    are halved, so that they are a plan.
+    """
+    mission, found = reference()
+    speed = mission.units.speed_m_s
+    burns = found.final.result.lin.iterate.burns * speed
+    size = st.floats(-2e-3, 2e-3)
+    drawn = np.array([[draw(size) for _ in range(3)] for _ in burns])
+    flown = mission.dynamics.rollout(mission.problem.initial_state, (burns + drawn) / speed)
+    states = {"initial": mission.initial_state, "final": flown[-1] * mission.units.state}
+    boundary = [
+        f"boundary.{which}_{entry}={state[part].tolist()}"
+        for which, state in states.items()
+        for entry, part in (("position_m", slice(3)), ("velocity_m_s", slice(3, 6)))
+    ]
+    return (
+        COARSE,
+        "boundary.frame=j2000",
+        *boundary,
+        *WIDE,
+        f"uncertainty.execution_error={draw(st.floats(0.0, 0.04))}",
+        f"uncertainty.initial_sigma_fraction={draw(st.floats(0.0, 0.005))}",
+        f"risk.p_chance={draw(st.floats(0.55, 0.85))}",
+        f"polytopes.ball={draw(st.sampled_from(['paper', 24, 60]))}",
+        f"polytopes.cone={draw(st.sampled_from(['paper', 6, 12]))}",
+    )
+
+
 @lru_cache(maxsize=8)
 def planned(overrides: tuple[str, ...]) -> tuple[Mission, Plan]:
     """A scenario planned from a cold start.
