@@ -27,6 +27,16 @@ SHORTEST = 1e-3
 """Of what has a direction: shorter vectors are slips, and their squares may vanish."""
 
 
+def _none_or_some(share: float) -> float:
+    if 0.0 < share < LEAST_SHARE:
+        raise ValueError(f"must be 0 or at least {LEAST_SHARE:g}")
+    return share
+
+
+LEAST_SHARE = 1e-9
+"""Of a component that errs; the squares of smaller ones are lost in rounding, or vanish."""
+
+
 def _printable(text: str) -> str:
     if not text.isprintable():
         raise ValueError("must be printable characters on one line")
@@ -46,6 +56,7 @@ Speed = Annotated[float, Field(ge=-1e6, le=1e6)]
 Velocity = tuple[Speed, Speed, Speed]
 Angle = Annotated[float, Field(ge=-1e9, le=1e9)]
 FlightTime = Annotated[float, Field(ge=0, le=1e7)]
+Share = Annotated[float, Field(ge=0, lt=1), AfterValidator(_none_or_some)]
 ConeAngle = Annotated[float, Field(gt=0, lt=90)]
 
 
@@ -181,8 +192,8 @@ class ScheduleRules(Section):
 class Uncertainty(Section):
     """Initial 1-sigma as a fraction of each J2000 component, and of each burn component."""
 
-    initial_sigma_fraction: Annotated[float, Field(ge=0, lt=1)]
-    execution_error: Annotated[float, Field(ge=0, lt=1)]
+    initial_sigma_fraction: Share
+    execution_error: Share
 
 
 class Risk(Section):

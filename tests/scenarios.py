@@ -28,6 +28,11 @@ def turned(vector: tuple[float, ...], degrees: tuple[float, float]) -> list[floa
     return [size * float(u) for u in unit]
 
 
+def shares(largest: float) -> st.SearchStrategy[float]:
+    """Errors as shares of a component: none, or those that the schema allows."""
+    return st.just(0.0) | st.floats(1e-9, largest)
+
+
 @st.composite
 def scenarios(draw: st.DrawFn) -> tuple[str, ...]:
     """Overrides of times, window, site, sizes, errors, risk and polytopes."""
@@ -47,8 +52,8 @@ def scenarios(draw: st.DrawFn) -> tuple[str, ...]:
         f"site.normal_body={turned(site.normal_body, turn)}",
         f"observation.site_distance_max_m={near(750, 40)}",
         f"safety.radius_min_m={near(400, 150)}",
-        f"uncertainty.execution_error={draw(st.floats(0.0, 0.12))}",
-        f"uncertainty.initial_sigma_fraction={draw(st.floats(0.0, 0.012))}",
+        f"uncertainty.execution_error={draw(shares(0.12))}",
+        f"uncertainty.initial_sigma_fraction={draw(shares(0.012))}",
         f"risk.p_chance={draw(st.floats(0.55, 0.9))}",
         f"polytopes.ball={draw(st.sampled_from(['paper', 8, 24, 60]))}",
         f"polytopes.cone={draw(st.sampled_from(['paper', 6, 12]))}",
@@ -99,8 +104,8 @@ def generous(draw: st.DrawFn) -> tuple[str, ...]:
         "boundary.frame=j2000",
         *boundary,
         *WIDE,
-        f"uncertainty.execution_error={draw(st.floats(0.0, 0.04))}",
-        f"uncertainty.initial_sigma_fraction={draw(st.floats(0.0, 0.005))}",
+        f"uncertainty.execution_error={draw(shares(0.04))}",
+        f"uncertainty.initial_sigma_fraction={draw(shares(0.005))}",
         f"risk.p_chance={draw(st.floats(0.55, 0.85))}",
         f"polytopes.ball={draw(st.sampled_from(['paper', 24, 60]))}",
         f"polytopes.cone={draw(st.sampled_from(['paper', 6, 12]))}",

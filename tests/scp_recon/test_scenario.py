@@ -266,6 +266,7 @@ BAD_VALUES = [
     ("body.gm_m3_s2=-4.9", "body.gm_m3_s2", "-4.9", "at least 1e-06 and at most 1e+20"),
     ("observation.emission_max_deg=90", "observation.emission_max_deg", "90", "less than 90"),
     ("observation.window_s=[1, x]", "observation.window_s", "[1, x]", "list"),
+    ("uncertainty.execution_error=1e-300", "uncertainty.execution_error", "1e-300", "1e-09"),
     ("uncertainty.execution_error=1", "uncertainty.execution_error", "1", "less than 1"),
     ("spacecraft.mass_kg=0", "spacecraft.mass_kg", "0", "at least 1e-09"),
     ("grid.step_max_s=1e308", "grid.step_max_s", "1e+308", "at least 1 and at most 1e+07"),
