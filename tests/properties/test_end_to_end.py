@@ -137,7 +137,7 @@ def others_that_find_a_plan(solution: Solution) -> list[str]:
     if find_spec("casadi"):
         from scp_recon import ipopt
 
-        ways["ipopt"] = lambda: ipopt.plan(mission, start)
+        ways["ipopt"] = lambda: ipopt.plan(mission, start, variant="shooting")
     return [
         name
         for name, way in ways.items()
