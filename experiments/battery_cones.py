@@ -7,6 +7,11 @@ and without calibration, go to OUT/battery_cones.csv and .md, the samples to bat
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence

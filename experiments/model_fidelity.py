@@ -8,6 +8,11 @@ Written are OUT/model_fidelity.csv, .md and, with the distances over time, model
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Callable, Sequence
