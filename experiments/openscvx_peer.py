@@ -18,11 +18,6 @@ What its release 0.5.2 does not express, or not as the planner does:
 
 from __future__ import annotations
 
-from scp_recon.command import guarded, starting
-
-if __name__ == "__main__":
-    starting()
-
 import argparse
 import contextlib
 import csv
@@ -41,12 +36,13 @@ from rich.console import Console
 
 from formulations.problem import Iterate
 from scp_recon import geometry, guess
+from scp_recon.command import guarded
 from scp_recon.errors import InputError
-from scp_recon.files import write_atomically
 from scp_recon.forces import acceleration
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
 from scp_recon.scenario import load_scenario
+from scp_recon.solution import write_atomically
 
 Array = npt.NDArray[np.float64]
 
