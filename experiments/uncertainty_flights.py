@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
-from scp_recon.solution import Solution, write_atomically
+from scp_recon.solution import Solution
 from scp_recon.spacecraft.vehicle import Vehicle
 
 Array = npt.NDArray[np.float64]

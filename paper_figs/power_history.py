@@ -5,6 +5,11 @@ Drawn from what `python -m scp_recon.simulate SOLUTION --out RUNS` wrote.
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import sys
 
 import numpy as np

@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.schedule import Mode
-from scp_recon.solution import Solution, write_atomically
+from scp_recon.solution import Solution
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 from scp_recon.spacecraft.outcome import (
