@@ -75,7 +75,8 @@ class Rotation:
     @property
     def pole(self) -> Array:
         """Unit vector of the spin pole, J2000."""
-        return self.body_to_j2000(0.0)[:, 2]
+        # A column in a row: products with a strided vector round otherwise than with its copy.
+        return self.body_to_j2000(0.0)[:, 2].copy()
 
     def body_to_j2000(self, time_s: Any) -> Array:
         """Rotation matrices at times after the epoch, shape (..., 3, 3).
