@@ -22,10 +22,11 @@ from scp_recon.algorithms import ALGORITHMS
 from scp_recon.campaign import Setting, fly_campaign
 from scp_recon.mission import Mission
 from scp_recon.observing import ALL
-from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, plan
+from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, plan
 from scp_recon.scenario import load_scenario
 from scp_recon.scp import Result, run
 from scp_recon.scvx import TrustRegion
+from scp_recon.stages import Plan
 from scp_recon.status import Status
 
 FAILED = "failed"
@@ -255,10 +256,10 @@ def _solver_of_p2(
     """P2 on given rows from a given iterate, by SCP or by IPOPT."""
     if method.solver == IPOPT:
         from formulations.nlp import VARIANTS
-        from scp_recon.ipopt import StageSolver, casadi_arcs
+        from scp_recon.ipopt import IpoptStages, casadi_arcs
 
         variant, arcs = VARIANTS[method.formulation], casadi_arcs(mission.dynamics)
-        solver = StageSolver(mission, arcs, variant, method.algorithm == "elastic")
+        solver = IpoptStages(mission, arcs, variant, method.algorithm == "elastic")
 
         def by_ipopt(rows: P2Rows, start: Linearisation) -> tuple[Evaluation, Result]:
             stage = solver.solve("P2", rows, start)
