@@ -16,6 +16,7 @@ from formulations.facets import choose_facets, included_rows
 from formulations.formulations import make_subproblem
 from formulations.interior_point import SOLVERS
 from formulations.lifting import Linearisation
+from formulations.problem import Iterate
 from formulations.rows import P2Rows
 from formulations.subproblem import Evaluation
 from scp_recon.algorithms import ALGORITHMS
@@ -43,11 +44,13 @@ class Row:
         detail: why it failed.
         problem: "P2", or "P3" where that was not solved.
         total_dv_m_s: sum of the burns.
-        merit_m_s: with the exact penalty of SCvx, first weight.
+        merit_m_s: with the exact penalty of SCvx, first weight; IPOPT's burns are flown first, because
+            gaps between its arcs cost next to nothing there.
         heavy_merit_m_s: with its second weight, which infeasible cases end with.
         violation_m: largest violation; velocities count as metres per unit of time.
         iterations_p3, iterations_p2: the latter over all facet restorations.
-        retried: whether P3 was tried again from the ballistic arc.
+        first_status: of the first try, where the ballistic arc was tried after it.
+        from_arc: whether the answer is that of the second try, from the ballistic arc.
         total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
             nothing is imported.
         cpu_s: of the processor in that time, which other work on the machine does not lengthen.
@@ -74,7 +77,8 @@ class Row:
     violation_m: float = np.nan
     iterations_p3: int = 0
     iterations_p2: int = 0
-    retried: bool = False
+    first_status: str = ""
+    from_arc: bool = False
     total_s: float = np.nan
     cpu_s: float = np.nan
     solver_s: float = np.nan
@@ -86,6 +90,11 @@ class Row:
     def method(self) -> str:
         """Name of the method."""
         return Method(self.formulation, self.algorithm, self.solver).name
+
+    @property
+    def solved_at_once(self) -> bool:
+        """Whether it was solved without the second try."""
+        return self.solved and not self.first_status
 
     @property
     def solved(self) -> bool:
@@ -110,7 +119,7 @@ def solve_cell(cell: Cell, flights: int) -> Row:
         importlib.import_module(name)
     found = _from_p3(mission, cell) if cell.start == "p3" else _whole(mission, cell)
     speed, length = mission.units.speed_m_s, mission.units.length_m
-    lin = found.lin
+    lin = found.lin if found.lin.is_flown else _flown(mission, found.lin)
     burns = lin.iterate.burns * speed
     weights = TrustRegion()
     setting, peak = Setting(mission, burns), _peak_mib()
@@ -126,7 +135,8 @@ def solve_cell(cell: Cell, flights: int) -> Row:
         violation_m=worst * length,
         iterations_p3=found.iterations_p3,
         iterations_p2=found.iterations_p2,
-        retried=found.retried,
+        first_status=found.first_status,
+        from_arc=found.from_arc,
         total_s=found.total_s,
         cpu_s=found.cpu_s,
         solver_s=found.solver_s,
@@ -134,6 +144,13 @@ def solve_cell(cell: Cell, flights: int) -> Row:
         observed_s=observed,
         burns_m_s=tuple(burns.ravel().tolist()),
     )
+
+
+def _flown(mission: Mission, lin: Linearisation) -> Linearisation:
+    """The burns flown: a nonlinear program may end with gaps between its arcs, which no flight has."""
+    burns, problem = lin.iterate.burns, mission.problem
+    mean = mission.dynamics.rollout(problem.initial_state, burns)
+    return mission.dynamics.linearise(problem, Iterate(burns, mean))
 
 
 def _empty_row(cell: Cell) -> Row:
@@ -173,7 +190,8 @@ class _Found:
     subproblem: Evaluation
     iterations_p3: int
     iterations_p2: int
-    retried: bool
+    first_status: str
+    from_arc: bool
     total_s: float
     cpu_s: float
     solver_s: float
@@ -209,11 +227,20 @@ def _of_plan(done: Plan, cpu_s: float) -> _Found:
         subproblem=done.final.subproblem,
         iterations_p3=sum(n for name, n in counts.items() if name.startswith("P3")),
         iterations_p2=sum(n for name, n in counts.items() if name.startswith("P2")),
-        retried="P3b" in counts,
+        first_status=_first_status(done),
+        from_arc=done.final.begun_again,
         total_s=done.total_s,
         cpu_s=cpu_s,
         solver_s=done.timing.conic_solver,
     )
+
+
+def _first_status(done: Plan) -> str:
+    """How the first try ended, where there was a second."""
+    names = [stage.name for stage in done.stages]
+    if "P3b" not in names:
+        return ""
+    return done.stages[names.index("P3b") - 1].result.status.value.name
 
 
 def _from_p3(mission: Mission, cell: Cell) -> _Found:
@@ -243,7 +270,8 @@ def _from_p3(mission: Mission, cell: Cell) -> _Found:
         subproblem=subproblem,
         iterations_p3=0,
         iterations_p2=iterations,
-        retried=False,
+        first_status="",
+        from_arc=False,
         total_s=perf_counter() - begin,
         cpu_s=process_time() - cpu_begin,
         solver_s=solver_s,
