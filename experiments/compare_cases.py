@@ -77,6 +77,9 @@ REFERENCE = Method("condensed", "scvx", "CLARABEL")
 
 TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOPT)
 
+UNGUARDED = "unguarded"
+"""`experiments.unguarded`, for P2 from a P3 solution only."""
+
 SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, installed()))
 NLP_METHODS = (*(Method(v, "hard", IPOPT) for v in NLP_VARIANTS), ELASTIC)
 FEW = (
@@ -85,6 +88,8 @@ FEW = (
     Method("condensed", "scvx-star", "CLARABEL"),
     Method("frozen-stm", "scvx", "CLARABEL"),
     Method("frozen-covariance", "scvx", "CLARABEL"),
+    Method("condensed", UNGUARDED, "CLARABEL"),
+    Method("frozen-covariance", UNGUARDED, "CLARABEL"),
     TUNED,
     ELASTIC,
 )

@@ -10,7 +10,8 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from experiments.compare_cases import IPOPT, Cell, Method, initial_guess
+from experiments.compare_cases import IPOPT, UNGUARDED, Cell, Method, initial_guess
+from experiments.unguarded import Unguarded
 from formulations.condensations import CONDENSATIONS
 from formulations.facets import choose_facets, included_rows
 from formulations.formulations import make_subproblem
@@ -25,7 +26,7 @@ from scp_recon.mission import Mission
 from scp_recon.observing import ALL
 from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, plan
 from scp_recon.scenario import load_scenario
-from scp_recon.scp import Result, run
+from scp_recon.scp import Algorithm, Result, run
 from scp_recon.scvx import TrustRegion
 from scp_recon.stages import Plan
 from scp_recon.status import Status
@@ -294,7 +295,11 @@ def _solver_of_p2(
             return stage.subproblem, stage.result
 
         return by_ipopt
-    algorithm = ALGORITHMS[method.algorithm]()
+    algorithm: Algorithm = (
+        Unguarded(mission.problem)
+        if method.algorithm == UNGUARDED
+        else ALGORITHMS[method.algorithm]()
+    )
 
     def by_scp(rows: P2Rows, start: Linearisation) -> tuple[Evaluation, Result]:
         subproblem = make_subproblem(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.compare_cases import ELASTIC, REFERENCE, TUNED, Method
+from experiments.compare_cases import ELASTIC, REFERENCE, TUNED, UNGUARDED, Method
 from experiments.compare_cell import Row
 from scp_recon.status import Status
 
@@ -131,12 +131,13 @@ def _frozen_claims(rows: Sequence[Row]) -> list[Claim]:
     infeasible = [
         row.scenario
         for (_, name), row in found.items()
-        if name == FROZEN[1].name
+        if name == f"frozen-covariance/{UNGUARDED}/CLARABEL"
         and row.status == Status.INFEASIBLE.value.name
         and found[row.scenario, REFERENCE.name].solved
     ]
     words = (
-        f"frozen-covariance reports infeasible what is solved in: {', '.join(infeasible) or '-'}"
+        "frozen-covariance without a safeguard reports infeasible what is solved in: "
+        f"{', '.join(infeasible) or '-'}"
     )
     return [*result, Claim(words, bool(infeasible))]
 

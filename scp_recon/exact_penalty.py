@@ -8,7 +8,7 @@ from typing import ClassVar
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge
 from formulations.subproblem import Subproblem
-from scp_recon.scp import Record, State, Trial, record_of
+from scp_recon.scp import Record, State, Trial, record_of, record_of_trial
 from scp_recon.status import Status
 
 
@@ -51,11 +51,7 @@ class ExactPenalty:
             return Status.CONVERGED
         if state.stationary:
             return Status.INFEASIBLE if heaviest else None
-        if state.radius >= self.COLLAPSED:
-            return None
-        # The heavier weight is tried where the first one's iterate was stationary and violated:
-        # where it finds nothing better that verdict stands.
-        return Status.INFEASIBLE if violated and heaviest else Status.STALLED
+        return Status.STALLED if state.radius < self.COLLAPSED else None
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:
         """Stationary but violated: the penalty may not have been exact, so weigh it once more."""
@@ -79,16 +75,7 @@ class ExactPenalty:
             new = State(trial.lin, trial.merit, radius, state.charge)
         else:
             new = replace(state, radius=radius, failures=0)
-        record = replace(
-            record_of(subproblem, new, k),
-            predicted=trial.predicted,
-            actual=trial.actual,
-            accepted=accepted,
-            trust_radius=state.radius,
-            step=float(abs(trial.answer.burns - state.lin.iterate.burns).max()),
-            solver_s=trial.answer.solver_s,
-        )
-        return new, record
+        return new, record_of_trial(subproblem, state, new, k, trial)
 
     def _failed(
         self, subproblem: Subproblem, state: State, k: int, words: str

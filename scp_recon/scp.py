@@ -9,7 +9,7 @@ algorithm decides: `scvx`, `ptr` or `scvx_star`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import NamedTuple, Protocol
 
@@ -147,6 +147,7 @@ class Trial(NamedTuple):
         merit: its merit.
         predicted: reduction of the merit that the model promised.
         actual: reduction that the flight gave.
+        step: largest change of a burn's component.
     """
 
     answer: Step
@@ -154,6 +155,7 @@ class Trial(NamedTuple):
     merit: float
     predicted: float
     actual: float
+    step: float
 
 
 def attempt(
@@ -191,7 +193,8 @@ def attempt(
     lin = dynamics.fly(state.lin, answer.burns)
     timing.linearise += perf_counter() - start
     merit = subproblem.merit(lin, state.charge)
-    return Trial(answer, lin, merit, state.merit - answer.merit, state.merit - merit)
+    step = float(abs(answer.burns - state.lin.iterate.burns).max())
+    return Trial(answer, lin, merit, state.merit - answer.merit, state.merit - merit, step)
 
 
 def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:
@@ -211,6 +214,21 @@ def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -
         step=0.0,
         solver_s=0.0,
         failure=failure,
+    )
+
+
+def record_of_trial(
+    subproblem: Subproblem, before: State, after: State, k: int, trial: Trial
+) -> Record:
+    """The record of an iteration that led from a state to another, accepted if it moved."""
+    return replace(
+        record_of(subproblem, after, k),
+        predicted=trial.predicted,
+        actual=trial.actual,
+        accepted=after.lin is trial.lin,
+        trust_radius=before.radius,
+        step=trial.step,
+        solver_s=trial.answer.solver_s,
     )
 
 

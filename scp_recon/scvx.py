@@ -39,12 +39,11 @@ class TrustRegion(ExactPenalty):
             trial = attempt(subproblem, dynamics, state, radius, timing, self.stationary)
         except SubproblemError as error:
             return self._failed(subproblem, state, k, str(error))
-        step = float(abs(trial.answer.burns - state.lin.iterate.burns).max())
         ratio = trial.actual / trial.predicted if trial.predicted > 0.0 else 0.0
         radius = state.radius
         if ratio < self.SHRINK_BELOW and not guess:
-            radius = self.SHRINK * min(radius, step)
-        elif ratio > self.GROW_ABOVE and step > 0.99 * radius:
+            radius = self.SHRINK * min(radius, trial.step)
+        elif ratio > self.GROW_ABOVE and trial.step > 0.99 * radius:
             radius = self.GROW * radius
         accepted = guess or ratio > self.ACCEPT
         new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)

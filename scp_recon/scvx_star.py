@@ -21,9 +21,13 @@ class AugmentedLagrangian(TrustRegion):
 
     Oguri, "Successive convexification with feasibility guarantee via augmented Lagrangian for
     non-convex optimal control problems", CDC 2023, alg. 1: once the merit of an accepted step changes
-    by less than a falling bound, l <- l + w m and l <- max(l + w h, 0), and the weight grows. It has
-    no test for infeasibility; here a case counts as infeasible when it is stationary at the largest
-    weight, and a further update of the multipliers does not take a tenth off the violation.
+    by less than a falling bound, l <- l + w m and l <- max(l + w h, 0), and the weight grows.
+
+    Departures: convex rows are charged like the others, because P2 may have no point that meets them;
+    multipliers are also updated where a step was refused and the iterate is stationary, and not while
+    nothing is violated. The paper has no test for infeasibility; here a case counts as infeasible when
+    it is stationary at the largest weight, and a further update of the multipliers does not take a
+    tenth off the violation.
 
     Attributes are those of `ExactPenalty`, weights being those of the squares.
     """
@@ -33,6 +37,7 @@ class AugmentedLagrangian(TrustRegion):
     weight_max: float = 1e5
     max_iterations: int = 100
     HEAVIER, TIGHTER, HOPELESS = 2.0, 0.9, 0.9
+    RADIUS_MIN = 1e-4
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from the guess, without multipliers."""
@@ -45,7 +50,8 @@ class AugmentedLagrangian(TrustRegion):
         """A step of SCvx, and the multipliers where it is time."""
         before = state
         state, record = super().step(subproblem, dynamics, state, k, timing)
-        state = replace(state, change=before.change, violated=before.violated)
+        radius = max(state.radius, self.RADIUS_MIN)  # the merit moves with the multipliers
+        state = replace(state, radius=radius, change=before.change, violated=before.violated)
         settled = record.accepted and before.lin.is_flown and abs(record.actual) < state.change
         violated = record.violated > self.feasible
         if not violated or not (settled or state.stationary):
@@ -54,6 +60,10 @@ class AugmentedLagrangian(TrustRegion):
         if hopeless and state.charge.weight >= self.weight_max:
             return state, record
         return self._update(subproblem, state, record), record
+
+    def _weighed(self, subproblem: Subproblem, state: State) -> State:  # noqa: ARG002
+        """Multipliers do what a heavier weight is for."""
+        return state
 
     def _update(self, subproblem: Subproblem, state: State, record: Record) -> State:
         weight, multipliers = state.charge.weight, state.charge.multipliers
