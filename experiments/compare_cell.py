@@ -11,6 +11,7 @@ from time import perf_counter, process_time
 import numpy as np
 
 from experiments.compare_cases import IPOPT, UNGUARDED, Cell, Method, initial_guess
+from experiments.compare_row import Row, empty_row
 from experiments.unguarded import Unguarded
 from formulations.condensations import CONDENSATIONS
 from formulations.facets import choose_facets, included_rows
@@ -30,82 +31,6 @@ from scp_recon.scp import Algorithm, Result, run
 from scp_recon.scvx import TrustRegion
 from scp_recon.stages import Plan
 from scp_recon.status import Status
-
-FAILED = "failed"
-"""Status of a cell that did not come to an end of its own."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """A cell and what came of it; empty figures are NaN.
-
-    Attributes:
-        key, group, scenario, start, seed, formulation, algorithm, solver: the cell.
-        status: a `Status` by name, or `FAILED`.
-        detail: why it failed.
-        problem: "P2", or "P3" where that was not solved.
-        total_dv_m_s: sum of the burns.
-        merit_m_s: with the exact penalty of SCvx, first weight; IPOPT's burns are flown first, because
-            gaps between its arcs cost next to nothing there.
-        heavy_merit_m_s: with its second weight, which infeasible cases end with.
-        violation_m: largest violation; velocities count as metres per unit of time.
-        iterations_p3, iterations_p2: the latter over all facet restorations.
-        first_status: of the first try, where the ballistic arc was tried after it.
-        from_arc: whether the answer is that of the second try, from the ballistic arc.
-        total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
-            nothing is imported.
-        cpu_s: of the processor in that time, which other work on the machine does not lengthen.
-        solver_s: in the conic solver, or in IPOPT without its evaluations.
-        peak_mib: resident memory of the process, imports included.
-        observed_s: mean observation time of many flights.
-        burns_m_s: all components.
-    """
-
-    key: str
-    group: str
-    scenario: str
-    start: str
-    seed: int
-    formulation: str
-    algorithm: str
-    solver: str
-    status: str
-    detail: str = ""
-    problem: str = ""
-    total_dv_m_s: float = np.nan
-    merit_m_s: float = np.nan
-    heavy_merit_m_s: float = np.nan
-    violation_m: float = np.nan
-    iterations_p3: int = 0
-    iterations_p2: int = 0
-    first_status: str = ""
-    from_arc: bool = False
-    total_s: float = np.nan
-    cpu_s: float = np.nan
-    solver_s: float = np.nan
-    peak_mib: float = np.nan
-    observed_s: float = np.nan
-    burns_m_s: tuple[float, ...] = ()
-
-    @property
-    def method(self) -> str:
-        """Name of the method."""
-        return Method(self.formulation, self.algorithm, self.solver).name
-
-    @property
-    def solved_at_once(self) -> bool:
-        """Whether it was solved without the second try."""
-        return self.solved and not self.first_status
-
-    @property
-    def solved(self) -> bool:
-        """Whether P2 converged and every constraint holds."""
-        return self.problem == "P2" and self.status == Status.CONVERGED.value.name
-
-
-def failed_row(cell: Cell, reason: str, cpu_s: float = np.nan) -> Row:
-    """The row of a cell that did not come to an end of its own."""
-    return replace(_empty_row(cell), detail=reason, cpu_s=cpu_s)
 
 
 def solve_cell(cell: Cell, flights: int) -> Row:
@@ -127,7 +52,7 @@ def solve_cell(cell: Cell, flights: int) -> Row:
     observed = fly_campaign(setting, samples=flights).held[ALL].mean().value if flights else np.nan
     worst = max(float(v.max(initial=0.0)) for v in found.subproblem.violations(lin).values())
     return replace(
-        _empty_row(cell),
+        empty_row(cell),
         status=found.status.value.name,
         problem="P2" if isinstance(found.subproblem.rows, P2Rows) else "P3",
         total_dv_m_s=lin.iterate.total_dv * speed,
@@ -152,21 +77,6 @@ def _flown(mission: Mission, lin: Linearisation) -> Linearisation:
     burns, problem = lin.iterate.burns, mission.problem
     mean = mission.dynamics.rollout(problem.initial_state, burns)
     return mission.dynamics.linearise(problem, Iterate(burns, mean))
-
-
-def _empty_row(cell: Cell) -> Row:
-    method = cell.method
-    return Row(
-        key=cell.key,
-        group=cell.group,
-        scenario=cell.scenario,
-        start=cell.start,
-        seed=cell.seed,
-        formulation=method.formulation,
-        algorithm=method.algorithm,
-        solver=method.solver,
-        status=FAILED,
-    )
 
 
 def _needs(method: Method) -> tuple[str, ...]:

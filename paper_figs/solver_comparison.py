@@ -98,6 +98,7 @@ def draw_guesses(rows: Sequence[Row]) -> Figure:
             )
         left.set(xlim=(0.0, 1.0), xlabel="share solved, 95 % interval")
         left.set_yticks(range(len(methods)), methods)
+        left.set_ylim(-0.5, len(methods) - 0.2)
         right.set(xlabel="total delta-v over the best, less one")
         right.set_xlim(left=-0.005, right=max(0.05, right.get_xlim()[1]))
     return figure
@@ -105,7 +106,9 @@ def draw_guesses(rows: Sequence[Row]) -> Figure:
 
 def draw_scenarios(rows: Sequence[Row]) -> Figure:
     """Delta-v against the probability asked and against the execution error, frozen forms beside."""
-    chosen = [row for row in rows if row["group"] == "scenarios"]
+    chosen = [
+        row for row in rows if row["group"] == "scenarios" and row["algorithm"] != "unguarded"
+    ]
     methods = list(dict.fromkeys(row["method"] for row in chosen))
     panels = (("p_chance", 0.7, "p_chance"), ("beta", 0.08, "execution error, 1 sigma"))
     with style.context(STYLE):

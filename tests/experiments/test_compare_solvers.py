@@ -24,9 +24,10 @@ from experiments.compare_cases import (
     quick_design,
     random_guess,
 )
-from experiments.compare_cell import FAILED, Row, failed_row, solve_cell
+from experiments.compare_cell import solve_cell
 from experiments.compare_claims import FROZEN, agreements, claims
 from experiments.compare_report import to_csv, to_markdown
+from experiments.compare_row import FAILED, Row, failed_row
 from experiments.compare_runs import FILE_NAME, Solve, read_rows, run_cells
 from scp_recon import guess
 from scp_recon.mission import Mission
