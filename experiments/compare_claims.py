@@ -168,10 +168,10 @@ def _algorithm_claim(rows: Sequence[Row], where: str) -> Claim:
     solved = [case for case in cases if all(row.solved for row in case)]
     partly = [case for case in cases if len({row.solved for row in case}) > 1]
     none = [case for case in cases if not any(row.solved for row in case)]
-    if not solved:
+    if not (solved or partly):
         return Claim(words, None)
     costs = [[row.total_dv_m_s for row in case] for case in solved]
-    worst = max(max(found) / min(found) - 1.0 for found in costs)
+    worst = max((max(found) / min(found) - 1.0 for found in costs), default=0.0)
     words += f" in {len(solved)} of {len(cases)} cases (largest difference {worst:.1e})"
     words += f"; only some solve: {', '.join(map(_unsolved, partly)) or 'none'}"
     words += f"; none solves: {', '.join(map(_unsolved, none)) or 'none'}"
