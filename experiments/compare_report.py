@@ -22,6 +22,11 @@ What does not converge from a guess is tried once more from the ballistic arc, b
 are those of both tries. Shares are of all guesses."""
 
 
+PEER_NOTE = """\
+Left by `experiments.openscvx_peer`; numbers after *ptr* are its weights of cost, virtual control and
+virtual buffer. All start at the ballistic arc."""
+
+
 def to_csv(rows: Sequence[Row]) -> str:
     """All rows, a column per attribute, burns with spaces between."""
     text = io.StringIO()
@@ -43,10 +48,11 @@ def to_markdown(rows: Sequence[Row]) -> str:
         "",
     ]
     for title, table, note in (
-        ("Default scenario, every method", _matrix(rows), ""),
+        ("Default scenario, every method", _matrix(of_group(rows, "matrix")), ""),
         ("P2 from the same P3 solution and facets", _scenarios(rows), SCENARIOS_NOTE),
         ("Random guesses", _guesses(rows), GUESSES_NOTE),
         ("Optima reached from random guesses", _optima(rows), ""),
+        ("P3 by OpenSCvx, an outside peer", peer_table(rows), PEER_NOTE),
     ):
         parts += [f"## {title}", "", *table, "", *([note, ""] if note else [])]
     return "\n".join(parts)
@@ -93,9 +99,14 @@ def _matrix(rows: Sequence[Row]) -> list[str]:
                 _figure(row.peak_mib, ".0f"),
                 _figure(row.observed_s, ".0f"),
             )
-            for row in of_group(rows, "matrix")
+            for row in rows
         ),
     )
+
+
+def peer_table(rows: Sequence[Row]) -> list[str]:
+    """P3 by OpenSCvx and by the planner."""
+    return _matrix(of_group(rows, "peer"))
 
 
 def _figure(value: float, form: str) -> str:

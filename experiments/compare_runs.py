@@ -25,7 +25,7 @@ from experiments.compare_cases import Cell
 from experiments.compare_cell import solve_cell
 from experiments.compare_row import FAILED, Row, failed_row
 
-FILE_NAME = "rows.jsonl"
+FILE_NAME, PEER_NAME = "rows.jsonl", "peer.jsonl"
 PRELOADED = ["experiments.compare_cell"]
 """Imported once by the server that the cells' processes are forked from."""
 

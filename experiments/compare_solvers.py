@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 
 from rich.console import Console
@@ -17,7 +18,7 @@ from experiments.compare_cases import Cell, full_design, quick_design
 from experiments.compare_claims import claims
 from experiments.compare_report import claim_line, shown, to_csv, to_markdown
 from experiments.compare_row import FAILED, Row
-from experiments.compare_runs import FILE_NAME, run_cells
+from experiments.compare_runs import FILE_NAME, PEER_NAME, read_rows, run_cells
 from scp_recon.command import guarded
 from scp_recon.errors import InputError
 from scp_recon.solution import write_atomically
@@ -67,6 +68,7 @@ def _run(options: argparse.Namespace, console: Console) -> int:
     cells = quick_design() if options.quick else full_design()
     limit_s = QUICK_LIMIT_S if options.quick else LIMIT_S
     rows = _rows(console, cells, out / FILE_NAME, limit_s)
+    rows += read_rows(out / PEER_NAME, inf).values()
     for claim in claims(rows):
         console.print(claim_line(claim), highlight=False, soft_wrap=True)
     for path in _write(rows, out):
