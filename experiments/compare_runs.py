@@ -121,6 +121,8 @@ def _work(send: Connection, solve: Solve, cell: Cell, flights: int, limit_s: flo
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     try:
         send.send(solve(cell, flights))
+    except BrokenPipeError:  # nobody waits for it any more
+        return
     except Exception as error:  # a solver's, or ours: the row says which
         send.send(failed_row(cell, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"))
 
