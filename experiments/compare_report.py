@@ -24,7 +24,7 @@ are those of both tries. Shares are of all guesses."""
 
 PEER_NOTE = """\
 Left by `experiments.openscvx_peer`; numbers after *ptr* are its weights of cost, virtual control and
-virtual buffer. All start at the ballistic arc."""
+virtual buffer and the step at which it stops. All start at the ballistic arc."""
 
 
 def to_csv(rows: Sequence[Row]) -> str:

@@ -55,6 +55,7 @@ class Case:
         tolerance: of its integration, relative and absolute; None for its defaults, 1e-6 and 1e-3.
         lam_cost, lam_vc, lam_vb: weights of cost, virtual control and virtual buffer. The first two
             are 0.01 and 1 by default, the buffer's is zero.
+        ep_tr: size of a step at which it stops, 1e-4 by default.
     """
 
     stride: int
@@ -62,18 +63,20 @@ class Case:
     lam_cost: float
     lam_vc: float
     lam_vb: float
+    ep_tr: float = 1e-4
 
     @property
-    def weights(self) -> dict[str, float]:
-        """Of the algorithm."""
-        return {"lam_cost": self.lam_cost, "lam_vc": self.lam_vc, "lam_vb": self.lam_vb}
+    def algorithm(self) -> dict[str, float]:
+        """Its options."""
+        names = ("lam_cost", "lam_vc", "lam_vb", "ep_tr")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def method(self) -> Method:
         """Its name in the table."""
         nodes = "every node" if self.stride == 1 else f"every {self.stride}th node"
         tolerance = "default" if self.tolerance is None else f"{self.tolerance:g}"
-        weights = " ".join(f"{weight:g}" for weight in self.weights.values())
+        weights = " ".join(f"{value:g}" for value in self.algorithm.values())
         return Method(f"OpenSCvx, {nodes}, tolerance {tolerance}", f"ptr {weights}", "QOCO")
 
 
@@ -81,6 +84,7 @@ CASES = (
     Case(5, None, 1e-2, 1.0, 1.0),
     Case(5, 1e-10, 1e-2, 1.0, 1.0),
     Case(5, 1e-10, 1e-1, 10.0, 10.0),
+    Case(5, 1e-10, 1e-1, 10.0, 10.0, ep_tr=1e-6),
     Case(1, 1e-10, 1e-1, 10.0, 10.0),
 )
 
@@ -91,7 +95,7 @@ def peers_row(mission: Mission, start: Iterate, case: Case) -> Row:
 
     begin, cpu_begin = perf_counter(), process_time()
     problem = pose(mission, start, case.stride)  # anew: its variables belong to one problem
-    options: dict[str, Any] = {"algorithm": case.weights}
+    options: dict[str, Any] = {"algorithm": case.algorithm}
     if case.tolerance is not None:
         within = {"rtol": case.tolerance, "atol": case.tolerance}
         options["discretizer"] = {"diffrax_kwargs": within}

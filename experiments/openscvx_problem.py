@@ -73,7 +73,17 @@ def pose(mission: Mission, start: Iterate, stride: int) -> Problem:
     burn.guess, size.guess = np.zeros((count, 3)), np.zeros((count, 1))
     burn.guess[at] = start.burns
     size.guess[at] = np.linalg.norm(start.burns, axis=1, keepdims=True)
-    time = ox.Time(initial=0.0, final=float(t[-1]), min=0.0, max=float(t[-1]), guess=t)
+    end = float(t[-1])
+    # Its default asks arcs of at least three tenths of the mean, which the window's are not.
+    shortest = 0.5 * float(np.diff(t).min()) * (count - 1)
+    time = ox.Time(
+        initial=0.0,
+        final=end,
+        min=0.0,
+        max=end,
+        guess=t,
+        time_dilation_min=min(shortest, 0.3 * end),
+    )
 
     constraints = [
         *((time[0] == float(t[k])).convex().at([k]) for k in range(1, count - 1)),
