@@ -7,6 +7,11 @@ needs.
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import json
 import platform
@@ -25,6 +30,7 @@ from rich.progress import track
 from benchmarks import growth
 from benchmarks.methods import METHODS, Timed
 from benchmarks.tables import growth_table, pair_table, ratio_lines
+from scp_recon.files import write_atomically
 
 README = Path(__file__).parents[1] / "README.md"
 BEGIN, END = "<!-- benchmarks -->", "<!-- /benchmarks -->"
@@ -43,7 +49,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="replace the tables in the README's performance section",
     )
     options = parser.parse_args(arguments)
-    console = Console()
+    return guarded(lambda console: _measure(options, console))
+
+
+def _measure(options: argparse.Namespace, console: Console) -> int:
     rounds = 1 if options.quick else ROUNDS
     figures = measure(rounds, lambda jobs: list(track(jobs, "methods", console=console)))
     commands = command_times(rounds)
@@ -108,7 +117,7 @@ def write_readme(text: str) -> None:
     """Replace what stands between the markers."""
     before, rest = README.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
-    README.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
+    write_atomically(README, f"{before}{BEGIN}\n{text}\n{END}{after}")
 
 
 if __name__ == "__main__":

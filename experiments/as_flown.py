@@ -11,9 +11,9 @@ from scipy.optimize import least_squares
 
 from scp_recon import guess
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.frames import J2000_TDB
 from scp_recon.mission import Mission
-from scp_recon.solution import write_atomically
 
 Array = npt.NDArray[np.float64]
 

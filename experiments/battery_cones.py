@@ -7,6 +7,11 @@ and without calibration, go to OUT/battery_cones.csv and .md, the samples to bat
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence
@@ -19,9 +24,9 @@ from scipy.optimize import brentq
 
 from experiments.studies import Cell, add_out, markdown, run, to_csv, whole
 from scp_recon.estimates import Estimate, proportion
+from scp_recon.files import write_atomically
 from scp_recon.scenario import load_scenario
 from scp_recon.scenario_schema import Scenario
-from scp_recon.solution import write_atomically
 from scp_recon.spacecraft.panels import SolarArray, irradiance
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 

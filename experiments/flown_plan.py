@@ -8,6 +8,11 @@ that are there already are not flown again.
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Callable, Sequence
@@ -24,8 +29,9 @@ from experiments.flown_samples import sample_distances
 from experiments.studies import Cell, add_out, markdown, run, to_csv, whole
 from scp_recon.errors import InputError
 from scp_recon.estimates import proportion
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
-from scp_recon.solution import Solution, read_solution, write_atomically
+from scp_recon.solution import Solution, read_solution
 from scp_recon.spacecraft.record import (
     Record,
     inputs_digest,

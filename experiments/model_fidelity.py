@@ -8,6 +8,11 @@ Written are OUT/model_fidelity.csv, .md and, with the distances over time, model
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Callable, Sequence
@@ -23,9 +28,10 @@ from experiments.fidelity_arcs import fly
 from experiments.fidelity_models import PLANNER, Choices, Flight, passing, relapses
 from experiments.observation_rows import rows
 from experiments.studies import Cell, add_out, markdown, run, to_csv
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.scenario import load_scenario
-from scp_recon.solution import read_solution, write_atomically
+from scp_recon.solution import read_solution
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
 Array = npt.NDArray[np.float64]

@@ -7,6 +7,11 @@ was tried instead of one of them. The table goes to OUT/nlp_tricks.csv and .md.
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import csv
 import io
@@ -21,12 +26,11 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from scp_recon import guess
-from scp_recon.command import guarded
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
 from scp_recon.scenario import load_scenario
-from scp_recon.solution import write_atomically
 
 if TYPE_CHECKING:
     from formulations.nlp import Variant

@@ -14,12 +14,13 @@ from experiments.observation_rows import NOT_OPTIMISED, Row
 from scp_recon.campaign import Setting, fly_campaign
 from scp_recon.errors import InputError
 from scp_recon.estimates import Estimate
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.montecarlo import FILE_NAME, ONE_SIGMA, SCHEMA, summarise
 from scp_recon.observing import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.sampling import sample_positions
 from scp_recon.solution import FILE_NAME as SOLUTION_FILE
-from scp_recon.solution import Solution, read_solution, write_atomically
+from scp_recon.solution import Solution, read_solution
 from scp_recon.verification import verify
 
 Array = npt.NDArray[np.float64]

@@ -18,9 +18,9 @@ from experiments.observation_report import shown, to_csv, to_markdown
 from experiments.observation_rows import Row, rows
 from experiments.observation_runs import Failed, Measured, run_row
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.scenario import load_scenario
-from scp_recon.solution import write_atomically
 from scp_recon.status import Status
 
 DEFAULT_OUT = Path("runs") / "paper"

@@ -23,11 +23,11 @@ from scipy.spatial.transform import Rotation
 from experiments.studies import Cell, add_out, markdown, run, to_csv, whole
 from scp_recon import geometry
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.frames import unit
 from scp_recon.mission import Mission
 from scp_recon.scenario import load_scenario
 from scp_recon.schedule import Leg, Mode
-from scp_recon.solution import write_atomically
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import FlightPlan, sun_pointing
 from scp_recon.spacecraft.outcome import attitude_error, settling_time, state_of_charge

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+import multiprocessing
+import signal
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -16,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
-from scp_recon.solution import Solution, write_atomically
+from scp_recon.solution import Solution
 from scp_recon.spacecraft.vehicle import Vehicle
 
 Array = npt.NDArray[np.float64]
@@ -187,12 +190,17 @@ def fly_all(
             tell()
     else:
         simulator()  # what is missing is to be said once, and here
-        with ProcessPoolExecutor(workers) as pool:
+        # Ctrl-C reaches every process; this one alone answers it.
+        with ProcessPoolExecutor(
+            workers, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
+        ) as pool:
             try:
                 for flown in pool.map(work, missing):
                     logbook.add(flown)
                     tell()
             except BaseException:
+                for process in multiprocessing.active_children():
+                    process.terminate()  # or the end would wait for whole flights
                 pool.shutdown(cancel_futures=True)
                 raise
     return [logbook.flown[job] for job in jobs]

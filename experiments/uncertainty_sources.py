@@ -10,6 +10,11 @@ again.
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence
@@ -37,9 +42,10 @@ from experiments.uncertainty_report import (
     to_markdown,
     verdicts,
 )
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.scenario import load_scenario
-from scp_recon.solution import Solution, read_solution, write_atomically
+from scp_recon.solution import Solution, read_solution
 from scp_recon.spacecraft.vehicle import load_vehicle
 
 NAME = "uncertainty_sources"

@@ -136,6 +136,16 @@ class Factor:
         return root(self._unit**2 * ca.sum2((ca.DM(normal) @ position) ** 2))
 
 
+CERTAIN = 1e-6
+"""Largest standard deviation of a start without spread to speak of."""
+
+
 def initial_deviation(problem: FlybyProblem) -> float:
-    """Largest standard deviation before the first burn: the natural unit of a factor's entries."""
-    return float(np.linalg.norm(problem.initial_factor, 2))
+    """Largest standard deviation before the first burn: the natural unit of a factor's entries.
+
+    Where the start is certain, that of the largest burn.
+    """
+    deviation = float(np.linalg.norm(problem.initial_factor, 2))
+    if deviation > CERTAIN:
+        return deviation
+    return max(problem.execution_error * problem.dv_max, CERTAIN)

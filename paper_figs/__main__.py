@@ -7,8 +7,12 @@ drawn where their folders are found.
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, show_written, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
-import shutil
 import sys
 from collections.abc import Iterator, Sequence
 from itertools import chain
@@ -16,12 +20,14 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from matplotlib.figure import Figure
+from rich.console import Console
 
 from paper_figs import (
     attitude_and_actuators,
     battery_cones,
     cone_polytopes,
     control_history,
+    flown_plan,
     model_fidelity,
     observation_geometry,
     observation_histories,
@@ -30,14 +36,14 @@ from paper_figs import (
     parameters,
     power_history,
     terminal_normality,
+    timing_rules,
     trajectories,
     uncertainty_quantiles,
     uncertainty_sources,
 )
 from paper_figs.drawing import PICTURES, save
 from paper_figs.inputs import TABLE, Runs, read_runs
-from scp_recon.errors import InputError
-from scp_recon.solution import write_atomically
+from scp_recon.files import unwritable, write_atomically
 
 
 class Drawn(Protocol):
@@ -95,6 +101,8 @@ STUDIES: dict[str, Study] = {
     "uncertainty_quantiles": uncertainty_quantiles,
     "attitude_and_actuators": attitude_and_actuators,
     "power_history": power_history,
+    "flown_plan": flown_plan,
+    "timing_rules": timing_rules,
 }
 TABLES: dict[str, Tabulated] = {"parameters": parameters, "observation_table": observation_table}
 
@@ -115,7 +123,7 @@ def make_all(runs: Runs, source: Path, out: Path, studies: Path | None = None) -
     out.mkdir(parents=True, exist_ok=True)
     for name, tabulated in TABLES.items():
         yield write_atomically(out / f"{name}.md", tabulated.table(runs))
-    yield Path(shutil.copyfile(source / TABLE, out / TABLE))
+    yield write_atomically(out / TABLE, (source / TABLE).read_bytes())
     captions = ["# Captions"]
     drawings = ((name, drawn.draw(runs), drawn.caption(runs)) for name, drawn in FIGURES.items())
     for name, figure, caption in chain(drawings, _draw_studies(studies)):
@@ -161,19 +169,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="folder for all of it (default: runs/figures)",
     )
     options = p.parse_args(arguments)
+    return guarded(lambda console: _make(options, console))
+
+
+def _make(options: argparse.Namespace, console: Console) -> int:
+    runs = read_runs(options.runs)
     try:
-        runs = read_runs(options.runs)
         for path in make_all(runs, options.runs, options.out, options.studies):
-            print(f"written: {path}", flush=True)
-        for name, study in STUDIES.items():
-            if not (options.studies / study.FOLDER).is_dir():
-                print(f"not drawn: {name}, for want of `{study.COMMAND}`")
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+            show_written(console, path)
     except OSError as error:
-        print(f"error: cannot write to {options.out}: {error.strerror}", file=sys.stderr)
-        return 2
+        raise unwritable(options.out, "--out", error) from None
+    for name, study in STUDIES.items():
+        if not (options.studies / study.FOLDER).is_dir():
+            console.print(f"not drawn: {name}, for want of `{study.COMMAND}`", soft_wrap=True)
     return 0
 
 

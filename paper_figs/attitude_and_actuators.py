@@ -5,6 +5,11 @@ Drawn from what `python -m scp_recon.simulate SOLUTION --out RUNS` wrote.
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import sys
 
 import numpy as np
@@ -13,7 +18,7 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command_from
+from paper_figs.drawing import ABOVE, STYLE, WIDTH_IN, command_from
 from paper_figs.flight_record import COMMAND, FOLDER, HOUR_S, bands, mark_burns, read
 from scp_recon.spacecraft.flight import Actuators
 from scp_recon.spacecraft.record import Record
@@ -58,7 +63,7 @@ def _attitude(axes: Axes, record: Record, time: Array) -> None:
         axes.plot(time, command[:, i], color=colour, lw=0.9, ls="--")
     axes.plot([], [], color="0.5", lw=0.9, ls="--", label="command")
     axes.set(ylabel="quaternion (body to J2000)", ylim=(-1.05, 1.05))
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, fontsize=LEGEND_PT)
+    axes.legend(**ABOVE, ncols=5)
 
 
 def _continuous(quaternions: Array) -> Array:

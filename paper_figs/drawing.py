@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Callable, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
 from matplotlib import style
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
+from rich.console import Console
 
 from paper_figs.inputs import Runs, read_runs
+from scp_recon.command import guarded, show_written
 from scp_recon.errors import InputError
+from scp_recon.files import unwritable, write_atomically
 
 STYLE = Path(__file__).with_name("style.mplstyle")
 
@@ -22,6 +25,14 @@ WIDTH_IN = 7.0
 
 LEGEND_PT = 8.0
 """Size of the words in legends."""
+
+ABOVE: dict[str, Any] = {
+    "loc": "lower left",
+    "bbox_to_anchor": (0.0, 1.0),
+    "borderaxespad": 0.1,
+    "fontsize": LEGEND_PT,
+}
+"""Where a legend hides nothing."""
 
 BANDS = ((2.28, 97.72, "0.85", "2 sigma"), (15.87, 84.13, "0.65", "1 sigma"))
 """Percentiles between which a normal variable lies with 95.4 % and 68.3 % probability."""
@@ -35,14 +46,45 @@ Read = TypeVar("Read")
 """What a figure is drawn from."""
 
 
-def save(figure: Figure, path: Path) -> Path:
-    """Write a figure in the format of the path's ending, the same bytes every time."""
+def plain(text: str) -> str:
+    """A name as it is, in which Matplotlib finds no formula."""
+    return text.replace("$", r"\$")
+
+
+def save(figure: Figure, path: Path, dpi: float | None = None) -> Path:
+    """Write a figure in the format of the path's ending, the same bytes every time, whole or not.
+
+    Args:
+        figure: to write.
+        path: its ending is the format.
+        dpi: dots per inch, the style's without.
+
+    Raises:
+        InputError: if the ending is no picture's, or the file cannot be written.
+    """
+    known = figure.canvas.get_supported_filetypes()
+    if path.is_dir() or path.suffix.lower().removeprefix(".") not in known:
+        allowed = ", ".join(f".{ending}" for ending in known)
+        raise InputError(f"file {path}", "no picture's name", f"must end in one of {allowed}")
     metadata: dict[str, Any] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(
         path.suffix, {}
     )
+    picture = BytesIO()
     with style.context(STYLE):
-        figure.savefig(path, metadata=metadata)
-    return path
+        figure.savefig(picture, format=path.suffix[1:].lower(), metadata=metadata, dpi=dpi)
+    return write(path, picture.getvalue())
+
+
+def write(path: Path, content: str | bytes) -> Path:
+    """Write a file whole or not at all.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    try:
+        return write_atomically(path, content)
+    except OSError as error:
+        raise unwritable(path.parent, f"file {path}", error) from None
 
 
 def command(
@@ -63,13 +105,12 @@ def command_from(
     p.add_argument("runs", type=Path, metavar="RUNS", help="what experiments wrote")
     p.add_argument("file", type=Path, metavar="FILE", help="e.g. figure.png, figure.pdf, table.md")
     options = p.parse_args(arguments)
-    try:
+
+    def work(console: Console) -> int:
         made = make(read(options.runs))
-        if isinstance(made, Figure):
-            save(made, options.file)
-        else:
-            options.file.write_text(made, encoding="utf-8")
-    except (InputError, OSError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+        file: Path = options.file
+        path = save(made, file) if isinstance(made, Figure) else write(file, made)
+        show_written(console, path)
+        return 0
+
+    return guarded(work)

@@ -6,6 +6,11 @@ observation window, with the spread of the samples about the plan.
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, show_written, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence
@@ -17,11 +22,11 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
+from rich.console import Console
 
-from paper_figs.drawing import BANDS, STYLE
+from paper_figs.drawing import BANDS, STYLE, plain, save
 from paper_figs.observed import SEED, observed
 from scp_recon import geometry
-from scp_recon.errors import InputError
 from scp_recon.frames import sun_north_to_j2000
 from scp_recon.mission import Mission
 from scp_recon.sampling import sample_positions
@@ -43,7 +48,8 @@ def draw(solution: Solution) -> Figure:
         _draw_path(path, mission, solution)
         _draw_histories(histories, mission, solution)
         figure.suptitle(
-            f"{mission.scenario.site.name} on {mission.scenario.body.name}: {solution.problem}, "
+            f"{plain(mission.scenario.site.name)} on {plain(mission.scenario.body.name)}: "
+            f"{solution.problem}, "
             f"{solution.total_dv_m_s:.4f} m/s in {len(solution.burns)} burns",
             fontweight="bold",
         )
@@ -124,12 +130,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     p.add_argument("solution", type=Path, metavar="DIR", help="folder with a solution.json")
     p.add_argument("picture", type=Path, metavar="FILE", help="e.g. flyby.png or flyby.svg")
     options = p.parse_args(arguments)
-    try:
-        draw(read_solution(options.solution)).savefig(options.picture, dpi=140)
-    except (InputError, OSError, ValueError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    return 0
+
+    def work(console: Console) -> int:
+        figure = draw(read_solution(options.solution))
+        show_written(console, save(figure, options.picture, dpi=140))
+        return 0
+
+    return guarded(work)
 
 
 if __name__ == "__main__":

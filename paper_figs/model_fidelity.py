@@ -5,6 +5,11 @@ Drawn from what `python -m experiments.model_fidelity` wrote into the folder RUN
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import sys
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,13 +28,16 @@ COMMAND = "python -m experiments.model_fidelity"
 TOGETHER = "together"
 
 SHOWN = (
-    ("none", "k", ":", "no light pressure"),
-    ("cannonball", "k", "-", "cannonball"),
-    ("degree 0", "tab:blue", ":", "point mass"),
-    ("J2", "tab:blue", "-", "J2"),
-    ("impulsive", "tab:orange", "-", "impulsive"),
+    ("none", "k", ":"),
+    ("cannonball", "k", "-"),
+    ("degree 0", "tab:blue", ":"),
+    ("J2", "tab:blue", "-"),
+    ("impulsive", "tab:orange", "-"),
 )
 """Models whose distance is drawn over time, with their looks."""
+
+WORDS = {"none": "no light pressure", "degree 0": "point mass"}
+"""For models whose names say too little."""
 
 Row = dict[str, str]
 
@@ -98,20 +106,23 @@ def _at_the_end(axes: Axes, found: Fidelity) -> None:
     edges = [k for k, (one, two) in enumerate(pairwise(names)) if one[0] != two[0]]
     for edge in edges:
         axes.axhline(edge + 0.5, color="0.6", lw=0.8)
-    words = ["no light pressure" if label == "none" else label for label in labels]
+    words = [WORDS.get(label, label) for label in labels]
     axes.set_yticks(range(len(names)), words)
     axes.invert_yaxis()
     axes.set(xscale="log", xlabel="distance at the end (m)", xlim=(1e-5, 3e2))
     axes.set_title("filled: lowest fidelity that passes", loc="left")
-    axes.legend(loc="upper left", fontsize=LEGEND_PT)
+    axes.legend(
+        loc="upper left", fontsize=LEGEND_PT, frameon=True, edgecolor="none", framealpha=1.0
+    )
 
 
 def _over_time(axes: Axes, found: Fidelity) -> None:
     flight = found.flights[0]
-    for model, colour, dashes, label in SHOWN:
+    for model, colour, dashes in SHOWN:
         rows = [r for r in found.history if (r["flight"], r["model"]) == (flight, model)]
         hours = [float(row["t_s"]) / 3600.0 for row in rows]
         distance = [float(row["distance_m"]) for row in rows]
+        label = WORDS.get(model, model)
         axes.plot(hours, distance, color=colour, ls=dashes, lw=1.2, label=label)
     axes.axhline(found.limit_m, color="tab:red", lw=1.0, ls="--", label=f"{found.limit_m:g} m")
     axes.set(xlabel="time (h)", ylabel="distance from the truth (m)", xlim=(0.0, None))

@@ -5,6 +5,11 @@ Drawn from what `python -m scp_recon.simulate SOLUTION --out RUNS` wrote.
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import sys
 
 import numpy as np
@@ -12,7 +17,7 @@ from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command_from
+from paper_figs.drawing import ABOVE, LEGEND_PT, STYLE, WIDTH_IN, command_from
 from paper_figs.flight_record import COMMAND, FOLDER, HOUR_S, mark_burns, read
 from scp_recon.spacecraft.record import Record
 
@@ -31,8 +36,8 @@ def draw(record: Record) -> Figure:
         top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2.4, 1.2))
         top.plot(time[1:], record.arrays["panel_w"].sum(axis=1)[1:], color="k", label="generated")
         top.plot(time, record.arrays["consumed_w"], color="tab:red", lw=1.0, label="consumed")
-        top.set(ylabel="power (W)", ylim=(0.0, 1.15 * record.arrays["panel_peak_w"].sum()))
-        top.legend(loc="upper right", ncols=2, fontsize=LEGEND_PT)
+        top.set(ylabel="power (W)", ylim=(0.0, None))
+        top.legend(**ABOVE, ncols=2)
         _panels(middle, record)
         charge = 100.0 * record.arrays["state_of_charge"]
         for i, look in enumerate(("-", "--")[: charge.shape[1]]):
@@ -54,8 +59,8 @@ def _panels(axes: Axes, record: Record) -> None:
     for i, (peak, colour, dash) in enumerate(zip(peaks.tolist(), COLOURS, DASHES, strict=False)):
         axes.plot(time[1:], power[1:, i], dash, color=colour, lw=1.2, label=f"SP{i + 1}")
         axes.axhline(peak, color=colour, ls=":", lw=1.0)
-    axes.set(ylabel="of each panel (W)", ylim=(-4.0, 1.25 * float(peaks.max())))
-    axes.legend(loc="upper right", ncols=len(peaks), fontsize=LEGEND_PT)
+    axes.set(ylabel="power of each panel (W)", ylim=(-4.0, 1.08 * float(peaks.max())))
+    axes.legend(**ABOVE, ncols=len(peaks))
 
 
 def caption(record: Record) -> str:

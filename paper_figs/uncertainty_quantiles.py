@@ -5,6 +5,11 @@ Drawn from what `python -m experiments.uncertainty_sources` wrote into the folde
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +88,9 @@ def _panel(axes: Axes, found: Found, source: str, axis: str) -> None:
     axes.axline((0.0, float(ends.mean())), slope=slope, color="tab:red", lw=1.0, ls="--",
                 label="through the quartiles")  # fmt: skip
     axes.plot(quartiles, ends, color="tab:blue", lw=2.0, label="between them")
-    axes.set_title(f"{test['label']}, {axis}: p = {float(test[f'p_value_{axis}']):.1g}", loc="left")
+    axes.set_title(f"{test['label']}, {axis}", loc="left")
+    p_value = f"p = {float(test[f'p_value_{axis}']):.1g}"
+    axes.text(0.96, 0.06, p_value, ha="right", transform=axes.transAxes)
     ticks = np.arange(-4, 5, 2)
     axes.set(xticks=ticks, yticks=ticks)
     axes.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH), aspect="equal")

@@ -1,17 +1,42 @@
-"""What every command does with trouble: one message on standard error, and an exit status."""
+"""What every command does with trouble: one message on standard error, and an exit status.
+
+A command imports for about a second before its work begins. Its module starts with
+
+    if __name__ == "__main__":
+        starting()
+
+above the other imports, so that Ctrl-C ends it in one line from there on; this module is light.
+"""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import warnings
 from collections.abc import Callable
 from io import TextIOWrapper
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, printable
 from scp_recon.status import Status
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
 BAD_INPUT, NOT_VERIFIED = 2, 4
+
+
+def starting() -> None:
+    """End the process on Ctrl-C at once, unless it is ignored; until `guarded` sees to it."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _end)
+
+
+def _end(*_: object) -> None:
+    os.write(2, b"\ninterrupted\n")
+    os._exit(Status.INTERRUPTED.value.exit_code)
 
 
 def guarded(action: Callable[[Console], int]) -> int:
@@ -20,6 +45,8 @@ def guarded(action: Callable[[Console], int]) -> int:
     Args:
         action: prints to the console that it is given, and returns an exit status.
     """
+    from rich.console import Console  # which takes longer to import than all the rest here
+
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # what it cannot encode must not end the command
             stream.reconfigure(errors="backslashreplace")
@@ -32,8 +59,14 @@ def guarded(action: Callable[[Console], int]) -> int:
         )
         return BAD_INPUT
 
+    started = signal.getsignal(signal.SIGINT) is _end
     try:
-        return action(Console())
+        if started:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        with warnings.catch_warnings():
+            # What overflows shows in the figures, which have to be finite, and not on the terminal.
+            warnings.filterwarnings("ignore", category=RuntimeWarning)
+            return action(Console())
     except InputError as error:
         return fail(str(error))
     except MemoryError:
@@ -43,3 +76,12 @@ def guarded(action: Callable[[Console], int]) -> int:
     except KeyboardInterrupt:
         errors.print("\ninterrupted", style="red")
         return Status.INTERRUPTED.value.exit_code
+    finally:
+        if started:
+            starting()
+
+
+def show_written(console: Console, path: Path) -> None:
+    """Where a result is; one line, however long and whatever the name."""
+    text = printable(f"written: {path}")
+    console.print(text, markup=False, highlight=False, soft_wrap=True)

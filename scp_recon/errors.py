@@ -13,10 +13,10 @@ class InputError(ValueError):
     """
 
     def __init__(self, entry: str, given: str, allowed: str) -> None:
-        self.entry, self.given, self.allowed = map(_printable, (entry, given, allowed))
+        self.entry, self.given, self.allowed = map(printable, (entry, given, allowed))
         super().__init__(f"{self.entry}: got {self.given}; {self.allowed}")
 
 
-def _printable(text: str) -> str:
-    """What a file holds goes to the terminal as text, and never as a control sequence."""
+def printable(text: str) -> str:
+    """What a file holds, or is called, goes to the terminal as text and not as a control sequence."""
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)

@@ -1,8 +1,12 @@
-"""Reading what the user names: text of a sane size, or a message."""
+"""Reading what the user names, text of a sane size or a message; and writing it whole or not at all."""
 
 from __future__ import annotations
 
+import codecs
+import os
 from pathlib import Path
+from tempfile import TemporaryFile
+from uuid import uuid4
 
 from scp_recon.errors import InputError
 
@@ -10,30 +14,69 @@ BYTES_MAX = 100_000_000
 """Thirty times the solution of the largest grid; /dev/zero ends here and not in the memory."""
 
 
-def read_text(path: Path, entry: str, kind: str) -> str:
-    """UTF-8 text of a file.
+def read_text(path: Path, entry: str, kind: str, bytes_max: int = BYTES_MAX) -> str:
+    """UTF-8 text of a file, with or without the mark that some editors begin it with.
 
     Args:
         path: of the file.
         entry: what to name in a message.
         kind: what the file must be.
+        bytes_max: size from which on it cannot be one.
 
     Raises:
         InputError: if it cannot be read, is too large, or is no UTF-8 text.
     """
     try:
         with path.open("rb") as file:
-            data = file.read(BYTES_MAX + 1)
+            data = file.read(bytes_max + 1)
     except OSError as error:
         reason = (error.strerror or "unreadable").lower()
         raise InputError(entry, reason, f"must be a readable {kind}") from None
     except ValueError as error:  # of a path that no file can have
         raise InputError(entry, str(error), f"must be a readable {kind}") from None
-    if len(data) > BYTES_MAX:
+    if len(data) > bytes_max:
         raise InputError(
-            entry, f"more than {BYTES_MAX // 1_000_000} megabytes", f"must be a {kind}"
+            entry, f"more than {bytes_max / 1_000_000:g} megabytes", f"must be a {kind}"
         )
     try:
-        return data.decode("utf-8")
+        return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
         raise InputError(entry, f"no UTF-8 text ({error.reason})", f"must be a {kind}") from None
+
+
+def check_writable(folder: Path, name: str, entry: str) -> None:
+    """Make a folder, and find out before the work that a file of that name can be written there.
+
+    Raises:
+        InputError: if not.
+    """
+    file = folder / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if file.is_dir():
+            raise InputError(entry, str(file), "must be a file, or nothing yet, and is a folder")
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise unwritable(folder, entry, error) from None
+
+
+def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
+    """What to say of a folder that cannot be written."""
+    reason = (error.strerror or "unwritable").lower()
+    return InputError(entry, f"{folder} ({reason})", "must be a folder to write to")
+
+
+def write_atomically(path: Path, content: str | bytes) -> Path:
+    """Write beside the target and rename, so that a reader sees the old file or the new one."""
+    beside = path.with_name(f".{path.name}.{uuid4().hex}")
+    try:
+        with beside.open("xb") as file:
+            file.write(content.encode() if isinstance(content, str) else content)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+    return path

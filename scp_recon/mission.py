@@ -5,7 +5,6 @@ The border of `formulations`: SI and J2000 on this side, nondimensional on the o
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,9 +18,10 @@ from formulations.regions import Ball, Cone
 from formulations.risk import boole
 from scp_recon import geometry
 from scp_recon.dynamics import Dynamics
-from scp_recon.errors import InputError
 from scp_recon.forces import ForceModel, cannonball_srp
 from scp_recon.frames import Rotation, sun_north_to_j2000, unit
+from scp_recon.grid import RK4_STEP_MAX_S, make_grid
+from scp_recon.plausibility import check_plausible
 from scp_recon.scenario_schema import Scenario
 from scp_recon.schedule import Schedule, find_window, make_schedule
 
@@ -84,15 +84,10 @@ class Mission:
         """Resolve a scenario.
 
         Raises:
-            InputError: if there is no window, a firing time breaks a rule of the schedule, or there
-                would be too many nodes.
+            InputError: if there is no window, a firing time breaks a rule of the schedule, or
+                entries do not make sense together (`plausibility`).
         """
-        if scenario.duration_s / scenario.grid.step_max_s > NODES_MAX:
-            raise InputError(
-                "grid.step_max_s",
-                f"{scenario.grid.step_max_s:g} s",
-                f"must leave at most {NODES_MAX} nodes in the flight of {scenario.duration_s:g} s",
-            )
+        check_plausible(scenario)
         body = scenario.body
         rotation = Rotation.from_iau(
             body.pole_ra_deg,
@@ -269,15 +264,7 @@ class Mission:
     @property
     def arc_substeps(self) -> int:
         """Runge-Kutta steps per arc, so that none is longer than `RK4_STEP_MAX_S`."""
-        return int(np.ceil(np.max(np.diff(self.times_s)) / RK4_STEP_MAX_S))
-
-
-RK4_STEP_MAX_S = 240.0
-"""Keeps the planner within a millimetre of an adaptive integration over the default flight."""
-
-
-NODES_MAX = 3000
-"""Beyond it a plan would take minutes and gigabytes."""
+        return max(1, int(np.ceil(np.max(np.diff(self.times_s)) / RK4_STEP_MAX_S)))
 
 
 def sun_direction(scenario: Scenario, time_s: npt.ArrayLike) -> Array:
@@ -289,16 +276,6 @@ def sun_direction(scenario: Scenario, time_s: npt.ArrayLike) -> Array:
     position = np.array(scenario.sun.body_position_km)
     velocity = np.array(scenario.sun.body_velocity_km_s)
     return unit(-(position + np.multiply.outer(np.asarray(time_s, dtype=float), velocity)))
-
-
-def make_grid(fixed_s: tuple[float, ...], step_max_s: float) -> Array:
-    """Ascending times that contain `fixed_s`, evenly spaced by at most `step_max_s` between them."""
-    fixed = np.unique(fixed_s)
-    parts = [
-        np.linspace(a, b, int(np.ceil((b - a) / step_max_s - 1e-9)) + 1)[:-1]
-        for a, b in itertools.pairwise(fixed)
-    ]
-    return np.concatenate([*parts, fixed[-1:]])
 
 
 def _boundary_axes(scenario: Scenario, rotation: Rotation) -> Array:

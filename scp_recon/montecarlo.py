@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, show_written, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +21,11 @@ from rich.table import Table
 from scipy.stats import chi2, normaltest
 
 from scp_recon.campaign import Campaign, Setting, fly_campaign
-from scp_recon.command import guarded
-from scp_recon.errors import InputError
 from scp_recon.estimates import CONFIDENCE, Estimate, Tally, proportion
+from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.mission import Mission
 from scp_recon.observing import ALL
-from scp_recon.solution import Solution, read_solution, write_atomically
+from scp_recon.solution import Solution, read_solution
 
 SCHEMA = "scp_recon.montecarlo/1"
 FILE_NAME = "montecarlo.json"
@@ -199,7 +203,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("solution", type=Path, metavar="DIR", help="folder with a solution.json")
     p.add_argument(
         "--samples",
-        type=_samples,
+        type=_whole(20, 10**9, "20 to 1e9"),
         default=10_000,
         metavar="N",
         help="flights, at most with --until (default: 10000)",
@@ -222,29 +226,32 @@ def parser() -> argparse.ArgumentParser:
         default="componentwise",
         help="of the burns: the paper's, or magnitude and pointing (default: componentwise)",
     )
-    p.add_argument("--seed", type=_seed, default=0, metavar="S", help="default: 0")
     p.add_argument(
-        "--workers", type=_workers, default=1, metavar="N", help="processes (default: 1)"
+        "--seed",
+        type=_whole(0, 2**63 - 1, "0 to 2^63 - 1"),
+        default=0,
+        metavar="S",
+        help="default: 0",
+    )
+    p.add_argument(
+        "--workers",
+        type=_whole(1, 256, "1 to 256"),
+        default=1,
+        metavar="N",
+        help="processes (default: 1)",
     )
     return p
 
 
-def _samples(text: str) -> int:
-    if not text.isdigit() or not 20 <= int(text) <= 1_000_000_000:
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 20 to 1e9")
-    return int(text)
+def _whole(low: int, high: int, words: str) -> Callable[[str], int]:
+    """A reader of whole numbers within bounds, which are told in words."""
 
+    def number(text: str) -> int:
+        if not text.isdecimal() or len(text) > 20 or not low <= int(text) <= high:
+            raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from {words}")
+        return int(text)
 
-def _seed(text: str) -> int:
-    if not text.isdigit() or int(text) >= 2**63:
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 0 to 2^63 - 1")
-    return int(text)
-
-
-def _workers(text: str) -> int:
-    if not text.isdigit() or not 1 <= int(text) <= 256:
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 1 to 256")
-    return int(text)
+    return number
 
 
 def _width(text: str) -> float:
@@ -265,21 +272,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _fly(options: argparse.Namespace, console: Console) -> int:
     solution = read_solution(options.solution)
-    setting = Setting(
-        Mission.from_scenario(solution.scenario),
-        solution.burns_m_s,
-        options.seed,
-        options.truth,
-        options.errors,
-    )
-    bar = Progress(
-        "flights",
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-    )
-    with bar:
+    folder = options.solution if options.solution.is_dir() else options.solution.parent
+    check_writable(folder, FILE_NAME, "folder")
+    mission = Mission.from_scenario(solution.scenario)
+    setting = Setting(mission, solution.burns_m_s, options.seed, options.truth, options.errors)
+    columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("flights", total=options.samples)
         campaign = fly_campaign(
             setting,
@@ -289,14 +287,12 @@ def _fly(options: argparse.Namespace, console: Console) -> int:
             progress=lambda done: bar.update(task, completed=done),
         )
     report = summarise(campaign, solution)
-    folder = options.solution if options.solution.is_dir() else options.solution.parent
     try:
         path = write_atomically(folder / FILE_NAME, json.dumps(report, allow_nan=False) + "\n")
     except OSError as error:
-        reason = (error.strerror or "unwritable").lower()
-        raise InputError(f"folder {folder}", reason, "must be a folder to write to") from None
+        raise unwritable(folder, "folder", error) from None
     show(console, report)
-    console.print(f"written: {path}", markup=False, highlight=False)
+    show_written(console, path)
     return 0
 
 

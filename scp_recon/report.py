@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -121,10 +120,12 @@ def show_solution(console: Console, solution: Solution) -> None:
         table.add_row(str(number), f"{burn.t_s:g}", *cells, f"{size:.6f}")
     console.print(table)
     console.print(
-        f"total delta-v [bold]{solution.total_dv_m_s:.6f} m/s[/bold]; iterations: {iterations}; "
-        f"{solution.timing_s.total:.2f} s, of which {solution.timing_s.conic_solver:.2f} s in the "
-        "conic solver\n",
-        highlight=False,
+        Text.assemble(
+            "total delta-v ",
+            (f"{solution.total_dv_m_s:.6f} m/s", "bold"),
+            f"; iterations: {iterations}; {solution.timing_s.total:.2f} s, of which "
+            f"{solution.timing_s.conic_solver:.2f} s in the conic solver\n",
+        )
     )
     table = Table(box=None, header_style="bold", pad_edge=False)
     chance = solution.problem == "P2"
@@ -139,7 +140,7 @@ def show_solution(console: Console, solution: Solution) -> None:
     for c in solution.constraints:
         amount = solution.violation.by_constraint.get(c.name)
         table.add_row(
-            c.name,
+            Text(c.name),
             f"{round(c.worst_margin_m_or_rad, 4) + 0.0:+.4f} {c.unit}",
             f"{c.worst_t_s:.0f}",
             str(c.facets or ""),
@@ -148,7 +149,9 @@ def show_solution(console: Console, solution: Solution) -> None:
     listed = {c.name for c in solution.constraints}
     for name, amount in solution.violation.by_constraint.items():
         if name not in listed:
-            table.add_row(name, "", "", "", Text(f"{amount.max:.4g} {amount.unit}", style="red"))
+            table.add_row(
+                Text(name), "", "", "", Text(f"{amount.max:.4g} {amount.unit}", style="red")
+            )
     console.print(table)
 
 
@@ -190,8 +193,3 @@ def show_verification(console: Console, mission: Mission, verification: Verifica
         console.print("[bold green]verified[/bold green]")
     else:
         console.print(f"[bold red]not verified[/bold red]: {', '.join(v.failed)}")
-
-
-def show_files(console: Console, path: Path) -> None:
-    """Where the result is."""
-    console.print(Text(f"written: {path}"))

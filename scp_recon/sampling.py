@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from scp_recon.flow import advance, interpolate
 from scp_recon.forces import accelerations
+from scp_recon.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.harmonics import HarmonicField
-from scp_recon.mission import RK4_STEP_MAX_S, Mission, make_grid
+from scp_recon.mission import Mission
 
 Array = npt.NDArray[np.float64]
 TruthModel = Literal["planner", "harmonics"]

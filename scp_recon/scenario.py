@@ -16,6 +16,13 @@ from scp_recon.files import read_text
 from scp_recon.scenario_problems import input_error
 from scp_recon.scenario_schema import Scenario
 
+BYTES_MAX = 1_000_000
+"""Three hundred times the packaged scenario; TOML of many keys takes its time to read."""
+DOTS_MAX = 200
+"""In a line: a list of 64 firing times has a third, and what has more nests without end."""
+PARTS_MAX = 3
+"""Of a dotted entry: section.entry.item."""
+
 
 def load_scenario(path: Path | None = None, overrides: Sequence[str] = ()) -> Scenario:
     """Read a scenario file (the packaged `recon_b` without one) and apply `path=value` overrides.
@@ -57,7 +64,9 @@ def _packaged(name: str) -> dict[str, Any]:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    text = read_text(path, f"scenario {path}", "scenario file in TOML")
+    text = read_text(path, f"scenario {path}", "scenario file in TOML", BYTES_MAX)
+    if any(line.count(".") > DOTS_MAX for line in text.splitlines()):
+        raise InputError(f"scenario {path}", "a line of many dots", f"must have at most {DOTS_MAX}")
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -87,15 +96,16 @@ def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any
 
 def _parse_override(override: str) -> dict[str, Any]:
     path, separator, text = override.partition("=")
-    if not separator or not all(path.split(".")):
-        raise InputError("--set", repr(override), "must read section.entry=value")
+    keys = path.strip().split(".")
+    if not separator or not all(keys) or len(keys) > PARTS_MAX or not override.isprintable():
+        raise InputError("--set", repr(override)[:80], "must read section.entry=value, on one line")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text  # a bare word is a string: boundary.frame=j2000
     except (ValueError, RecursionError) as error:
         raise InputError("--set", repr(override)[:80], _short(error)) from None
-    first, *rest = path.strip().split(".")
+    first, *rest = keys
     for key in reversed(rest):
         value = {key: value}
     return {first: value}

@@ -20,18 +20,20 @@ INTEGER_BRANCHES = ("int", "constrained-int")
 def input_error(error: ValidationError) -> InputError:
     """One message for everything that is wrong, the first problem giving the entry."""
     allowed: dict[tuple[str, str], list[str]] = {}
-    problems = [dict(problem) for problem in error.errors(include_url=False)]
+    found = [dict(problem) for problem in error.errors(include_url=False)]
+    problems = [problem for problem in found if not _follows_from_another(problem, found)]
+    entries = {tuple(_location(problem)) for problem in problems}
     for problem in problems:
-        if _follows_from_another(problem, problems):
-            continue
         entry, given, rule = _describe(problem)
         rules = allowed.setdefault((entry, given), [])
         if rule not in rules:
             rules.append(rule)
+        if len(allowed) > MAX_PROBLEMS_SHOWN:  # the others are only counted
+            break
     (entry, given), *others = allowed
     more = [f"{e}: got {g}; {', or '.join(allowed[e, g])}" for e, g in others]
     if len(more) >= MAX_PROBLEMS_SHOWN:
-        more[MAX_PROBLEMS_SHOWN - 1 :] = [f"... and {len(more) - MAX_PROBLEMS_SHOWN + 1} more"]
+        more[MAX_PROBLEMS_SHOWN - 1 :] = [f"... and {len(entries) - MAX_PROBLEMS_SHOWN} more"]
     return InputError(entry, given, "\n".join([", or ".join(allowed[entry, given]), *more]))
 
 
@@ -41,7 +43,7 @@ def _describe(problem: dict[str, Any]) -> tuple[str, str, str]:
     if kind == "extra_forbidden":
         location = list(problem["loc"])
         return ".".join(map(str, location)) or "scenario", "an unknown entry", _suggestion(location)
-    location = [part for part in problem["loc"] if not _is_union_branch(part)]
+    location = _location(problem)
     if kind == "missing" and isinstance(location[-1], int):  # of a list of fixed length
         location = location[:-1]
     entry = ".".join(map(str, location)) or "scenario"
@@ -50,6 +52,10 @@ def _describe(problem: dict[str, Any]) -> tuple[str, str, str]:
     given = "these values" if isinstance(problem["input"], dict) else _shown(problem["input"])
     message = _rule(problem, location)
     return entry, given, message if "must" in message else f"must be {message}"
+
+
+def _location(problem: dict[str, Any]) -> list[str | int]:
+    return [part for part in problem["loc"] if not _is_union_branch(part)]
 
 
 def _follows_from_another(problem: dict[str, Any], problems: list[dict[str, Any]]) -> bool:
@@ -67,6 +73,7 @@ WORDS = {
     "float_type": "a number",
     "finite_number": "a finite number",
     "model_type": "a table",
+    "json_invalid": "nested a few levels deep",
     "tuple_type": "a list",
     "datetime_type": "a date and time such as 2020-01-21T20:33:17.184",
     "datetime_parsing": "a date and time such as 2020-01-21T20:33:17.184",
@@ -83,7 +90,7 @@ def _rule(problem: dict[str, Any], location: list[str | int]) -> str:
     if kind in ("too_long", "missing"):
         length = _fixed_length(location)
         return f"must have {length or 'at most ' + str(context['max_length'])} items"
-    if problem["loc"][-1] in INTEGER_BRANCHES:
+    if set(problem["loc"][-1:]) & set(INTEGER_BRANCHES):
         return f"a whole number, {_bounds(location)}"
     if kind.startswith(("greater_than", "less_than")):
         return _bounds(location)
@@ -121,12 +128,17 @@ def _bounds(location: list[str | int]) -> str:
     field = _field(location)
     declared = [*field.metadata, *_declared(field.annotation)] if field else []
     rules = [
-        f"{words[name]} {getattr(rule, name):g}"
+        f"{words[name]} {_number(getattr(rule, name))}"
         for rule in declared
         for name in words
         if hasattr(rule, name)
     ]
-    return " and ".join(rules)
+    return " and ".join(dict.fromkeys(rules))  # the same for every item of a list
+
+
+def _number(value: float) -> str:
+    """As short as its value allows: 1e+07, and 0.999999999."""
+    return short if float(short := f"{value:g}") == value else f"{value:.15g}"
 
 
 def _fixed_length(location: list[str | int]) -> int | None:

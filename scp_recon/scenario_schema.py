@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from datetime import datetime
 from typing import Annotated, Literal, Self
 
@@ -15,19 +16,25 @@ from pydantic import (
     model_validator,
 )
 
-Vector = tuple[float, float, float]
 
-
-def _not_zero(vector: Vector) -> Vector:
-    if not any(vector):
-        raise ValueError("must not be zero")
+def _long_enough(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if math.hypot(*vector) < SHORTEST:
+        raise ValueError(f"must not be zero or shorter than {SHORTEST:g}")
     return vector
 
 
-def _off_centre(position: Vector) -> Vector:
-    if not any(position):
-        raise ValueError("must not be at the centre")
-    return position
+SHORTEST = 1e-3
+"""Of what has a direction: shorter vectors are slips, and their squares may vanish."""
+
+
+def _none_or_some(share: float) -> float:
+    if 0.0 < share < LEAST_SHARE:
+        raise ValueError(f"must be 0 or at least {LEAST_SHARE:g}")
+    return share
+
+
+LEAST_SHARE = 1e-9
+"""Of a component that errs; the squares of smaller ones are lost in rounding, or vanish."""
 
 
 def _printable(text: str) -> str:
@@ -39,11 +46,17 @@ def _printable(text: str) -> str:
 Line = Annotated[str, AfterValidator(_printable)]
 """What may go to a terminal: no line breaks, no control sequences."""
 Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
-NonZeroVector = Annotated[Vector, AfterValidator(_not_zero)]
-OffCentre = Annotated[Vector, AfterValidator(_off_centre)]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(ge=1e-9, le=1e12)]
+"""Whatever its unit: beyond these bounds nothing is physical, and squares and quotients overflow."""
+NonNegative = Annotated[float, Field(ge=0, le=1e12)]
+Component = Annotated[float, Field(ge=-1e12, le=1e12)]
+Vector = tuple[Component, Component, Component]
+NonZeroVector = Annotated[Vector, AfterValidator(_long_enough)]
+Speed = Annotated[float, Field(ge=-1e6, le=1e6)]
+Velocity = tuple[Speed, Speed, Speed]
+Angle = Annotated[float, Field(ge=-1e9, le=1e9)]
 FlightTime = Annotated[float, Field(ge=0, le=1e7)]
+Share = Annotated[float, Field(ge=0, lt=1), AfterValidator(_none_or_some)]
 ConeAngle = Annotated[float, Field(gt=0, lt=90)]
 
 
@@ -72,21 +85,21 @@ class Body(Section):
     """The asteroid: gravity and IAU rotation."""
 
     name: Name
-    gm_m3_s2: Positive
-    j2: float
+    gm_m3_s2: Annotated[float, Field(ge=1e-6, le=1e20)]
+    j2: Annotated[float, Field(ge=-1, le=1)]
     reference_radius_m: Positive
-    pole_ra_deg: float
+    pole_ra_deg: Angle
     pole_dec_deg: Annotated[float, Field(ge=-90, le=90)]
-    prime_meridian_deg: float
-    prime_meridian_rate_deg_day: float
-    prime_meridian_acceleration_deg_day2: float
+    prime_meridian_deg: Angle
+    prime_meridian_rate_deg_day: Angle
+    prime_meridian_acceleration_deg_day2: Angle
 
 
 class Sun(Section):
     """Heliocentric state of the body at the epoch, J2000, and the solar constant at 1 au."""
 
     body_position_km: NonZeroVector
-    body_velocity_km_s: Vector
+    body_velocity_km_s: Velocity
     solar_constant_w_m2: Positive
 
 
@@ -110,17 +123,17 @@ class Boundary(Section):
     """Mean states before the first and after the last burn, body-centred."""
 
     frame: Literal["sun_north", "j2000"]
-    initial_position_m: OffCentre
-    initial_velocity_m_s: Vector
-    final_position_m: OffCentre
-    final_velocity_m_s: Vector
+    initial_position_m: NonZeroVector
+    initial_velocity_m_s: Velocity
+    final_position_m: NonZeroVector
+    final_velocity_m_s: Velocity
 
 
 class Burns(Section):
     """Firing times, the first at zero and the last at the end of the flight."""
 
     times_s: Annotated[tuple[FlightTime, ...], Field(min_length=2, max_length=64)]
-    dv_max_m_s: Positive
+    dv_max_m_s: Annotated[float, Field(ge=1e-9, le=1e6)]
 
     @field_validator("times_s")
     @classmethod
@@ -171,22 +184,22 @@ class Battery(Section):
 class ScheduleRules(Section):
     """Worst-case durations: slew to steady state, thruster heating, recharge from empty."""
 
-    attitude_s: NonNegative
-    heating_s: NonNegative
-    recharge_s: NonNegative
+    attitude_s: FlightTime
+    heating_s: FlightTime
+    recharge_s: FlightTime
 
 
 class Uncertainty(Section):
     """Initial 1-sigma as a fraction of each J2000 component, and of each burn component."""
 
-    initial_sigma_fraction: Annotated[float, Field(ge=0, lt=1)]
-    execution_error: Annotated[float, Field(ge=0, lt=1)]
+    initial_sigma_fraction: Share
+    execution_error: Share
 
 
 class Risk(Section):
     """Probability asked of every joint constraint at every node."""
 
-    p_chance: Annotated[float, Field(gt=0.5, lt=1)]
+    p_chance: Annotated[float, Field(gt=0.5, le=1 - 1e-9)]
 
 
 class PolytopeSection(Section):
@@ -199,7 +212,7 @@ class PolytopeSection(Section):
 class Grid(Section):
     """Longest spacing of the nodes; burns and window edges are nodes besides."""
 
-    step_max_s: Annotated[float, Field(ge=1)]
+    step_max_s: Annotated[float, Field(ge=1, le=1e7)]
 
 
 class Scenario(Section):

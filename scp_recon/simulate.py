@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, show_written, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence
@@ -12,10 +17,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 from rich.table import Table
 
-from scp_recon.command import guarded
 from scp_recon.errors import InputError
+from scp_recon.files import check_writable, unwritable
 from scp_recon.solution import read_solution
-from scp_recon.spacecraft.record import make_record, write_record
+from scp_recon.spacecraft.record import FILE_NAME, make_record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
 
 
@@ -65,10 +70,7 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
     solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
     home = options.solution if options.solution.is_dir() else options.solution.parent
     folder = options.out or home
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _unwritable(folder, error) from None
+    check_writable(folder, FILE_NAME, "--out")
     columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("flight", total=solution.scenario.duration_s)
@@ -79,14 +81,10 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
     try:
         path = write_record(record, folder)
     except OSError as error:
-        raise _unwritable(folder, error) from None
+        raise unwritable(folder, "--out", error) from None
     show(console, record.summary)
-    console.print(f"written: {path}", markup=False, highlight=False)
+    show_written(console, path)
     return 0
-
-
-def _unwritable(folder: Path, error: OSError) -> InputError:
-    return InputError(f"--out {folder}", error.strerror or str(error), "must be writable")
 
 
 def show(console: Console, summary: dict[str, Any]) -> None:

@@ -7,11 +7,8 @@ from __future__ import annotations
 
 import itertools
 import json
-import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
-from uuid import uuid4
 
 import numpy as np
 import numpy.typing as npt
@@ -19,14 +16,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
-from scp_recon.scenario_schema import Line, Scenario
+from scp_recon.files import write_atomically as write_atomically
+from scp_recon.mission import Mission
+from scp_recon.scenario_schema import Line, Scenario, Speed
 from scp_recon.status import Status
 
 SCHEMA = "scp_recon.solution/1"
 FILE_NAME = "solution.json"
-Speed = Annotated[float, Field(ge=-1e6, le=1e6)]
-
-
+TIME_ERROR_S = 1e-3
+"""Far above how the edges of a window differ from one machine to another."""
 Number = Annotated[float, Field(ge=-1e30, le=1e30)]
 """Of what is worked with: its square and its quotients stay finite."""
 
@@ -108,16 +106,16 @@ class ConstraintResult(Part):
 class ViolationAmount(Part):
     """What the buffers of one constraint hold."""
 
-    max: float
-    total: float
+    max: Annotated[float, Field(ge=0)]
+    total: Annotated[float, Field(ge=0)]
     unit: Literal["m", "m/s"]
 
 
 class Violation(Part):
     """What all buffers hold; velocities count as metres over one unit of time."""
 
-    max: float
-    total: float
+    max: Annotated[float, Field(ge=0)]
+    total: Annotated[float, Field(ge=0)]
     by_constraint: dict[Line, ViolationAmount]
 
 
@@ -236,33 +234,12 @@ class Solution(Part):
         return write_atomically(folder / FILE_NAME, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
-def write_atomically(path: Path, content: str | bytes) -> Path:
-    """Write beside the target and rename, so that a reader sees the old file or the new one."""
-    beside = path.with_name(f".{path.name}.{uuid4().hex}")
-    try:
-        with beside.open("xb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
-    return path
-
-
-def is_solution(data: object) -> bool:
-    """Whether parsed JSON claims to be a solution file of any version."""
-    return isinstance(data, Mapping) and str(data.get("schema", "")).startswith(
-        "scp_recon.solution/"
-    )
-
-
 def read_solution(path: Path) -> Solution:
     """Read a solution file, or the one in a folder.
 
     Raises:
-        InputError: if there is none, it is of another version or it is damaged.
+        InputError: if there is none, it is of another version, it is damaged, or its parts do not
+            fit together.
     """
     file = path / FILE_NAME if path.is_dir() else path
     text = read_text(file, f"solution {file}", "solution file in JSON")
@@ -272,21 +249,44 @@ def read_solution(path: Path) -> Solution:
         raise InputError(
             f"solution {file}", f"no JSON ({error})", "must be a solution file"
         ) from None
-    if not is_solution(data) or data["schema"] != SCHEMA:
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
         given = data.get("schema", "no schema") if isinstance(data, dict) else "no object"
         raise InputError(f"solution {file}", repr(given), f"schema must be {SCHEMA!r}")
     try:
         # Through JSON again: strict fields such as tuples and dates read from it as written to it.
         solution = Solution.model_validate_json(json.dumps(data))
         Status.named(solution.status)
+        mission = Mission.from_scenario(solution.scenario)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         entry = ".".join(str(part) for part in first["loc"])
         given = repr(first["input"])[:80] if first["type"] != "missing" else "nothing"
         raise InputError(f"solution {file}: {entry}", given, first["msg"]) from None
+    except InputError as error:  # of the scenario
+        raise InputError(f"solution {file}: {error.entry}", error.given, error.allowed) from None
     except ValueError:
         allowed = ", ".join(status.value.name for status in Status)
         raise InputError(
             f"solution {file}: status", repr(data["status"]), f"must be one of {allowed}"
         ) from None
+    _check(mission, solution, file)
     return solution
+
+
+def _check(mission: Mission, solution: Solution, file: Path) -> None:
+    """Hold a plan against what its scenario makes of grid and units, be it on another machine."""
+    times, units, facets = solution.nodes.t_s, solution.units, solution.facets
+    n, expected = len(mission.times_s), mission.units
+    contradicts = {
+        "burns": [b.t_s for b in solution.burns] != list(solution.scenario.burns.times_s),
+        "nodes.t_s": len(times) != n
+        or not np.allclose(times, mission.times_s, rtol=0.0, atol=TIME_ERROR_S),
+        "facets.node": facets is not None and max(facets.node, default=0) >= n,
+        "units": not np.allclose(
+            [units.length_m, units.time_s], [expected.length_m, expected.time_s]
+        ),
+    }
+    for entry in (entry for entry, does in contradicts.items() if does):
+        raise InputError(
+            f"solution {file}: {entry}", "what contradicts its scenario", "must be of one plan"
+        )

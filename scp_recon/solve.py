@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from scp_recon.command import NOT_VERIFIED, guarded, show_written, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from tempfile import TemporaryFile
 
 from pydantic import ValidationError
 from rich.console import Console
@@ -15,14 +19,14 @@ from formulations.formulations import FORMULATIONS
 from formulations.problem import Iterate
 from scp_recon import guess, report
 from scp_recon.algorithms import ALGORITHMS
-from scp_recon.command import NOT_VERIFIED, guarded
 from scp_recon.errors import InputError
+from scp_recon.files import check_writable, unwritable
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
 from scp_recon.results import make_solution
 from scp_recon.scenario import base_names, load_scenario, validate_scenario
 from scp_recon.scenario_schema import Scenario
-from scp_recon.solution import Solution, read_solution
+from scp_recon.solution import FILE_NAME, Solution, read_solution
 from scp_recon.stages import Observer, Plan
 from scp_recon.status import Status
 from scp_recon.verification import verify
@@ -129,12 +133,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _solve(options: argparse.Namespace, console: Console) -> int:
     name, label, make_plan = _method(options)
     mission, start = _inputs(options)
-    _check_writable(options.out)
+    check_writable(options.out, FILE_NAME, "--out")
     report.show_mission(console, mission)
     console.print()
-    with report.live_iterations(console, mission) as observe:
-        result = make_plan(mission, start, observe)
     try:
+        with report.live_iterations(console, mission) as observe:
+            result = make_plan(mission, start, observe)
         solution = make_solution(mission, result, options.init, name, *label)
     except ValidationError:  # which only numbers that are not finite can cause
         raise InputError(
@@ -147,12 +151,12 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
     report.show_solution(console, solution)
     status = Status.named(solution.status)
     if status is Status.INTERRUPTED:
-        report.show_files(console, path)
+        show_written(console, path)
         return status.value.exit_code
     verification = verify(mission, solution)
     path = _write(solution.model_copy(update={"verification": verification}), options.out)
     report.show_verification(console, mission, verification)
-    report.show_files(console, path)
+    show_written(console, path)
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
 
 
@@ -244,23 +248,11 @@ def _is_solution(path: Path) -> bool:
         return False
 
 
-def _check_writable(folder: Path) -> None:
-    """Fail before the work, not after it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        reason = (error.strerror or "unwritable").lower()
-        raise InputError("--out", f"{folder} ({reason})", "must be a folder to write to") from None
-
-
 def _write(solution: Solution, folder: Path) -> Path:
     try:
         return solution.write(folder)
     except OSError as error:
-        reason = (error.strerror or "unwritable").lower()
-        raise InputError("--out", f"{folder} ({reason})", "must be a folder to write to") from None
+        raise unwritable(folder, "--out", error) from None
 
 
 if __name__ == "__main__":

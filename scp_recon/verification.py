@@ -37,6 +37,8 @@ MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
 NO_BURN_M_S = 1e-6
 SMALLEST = 1e-30
 """Scaled covariance that counts as none."""
+DIVERGED = 1e100
+"""Stands for what is not finite: the file knows no infinity, and no limit allows it."""
 SAMPLED_PARTS_PER_ARC = 4
 
 
@@ -53,9 +55,9 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
     probabilities = _joint_probabilities(mission, burns)
     figures = {
-        "terminal_position_error_m": float(np.linalg.norm(final[:3])),
-        "terminal_velocity_error_m_s": float(np.linalg.norm(final[3:])),
-        "max_defect": float(defects.max()),
+        "terminal_position_error_m": _finite(np.linalg.norm(final[:3])),
+        "terminal_velocity_error_m_s": _finite(np.linalg.norm(final[3:])),
+        "max_defect": _finite(defects.max()),
         "sample_error_m": _sample_error(mission, burns),
         "covariance_error": _covariance_error(mission, stored, flown.covariances[at_nodes]),
     }
@@ -102,7 +104,8 @@ def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown
     beta = mission.scenario.uncertainty.execution_error
     scale = np.concatenate([mission.units.state, np.ones(36)])
     times = np.union1d(times, firing)
-    states, covariances = np.empty((len(times), 6)), np.empty((len(times), 6, 6))
+    states = np.full((len(times), 6), DIVERGED)  # for what the integrator does not reach
+    covariances = np.full((len(times), 6, 6), DIVERGED)
     state, covariance = initial.copy(), np.diag(mission.initial_sigma**2)
     for i, begin in enumerate(firing):
         state[3:] += burns[i]
@@ -120,6 +123,8 @@ def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown
             rtol=1e-12,
             atol=1e-13 * scale,
         )
+        if not answer.success:
+            return _Flown(times, states, covariances)
         stm = answer.y[6:].T.reshape(-1, 6, 6)
         states[leg] = answer.y[:6].T
         covariances[leg] = stm @ covariance @ stm.transpose(0, 2, 1)
@@ -153,7 +158,11 @@ def _sample_error(mission: Mission, burns: Array) -> float:
         again = _fly(mission, executed, times, initial)
         looked = np.searchsorted(again.times, times)
         errors.append(np.abs(again.states[looked] - sampled.states[:, i]) / mission.units.state)
-    return float(np.max(errors)) * mission.units.length_m
+    return _finite(np.max(errors) * mission.units.length_m)
+
+
+def _finite(figure: np.floating) -> float:
+    return float(np.nan_to_num(figure, nan=DIVERGED, posinf=DIVERGED))
 
 
 def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
@@ -161,7 +170,7 @@ def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
     units = np.outer(mission.units.state, mission.units.state)
     size = np.abs(flown / units).max(axis=(1, 2))
     error = np.abs((stored - flown) / units).max(axis=(1, 2))
-    return float((error / np.maximum(size, SMALLEST)).max())
+    return _finite((error / np.maximum(size, SMALLEST)).max())
 
 
 def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:

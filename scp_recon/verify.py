@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from scp_recon.command import NOT_VERIFIED, guarded, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence
@@ -10,7 +15,6 @@ from pathlib import Path
 from rich.console import Console
 
 from scp_recon import report
-from scp_recon.command import NOT_VERIFIED, guarded
 from scp_recon.mission import Mission
 from scp_recon.solution import read_solution
 from scp_recon.verification import verify

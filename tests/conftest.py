@@ -43,6 +43,12 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
     reliability.COUNTS.clear()
     try:
         return (yield)
+    except pytest.skip.Exception:
+        raise
+    except BaseException:
+        if getattr(getattr(item, "obj", None), "is_hypothesis_test", False):
+            reliability.count(reliability.FAILED)
+        raise
     finally:
         item.user_properties += [(COUNT, pair) for pair in reliability.COUNTS.items()]
 

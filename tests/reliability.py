@@ -19,10 +19,11 @@ REFUSED = "random scenarios refused: infeasible, with the least violation"
 BARRED = "random scenarios refused: no window, or a burn against a rule"
 UNFINISHED = "random scenarios ended as not converged or not verified, and said so"
 WRONG = "random scenarios ended in anything else"
-PROPERTIES, EXAMPLES = "property tests", "examples that they ran"
+PROPERTIES, EXAMPLES = "property tests that passed", "examples that they ran"
+FAILED = "property tests that failed (must be 0); their examples are not counted"
 
 ORDER = (
-    *(PROPERTIES, EXAMPLES, BAD_INPUTS, FAULTS),
+    *(PROPERTIES, EXAMPLES, FAILED, BAD_INPUTS, FAULTS),
     *(SOLVED, REFUSED, BARRED, UNFINISHED, WRONG),
 )
 

@@ -28,6 +28,11 @@ def turned(vector: tuple[float, ...], degrees: tuple[float, float]) -> list[floa
     return [size * float(u) for u in unit]
 
 
+def shares(largest: float) -> st.SearchStrategy[float]:
+    """Errors as shares of a component: none, or those that the schema allows."""
+    return st.just(0.0) | st.floats(1e-9, largest)
+
+
 @st.composite
 def scenarios(draw: st.DrawFn) -> tuple[str, ...]:
     """Overrides of times, window, site, sizes, errors, risk and polytopes."""
@@ -47,8 +52,8 @@ def scenarios(draw: st.DrawFn) -> tuple[str, ...]:
         f"site.normal_body={turned(site.normal_body, turn)}",
         f"observation.site_distance_max_m={near(750, 40)}",
         f"safety.radius_min_m={near(400, 150)}",
-        f"uncertainty.execution_error={draw(st.floats(0.0, 0.12))}",
-        f"uncertainty.initial_sigma_fraction={draw(st.floats(0.0, 0.012))}",
+        f"uncertainty.execution_error={draw(shares(0.12))}",
+        f"uncertainty.initial_sigma_fraction={draw(shares(0.012))}",
         f"risk.p_chance={draw(st.floats(0.55, 0.9))}",
         f"polytopes.ball={draw(st.sampled_from(['paper', 8, 24, 60]))}",
         f"polytopes.cone={draw(st.sampled_from(['paper', 6, 12]))}",
@@ -58,6 +63,53 @@ def scenarios(draw: st.DrawFn) -> tuple[str, ...]:
         first = near(13400, 300)
         chosen.append(f"observation.window_s=[{first}, {first + draw(st.floats(600, 3000))}]")
     return tuple(chosen)
+
+
+WIDE = (
+    *("observation.site_distance_min_m=450.0", "observation.site_distance_max_m=850.0"),
+    *("observation.emission_min_deg=10.0", "observation.emission_max_deg=60.0"),
+    *("observation.phase_min_deg=5.0", "battery.observation_cone_deg=10.0"),
+    *("battery.delta_v_cone_deg=10.0", "safety.radius_min_m=400.0", "burns.dv_max_m_s=0.3"),
+)
+"""Limits that plans near that of Reconnaissance B keep with room to spare."""
+
+
+@lru_cache(maxsize=1)
+def reference() -> tuple[Mission, Plan]:
+    """Reconnaissance B as it is, on the coarse grid."""
+    return planned((COARSE,))
+
+
+@st.composite
+def generous(draw: st.DrawFn) -> tuple[str, ...]:
+    """Overrides that are feasible by construction: burns are drawn and flown, and lead where they lead.
+
+    The burns are near those of Reconnaissance B, whose limits are widened and whose errors and risk
+    are halved, so that they are a plan.
+    """
+    mission, found = reference()
+    speed = mission.units.speed_m_s
+    burns = found.final.result.lin.iterate.burns * speed
+    size = st.floats(-2e-3, 2e-3)
+    drawn = np.array([[draw(size) for _ in range(3)] for _ in burns])
+    flown = mission.dynamics.rollout(mission.problem.initial_state, (burns + drawn) / speed)
+    states = {"initial": mission.initial_state, "final": flown[-1] * mission.units.state}
+    boundary = [
+        f"boundary.{which}_{entry}={state[part].tolist()}"
+        for which, state in states.items()
+        for entry, part in (("position_m", slice(3)), ("velocity_m_s", slice(3, 6)))
+    ]
+    return (
+        COARSE,
+        "boundary.frame=j2000",
+        *boundary,
+        *WIDE,
+        f"uncertainty.execution_error={draw(shares(0.04))}",
+        f"uncertainty.initial_sigma_fraction={draw(shares(0.005))}",
+        f"risk.p_chance={draw(st.floats(0.55, 0.85))}",
+        f"polytopes.ball={draw(st.sampled_from(['paper', 24, 60]))}",
+        f"polytopes.cone={draw(st.sampled_from(['paper', 6, 12]))}",
+    )
 
 
 @lru_cache(maxsize=8)

@@ -99,14 +99,7 @@ def build_plant(
         gravity_gradient: whether its torque acts.
     """
     surroundings = Surroundings(mission)
-    hub = spacecraft.Spacecraft()
-    hub.ModelTag = vehicle.name
-    hub.hub.mHub = vehicle.mass.mass_kg
-    hub.hub.IHubPntBc_B = vehicle.inertia.tolist()
-    hub.hub.r_CN_NInit = start.state[:3].tolist()
-    hub.hub.v_CN_NInit = start.state[3:].tolist()
-    hub.hub.sigma_BNInit = start.attitude.as_mrp().tolist()
-    hub.hub.omega_BN_BInit = start.rate_rad_s.tolist()
+    hub = _hub(vehicle, start)
     surroundings.states.subscribeTo(hub.scStateOutMsg)
     asteroid = _attach_gravity(hub, mission, field)
     asteroid.planetBodyInMsg.subscribeTo(surroundings.asteroid)
@@ -115,27 +108,37 @@ def build_plant(
     chemical, chemical_thruster = _attach_chemical_thruster(hub, vehicle)
     effectors = [surroundings, micro, chemical, wheels]
     if light:
-        pressure = _attach_light(hub, mission, vehicle)
-        pressure.sunInMsg.subscribeTo(surroundings.sun)
-        pressure.sunEclipseInMsg.subscribeTo(surroundings.shadow)
-        effectors.append(pressure)
+        effectors.append(_attach_light(hub, surroundings, vehicle))
     if gravity_gradient:
         gradient = GravityGradientEffector.GravityGradientEffector()
         gradient.addPlanetName(asteroid.planetName)
         hub.addDynamicEffector(gradient)
         effectors.append(gradient)
     return Plant(
-        surroundings,
-        hub,
-        wheels,
-        micro,
-        chemical,
-        micro_thrusters,
-        chemical_thruster,
-        tuple(effectors),
-        wheel_config,
-        micro_config,
+        surroundings=surroundings,
+        hub=hub,
+        wheels=wheels,
+        micro=micro,
+        chemical=chemical,
+        micro_thrusters=micro_thrusters,
+        chemical_thruster=chemical_thruster,
+        effectors=tuple(effectors),
+        wheel_config=wheel_config,
+        micro_config=micro_config,
     )
+
+
+def _hub(vehicle: Vehicle, start: Start) -> spacecraft.Spacecraft:
+    """The rigid body alone."""
+    hub = spacecraft.Spacecraft()
+    hub.ModelTag = vehicle.name
+    hub.hub.mHub = vehicle.mass.mass_kg
+    hub.hub.IHubPntBc_B = vehicle.inertia.tolist()
+    hub.hub.r_CN_NInit = start.state[:3].tolist()
+    hub.hub.v_CN_NInit = start.state[3:].tolist()
+    hub.hub.sigma_BNInit = start.attitude.as_mrp().tolist()
+    hub.hub.omega_BN_BInit = start.rate_rad_s.tolist()
+    return hub
 
 
 def _attach_gravity(
@@ -226,10 +229,10 @@ def _attach_chemical_thruster(
 
 
 def _attach_light(
-    hub: spacecraft.Spacecraft, mission: Mission, vehicle: Vehicle
+    hub: spacecraft.Spacecraft, surroundings: Surroundings, vehicle: Vehicle
 ) -> facetSRPDynamicEffector.FacetSRPDynamicEffector:
     """The vehicle's plates, with areas that make Basilisk's solar constant the scenario's."""
-    constant = mission.scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
+    constant = surroundings.mission.scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
     light = facetSRPDynamicEffector.FacetSRPDynamicEffector()
     light.setNumFacets(len(vehicle.plates))
     for plate in vehicle.plates:
@@ -242,5 +245,7 @@ def _attach_light(
             plate.diffuse,
             plate.specular,
         )
+    light.sunInMsg.subscribeTo(surroundings.sun)
+    light.sunEclipseInMsg.subscribeTo(surroundings.shadow)
     hub.addDynamicEffector(light)
     return light

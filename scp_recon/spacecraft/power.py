@@ -17,7 +17,7 @@ from Basilisk.utilities import macros
 
 from scp_recon.frames import unit
 from scp_recon.schedule import Mode
-from scp_recon.spacecraft.control import Firer
+from scp_recon.spacecraft.actuation import Firer
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S, FlightPlan
 from scp_recon.spacecraft.plant import Plant
 

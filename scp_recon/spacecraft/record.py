@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.schedule import Mode
-from scp_recon.solution import Solution, write_atomically
+from scp_recon.solution import Solution
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 from scp_recon.spacecraft.outcome import (
@@ -110,35 +111,8 @@ def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) ->
         "seed": seed,
         "inputs_sha256": inputs_digest(solution, plan.vehicle),
         "modes": list(MODES),
-        "legs": [
-            {
-                "mode": outcome.leg.mode,
-                "start_s": outcome.leg.start_s,
-                "duration_s": outcome.duration_s,
-                "required_s": outcome.required_s,
-                "ok": outcome.ok,
-                "settled_s": outcome.settled_s if np.isfinite(outcome.settled_s) else None,
-                "settled_in_time": outcome.settled_in_time,
-            }
-            for outcome in leg_outcomes(flight)
-        ],
-        "burns": [
-            {
-                "t_s": firing.start_s,
-                "duration_s": firing.duration_s,
-                "planned_m_s": firing.dv_m_s.tolist(),
-                "executed_m_s": executed.tolist(),
-                "pointing_deg": start,
-                "executed_pointing_deg": mean,
-            }
-            for firing, executed, start, mean in zip(
-                plan.firings,
-                flight.burns_m_s,
-                np.rad2deg(angles.burns).tolist(),
-                np.rad2deg(angles.executed).tolist(),
-                strict=True,
-            )
-        ],
+        "legs": _legs(flight),
+        "burns": _burns(flight, angles),
         "window_pointing_deg": {"camera": _spread(angles.camera), "site": _spread(angles.site)},
         "estimate_deg": _spread(angles.estimate),
         "least_charge": float(charge.min()),
@@ -153,6 +127,38 @@ def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) ->
         "within_3_sigma": float((distance <= 3.0).mean()),
         "largest_sigma_distance": float(distance.max()),
     }
+
+
+def _legs(flight: Flight) -> list[dict[str, Any]]:
+    """Every mode against the rules."""
+    return [
+        {
+            "mode": outcome.leg.mode,
+            "start_s": outcome.leg.start_s,
+            "duration_s": outcome.duration_s,
+            "required_s": outcome.required_s,
+            "ok": outcome.ok,
+            "settled_s": outcome.settled_s if np.isfinite(outcome.settled_s) else None,
+            "settled_in_time": outcome.settled_in_time,
+        }
+        for outcome in leg_outcomes(flight)
+    ]
+
+
+def _burns(flight: Flight, angles: Pointing) -> list[dict[str, Any]]:
+    """Every burn as planned and as executed."""
+    start, mean = np.rad2deg(angles.burns).tolist(), np.rad2deg(angles.executed).tolist()
+    return [
+        {
+            "t_s": firing.start_s,
+            "duration_s": firing.duration_s,
+            "planned_m_s": firing.dv_m_s.tolist(),
+            "executed_m_s": flight.burns_m_s[i].tolist(),
+            "pointing_deg": start[i],
+            "executed_pointing_deg": mean[i],
+        }
+        for i, firing in enumerate(flight.plan.firings)
+    ]
 
 
 def _spread(angle: npt.NDArray[np.float64]) -> dict[str, float]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
+from Basilisk.architecture import sysModel
 from Basilisk.utilities import SimulationBaseClass, macros
 from scipy.spatial.transform import Rotation
 
@@ -169,24 +170,17 @@ class Simulator:
             plan, commands, self.plant, sensors, estimate, times_s, draws.pulses, draws.burns
         )
         self.bus = Bus(plan, self.plant, self.firer, times_s)
-        self.sim = SimulationBaseClass.SimBaseClass()
-        process = self.sim.CreateNewProcess("flight")
-        rates = {"surroundings": SURROUNDINGS_S, "dynamics": STEP_S}
-        for name in ("surroundings", "dynamics", "software", "power"):
-            task = self.sim.CreateNewTask(name, macros.sec2nano(rates.get(name, CONTROL_PERIOD_S)))
-            process.addTask(task, 10 - len(self.sim.TaskList))
-        self.sim.AddModelToTask("surroundings", self.plant.surroundings)
-        for effector in (*self.plant.effectors[1:], self.plant.hub):
-            self.sim.AddModelToTask("dynamics", effector)
-        for model in (*sensors.models, *software):
-            self.sim.AddModelToTask("software", model)
-        for model in self.bus.models():
-            self.sim.AddModelToTask("power", model)
         period = macros.sec2nano(CONTROL_PERIOD_S)
         self._states = self.plant.hub.scStateOutMsg.recorder(period)
         self._wheels = self.plant.wheels.rwSpeedOutMsg.recorder(period)
-        for recorder in (self._states, self._wheels):
-            self.sim.AddModelToTask("power", recorder)
+        self.sim = _schedule(
+            {
+                "surroundings": (SURROUNDINGS_S, [self.plant.surroundings]),
+                "dynamics": (STEP_S, [*self.plant.effectors[1:], self.plant.hub]),
+                "software": (CONTROL_PERIOD_S, [*sensors.models, *software]),
+                "power": (CONTROL_PERIOD_S, [*self.bus.models(), self._states, self._wheels]),
+            }
+        )
 
     def run(self, progress: Callable[[float], None] | None = None) -> None:
         """Fly to the end."""
@@ -246,3 +240,16 @@ class Simulator:
 
 
 REPORT_S = 200.0
+
+
+def _schedule(
+    tasks: Mapping[str, tuple[float, Sequence[sysModel.SysModel]]],
+) -> SimulationBaseClass.SimBaseClass:
+    """A simulation of tasks: period in s and models of each, all in the order of their execution."""
+    sim = SimulationBaseClass.SimBaseClass()
+    process = sim.CreateNewProcess("flight")
+    for rank, (name, (period_s, models)) in enumerate(tasks.items()):
+        process.addTask(sim.CreateNewTask(name, macros.sec2nano(period_s)), -rank)
+        for model in models:
+            sim.AddModelToTask(name, model)
+    return sim

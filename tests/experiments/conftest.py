@@ -1,4 +1,4 @@
-"""The table made once, by the command, with few flights."""
+"""The table made once, by the command, with few flights; a plan, and what flies it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from experiments.observation_rows import rows
 from experiments.observation_table import main
 from scp_recon.mission import Mission
 from scp_recon.scenario import load_scenario
+from scp_recon.solution import Solution
+from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
 from .support import QUICK
 
@@ -34,3 +37,15 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 @pytest.fixture
 def copy(finished: tuple[Path, str], tmp_path: Path) -> Path:
     return Path(shutil.copytree(finished[0], tmp_path / "copy"))
+
+
+@pytest.fixture(scope="session")
+def solution() -> Solution:
+    """Burns that are given, not planned: the study does not mind."""
+    design = next(row.design for row in rows(ipopt=False) if row.key == "ballistic")
+    return design(Mission.from_scenario(load_scenario()))
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    return load_vehicle()

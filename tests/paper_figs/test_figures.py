@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,13 @@ from matplotlib.text import Annotation
 from experiments.observation_report import to_csv
 from experiments.observation_rows import rows
 from experiments.observation_table import measure
-from paper_figs import cone_polytopes, control_history, observation_geometry, observation_table
+from paper_figs import (
+    cone_polytopes,
+    control_history,
+    flyby,
+    observation_geometry,
+    observation_table,
+)
 from paper_figs.__main__ import FIGURES, TABLES, main, make_all
 from paper_figs.drawing import PICTURES, command
 from paper_figs.inputs import COMMAND, TABLE, Runs, read_runs
@@ -287,4 +295,47 @@ def test_a_folder_that_cannot_be_written_exits_with_two(
 ) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     assert main(["--runs", str(folder), "--out", str(tmp_path / "file")]) == 2
-    assert "cannot write" in capsys.readouterr().err
+    assert "must be a folder to write to" in capsys.readouterr().err
+
+
+# --- the flyby at a glance ----------------------------------------------------------------------
+
+
+def test_the_flyby_is_drawn_to_the_file_named_and_says_so(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a site whose name would be a formula, and a wrong one."""
+    text = (folder / "scp_cold" / "solution.json").read_text("utf-8")
+    (tmp_path / "solution.json").write_text(text.replace("Nightingale", r"$\\frac{$"), "utf-8")
+    picture = tmp_path / "flyby.png"
+    assert flyby.main([str(tmp_path), str(picture)]) == 0
+    assert capsys.readouterr().out == f"written: {picture}\n"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", ["folder", "folder.png", "nothing", "picture.xyz", "file/x.png"])
+def test_what_is_no_pictures_name_is_refused_and_nothing_is_written(
+    folder: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.png").mkdir()
+    (tmp_path / "file").touch()
+    before = sorted(tmp_path.rglob("*"))
+    assert flyby.main([str(folder / "scp_cold"), str(tmp_path / name)]) == 2
+    assert capsys.readouterr().err.count("error: ") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_figure_on_a_full_disk_leaves_the_old_one(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    picture = tmp_path / "x.png"
+    picture.write_text("old", "utf-8")
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    assert command(control_history.draw, None, [str(folder), str(picture)]) == 2
+    assert [file.name for file in tmp_path.iterdir()] == ["x.png"]
+    assert picture.read_text("utf-8") == "old"

@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from experiments import battery_cones as battery_cones_study
 from experiments.model_fidelity import TOGETHER, Compared, history, records
 from experiments.studies import to_csv
+from experiments.timing_rules import Rule, Slew
+from experiments.timing_rules import record as record_slew
 from experiments.uncertainty_flights import TRANSLATION
 from experiments.uncertainty_report import BOTH, ORDER, Measured, quantiles, record, sigmas
 from experiments.uncertainty_report import PATH as BY_PATH
@@ -22,8 +24,10 @@ from paper_figs import __main__ as command_line
 from paper_figs import (
     attitude_and_actuators,
     battery_cones,
+    flown_plan,
     model_fidelity,
     power_history,
+    timing_rules,
     uncertainty_quantiles,
     uncertainty_sources,
 )
@@ -76,7 +80,7 @@ def write_uncertainty(folder: Path) -> None:
     (folder / uncertainty_quantiles.QUANTILES).write_text(points, encoding="utf-8")
 
 
-def write_flight(folder: Path) -> None:
+def write_flight(folder: Path, seed: int = 4) -> None:
     """A made-up flight of two hours: a slew each half hour, a dump, a battery that runs low."""
     t = np.arange(0.0, 7200.0, 10.0)
     n, step = len(t), (t // 1800.0)
@@ -94,20 +98,48 @@ def write_flight(folder: Path) -> None:
         "panel_peak_w": panel,
         "consumed_w": 46.0 + 20.0 * step,
         "state_of_charge": np.stack([1.0 - t / 9000.0, np.ones(n)], axis=1),
+        "node_sigma_distance": np.linspace(0.0, seed, 50),
         "pointing_error_rad": np.exp(-np.arange(7200.0) % 1800.0 / 200.0) + 1e-3,
     }
     summary = dict.fromkeys(KEYS) | {
         "schema": SCHEMA,
-        "seed": 4,
+        "seed": seed,
         "modes": ["delta-V", "sun-pointing", "observation"],
-        "burns": [{"t_s": 0.0, "pointing_deg": 0.02}, {"t_s": 3600.0, "pointing_deg": 0.5}],
-        "window_pointing_deg": {"camera": {"q100": 0.123}},
+        "burns": [
+            {"t_s": 0.0, "pointing_deg": 0.02, "executed_pointing_deg": 0.1},
+            {"t_s": 3600.0, "pointing_deg": 0.5, "executed_pointing_deg": 0.6},
+        ],
+        "window_pointing_deg": {"camera": {"q50": 0.05, "q100": 0.123}},
         "dumps": 1,
         "least_charge": 0.2,
         "floor_charge": 0.3,
     }
     folder.mkdir()
     write_record(Record(arrays, summary), folder)
+
+
+def write_flown(folder: Path) -> None:
+    """Made-up flights that end one to four sigmas off, one of another plan among them."""
+    folder.mkdir()
+    seeds = range(1, 5)
+    table = to_csv([{"seed": seed} for seed in seeds])
+    (folder / flown_plan.TABLE).write_text(table, encoding="utf-8")
+    for seed in (*seeds, 30):
+        write_flight(folder / f"seed_{seed}", seed)
+
+
+def write_timing(folder: Path) -> None:
+    """Made-up durations in the study's own form, one too long."""
+    folder.mkdir()
+    found = [
+        Rule("slew to steady state", 900.0, 1800.0, "worst of 3 half turns"),
+        Rule("recharge from empty", 1272.0, 1200.0, "65 W drawn"),
+    ]
+    rules = to_csv([{**vars(rule), "holds": rule.holds} for rule in found])
+    (folder / timing_rules.TABLE).write_text(rules, encoding="utf-8")
+    slews = [Slew(np.eye(3)[k], 0.5, (600.0, 700.0, 800.0 + 50.0 * k), 0.1) for k in range(3)]
+    table = to_csv([record_slew(slew) for slew in slews])
+    (folder / timing_rules.SLEWS).write_text(table, encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +150,8 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_fidelity(out / model_fidelity.FOLDER)
     write_uncertainty(out / uncertainty_sources.FOLDER)
     write_flight(out / power_history.FOLDER)
+    write_flown(out / flown_plan.FOLDER)
+    write_timing(out / timing_rules.FOLDER)
     return out
 
 
@@ -178,6 +212,12 @@ def test_captions_carry_the_findings(studies: Path) -> None:
     words = attitude_and_actuators.caption(flight)
     assert all(figure in words for figure in ("seed 4", "0.123 deg", "0.500 deg", "1 times"))
     assert "the least charge is 20.0 %" in power_history.caption(flight)
+    words = flown_plan.caption(flown_plan.read(studies / flown_plan.FOLDER))
+    assert "4 simulated flights" in words
+    assert "(0.971 of normal ones) and 3 flights throughout" in words
+    words = timing_rules.caption(timing_rules.read(studies / timing_rules.FOLDER))
+    assert "(worst of 3 half turns) 15.0 of 30 min, holds" in words
+    assert "(65 W drawn) 21.2 of 20 min, does not hold" in words
 
 
 def test_studies_are_drawn_where_they_are_found(
@@ -207,7 +247,7 @@ def test_a_study_alone_is_written_or_says_what_is_missing(
     assert command_from(study.read, study.draw, None, [str(tmp_path), str(file)]) == 2
     assert f"{study.COMMAND} --out {tmp_path}" in capsys.readouterr().err
     damaged = Path(shutil.copytree(studies / study.FOLDER, tmp_path / "copy"))
-    for path in damaged.iterdir():
+    for path in filter(Path.is_file, damaged.rglob("*")):
         path.write_text("x\n1\n", encoding="utf-8")
     with pytest.raises(InputError, match="unusable"):
         study.read(damaged)

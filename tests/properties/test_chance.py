@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm, qmc
 
@@ -15,7 +15,7 @@ from formulations.polytopes import ball, inner_pyramid_angle, paper_ball
 from formulations.problem import FlybyProblem, StateConstraint
 from formulations.regions import Ball, Cone, Region
 from formulations.risk import boole, quantile
-from tests.helpers import Array, generators, random_flyby, random_unit
+from tests.helpers import Array, generators, random_flyby, random_unit, share_of_examples
 
 probabilities = st.floats(0.5, 0.9999)
 polytopes = st.builds(
@@ -181,23 +181,56 @@ def test_booles_split_is_tight_for_two_opposite_facets(probability: float, share
     assert norm.cdf(held[0]) - norm.cdf(-held[1]) == pytest.approx(probability, abs=1e-12)
 
 
-@given(st.floats(0.55, 0.99), generators)
-def test_facets_with_booles_shares_hold_together_with_the_probability(
-    probability: float, rng: np.random.Generator
-) -> None:
-    mean, covariance = np.zeros(3), gaussian_covariance(rng)
-    normals = random_unit(rng, 3)
-    deviation = np.sqrt(np.einsum("mi,ij,mj->m", normals, covariance, normals))
-    offsets = quantile(boole(probability, 3)) * deviation
-    joint = multivariate_normal(
-        mean, normals @ covariance @ normals.T, allow_singular=True, abseps=5e-5, seed=1
+def joint_probability(facets: Facets, mean: Array, factor: Array) -> float:
+    """That all facets hold together, by multivariate normal integration over what they measure."""
+    normal, offset = facets.normal, facets.offset
+    distance = offset - normal @ mean[0, :3]
+    law = multivariate_normal(
+        np.zeros(len(offset)),
+        normal @ position_covariance(factor) @ normal.T,
+        allow_singular=True,
+        abseps=INTEGRATION_ERROR,
+        releps=0.0,
+        maxpts=10**6,
+        seed=1,
     )
-    assert joint.cdf(offsets) >= probability - 1e-4  # twice the accuracy of the integration
+    return float(law.cdf(distance))
 
 
-def gaussian_covariance(rng: np.random.Generator) -> Array:
-    root = rng.normal(size=(3, 3))
-    return root @ root.T
+INTEGRATION_ERROR = 1e-4
+few_facets = st.builds(
+    Polytopes, st.sampled_from([paper_ball(), *map(ball, (4, 5, 8, 13, 24))]), st.integers(3, 24)
+)
+
+
+@settings(max_examples=share_of_examples(6))
+@given(st.sampled_from([0.55, 0.7, 0.9, 0.99]), few_facets, generators)
+def test_facets_with_booles_shares_hold_together_with_the_probability(
+    probability: float, shapes: Polytopes, rng: np.random.Generator
+) -> None:
+    """Three to twenty-four facets of balls and cones, the first of them without margin."""
+    mean, factor = gaussian(rng)
+    region = random_region(rng, "in", mean[:, :3])
+    facets = facets_of(region, "in", probability, shapes, mean, factor)
+    worst = largest_scale(facets, mean, factor) * factor
+    joint = joint_probability(facets, mean, worst)
+    assert joint >= probability - 2.0 * INTEGRATION_ERROR
+    assert joint == pytest.approx(sampled_probability(facets, mean, worst), abs=QMC_ERROR)
+
+
+@pytest.mark.parametrize("probability", [0.9, 0.99])
+@pytest.mark.parametrize("facets", [4, 5, 6])
+def test_booles_shares_are_nearly_used_up_where_all_facets_bind(
+    probability: float, facets: int
+) -> None:
+    """From the centre of a ball what little is left is that two facets fail at once."""
+    mean, factor = np.zeros((1, 6)), np.eye(6)[None]
+    found = facets_of(
+        Ball(np.zeros((1, 3)), 1.0), "in", probability, Polytopes(ball(facets), 4), mean, factor
+    )
+    worst = largest_scale(found, mean, factor) * factor
+    joint = joint_probability(found, mean, worst)
+    assert probability - 2.0 * INTEGRATION_ERROR <= joint < probability + 0.2 * (1.0 - probability)
 
 
 def largest_scale(facets: Facets, mean: Array, factor: Array) -> float:
@@ -236,10 +269,21 @@ def random_region(rng: np.random.Generator, keep: str, point: Array) -> Region:
     return Cone(point - rng.uniform(0.1, 2.0) * ray, away, half_angle)
 
 
+def sample_of(mean: Array, factor: Array) -> Array:
+    """Quasi-random positions, shape (n, 3)."""
+    variance, axes = np.linalg.eigh(position_covariance(factor))
+    return mean[0, :3] + NORMAL * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
+
+
+def sampled_probability(facets: Facets, mean: Array, factor: Array) -> float:
+    """That all facets hold together, by a quasi-random sample."""
+    held = sample_of(mean, factor) @ facets.normal.T <= facets.offset
+    return float(np.mean(held.all(axis=1)))
+
+
 def probability_of(keep: str, region: Region, mean: Array, factor: Array) -> float:
     """That the position is in the region, or out of it, by a quasi-random sample."""
-    variance, axes = np.linalg.eigh(position_covariance(factor))
-    d = mean[0, :3] + NORMAL * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
+    d = sample_of(mean, factor)
     if isinstance(region, Ball):
         inside = np.linalg.norm(d - region.center, axis=1) <= region.radius
     else:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from scp_recon import guess
+from scp_recon.errors import InputError
+from scp_recon.mission import Mission
+from scp_recon.planner import plan
+from scp_recon.results import make_solution
 from scp_recon.solution import Solution, read_solution
 from scp_recon.status import Status
+from scp_recon.verification import verify
 from tests import reliability
 from tests.helpers import share_of_examples
-from tests.scenarios import scenarios
+from tests.scenarios import generous, scenarios
 from tests.scp_recon.support import CommandLine, run_solve
 
 NOT_VERIFIED = 4
@@ -32,27 +41,48 @@ expensive = settings(
 def test_random_scenarios_end_verified_or_honestly_refused(
     overrides: tuple[str, ...], options: tuple[list[str], list[str]]
 ) -> None:
+    with wrong_if_it_fails():
+        run, solution = solved(overrides, [*options[0], *options[1]])
+        if solution is None:
+            assert_barred(run)
+        else:
+            {0: assert_solved, 3: assert_infeasible, NOT_VERIFIED: assert_unfinished}[
+                run.exit_code
+            ](run, solution)
+
+
+@expensive
+@given(generous(), OPTIONS)
+def test_scenarios_that_are_feasible_by_construction_are_solved(
+    overrides: tuple[str, ...], options: tuple[list[str], list[str]]
+) -> None:
+    with wrong_if_it_fails():
+        run, solution = solved(overrides, [*options[0], *options[1]])
+        assert run.exit_code == 0
+        assert solution is not None
+        assert_solved(run, solution)
+
+
+@contextmanager
+def wrong_if_it_fails() -> Iterator[None]:
     try:
-        assert_honest(overrides, [*options[0], *options[1]])
+        yield
     except BaseException:
         reliability.count(reliability.WRONG)
         raise
 
 
-def assert_honest(overrides: tuple[str, ...], options: list[str]) -> None:
+def solved(overrides: tuple[str, ...], options: list[str]) -> tuple[CommandLine, Solution | None]:
+    """A run without a traceback, and its solution unless the scenario was refused."""
     sets = [argument for override in overrides for argument in ("--set", override)]
     with tempfile.TemporaryDirectory() as name:
         run = run_solve(Path(name), *sets, *options)
         assert "Traceback" not in run.output + run.errors
         if run.exit_code == 2:
-            assert_barred(run)
-            reliability.count(reliability.BARRED)
-            return
-        solution = read_solution(run.folder)
-    assert run.errors == ""
-    {0: assert_solved, 3: assert_infeasible, NOT_VERIFIED: assert_unfinished}[run.exit_code](
-        run, solution
-    )
+            assert list(run.folder.iterdir()) == []
+            return run, None
+        assert run.errors == ""
+        return run, read_solution(run.folder)
 
 
 def assert_barred(run: CommandLine) -> None:
@@ -60,7 +90,7 @@ def assert_barred(run: CommandLine) -> None:
     assert run.output == ""
     assert run.errors.count("error: ") == 1
     assert run.errors.startswith(("error: observation", "error: burns.times_s"))
-    assert list(run.folder.iterdir()) == []
+    reliability.count(reliability.BARRED)
 
 
 def assert_solved(run: CommandLine, solution: Solution) -> None:
@@ -88,7 +118,31 @@ def assert_infeasible(run: CommandLine, solution: Solution) -> None:
         assert amount.max > 0.0
         assert name in run.output
     assert "not verified" in run.output
+    assert not others_that_find_a_plan(solution)
     reliability.count(reliability.REFUSED)
+
+
+def others_that_find_a_plan(solution: Solution) -> list[str]:
+    """What solves a scenario, verified, that was called infeasible: by other weights, and by none.
+
+    From the ballistic arc, with the weight that SCvx* finds by itself, and with IPOPT, whose
+    constraints are no penalties.
+    """
+    mission = Mission.from_scenario(solution.scenario)
+    try:
+        start = guess.ballistic(mission)
+    except InputError:
+        start = guess.cold(mission)
+    ways = {"scvx-star": lambda: plan(mission, start, algorithm="scvx-star")}
+    if find_spec("casadi"):
+        from scp_recon import ipopt
+
+        ways["ipopt"] = lambda: ipopt.plan(mission, start, variant="shooting")
+    return [
+        name
+        for name, way in ways.items()
+        if verify(mission, make_solution(mission, way(), "warm", name)).ok
+    ]
 
 
 def assert_unfinished(run: CommandLine, solution: Solution) -> None:

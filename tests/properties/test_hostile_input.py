@@ -12,16 +12,17 @@ import tempfile
 import tomllib
 from collections.abc import Callable, Iterator
 from datetime import date, datetime
+from functools import reduce
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from scp_recon import guess, montecarlo, planner, solve, verify
+from scp_recon import guess, montecarlo, planner, simulate, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.results import make_solution
@@ -209,6 +210,9 @@ bytes_of_files = st.one_of(
     ),
     st.integers(0, 2000).map(lambda n: document(RECON_B).encode()[:n]),
     st.sampled_from([b"", b"\n" * 1000, b"[" * 5000, b"a=" + b"[" * 5000, b"\x00", b'base = "']),
+    st.sampled_from(
+        [b"base='recon_b'\nx=" + b"[" * 400 + b"]" * 400, b"a" + b".a" * 10**5 + b"=1"]
+    ),
     st.sampled_from([b"x = " + b"1" * 5000, b'"' + b"k" * 10**5 + b'" = 1', b"[a]\n[a]\n"]),
 )
 
@@ -248,6 +252,82 @@ def test_no_override_ends_in_anything_but_a_mission_or_a_message(
     read_or_refuse(lambda: Mission.from_scenario(load_scenario(None, overrides)).problem)
 
 
+# --- planning -----------------------------------------------------------------------------------
+
+magnitudes = st.builds(
+    lambda sign, decade: sign * 10.0**decade, st.sampled_from([1, -1]), st.floats(-12.0, 12.0)
+)
+"""Most of which the schema lets pass where the sign fits."""
+VERY_COARSE = "grid.step_max_s=3000.0"
+numeric = [
+    (".".join(map(str, where)), value)
+    for where in places(RECON_B)
+    if isinstance(value := reduce(lambda inside, key: inside[key], where, RECON_B), float | list)
+    and isinstance(where[-1], str)
+]
+
+
+@st.composite
+def strained(draw: st.DrawFn) -> str:
+    """An override by numbers of the right kind and of any size, or scaled ones."""
+    entry, value = draw(st.sampled_from(numeric))
+    if draw(st.booleans()):
+        factor = draw(magnitudes)
+        changed = [x * factor for x in value] if isinstance(value, list) else value * factor
+    else:
+        changed = [draw(magnitudes) for _ in value] if isinstance(value, list) else draw(magnitudes)
+    return f"{entry}={changed}"
+
+
+def solved_or_refused(overrides: list[str], *options: str) -> None:
+    """One of the documented ends; where it is bad input nothing is written."""
+    sets = [argument for override in overrides for argument in ("--set", override)]
+    with tempfile.TemporaryDirectory() as folder:
+        code = command(solve.main, [*options, *sets, "--out", folder])
+        assert code in (0, 2, 3, 4)
+        assert (Path(folder) / "solution.json").exists() == (code != 2)
+    if code == 2:
+        reliability.count(reliability.BAD_INPUTS)
+
+
+slow = settings(patient, max_examples=share_of_examples(2), phases=set(Phase) - {Phase.shrink})
+
+
+@slow
+@given(st.lists(strained(), min_size=1, max_size=3))
+def test_no_magnitudes_end_in_anything_but_a_plan_or_a_message(overrides: list[str]) -> None:
+    solved_or_refused([VERY_COARSE, *overrides])
+
+
+@slow
+@given(damaged(RECON_B | {"grid": {"step_max_s": 3000.0}}, hostile | magnitudes))
+def test_a_damaged_scenario_is_solved_or_refused(data: dict[str, Any]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "mine.toml"
+        path.write_text(document(data), "utf-8")
+        solved_or_refused([], "--scenario", str(path))
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "risk.p_chance=0.999999999",
+        "grid.step_max_s=1e7",
+        "body.gm_m3_s2=1e-6",
+        "body.gm_m3_s2=1e4",
+        "spacecraft.mass_kg=1e-9",
+        "safety.radius_min_m=1e12",
+        "boundary.final_position_m=[1e12, 1e12, 1e12]",
+        "boundary.initial_velocity_m_s=[1e6, 1e6, 1e6]",
+        "uncertainty.initial_sigma_fraction=0.999",
+        "site.position_body_m=[1e12, 0.0, 0.0]",
+        "sun.body_position_km=[1e12, 1e12, 1e12]",
+    ],
+)
+def test_a_scenario_at_the_ends_of_its_ranges_is_solved_or_refused(override: str) -> None:
+    solved_or_refused([VERY_COARSE, override])
+
+
 # --- solutions ----------------------------------------------------------------------------------
 
 
@@ -274,20 +354,77 @@ def test_a_damaged_solution_is_read_or_refused(solved: Path, data: st.DataObject
         assert_touched_only(touched, path.resolve())
 
 
-@settings(patient, max_examples=share_of_examples(6))
+markup = st.sampled_from(["[/red]", "[bold]", "[/]", "[link=http://x]y", "[", "\\[", ":smile:"])
+huge = st.sampled_from([10**30, -(10**30), 2**64])
+SHOWN = ("burns", "nodes", "total_dv_m_s", "status", "problem", "message", "facets", "stages")
+SHOWN += ("constraints", "violation", "units", "scenario", "timing_s")
+
+
+def with_a_word_as_key(content: dict[str, Any], word: str) -> None:
+    """A violated constraint of that name, which is shown."""
+    content["violation"]["by_constraint"][word] = {"max": 1.0, "total": 1.0, "unit": "m"}
+
+
+@settings(patient, max_examples=share_of_examples(3))
 @given(st.data())
 def test_a_damaged_solution_is_verified_or_refused(solved: Path, data: st.DataObject) -> None:
     """And never confirmed where a number of the plan was changed."""
     original = json.loads((solved / "solution.json").read_text("utf-8"))
-    parts = {key: original[key] for key in ("burns", "nodes", "total_dv_m_s", "status", "problem")}
-    content = original | data.draw(damaged(parts, plain))
+    part = data.draw(st.sampled_from(SHOWN))
+    content = original | data.draw(damaged({part: original[part]}, plain | markup | huge))
+    if data.draw(st.booleans()) and content["violation"] == original["violation"]:
+        content = copy.deepcopy(content)
+        with_a_word_as_key(content, data.draw(markup))
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "solution.json").write_text(json.dumps(content), "utf-8")
         code = command(verify.main, [folder])
     assert code in (0, 2, 4)
-    if any(content.get(key) != original[key] for key in ("total_dv_m_s", "status")):
+    confirmed = ("total_dv_m_s", "status", "violation", "units", "nodes", "burns")
+    if any(content.get(key) != original[key] for key in confirmed):
         assert code != 0
     reliability.count(reliability.BAD_INPUTS)
+
+
+EDITS: dict[str, Callable[[dict[str, Any]], object]] = {
+    "a node beyond all": lambda s: s["facets"]["node"].__setitem__(0, 10**30),
+    "a node too many": lambda s: s["facets"]["node"].__setitem__(0, len(s["nodes"]["t_s"])),
+    "a burn at another time": lambda s: s["burns"][1].update(t_s=8001.0),
+    "two nodes": lambda s: s["nodes"].update({k: v[:: len(v) - 1] for k, v in s["nodes"].items()}),
+    "a node at another time": lambda s: s["nodes"]["t_s"].__setitem__(1, 1.0),
+    "no unit of length": lambda s: s["units"].update(length_m=0.0),
+    "a large unit of length": lambda s: s["units"].update(length_m=1e308),
+    "another unit of time": lambda s: s["units"].update(time_s=1.001 * s["units"]["time_s"]),
+    "a negative violation": lambda s: s["violation"].update(max=-1.0),
+    "another grid": lambda s: s["scenario"]["grid"].update(step_max_s=2000.0),
+    "no window": lambda s: s["scenario"]["observation"].update(incidence_max_deg=1.0),
+}
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+@pytest.mark.parametrize("main", [verify.main, montecarlo.main, simulate.main])
+def test_a_solution_whose_parts_do_not_fit_together_is_refused(
+    solved: Path,
+    tmp_path: Path,
+    edit: Callable[[dict[str, Any]], object],
+    main: Callable[[list[str]], int],
+) -> None:
+    content = json.loads((solved / "solution.json").read_text("utf-8"))
+    edit(content)
+    (tmp_path / "solution.json").write_text(json.dumps(content), "utf-8")
+    assert command(main, [str(tmp_path)]) == 2
+    reliability.count(reliability.BAD_INPUTS)
+
+
+@pytest.mark.parametrize("word", ["[/red]", "[bold]", "[/]", "[", "\\["])
+def test_names_of_a_solution_are_shown_as_they_are(solved: Path, tmp_path: Path, word: str) -> None:
+    content = json.loads((solved / "solution.json").read_text("utf-8"))
+    content["constraints"][0]["name"] = content["stages"][0]["name"] = word
+    with_a_word_as_key(content, word + " too")
+    (tmp_path / "solution.json").write_text(json.dumps(content), "utf-8")
+    shown = io.StringIO()
+    with contextlib.redirect_stdout(shown):
+        assert verify.main([str(tmp_path)]) == 4
+    assert shown.getvalue().count(word) == 3
 
 
 @patient

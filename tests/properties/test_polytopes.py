@@ -18,7 +18,7 @@ EXACT = 1e-9
 
 COUNTS = [4, 5, 6, 7, 8, 10, 12, 13, 16, 20, 24, 27, 32, 40, 50, 64]
 half_angles = st.floats(0.01, np.pi / 2 - 0.01)
-facet_counts = st.integers(3, 64)
+facet_counts = st.integers(3, 512)
 
 
 def vertices(normals: Array, distance: float) -> Array:
@@ -134,6 +134,21 @@ def test_the_paper_polytope_turns_a_cube_corner_to_the_line_of_sight() -> None:
 def test_fewer_than_four_facets_bound_no_polytope(facets: int) -> None:
     with pytest.raises(ValueError, match="at least 4"):
         ball(facets)
+
+
+LARGE = [100, 128, 200, 256, 384, 511, 512]
+"""Up to the most that a scenario may ask for."""
+
+
+@pytest.mark.parametrize("facets", LARGE)
+def test_of_many_facets_none_lets_a_point_outside_the_unit_ball_through(facets: int) -> None:
+    """Random points are enough: every direction outside, and every one inside, is looked at."""
+    polytope, sphere = ball(facets), random_unit(np.random.default_rng(facets), 20_000)
+    height = (sphere @ polytope.normals.T).max(axis=1)
+    assert polytope.normals.shape == (facets, 3)
+    assert height.max() <= 1.0 + EXACT  # the outer polytope holds the ball
+    assert (height * polytope.reach).min() >= 1.0 - EXACT  # and the inner one no point beyond it
+    assert (polytope.vertex @ polytope.normals.T).max() * polytope.reach == pytest.approx(1.0)
 
 
 # --- the cone -----------------------------------------------------------------------------------

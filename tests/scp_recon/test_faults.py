@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import clarabel
@@ -22,7 +22,7 @@ import pytest
 
 from formulations import interior_point
 from formulations.interior_point import SOLVERS, Answer, Clarabel, ConeProgram
-from scp_recon import guess, montecarlo, solve, verify
+from scp_recon import files, guess, montecarlo, simulate, solve, verify
 from scp_recon import solution as solution_module
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan
@@ -287,7 +287,7 @@ WRITING: list[tuple[object, str]] = [
     (os, "fsync"),
     (Path, "replace"),
     (Path, "mkdir"),
-    (solve, "TemporaryFile"),
+    (files, "TemporaryFile"),
 ]
 
 
@@ -311,6 +311,30 @@ def test_a_disk_that_cannot_be_written_ends_with_a_message_and_the_old_file(
     assert "Traceback" not in run.errors
     assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
     assert (tmp_path / "solution.json").read_bytes() == before
+    reliability.count(reliability.FAULTS)
+
+
+@pytest.mark.parametrize("command", [solve, montecarlo, simulate])
+@pytest.mark.parametrize("fault", ["a folder in the file's place", "a barred folder"])
+def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
+    command: ModuleType,
+    fault: str,
+    tmp_path: Path,
+    solution: Solution,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solution.write(tmp_path)
+    out = tmp_path / "out" if command is not montecarlo else tmp_path
+    if fault == "a barred folder":
+        monkeypatch.setattr(files, "TemporaryFile", barred)
+    else:
+        (out / command.FILE_NAME).mkdir(parents=True)
+    for work in ("plan", "fly_campaign", "make_record"):
+        monkeypatch.setattr(command, work, None, raising=False)  # calling it is a TypeError
+    given = [] if command is solve else [str(tmp_path)]
+    assert command.main([*given, *([] if out == tmp_path else ["--out", str(out)])]) == 2
+    assert capsys.readouterr().err.count("error: ") == 1
     reliability.count(reliability.FAULTS)
 
 

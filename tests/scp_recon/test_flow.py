@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from scp_recon.flow import differentiate, interpolate, propagate
 from scp_recon.forces import ForceModel, acceleration
-from scp_recon.mission import RK4_STEP_MAX_S, Mission
+from scp_recon.grid import RK4_STEP_MAX_S
+from scp_recon.mission import Mission
 from scp_recon.planner import Plan
 
 from .support import Array, burns_of, fly, integrate

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from formulations.problem import StateConstraint
 from scp_recon import geometry
-from scp_recon.mission import Mission, make_grid
+from scp_recon.grid import make_grid
+from scp_recon.mission import Mission
 
 from .support import Array, mission_of
 

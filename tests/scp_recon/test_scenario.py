@@ -201,7 +201,7 @@ def test_epoch_may_be_a_toml_date_or_a_string(scenario: Scenario) -> None:
 
 
 @given(
-    p=st.floats(0.5, 1.0, exclude_min=True, exclude_max=True),
+    p=st.floats(0.5, 1.0 - 1e-9, exclude_min=True),
     dv=st.floats(1e-6, 1e6),
     times=st.lists(st.floats(1.0, 1e6), min_size=1, max_size=10, unique=True).map(sorted),
     ball=st.sampled_from(["paper", "tangent"]) | st.integers(4, 512),
@@ -228,12 +228,13 @@ def test_json_round_trip(
 BAD_VALUES = [
     # override, entry, what the message shows of the value, what it says is allowed
     ("risk.p_chance=0.5", "risk.p_chance", "0.5", "0.5"),
-    ("risk.p_chance=1", "risk.p_chance", "1", "1"),
-    ("risk.p_chance=1.2", "risk.p_chance", "1.2", "1"),
+    ("risk.p_chance=1", "risk.p_chance", "1", "at most 0.999999999"),
+    ("risk.p_chance=0.9999999999999999", "risk.p_chance", "0.9999999999999999", "0.999999999"),
+    ("risk.p_chance=1.2", "risk.p_chance", "1.2", "0.999999999"),
     ("risk.p_chance=-3", "risk.p_chance", "-3", "0.5"),
     ("risk.p_chance=nan", "risk.p_chance", "nan", "finite"),
     ("burns.dv_max_m_s=inf", "burns.dv_max_m_s", "inf", "finite"),
-    ("burns.dv_max_m_s=0", "burns.dv_max_m_s", "0", "greater than 0"),
+    ("burns.dv_max_m_s=0", "burns.dv_max_m_s", "0", "at least 1e-09"),
     ("burns.dv_max_m_s=fast", "burns.dv_max_m_s", "'fast'", "number"),
     ('burns.dv_max_m_s="0.2"', "burns.dv_max_m_s", "'0.2'", "number"),
     ("burns.dv_max_m_s=", "burns.dv_max_m_s", "''", "number"),
@@ -262,11 +263,20 @@ BAD_VALUES = [
     ("grid.step_max_s=0", "grid.step_max_s", "0", "1"),
     ("epoch.tdb=tomorrow", "epoch.tdb", "'tomorrow'", "date and time"),
     ("body.pole_dec_deg=100", "body.pole_dec_deg", "100", "90"),
-    ("body.gm_m3_s2=-4.9", "body.gm_m3_s2", "-4.9", "greater than 0"),
+    ("body.gm_m3_s2=-4.9", "body.gm_m3_s2", "-4.9", "at least 1e-06 and at most 1e+20"),
     ("observation.emission_max_deg=90", "observation.emission_max_deg", "90", "less than 90"),
     ("observation.window_s=[1, x]", "observation.window_s", "[1, x]", "list"),
+    ("uncertainty.execution_error=1e-300", "uncertainty.execution_error", "1e-300", "1e-09"),
     ("uncertainty.execution_error=1", "uncertainty.execution_error", "1", "less than 1"),
-    ("spacecraft.mass_kg=0", "spacecraft.mass_kg", "0", "greater than 0"),
+    ("spacecraft.mass_kg=0", "spacecraft.mass_kg", "0", "at least 1e-09"),
+    ("grid.step_max_s=1e308", "grid.step_max_s", "1e+308", "at least 1 and at most 1e+07"),
+    ("body.gm_m3_s2=1e-308", "body.gm_m3_s2", "1e-308", "at least 1e-06"),
+    ("body.reference_radius_m=1e200", "body.reference_radius_m", "1e+200", "at most 1e+12"),
+    ("safety.radius_min_m=1e30", "safety.radius_min_m", "1e+30", "at most 1e+12"),
+    ("burns.dv_max_m_s=1e300", "burns.dv_max_m_s", "1e+300", "at most 1e+06"),
+    ("site.normal_body=[1e-320, 0, 0]", "site.normal_body", "1e-320", "shorter than 0.001"),
+    ("site.normal_body=[1e200, 0, 0]", "site.normal_body.0", "1e+200", "at most 1e+12"),
+    ("sun.body_position_km=[1e308, 0, 0]", "sun.body_position_km.0", "1e+308", "at most 1e+12"),
     ('name=""', "name", "''", "not empty"),
     (f"name={201 * 'x'}", "name", "xxx", "at most 200 characters"),
     ('name="a\\u001b[31m"', "name", r"'a\x1b[31m'", "printable"),
@@ -448,3 +458,36 @@ def test_a_section_that_is_no_table_is_refused(tmp_path: Path) -> None:
     error = file_refused(file)
     assert error.entry == "risk"
     assert "0.8" in error.given
+
+
+# --- files of any size and shape ----------------------------------------------------------------
+
+
+def test_the_mark_that_some_editors_begin_a_file_with_is_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "recon_b"\nname = "mine"\n', encoding="utf-8-sig")
+    assert load_scenario(path).name == "mine"
+
+
+HEAD = 'base = "recon_b"\n'
+BURDENS = {
+    "a megabyte": (HEAD + "#" * 1_000_000, "more than 1 megabytes"),
+    "many keys": (HEAD + "\n".join(f"k{i} = 1" for i in range(50_000)), "and 49995 more"),
+    "a deep key": (HEAD + "a" + ".a" * 100_000 + " = 1", "a line of many dots"),
+    "a deep list": (f"{HEAD}x = {400 * '['}{400 * ']'}", "nested a few levels deep"),
+}
+
+
+@pytest.mark.timeout(10)
+@pytest.mark.parametrize(("text", "words"), BURDENS.values(), ids=BURDENS)
+def test_a_burdensome_file_is_refused_at_once(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text, "utf-8")
+    assert words in str(file_refused(path))
+
+
+@pytest.mark.parametrize(
+    "override", ["risk.p_chance=0.8\nburns.dv_max_m_s=0.1", "a.b.c.d=1", "name=a\tb"]
+)
+def test_an_override_is_one_entry_on_one_line(override: str) -> None:
+    assert refused(override).entry == "--set"
