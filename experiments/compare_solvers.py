@@ -5,6 +5,11 @@ Rows, table and figures are left in OUT; a run that was stopped continues with t
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence
@@ -19,9 +24,8 @@ from experiments.compare_claims import claims
 from experiments.compare_report import claim_line, shown, to_csv, to_markdown
 from experiments.compare_row import FAILED, Row
 from experiments.compare_runs import FILE_NAME, PEER_NAME, read_rows, run_cells
-from scp_recon.command import guarded
 from scp_recon.errors import InputError
-from scp_recon.solution import write_atomically
+from scp_recon.files import write_atomically
 
 DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
 REPORT_NAME = "comparison.md"

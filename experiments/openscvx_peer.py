@@ -7,6 +7,11 @@ to OUT, from where `experiments.compare_solvers` takes them into its table and C
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import contextlib
 import importlib.util
@@ -34,14 +39,13 @@ from formulations.rows import P3Rows
 from formulations.subproblem import Evaluation
 from scp_recon import guess
 from scp_recon.campaign import Setting, fly_campaign
-from scp_recon.command import guarded
 from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.observing import ALL
 from scp_recon.planner import plan
 from scp_recon.scenario import load_scenario
 from scp_recon.scvx import TrustRegion
-from scp_recon.solution import write_atomically
 
 FLIGHTS = 2_000
 
