@@ -181,15 +181,16 @@ def quick_design() -> tuple[Cell, ...]:
         *(Method("condensed", "scvx", s) for s in installed()[1:]),
         *(Method(f, "scvx", "CLARABEL") for f in FORMULATIONS if f != "condensed"),
         TUNED,
-        Method("shooting", "hard", IPOPT),
     )
+    shooting = Method("shooting", "hard", IPOPT)
     feasible, infeasible = ({name: scenarios()[name]} for name in ("recon_b", "beta=0.16"))
     of_feasible = [method for method in FEW if method != ELASTIC]
     return (
         *_cells("matrix", {"recon_b": ()}, matrix, ("cold",)),
+        *_cells("matrix", {"recon_b": ()}, (shooting,), ("warm",)),
         *_cells("scenarios", feasible, of_feasible, ("p3",)),
         *_cells("scenarios", infeasible, (REFERENCE, ELASTIC), ("p3",)),
-        *_guesses((REFERENCE, TUNED), 4),
+        *_guesses((REFERENCE, TUNED), 3),
     )
 
 
