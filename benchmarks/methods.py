@@ -15,10 +15,11 @@ import numpy as np
 from scp_recon import guess
 from scp_recon.campaign import Setting, run_block
 from scp_recon.mission import Mission
-from scp_recon.planner import Plan, Planner
+from scp_recon.planner import Planner
 from scp_recon.results import make_solution
 from scp_recon.sampling import BLOCK
 from scp_recon.scenario import load_scenario
+from scp_recon.stages import Plan
 from scp_recon.verification import verify
 
 REPLANS = 100

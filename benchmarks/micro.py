@@ -13,8 +13,9 @@ from scp_recon import guess
 from scp_recon.campaign import Setting, run_block
 from scp_recon.flow import differentiate
 from scp_recon.mission import Mission
-from scp_recon.planner import Plan, plan
+from scp_recon.planner import plan
 from scp_recon.scenario import load_scenario
+from scp_recon.stages import Plan
 
 
 @pytest.fixture(scope="module")

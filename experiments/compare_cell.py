@@ -11,91 +11,26 @@ from time import perf_counter, process_time
 import numpy as np
 
 from experiments.compare_cases import IPOPT, UNGUARDED, Cell, Method, initial_guess
+from experiments.compare_row import Row, empty_row
 from experiments.unguarded import Unguarded
 from formulations.condensations import CONDENSATIONS
 from formulations.facets import choose_facets, included_rows
 from formulations.formulations import make_subproblem
 from formulations.interior_point import SOLVERS
 from formulations.lifting import Linearisation
+from formulations.problem import Iterate
 from formulations.rows import P2Rows
 from formulations.subproblem import Evaluation
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.campaign import Setting, fly_campaign
 from scp_recon.mission import Mission
 from scp_recon.observing import ALL
-from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, plan
+from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, plan
 from scp_recon.scenario import load_scenario
 from scp_recon.scp import Algorithm, Result, run
 from scp_recon.scvx import TrustRegion
+from scp_recon.stages import Plan
 from scp_recon.status import Status
-
-FAILED = "failed"
-"""Status of a cell that did not come to an end of its own."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """A cell and what came of it; empty figures are NaN.
-
-    Attributes:
-        key, group, scenario, start, seed, formulation, algorithm, solver: the cell.
-        status: a `Status` by name, or `FAILED`.
-        detail: why it failed.
-        problem: "P2", or "P3" where that was not solved.
-        total_dv_m_s: sum of the burns.
-        merit_m_s: with the exact penalty of SCvx, first weight.
-        heavy_merit_m_s: with its second weight, which infeasible cases end with.
-        violation_m: largest violation; velocities count as metres per unit of time.
-        iterations_p3, iterations_p2: the latter over all facet restorations.
-        retried: whether P3 was tried again from the ballistic arc.
-        total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
-            nothing is imported.
-        cpu_s: of the processor in that time, which other work on the machine does not lengthen.
-        solver_s: in the conic solver, or in IPOPT without its evaluations.
-        peak_mib: resident memory of the process, imports included.
-        observed_s: mean observation time of many flights.
-        burns_m_s: all components.
-    """
-
-    key: str
-    group: str
-    scenario: str
-    start: str
-    seed: int
-    formulation: str
-    algorithm: str
-    solver: str
-    status: str
-    detail: str = ""
-    problem: str = ""
-    total_dv_m_s: float = np.nan
-    merit_m_s: float = np.nan
-    heavy_merit_m_s: float = np.nan
-    violation_m: float = np.nan
-    iterations_p3: int = 0
-    iterations_p2: int = 0
-    retried: bool = False
-    total_s: float = np.nan
-    cpu_s: float = np.nan
-    solver_s: float = np.nan
-    peak_mib: float = np.nan
-    observed_s: float = np.nan
-    burns_m_s: tuple[float, ...] = ()
-
-    @property
-    def method(self) -> str:
-        """Name of the method."""
-        return Method(self.formulation, self.algorithm, self.solver).name
-
-    @property
-    def solved(self) -> bool:
-        """Whether P2 converged and every constraint holds."""
-        return self.problem == "P2" and self.status == Status.CONVERGED.value.name
-
-
-def failed_row(cell: Cell, reason: str, cpu_s: float = np.nan) -> Row:
-    """The row of a cell that did not come to an end of its own."""
-    return replace(_empty_row(cell), detail=reason, cpu_s=cpu_s)
 
 
 def solve_cell(cell: Cell, flights: int) -> Row:
@@ -110,14 +45,14 @@ def solve_cell(cell: Cell, flights: int) -> Row:
         importlib.import_module(name)
     found = _from_p3(mission, cell) if cell.start == "p3" else _whole(mission, cell)
     speed, length = mission.units.speed_m_s, mission.units.length_m
-    lin = found.lin
+    lin = found.lin if found.lin.is_flown else _flown(mission, found.lin)
     burns = lin.iterate.burns * speed
     weights = TrustRegion()
     setting, peak = Setting(mission, burns), _peak_mib()
     observed = fly_campaign(setting, samples=flights).held[ALL].mean().value if flights else np.nan
     worst = max(float(v.max(initial=0.0)) for v in found.subproblem.violations(lin).values())
     return replace(
-        _empty_row(cell),
+        empty_row(cell),
         status=found.status.value.name,
         problem="P2" if isinstance(found.subproblem.rows, P2Rows) else "P3",
         total_dv_m_s=lin.iterate.total_dv * speed,
@@ -126,7 +61,8 @@ def solve_cell(cell: Cell, flights: int) -> Row:
         violation_m=worst * length,
         iterations_p3=found.iterations_p3,
         iterations_p2=found.iterations_p2,
-        retried=found.retried,
+        first_status=found.first_status,
+        from_arc=found.from_arc,
         total_s=found.total_s,
         cpu_s=found.cpu_s,
         solver_s=found.solver_s,
@@ -136,19 +72,11 @@ def solve_cell(cell: Cell, flights: int) -> Row:
     )
 
 
-def _empty_row(cell: Cell) -> Row:
-    method = cell.method
-    return Row(
-        key=cell.key,
-        group=cell.group,
-        scenario=cell.scenario,
-        start=cell.start,
-        seed=cell.seed,
-        formulation=method.formulation,
-        algorithm=method.algorithm,
-        solver=method.solver,
-        status=FAILED,
-    )
+def _flown(mission: Mission, lin: Linearisation) -> Linearisation:
+    """The burns flown: a nonlinear program may end with gaps between its arcs, which no flight has."""
+    burns, problem = lin.iterate.burns, mission.problem
+    mean = mission.dynamics.rollout(problem.initial_state, burns)
+    return mission.dynamics.linearise(problem, Iterate(burns, mean))
 
 
 def _needs(method: Method) -> tuple[str, ...]:
@@ -173,7 +101,8 @@ class _Found:
     subproblem: Evaluation
     iterations_p3: int
     iterations_p2: int
-    retried: bool
+    first_status: str
+    from_arc: bool
     total_s: float
     cpu_s: float
     solver_s: float
@@ -209,11 +138,20 @@ def _of_plan(done: Plan, cpu_s: float) -> _Found:
         subproblem=done.final.subproblem,
         iterations_p3=sum(n for name, n in counts.items() if name.startswith("P3")),
         iterations_p2=sum(n for name, n in counts.items() if name.startswith("P2")),
-        retried="P3b" in counts,
+        first_status=_first_status(done),
+        from_arc=done.final.begun_again,
         total_s=done.total_s,
         cpu_s=cpu_s,
         solver_s=done.timing.conic_solver,
     )
+
+
+def _first_status(done: Plan) -> str:
+    """How the first try ended, where there was a second."""
+    names = [stage.name for stage in done.stages]
+    if "P3b" not in names:
+        return ""
+    return done.stages[names.index("P3b") - 1].result.status.value.name
 
 
 def _from_p3(mission: Mission, cell: Cell) -> _Found:
@@ -243,7 +181,8 @@ def _from_p3(mission: Mission, cell: Cell) -> _Found:
         subproblem=subproblem,
         iterations_p3=0,
         iterations_p2=iterations,
-        retried=False,
+        first_status="",
+        from_arc=False,
         total_s=perf_counter() - begin,
         cpu_s=process_time() - cpu_begin,
         solver_s=solver_s,
@@ -256,10 +195,10 @@ def _solver_of_p2(
     """P2 on given rows from a given iterate, by SCP or by IPOPT."""
     if method.solver == IPOPT:
         from formulations.nlp import VARIANTS
-        from scp_recon.ipopt import StageSolver, casadi_arcs
+        from scp_recon.ipopt import IpoptStages, casadi_arcs
 
         variant, arcs = VARIANTS[method.formulation], casadi_arcs(mission.dynamics)
-        solver = StageSolver(mission, arcs, variant, method.algorithm == "elastic")
+        solver = IpoptStages(mission, arcs, variant, method.algorithm == "elastic")
 
         def by_ipopt(rows: P2Rows, start: Linearisation) -> tuple[Evaluation, Result]:
             stage = solver.solve("P2", rows, start)

@@ -9,9 +9,22 @@ from dataclasses import asdict
 
 import numpy as np
 
-from experiments.compare_cell import Row
 from experiments.compare_claims import AGREE, Claim, agreements, best_of, claims, of_group
+from experiments.compare_row import Row
 from scp_recon.estimates import proportion
+
+SCENARIOS_NOTE = """\
+Where a case is not solved the number is the merit with the second weight, of the burns flown: what a
+method with hard constraints leaves when it gives up may miss the final state by hundreds of metres."""
+
+GUESSES_NOTE = """\
+What does not converge from a guess is tried once more from the ballistic arc, by every method; seconds
+are those of both tries. Shares are of all guesses."""
+
+
+PEER_NOTE = """\
+Left by `experiments.openscvx_peer`; numbers after *ptr* are its weights of cost, virtual control and
+virtual buffer and the step at which it stops. All start at the ballistic arc."""
 
 
 def to_csv(rows: Sequence[Row]) -> str:
@@ -28,20 +41,27 @@ def to_csv(rows: Sequence[Row]) -> str:
 
 def to_markdown(rows: Sequence[Row]) -> str:
     """Claims, then a table per group."""
-    parts = ["# Comparison of solvers", "", *map(_claim_line, claims(rows)), ""]
-    for title, table in (
-        ("Default scenario, every method", _matrix(rows)),
-        ("P2 from the same P3 solution and facets", _scenarios(rows)),
-        ("Random guesses", _guesses(rows)),
-        ("Optima reached from random guesses", _optima(rows)),
+    parts = [
+        "# Comparison of solvers",
+        "",
+        *(f"- {claim_line(claim)}" for claim in claims(rows)),
+        "",
+    ]
+    for title, table, note in (
+        ("Default scenario, every method", _matrix(of_group(rows, "matrix")), ""),
+        ("P2 from the same P3 solution and facets", _scenarios(rows), SCENARIOS_NOTE),
+        ("Random guesses", _guesses(rows), GUESSES_NOTE),
+        ("Optima reached from random guesses", _optima(rows), ""),
+        ("P3 by OpenSCvx, an outside peer", peer_table(rows), PEER_NOTE),
     ):
-        parts += [f"## {title}", "", *table, ""]
+        parts += [f"## {title}", "", *table, "", *([note, ""] if note else [])]
     return "\n".join(parts)
 
 
-def _claim_line(claim: Claim) -> str:
+def claim_line(claim: Claim) -> str:
+    """A claim with its verdict."""
     verdict = {True: "holds", False: "DOES NOT HOLD", None: "not tested"}[claim.holds]
-    return f"- {verdict}: {claim.words}"
+    return f"{verdict}: {claim.words}"
 
 
 def _table(head: Sequence[str], body: Iterable[Sequence[str]]) -> list[str]:
@@ -54,7 +74,7 @@ def shown(row: Row) -> str:
     words = row.detail if row.detail else row.status.replace("_", " ")
     if row.problem == "P3":
         words += " (P3)"
-    return words + (", from the ballistic arc" if row.retried else "")
+    return words + (", from the ballistic arc" if row.from_arc else "")
 
 
 def _matrix(rows: Sequence[Row]) -> list[str]:
@@ -79,9 +99,14 @@ def _matrix(rows: Sequence[Row]) -> list[str]:
                 _figure(row.peak_mib, ".0f"),
                 _figure(row.observed_s, ".0f"),
             )
-            for row in of_group(rows, "matrix")
+            for row in rows
         ),
     )
+
+
+def peer_table(rows: Sequence[Row]) -> list[str]:
+    """P3 by OpenSCvx and by the planner."""
+    return _matrix(of_group(rows, "peer"))
 
 
 def _figure(value: float, form: str) -> str:
@@ -113,16 +138,18 @@ def _scenario_cell(row: Row | None) -> str:
 
 def _guesses(rows: Sequence[Row]) -> list[str]:
     head = (
-        "method", "guesses", "solved", "95 % interval", "of them at the best optimum",
-        "95 % interval", "median processor s", "90th percentile", "best delta-v m/s",
+        "method", "guesses", "solved at the first try", "95 % interval", "solved", "95 % interval",
+        "at the best optimum", "95 % interval", "median processor s", "90th percentile",
+        "best delta-v m/s",
     )  # fmt: skip
     best = best_of(of_group(rows, "guesses"))
     body = []
     for method, tries in _by_method(of_group(rows, "guesses")).items():
         solved = [row for row in tries if row.solved]
+        at_once = [row for row in solved if row.solved_at_once]
         at_best = [row for row in solved if row.total_dv_m_s <= best * (1.0 + AGREE)]
         seconds = [row.cpu_s for row in tries]
-        counts = (solved, at_best)
+        counts = (at_once, solved, at_best)
         shares = [proportion(len(count), len(tries)) for count in counts]
         cells = [
             (f"{100 * s.value:.0f} %", f"{100 * s.low:.0f} to {100 * s.high:.0f} %") for s in shares
@@ -132,8 +159,7 @@ def _guesses(rows: Sequence[Row]) -> list[str]:
             (
                 method,
                 str(len(tries)),
-                *cells[0],
-                *cells[1],
+                *(text for cell in cells for text in cell),
                 _figure(float(np.median(seconds)), ".2f"),
                 _figure(float(np.quantile(seconds, 0.9)), ".2f"),
                 _figure(own, ".6f"),

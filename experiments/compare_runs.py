@@ -1,25 +1,31 @@
 """Cells one after the other, each in a process of its own with a time limit; rows as they come.
 
-A row is a line of JSON, appended when its cell is done, so that a stopped run continues.
+A row is a line of JSON, appended when its cell is done, so that a stopped run continues. It says what
+limit it had and which sources solved it: rows of another limit or of other sources are left alone.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import multiprocessing as mp
 import resource
 import signal
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
+from functools import cache
+from importlib.metadata import version as release_of
 from math import ceil
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from pathlib import Path
 from time import process_time
 
 from experiments.compare_cases import Cell
-from experiments.compare_cell import Row, failed_row, solve_cell
+from experiments.compare_cell import solve_cell
+from experiments.compare_row import FAILED, Row, failed_row
 
-FILE_NAME = "rows.jsonl"
+FILE_NAME, PEER_NAME = "rows.jsonl", "peer.jsonl"
 PRELOADED = ["experiments.compare_cell"]
 """Imported once by the server that the cells' processes are forked from."""
 
@@ -28,11 +34,31 @@ ASLEEP = 20.0
 
 Solve = Callable[[Cell, int], Row]
 
+SOURCES = (
+    "formulations/*.py",
+    "scp_recon/*.py",
+    "scp_recon/data/*.*",
+    "experiments/compare_c[ae]*.py",
+    "experiments/unguarded.py",
+)
+"""What a row depends on."""
+
+
+@cache
+def version() -> str:
+    """Of the package, and a hash of the sources that rows depend on."""
+    root, digest = Path(__file__).parents[1], hashlib.sha256()
+    for path in sorted(path for pattern in SOURCES for path in root.glob(pattern)):
+        digest.update(path.read_bytes())
+    return f"{release_of('scp_recon')}+{digest.hexdigest()[:12]}"
+
 
 def run_cells(
     cells: Iterable[Cell], path: Path, *, flights: int, limit_s: float, solve: Solve = solve_cell
 ) -> Iterator[Row]:
     """Rows of the cells, from the file where they are there, else solved and appended to it.
+
+    What failed before its limit is tried again.
 
     Args:
         cells: what to solve.
@@ -41,25 +67,39 @@ def run_cells(
         limit_s: seconds of the processor that a cell may take, its estimate included.
         solve: what solves one; a function of a module.
     """
-    known = read_rows(path)
+    known = read_rows(path, limit_s)
     context = mp.get_context("forkserver")
     context.set_forkserver_preload(PRELOADED)
+    _start_server()
     with path.open("a+", encoding="utf-8") as file:
-        if known:
+        if file.tell():
             file.write("\n")  # after a line that was cut off; empty lines are no rows
         for cell in cells:
             row = known.get(cell.key)
-            if row is None:
+            if row is None or (row.status == FAILED and not row.cpu_s >= limit_s):
                 receive, send = context.Pipe(duplex=False)
                 process = context.Process(target=_work, args=(send, solve, cell, flights, limit_s))
                 row = _row_of(process, receive, send, cell, limit_s)
+                row = replace(row, limit_s=limit_s, version=version())
                 file.write(json.dumps(asdict(row)) + "\n")
                 file.flush()
             yield row
 
 
-def read_rows(path: Path) -> dict[str, Row]:
-    """Complete rows of a file by key; none if there is no file. The last one of a key counts."""
+def _start_server() -> None:
+    """What cells are forked from, deaf to Ctrl-C: it would die of it with a traceback."""
+    heard = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.signal(signal.SIGINT, heard)
+
+
+def read_rows(path: Path, limit_s: float) -> dict[str, Row]:
+    """Complete rows of a file by key, of these sources and this limit; none if there is no file.
+
+    The last one of a key counts.
+    """
     rows: dict[str, Row] = {}
     if not path.exists():
         return rows
@@ -69,7 +109,8 @@ def read_rows(path: Path) -> dict[str, Row]:
             row = Row(**entries | {"burns_m_s": tuple(entries["burns_m_s"])})
         except (ValueError, TypeError, KeyError):
             continue  # cut off, or of another version of this study
-        rows[row.key] = row
+        if row.limit_s == limit_s and row.version == version():
+            rows[row.key] = row
     return rows
 
 
@@ -80,6 +121,8 @@ def _work(send: Connection, solve: Solve, cell: Cell, flights: int, limit_s: flo
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     try:
         send.send(solve(cell, flights))
+    except BrokenPipeError:  # nobody waits for it any more
+        return
     except Exception as error:  # a solver's, or ours: the row says which
         send.send(failed_row(cell, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"))
 

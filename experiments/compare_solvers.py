@@ -5,24 +5,30 @@ Rows, table and figures are left in OUT; a run that was stopped continues with t
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from experiments.compare_cases import Cell, full_design, quick_design
-from experiments.compare_cell import FAILED, Row
 from experiments.compare_claims import claims
-from experiments.compare_report import shown, to_csv, to_markdown
-from experiments.compare_runs import FILE_NAME, run_cells
-from scp_recon.command import guarded
+from experiments.compare_report import claim_line, shown, to_csv, to_markdown
+from experiments.compare_row import FAILED, Row
+from experiments.compare_runs import FILE_NAME, PEER_NAME, read_rows, run_cells
 from scp_recon.errors import InputError
-from scp_recon.solution import write_atomically
+from scp_recon.files import write_atomically
 
-DEFAULT_OUT = Path("runs") / "comparison"
+DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
+REPORT_NAME = "comparison.md"
 FLIGHTS, LIMIT_S, QUICK_LIMIT_S = 2_000, 30.0, 20.0
 
 
@@ -35,9 +41,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--out",
         type=Path,
-        default=DEFAULT_OUT,
         metavar="DIR",
-        help=f"folder for the rows, the table and the figures (default: {DEFAULT_OUT})",
+        help="folder for the rows, the table and the figures "
+        f"(default: {DEFAULT_OUT}, with --quick {QUICK_OUT})",
     )
     p.add_argument(
         "--fresh", action="store_true", help="forget the rows that are there instead of going on"
@@ -59,18 +65,22 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         raise InputError(
             "the comparison", f"no {error.name}", "install the extra scp_recon[compare]"
         ) from None
-    out: Path = options.out
+    out: Path = options.out or (QUICK_OUT if options.quick else DEFAULT_OUT)
     out.mkdir(parents=True, exist_ok=True)
     if options.fresh:
         (out / FILE_NAME).unlink(missing_ok=True)
     cells = quick_design() if options.quick else full_design()
     limit_s = QUICK_LIMIT_S if options.quick else LIMIT_S
     rows = _rows(console, cells, out / FILE_NAME, limit_s)
+    rows += read_rows(out / PEER_NAME, inf).values()
     for claim in claims(rows):
-        verdict = {True: "holds", False: "DOES NOT HOLD", None: "not tested"}[claim.holds]
-        console.print(f"{verdict}: {claim.words}", highlight=False, soft_wrap=True)
+        console.print(claim_line(claim), highlight=False, soft_wrap=True)
     for path in _write(rows, out):
         console.print(f"written: {path}", highlight=False, soft_wrap=True)
+    words = f"The tables are in {out / REPORT_NAME}, the figures beside it."
+    if options.quick:
+        words += " A quick run shows a few cells of each kind: only --full settles the claims."
+    console.print(words, highlight=False, soft_wrap=True)
     return 0
 
 
@@ -98,7 +108,7 @@ def _write(rows: Sequence[Row], out: Path) -> list[Path]:
     from paper_figs import solver_comparison
 
     table = write_atomically(out / "comparison.csv", to_csv(rows))
-    report = write_atomically(out / "comparison.md", to_markdown(rows))
+    report = write_atomically(out / REPORT_NAME, to_markdown(rows))
     return [table, report, *solver_comparison.save_all(table, out)]
 
 

@@ -106,13 +106,13 @@ def tricks() -> list[Trick]:
 
 def measure(mission: Mission, chosen: Sequence[Trick], tell: Callable[[str], None]) -> list[Row]:
     """Solve P2 with each, from the same P3 solution."""
-    from scp_recon.ipopt import StageSolver, casadi_arcs
+    from scp_recon.ipopt import IpoptStages, casadi_arcs
 
     start = plan(mission, guess.cold(mission), problem="P3").final.result.lin
     arcs = casadi_arcs(mission.dynamics)
     rows: list[Row] = []
     for trick in chosen:
-        solver = StageSolver(mission, arcs, trick.variant)
+        solver = IpoptStages(mission, arcs, trick.variant)
         begin = process_time()
         stage = solver.solve("P2", solver.facet_rows(start), start)
         run = stage.runs[-1]

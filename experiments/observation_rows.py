@@ -17,11 +17,12 @@ from formulations.subproblem import Evaluation
 from scp_recon import guess
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
-from scp_recon.planner import Plan, Stage, plan
+from scp_recon.planner import plan
 from scp_recon.results import make_solution
 from scp_recon.scp import Result, Timing
 from scp_recon.scvx import TrustRegion
 from scp_recon.solution import Solution
+from scp_recon.stages import Plan, Stage
 from scp_recon.status import Status
 
 Array = npt.NDArray[np.float64]

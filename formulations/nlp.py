@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from formulations.facets import Facets
+from formulations.interrupts import noticing_interrupts
 from formulations.nlp_multiple_shooting import MultipleShooting
 from formulations.nlp_program import Arcs, Assembled, Start, Transcription, assemble
 from formulations.nlp_single_shooting import SingleShooting
@@ -126,8 +127,6 @@ OUTCOMES = {
     "Maximum_CpuTime_Exceeded": NlpOutcome.LIMIT,
     "Maximum_WallTime_Exceeded": NlpOutcome.LIMIT,
     "User_Requested_Stop": NlpOutcome.INTERRUPTED,
-    # What becomes of Ctrl-C in CasADi's callbacks.
-    "NonIpopt_Exception_Thrown": NlpOutcome.INTERRUPTED,
 }
 
 
@@ -204,7 +203,9 @@ def solve_nlp(
     solver = _solver(nlp, variant.p2 if uncertain else variant.p3)
     build_s = perf_counter() - begin
     begin = perf_counter()
-    answer = solver(x0=nlp.start, lbx=nlp.lower, lbg=0.0, ubg=nlp.rows_upper)
+    with noticing_interrupts() as interrupted:
+        answer = solver(x0=nlp.start, lbx=nlp.lower, lbg=0.0, ubg=nlp.rows_upper)
+        seen = interrupted()
     solve_s = perf_counter() - begin
     stats = solver.stats()
     point = np.array(answer["x"]).ravel()[: program.unknowns.numel()]
@@ -212,7 +213,7 @@ def solve_nlp(
     lines = zip(*(log.get(key, ()) for key in ("obj", "inf_pr", "d_norm")), strict=True)
     return NlpResult(
         iterate=program.iterate(point),
-        outcome=OUTCOMES.get(stats["return_status"], NlpOutcome.FAILED),
+        outcome=_outcome(stats["return_status"], interrupted=seen),
         status=stats["return_status"],
         objective=float(answer["f"]),
         iterations=tuple(NlpIteration(*line) for line in lines),
@@ -222,6 +223,13 @@ def solve_nlp(
         solve_s=solve_s,
         evaluate_s=sum(s for name, s in stats.items() if name.startswith("t_wall_nlp_")),
     )
+
+
+def _outcome(status: str, *, interrupted: bool) -> NlpOutcome:
+    """What IPOPT's status means; Ctrl-C ends as an exception in it, as others may."""
+    if status == "NonIpopt_Exception_Thrown" and interrupted:
+        return NlpOutcome.INTERRUPTED
+    return OUTCOMES.get(status, NlpOutcome.FAILED)
 
 
 def _solver(nlp: Assembled, settings: Settings) -> ca.Function:

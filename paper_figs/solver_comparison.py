@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, save
 from scp_recon.estimates import proportion
@@ -73,7 +74,7 @@ def _keys(axes: Axes, rows: Sequence[Row]) -> None:
 
 
 def draw_guesses(rows: Sequence[Row]) -> Figure:
-    """Random guesses: shares solved with intervals, and where the solved ones end."""
+    """Random guesses: shares solved with intervals, at the first try below, and where they end."""
     chosen = [row for row in rows if row["group"] == "guesses"]
     methods = list(dict.fromkeys(row["method"] for row in chosen))[::-1]
     best = min((float(row["total_dv_m_s"]) for row in chosen if solved(row)), default=np.nan)
@@ -83,9 +84,13 @@ def draw_guesses(rows: Sequence[Row]) -> Figure:
         for y, method in enumerate(methods):
             tries = [row for row in chosen if row["method"] == method]
             ends = np.array([float(row["total_dv_m_s"]) for row in tries if solved(row)])
-            share = proportion(len(ends), len(tries))
-            left.plot([share.low, share.high], [y, y], color="C0", solid_capstyle="butt", lw=4)
-            left.plot(share.value, y, "o", color="k", markersize=4)
+            at_once = sum(solved(row) and not row["first_status"] for row in tries)
+            for count, level, colour in ((len(ends), y, "C0"), (at_once, y - 0.2, "C1")):
+                share, height = proportion(count, len(tries)), [level, level]
+                left.plot(
+                    [share.low, share.high], height, color=colour, solid_capstyle="butt", lw=4
+                )
+                left.plot(share.value, level, "o", color="k", markersize=4, clip_on=False)
             at_best = int((ends <= best * (1.0 + SAME)).sum())
             right.plot(ends / best - 1.0, np.full(len(ends), y), "|", color="C0", markersize=12)
             right.annotate(
@@ -98,14 +103,22 @@ def draw_guesses(rows: Sequence[Row]) -> Figure:
             )
         left.set(xlim=(0.0, 1.0), xlabel="share solved, 95 % interval")
         left.set_yticks(range(len(methods)), methods)
+        left.set_ylim(-0.5, len(methods) - 0.2)
+        for name, colour in (("solved", "C0"), ("at the first try", "C1")):
+            left.plot([], [], color=colour, lw=4, label=name)
+        left.legend(fontsize=LEGEND_PT, loc="upper left")
         right.set(xlabel="total delta-v over the best, less one")
-        right.set_xlim(left=-0.005, right=max(0.05, right.get_xlim()[1]))
+        span = max(1e-3, right.get_xlim()[1])
+        right.set_xlim(-0.1 * span, 1.1 * span)
+        right.xaxis.set_major_locator(MaxNLocator(4))
     return figure
 
 
 def draw_scenarios(rows: Sequence[Row]) -> Figure:
     """Delta-v against the probability asked and against the execution error, frozen forms beside."""
-    chosen = [row for row in rows if row["group"] == "scenarios"]
+    chosen = [
+        row for row in rows if row["group"] == "scenarios" and row["algorithm"] != "unguarded"
+    ]
     methods = list(dict.fromkeys(row["method"] for row in chosen))
     panels = (("p_chance", 0.7, "p_chance"), ("beta", 0.08, "execution error, 1 sigma"))
     with style.context(STYLE):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Literal
 
@@ -19,9 +19,10 @@ from formulations.subproblem import Evaluation
 from scp_recon.dynamics import Dynamics
 from scp_recon.forces import acceleration
 from scp_recon.mission import Mission
-from scp_recon.planner import CLEARANCE_M, Observer, Plan, Stage
+from scp_recon.planner import CLEARANCE_M
 from scp_recon.scp import Record, Result, Timing
 from scp_recon.scvx import TrustRegion
+from scp_recon.stages import Observer, Plan, Stage, finish, solve_in_stages
 from scp_recon.status import Status
 
 
@@ -66,6 +67,8 @@ def plan(
 ) -> Plan:
     """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
+    What does not converge is tried once more from the ballistic arc, as `Planner.plan` does.
+
     Args:
         mission: what to plan.
         guess: initial iterate, which may have defects.
@@ -77,36 +80,53 @@ def plan(
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
-    started = perf_counter()
-    solver = StageSolver(mission, casadi_arcs(mission.dynamics), VARIANTS[variant], elastic)
-    stages: list[Stage] = []
+    arcs = casadi_arcs(mission.dynamics)
+    work = _Work(IpoptStages(mission, arcs, VARIANTS[variant], elastic), mission, observe)
+    return finish(work, lambda: solve_in_stages(work, guess, problem))
 
-    def solve(name: str, rows: Rows, start: Linearisation) -> NlpStage:
-        stage = solver.solve(name, rows, start)
-        stages.append(stage)
+
+@dataclass
+class _Work:
+    """What accumulates while the stages of one plan are solved."""
+
+    solver: IpoptStages
+    mission: Mission
+    observe: Observer | None
+    stages: list[Stage] = field(default_factory=list)
+    timing: Timing = field(default_factory=Timing)
+
+    def solve_p3(self, guess: Iterate, name: str) -> Stage:
+        """P3 from a guess."""
+        dynamics, flyby = self.mission.dynamics, self.mission.problem
+        return self._run(name, P3Rows(flyby), dynamics.linearise(flyby, guess))
+
+    def solve_p2(self, p3: Stage) -> Stage:
+        """P2, again with the facets that were left out of the program where they turn out missed."""
+        name, lin = p3.name.replace("P3", "P2"), p3.result.lin
+        rows = self.solver.facet_rows(lin)
+        while True:
+            stage = self._run(name, rows, lin)
+            lin = stage.result.lin
+            missed = rows.missed(lin, stage.tolerance)
+            if not missed.any():
+                return stage
+            rows = P2Rows(self.mission.problem, rows.facets, rows.included | missed)
+
+    def _run(self, name: str, rows: Rows, start: Linearisation) -> Stage:
+        """One stage; an interrupted one ends the work."""
+        stage = self.solver.solve(name, rows, start)
+        self.stages.append(stage)
+        self.timing.add(stage.result.timing)
         for record in stage.result.records:
-            if observe:
-                observe(name, record)
+            if self.observe:
+                self.observe(name, record)
+        if stage.result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
         return stage
-
-    dynamics, flyby = mission.dynamics, mission.problem
-    final = solve("P3", P3Rows(flyby), dynamics.linearise(flyby, guess))
-    if problem == "P2" and final.result.status is not Status.INTERRUPTED:
-        rows = solver.facet_rows(final.result.lin)
-        final = solve("P2", rows, final.result.lin)
-        missed = rows.missed(final.result.lin, final.tolerance)
-        while missed.any() and final.result.status is not Status.INTERRUPTED:
-            rows = P2Rows(flyby, rows.facets, rows.included | missed)
-            final = solve("P2", rows, final.result.lin)
-            missed = rows.missed(final.result.lin, final.tolerance)
-    timing = Timing()
-    for stage in stages:
-        timing.add(stage.result.timing)
-    return Plan(mission, tuple(stages), final, timing, perf_counter() - started)
 
 
 @dataclass(frozen=True)
-class StageSolver:
+class IpoptStages:
     """One stage by IPOPT: what the planner does by sequential convex programming.
 
     Attributes:

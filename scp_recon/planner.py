@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from time import perf_counter
 from typing import Final, Literal
@@ -16,16 +15,12 @@ from formulations.lifting import Linearisation
 from formulations.problem import Iterate
 from formulations.regions import Array
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Evaluation, Subproblem
+from formulations.subproblem import Subproblem
 from scp_recon.algorithms import ALGORITHMS
-from scp_recon.errors import InputError
-from scp_recon.guess import ballistic
 from scp_recon.mission import Mission
-from scp_recon.scp import Record, Result, Timing, run
-from scp_recon.scvx import TrustRegion
+from scp_recon.scp import Record, Timing, run
+from scp_recon.stages import Observer, Plan, Stage, better, finish, solve_in_stages
 from scp_recon.status import Status
-
-Observer = Callable[[str, Record], None]
 
 PROGRAM_NODES_MAX = 48
 """Nodes in CVXPY's program of P2 to begin with: its memory grows with them times the factor."""
@@ -35,41 +30,6 @@ CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 
 The second figure is for starting at a solution of P2, which moves less than one of P3.
 """
-
-
-OTHER_OPTIMUM = 0.999
-"""Share of a merit below which another run has found another optimum."""
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A run of the SCP on one problem.
-
-    Attributes:
-        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
-            that began again at the ballistic arc.
-        result: how it ended and where.
-        subproblem: of which it was; it knows the constraints' margins.
-        facets: of P2, None for P3.
-        tolerance: violation that counted as none.
-    """
-
-    name: str
-    result: Result
-    subproblem: Evaluation
-    facets: Facets | None
-    tolerance: float
-
-
-@dataclass(frozen=True)
-class Plan:
-    """All stages of planning a mission; the one in `stages` that `final` names holds the answer."""
-
-    mission: Mission
-    stages: tuple[Stage, ...]
-    final: Stage
-    timing: Timing
-    total_s: float
 
 
 def plan(
@@ -125,9 +85,7 @@ class Planner:
     ) -> Plan:
         """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-        Where P3 does not converge from the guess it is tried once more from the ballistic arc; and so
-        it is where P2 does not converge, because P3 may have stopped at a local optimum from which
-        there is no way.
+        What does not converge is tried once more from the ballistic arc: see `solve_in_stages`.
 
         Args:
             guess: initial iterate, which may have defects.
@@ -136,27 +94,8 @@ class Planner:
                 round is kept only while it lowers the merit, so that facets cannot cycle.
             observe: called after each iteration with the stage's name and the record.
         """
-        work = _Work(self, self.mission, observe)
-
-        def stages() -> Stage:
-            p3 = first = work.solve_p3(guess)
-            if p3.result.status is not Status.CONVERGED:
-                p3 = work.retry_p3(first)
-            if problem == "P3" or p3.result.status is Status.SOLVER_FAILED:
-                return p3
-            final = work.solve_p2_in_rounds(p3, facet_rounds)
-            if (
-                final.result.status is Status.CONVERGED
-                or first.result.status is not Status.CONVERGED
-            ):
-                return final
-            p3 = work.retry_p3(first)
-            if _merit(p3) > OTHER_OPTIMUM * _merit(first):
-                return final
-            again = work.solve_p2_in_rounds(p3, facet_rounds)
-            return again if _better(again, final) else final
-
-        return work.done(stages)
+        work = _Work(self, self.mission, observe, facet_rounds)
+        return finish(work, lambda: solve_in_stages(work, guess, problem))
 
     def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.
@@ -183,7 +122,7 @@ class Planner:
         mission = self.mission.with_initial_state(initial_state)
         work = _Work(self, mission, observe)
         final = last.final
-        return work.done(lambda: work.solve_p2_again(final))
+        return finish(work, lambda: work.solve_p2_again(final))
 
     @cached_property
     def p3_rows(self) -> P3Rows:
@@ -220,19 +159,9 @@ class _Work:
     planner: Planner
     mission: Mission
     observe: Observer | None
+    facet_rounds: int = 0
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
-
-    def done(self, work: Callable[[], Stage]) -> Plan:
-        """Do it; an interrupted plan ends with the best stage so far."""
-        started = perf_counter()
-        try:
-            final = work()
-        except KeyboardInterrupt:
-            if not self.stages:
-                raise
-            final = self.interrupted()
-        return Plan(self.mission, tuple(self.stages), final, self.timing, perf_counter() - started)
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearised at a guess; whatever it says, the flight starts where the problem does."""
@@ -241,34 +170,22 @@ class _Work:
         mean[0, 3:] += guess.burns[0]
         return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
 
-    def solve_p3(self, guess: Iterate, name: str = "P3") -> Stage:
+    def solve_p3(self, guess: Iterate, name: str) -> Stage:
         """P3 from a guess."""
         return self._run(name, self.planner.p3_rows, self.start(guess), None)
 
-    def retry_p3(self, failed: Stage) -> Stage:
-        """P3 once more from the ballistic arc; the better of the two.
-
-        A straight line may pass through the body's centre, where nothing can be linearised.
-        """
-        try:
-            guess = ballistic(self.mission)
-        except InputError:
-            return failed
-        again = self.solve_p3(guess, "P3b")
-        return again if _better(again, failed) else failed
-
-    def solve_p2_in_rounds(self, p3: Stage, rounds: int) -> Stage:
+    def solve_p2(self, p3: Stage) -> Stage:
         """P2 from a solution of P3, and again with new facets as long as that helps."""
         name = p3.name.replace("P3", "P2")
-        final = self.solve_p2(name, p3.result.lin)
-        for round_ in range(2, rounds + 2):
-            again = self.solve_p2(f"{name}.{round_}", final.result.lin)
-            if not _better(again, final):
+        final = self._solve_p2(name, p3.result.lin)
+        for round_ in range(2, self.facet_rounds + 2):
+            again = self._solve_p2(f"{name}.{round_}", final.result.lin)
+            if not better(again, final):
                 break
             final = again
         return final
 
-    def solve_p2(self, name: str, lin: Linearisation) -> Stage:
+    def _solve_p2(self, name: str, lin: Linearisation) -> Stage:
         """P2 with the facets chosen at the start."""
         mission = self.mission
         facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
@@ -308,22 +225,3 @@ class _Work:
         if result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         return self.stages[-1]
-
-    def interrupted(self) -> Stage:
-        """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
-        solved = [s for s in self.stages if s.facets and s.result.status is Status.CONVERGED]
-        best = (solved or self.stages)[-1]
-        if best.facets is None:
-            best = min(self.stages, key=_merit)
-        return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
-
-
-def _better(new: Stage, old: Stage) -> bool:
-    """Whether a run is worth keeping instead: first converged, then cheaper."""
-    if new.result.status is not old.result.status:
-        return new.result.status is Status.CONVERGED
-    return _merit(new) < _merit(old)
-
-
-def _merit(stage: Stage) -> float:
-    return stage.subproblem.merit(stage.result.lin, TrustRegion().weight)

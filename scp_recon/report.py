@@ -12,10 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from scp_recon.mission import Mission
-from scp_recon.planner import Observer
 from scp_recon.results import iteration_record
 from scp_recon.scp import Record
 from scp_recon.solution import Solution, Verification
+from scp_recon.stages import Observer
 from scp_recon.status import Status
 
 

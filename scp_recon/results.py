@@ -8,7 +8,6 @@ import numpy as np
 
 from formulations.rows import Margins
 from scp_recon.mission import Mission
-from scp_recon.planner import Plan, Stage
 from scp_recon.scp import Record
 from scp_recon.solution import (
     Burn,
@@ -23,6 +22,7 @@ from scp_recon.solution import (
     Violation,
     ViolationAmount,
 )
+from scp_recon.stages import Plan, Stage
 
 FINAL_STATE = "final_state"
 

@@ -22,11 +22,12 @@ from scp_recon.algorithms import ALGORITHMS
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission import Mission
-from scp_recon.planner import Observer, Plan, plan
+from scp_recon.planner import plan
 from scp_recon.results import make_solution
 from scp_recon.scenario import base_names, load_scenario, validate_scenario
 from scp_recon.scenario_schema import Scenario
 from scp_recon.solution import FILE_NAME, Solution, read_solution
+from scp_recon.stages import Observer, Plan
 from scp_recon.status import Status
 from scp_recon.verification import verify
 

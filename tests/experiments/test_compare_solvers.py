@@ -8,11 +8,12 @@ import json
 import os
 from dataclasses import asdict, replace
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
 
-from experiments import compare_solvers
+from experiments import compare_runs, compare_solvers
 from experiments.compare_cases import (
     ELASTIC,
     REFERENCE,
@@ -23,18 +24,24 @@ from experiments.compare_cases import (
     full_design,
     quick_design,
     random_guess,
+    scenarios,
 )
-from experiments.compare_cell import FAILED, Row, failed_row, solve_cell
+from experiments.compare_cell import solve_cell
 from experiments.compare_claims import FROZEN, agreements, claims
-from experiments.compare_report import to_csv, to_markdown
+from experiments.compare_report import shown, to_csv, to_markdown
+from experiments.compare_row import FAILED, Row, failed_row
 from experiments.compare_runs import FILE_NAME, Solve, read_rows, run_cells
 from scp_recon import guess
+from scp_recon.algorithms import ALGORITHMS
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
+from scp_recon.scenario import load_scenario
 
 FIGURES = ("total_dv_m_s", "merit_m_s", "heavy_merit_m_s", "violation_m", "total_s", "cpu_s")
 FIGURES += ("solver_s", "peak_mib", "observed_s")
 CELLS = [Cell("matrix", "recon_b", (), REFERENCE, "random", seed) for seed in range(3)]
+LIMIT_S = 2.0
+UNGUARDED_FROZEN = Method("frozen-covariance", UNGUARDED, "CLARABEL")
 
 
 def fine(cell: Cell, flights: int) -> Row:
@@ -56,7 +63,7 @@ def works_for_ever(cell: Cell, flights: int) -> Row:
 
 
 def collect(path: Path, solve: Solve, cells: list[Cell] = CELLS) -> list[Row]:
-    return list(run_cells(cells, path, flights=5, limit_s=2.0, solve=solve))
+    return list(run_cells(cells, path, flights=5, limit_s=LIMIT_S, solve=solve))
 
 
 # --- cells and rows -----------------------------------------------------------------------------
@@ -78,14 +85,35 @@ def test_a_cell_that_fails_is_a_row(tmp_path: Path, solve: Solve, words: str) ->
 
 def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
     path = tmp_path / FILE_NAME
-    first = next(iter(run_cells(CELLS, path, flights=5, limit_s=2.0, solve=fine)))
+    first = next(iter(run_cells(CELLS, path, flights=5, limit_s=LIMIT_S, solve=fine)))
     with path.open("a") as file:
         file.write(json.dumps(asdict(first))[:40])  # killed while it wrote the second
     rows = collect(path, raises)
     assert rows[0] == first
     assert [row.status for row in rows] == ["converged", FAILED, FAILED]
-    assert [row.detail for row in collect(path, dies)] == [row.detail for row in rows]
-    assert list(read_rows(path)) == [cell.key for cell in CELLS]
+    assert list(read_rows(path, LIMIT_S)) == [cell.key for cell in CELLS]
+
+
+def test_what_failed_is_tried_again_but_for_what_ran_into_its_limit(tmp_path: Path) -> None:
+    path = tmp_path / FILE_NAME
+    collect(path, raises)
+    assert {row.status for row in collect(path, fine)} == {"converged"}
+    for solve in (works_for_ever, fine):
+        (row,) = collect(tmp_path / "other", solve, CELLS[:1])
+        assert row.detail == "no end after 2 s"
+
+
+def test_rows_of_another_limit_or_of_other_sources_are_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / FILE_NAME
+    collect(path, fine)
+    assert not read_rows(path, LIMIT_S + 1.0)
+    longer = list(run_cells(CELLS, path, flights=6, limit_s=LIMIT_S + 1.0, solve=fine))
+    assert [row.total_s for row in longer] == [6.0] * 3
+    assert [row.total_s for row in collect(path, raises)] == [5.0] * 3
+    monkeypatch.setattr(compare_runs, "version", lambda: "another")
+    assert not read_rows(path, LIMIT_S)
 
 
 def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
@@ -163,7 +191,8 @@ AGREEING = [
     row_of("a", TUNED, 0.140001),
     row_of("a", FROZEN[0], 0.141),
     row_of("a", FROZEN[1], 0.13, "stalled"),
-    row_of("a", Method("frozen-covariance", UNGUARDED, "CLARABEL"), 0.13, "infeasible"),
+    row_of("a", Method("condensed", UNGUARDED, "CLARABEL"), 0.14),
+    row_of("a", UNGUARDED_FROZEN, 0.13, "infeasible"),
     row_of("b", REFERENCE, 5.0, "infeasible"),
     row_of("b", TUNED, 0.1, FAILED),
     row_of("b", ELASTIC, 5.0001, "infeasible"),
@@ -174,12 +203,28 @@ def verdicts(rows: list[Row]) -> list[bool | None]:
     return [claim.holds for claim in claims(rows)]
 
 
+def trio(scenario: str, **other: tuple[float, str]) -> list[Row]:
+    """The three algorithms at 0.14 m/s but for those that are given."""
+    ends = dict.fromkeys(ALGORITHMS, (0.14, "converged"))
+    ends |= {name.replace("_", "-"): end for name, end in other.items()}
+    return [row_of(scenario, Method("condensed", a, "CLARABEL"), *end) for a, end in ends.items()]
+
+
 def test_claims_hold_where_the_rows_say_so() -> None:
-    assert verdicts(AGREEING) == [True, True, True, True, True, None, None]
+    assert verdicts(AGREEING) == [True, True, True, True, True, None, None, None]
 
 
 def test_without_rows_nothing_is_claimed() -> None:
-    assert set(verdicts([])) <= {None, False}
+    assert set(verdicts([])) == {None}
+
+
+def test_one_case_shows_what_no_part_of_the_scenarios_denies() -> None:
+    kept = [row for row in AGREEING if row.method != UNGUARDED_FROZEN.name]
+    assert verdicts(kept)[4] is None
+    feasible = row_of("a", UNGUARDED_FROZEN, 0.14)
+    assert verdicts([*kept, feasible])[4] is None
+    every = [replace(row, scenario=name) for name in scenarios() for row in [*kept[:5], feasible]]
+    assert verdicts(every)[4] is False
 
 
 def test_another_optimum_is_flagged_and_breaks_the_claim() -> None:
@@ -192,9 +237,17 @@ def test_another_optimum_is_flagged_and_breaks_the_claim() -> None:
 
 
 def test_algorithms_that_disagree_break_the_claim() -> None:
-    ptr = Method("condensed", "ptr", "CLARABEL")
-    assert verdicts([*AGREEING, row_of("a", ptr, 0.14001)])[5] is True
-    assert verdicts([*AGREEING, row_of("a", ptr, 0.1401)])[5] is False
+    assert verdicts(trio("a", ptr=(0.14001, "converged")))[5] is True
+    assert verdicts(trio("a", ptr=(0.1401, "converged")))[5] is False
+    assert verdicts(trio("a")[:2])[5] is None
+
+
+def test_who_does_not_solve_what_others_solve_is_named_and_breaks_the_claim() -> None:
+    hopeless = dict.fromkeys(("scvx", "ptr", "scvx_star"), (1.0, "infeasible"))
+    claim = claims([*trio("a"), *trio("b", ptr=(0.1, "stalled")), *trio("c", **hopeless)])[5]
+    assert claim.holds is False
+    assert "in 1 of 3 cases" in claim.words
+    assert "only some solve: b (ptr stalled); none solves: c (infeasible)" in claim.words
 
 
 def test_the_share_of_solved_guesses_comes_with_its_interval() -> None:
@@ -202,7 +255,42 @@ def test_the_share_of_solved_guesses_comes_with_its_interval() -> None:
     solved = [replace(fine(cell, 0), total_dv_m_s=0.14) for cell in cells[:40]]
     text = to_markdown([*solved, *(failed_row(cell, "no") for cell in cells[40:])])
     # Clopper-Pearson for 40 of 50, from tables.
-    assert "| 50 | 80 % | 66 to 90 % |" in text
+    assert "| 50 | 80 % | 66 to 90 % | 80 % | 66 to 90 % |" in text
+
+
+def test_what_a_second_try_solves_is_not_solved_at_the_first(mission: Mission) -> None:
+    """This path leads P3 to an optimum from which P2 is infeasible."""
+    cell = Cell("guesses", "recon_b", (), REFERENCE, "random", 0)
+    row = solve_cell(cell, 0)
+    assert row.solved
+    assert not row.solved_at_once
+    assert (row.first_status, row.from_arc) == ("infeasible", True)
+    assert shown(row) == "converged, from the ballistic arc"
+    assert "| 1 | 0 % | 0 to 98 % | 100 % |" in to_markdown([row])
+    assert (
+        plan(mission, random_guess(mission, 0)).stages[1].result.status.value.name == "infeasible"
+    )
+
+
+def test_a_second_try_that_was_discarded_is_not_named() -> None:
+    row = replace(fine(CELLS[0], 0), status="infeasible", first_status="infeasible")
+    assert shown(row) == "infeasible"
+
+
+def test_burns_of_a_program_that_gave_up_are_flown_before_their_merit() -> None:
+    """With gaps between its arcs an iterate may look cheaper than any flight."""
+    pytest.importorskip("casadi")
+    from formulations.nlp import EXACT, VARIANTS
+
+    brief = replace(VARIANTS["tuned"], p2=replace(EXACT, max_iterations=5))
+    with mock.patch.dict(VARIANTS, tuned=brief):
+        row = solve_cell(Cell("scenarios", "recon_b", (), TUNED, "p3"), 0)
+    mission = Mission.from_scenario(load_scenario())
+    burns = np.reshape(row.burns_m_s, (-1, 3)) / mission.units.speed_m_s
+    end = mission.dynamics.rollout(mission.problem.initial_state, burns)[-1]
+    miss = np.abs(end - mission.problem.final_state)
+    assert row.status == "max_iterations"
+    assert row.violation_m >= miss.max() * mission.units.length_m * (1.0 - 1e-6)
 
 
 def test_the_csv_has_a_line_for_every_row() -> None:
@@ -225,5 +313,6 @@ def test_the_command_leaves_table_and_figures_and_takes_up_its_rows(
         assert "1/1" in printed.getvalue()
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"comparison.csv", "comparison.md", "comparison_times.png", FILE_NAME}
-    assert len(read_rows(tmp_path / FILE_NAME)) == 1
+    assert len(read_rows(tmp_path / FILE_NAME, compare_solvers.QUICK_LIMIT_S)) == 1
+    assert "only --full settles" in " ".join(printed.getvalue().split())
     assert len((tmp_path / FILE_NAME).read_text().split()) > 1

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from experiments import openscvx_peer
+from experiments import compare_solvers, openscvx_peer, openscvx_problem
+from experiments.compare_runs import PEER_NAME
 from scp_recon import guess
 from scp_recon.mission import Mission
 
@@ -25,15 +28,26 @@ def test_without_it_the_command_names_the_extra(
 
 def test_our_row_flies_the_burns_that_it_reports(mission: Mission) -> None:
     row = openscvx_peer.our_row(mission, guess.ballistic(mission), "scvx", "CLARABEL")
-    figures = dict(zip(openscvx_peer.HEAD, row, strict=True))
-    assert figures["status"] == "converged"
-    assert float(figures["delta-v m/s"]) == pytest.approx(0.107723, abs=2e-6)
-    assert float(figures["miss m"]) < 1e-3
-    assert float(figures["worst margin m"]) == pytest.approx(0.0, abs=0.01)
+    assert (row.group, row.problem, row.status) == ("peer", "P3", "converged")
+    assert row.total_dv_m_s == pytest.approx(0.107723, abs=2e-6)
+    assert row.merit_m_s == pytest.approx(row.total_dv_m_s, rel=1e-6)
+    assert row.violation_m < 1e-3
+
+
+def test_its_rows_are_taken_into_the_comparison(
+    tmp_path: Path, mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("casadi")
+    row = openscvx_peer.our_row(mission, guess.ballistic(mission), "ptr", "QOCO")
+    (tmp_path / PEER_NAME).write_text(json.dumps(asdict(row)) + "\n")
+    monkeypatch.setattr(compare_solvers, "quick_design", tuple)
+    assert compare_solvers.main(["--quick", "--out", str(tmp_path)]) == 0
+    assert row.key in (tmp_path / "comparison.csv").read_text()
+    assert "| condensed/ptr/QOCO | converged (P3) |" in (tmp_path / "comparison.md").read_text()
 
 
 @pytest.mark.skipif(MISSING, reason="OpenSCvx is not installed")
 def test_its_problem_has_the_planners_nodes_and_burns(mission: Mission) -> None:
-    problem = openscvx_peer.pose(mission, guess.ballistic(mission))
+    problem = openscvx_problem.pose(mission, guess.ballistic(mission), 5)
     assert problem.arguments["N"] < len(mission.times_s)
     assert len(problem.burn_nodes) == mission.problem.n_burns

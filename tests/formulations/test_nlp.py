@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -12,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from formulations import nlp
 from formulations.facets import Facets
 from formulations.lifting import Linearisation
 from formulations.nlp import (
@@ -355,6 +358,20 @@ def test_the_three_stages_give_a_solution(
     assert not solution.violation.by_constraint
 
 
+def test_what_does_not_converge_begins_again_at_the_ballistic_arc(
+    default: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the planner has it; here P3 is given too few iterations, so that neither try converges."""
+    brief = replace(VARIANTS["shooting"], p3=replace(EXACT, max_iterations=3))
+    monkeypatch.setitem(VARIANTS, "shooting", brief)
+    result = ipopt.plan(default.mission, guess.cold(default.mission), variant="shooting")
+    names = [stage.name for stage in result.stages]
+    assert names[:2] == ["P3", "P3b"]
+    assert set(names[2:]) <= {"P2", "P2b"}
+    first, again = result.stages[0].result.lin, result.stages[1].result.lin
+    assert np.abs(first.iterate.burns - again.iterate.burns).max() > 0.0
+
+
 def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
     mission, start = infeasible.mission, infeasible.start(infeasible.p3)
     variant = replace(VARIANTS["shooting"], p2=replace(QUASI_NEWTON, max_iterations=60))
@@ -366,6 +383,30 @@ def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
         "site_distance_max"
         in make_solution(mission, elastic, "warm", "shooting").violation.by_constraint
     )
+
+
+@pytest.mark.parametrize("by_hand", [True, False], ids=["ctrl-c", "another exception"])
+def test_only_ctrl_c_is_called_an_interrupt(
+    default: Case, by_hand: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both end as an exception in IPOPT."""
+
+    class Thrown:
+        def __init__(self, *_: object) -> None: ...
+
+        def __call__(self, x0: object, **_: object) -> dict[str, object]:
+            if by_hand:
+                with contextlib.suppress(KeyboardInterrupt):  # as IPOPT does
+                    signal.raise_signal(signal.SIGINT)
+            return {"x": x0, "f": 0.0}
+
+        def stats(self) -> dict[str, object]:
+            return {"return_status": "NonIpopt_Exception_Thrown"}
+
+    monkeypatch.setattr(nlp, "_solver", Thrown)
+    start = Start(guess.cold(default.mission))
+    result = solve_nlp(default.problem, default.arcs, None, start, VARIANTS["shooting"])
+    assert result.outcome is (NlpOutcome.INTERRUPTED if by_hand else NlpOutcome.FAILED)
 
 
 def test_a_limit_is_said(default: Case) -> None:

@@ -24,13 +24,15 @@ def row(group: str, method: str, dv: float, status: str = "converged", **other: 
         "problem": "P2",
         "total_dv_m_s": str(dv),
         "cpu_s": "0.5",
+        "first_status": "",
         **other,
     }
 
 
 OURS, THEIRS = "condensed/scvx/CLARABEL", "tuned/hard/IPOPT"
 GUESSES = [
-    *(row("guesses", OURS, 0.14) for _ in range(3)),
+    *(row("guesses", OURS, 0.14) for _ in range(2)),
+    row("guesses", OURS, 0.14, first_status="infeasible"),
     row("guesses", OURS, 0.26, "infeasible"),
     row("guesses", THEIRS, 0.15),
     row("guesses", THEIRS, float("nan"), "failed"),
@@ -41,7 +43,7 @@ def test_shares_of_solved_guesses_and_of_those_at_the_best() -> None:
     left, right = solver_comparison.draw_guesses(GUESSES).axes
     assert [label.get_text() for label in left.get_yticklabels()] == [THEIRS, OURS]
     shares = [line.get_xdata()[0] for line in left.lines if line.get_marker() == "o"]
-    assert shares == pytest.approx([0.5, 0.75])
+    assert shares == pytest.approx([0.5, 0.5, 0.75, 0.5])  # each time over at the first try
     assert [text.get_text() for text in right.texts] == [
         "0 of 2 at the best",
         "3 of 4 at the best",

@@ -1,0 +1,144 @@
+"""How the stages of a plan follow each other, whatever solves them: P3, P2, and both begun again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Literal, Protocol
+
+from formulations.facets import Facets
+from formulations.problem import Iterate
+from formulations.subproblem import Evaluation
+from scp_recon.errors import InputError
+from scp_recon.guess import ballistic
+from scp_recon.mission import Mission
+from scp_recon.scp import Record, Result, Timing
+from scp_recon.scvx import TrustRegion
+from scp_recon.status import Status
+
+Observer = Callable[[str, Record], None]
+
+OTHER_OPTIMUM = 0.999
+"""Share of a merit below which another run has found another optimum."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A run of the SCP, or of IPOPT, on one problem.
+
+    Attributes:
+        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
+            that began again at the ballistic arc.
+        result: how it ended and where.
+        subproblem: of which it was; it knows the constraints' margins.
+        facets: of P2, None for P3.
+        tolerance: violation that counted as none.
+    """
+
+    name: str
+    result: Result
+    subproblem: Evaluation
+    facets: Facets | None
+    tolerance: float
+
+    @property
+    def begun_again(self) -> bool:
+        """Whether it began at the ballistic arc because the guess led nowhere."""
+        return self.name.startswith(("P3b", "P2b"))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All stages of planning a mission; the one in `stages` that `final` names holds the answer."""
+
+    mission: Mission
+    stages: tuple[Stage, ...]
+    final: Stage
+    timing: Timing
+    total_s: float
+
+
+class StageSolver(Protocol):
+    """What solves single stages, and keeps those that it solved; Ctrl-C raises KeyboardInterrupt."""
+
+    mission: Mission
+    stages: list[Stage]
+    timing: Timing
+
+    def solve_p3(self, guess: Iterate, name: str) -> Stage:
+        """P3 from a guess."""
+        ...
+
+    def solve_p2(self, p3: Stage) -> Stage:
+        """P2 from a solution of P3, with the facets chosen there."""
+        ...
+
+
+def solve_in_stages(solver: StageSolver, guess: Iterate, problem: Literal["P3", "P2"]) -> Stage:
+    """P3 from a guess and P2 from there.
+
+    Where P3 does not converge from the guess it is tried once more from the ballistic arc; and so it is
+    where P2 does not converge, because P3 may have stopped at a local optimum from which there is no
+    way. The better of the two tries counts.
+    """
+    p3 = first = solver.solve_p3(guess, "P3")
+    if p3.result.status is not Status.CONVERGED:
+        p3 = _again(solver, first)
+    if problem == "P3" or p3.result.status is Status.SOLVER_FAILED:
+        return p3
+    final = solver.solve_p2(p3)
+    converged = final.result.status is Status.CONVERGED
+    if converged or first.result.status is not Status.CONVERGED:
+        return final
+    p3 = _again(solver, first)
+    if _merit(p3) > OTHER_OPTIMUM * _merit(first):
+        return final
+    again = solver.solve_p2(p3)
+    return again if better(again, final) else final
+
+
+def _again(solver: StageSolver, failed: Stage) -> Stage:
+    """P3 once more from the ballistic arc; the better of the two.
+
+    A straight line may pass through the body's centre, where nothing can be linearised.
+    """
+    try:
+        guess = ballistic(solver.mission)
+    except InputError:
+        return failed
+    again = solver.solve_p3(guess, "P3b")
+    return again if better(again, failed) else failed
+
+
+def finish(solver: StageSolver, work: Callable[[], Stage]) -> Plan:
+    """Do it; an interrupted plan ends with the best stage so far, if there is one."""
+    started = perf_counter()
+    try:
+        final = work()
+    except KeyboardInterrupt:
+        if not solver.stages:
+            raise
+        final = _interrupted(solver.stages)
+    seconds = perf_counter() - started
+    return Plan(solver.mission, tuple(solver.stages), final, solver.timing, seconds)
+
+
+def _interrupted(stages: list[Stage]) -> Stage:
+    """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
+    solved = [s for s in stages if s.facets and s.result.status is Status.CONVERGED]
+    best = (solved or stages)[-1]
+    if best.facets is None:
+        best = min(stages, key=_merit)
+    return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
+
+
+def better(new: Stage, old: Stage) -> bool:
+    """Whether a run is worth keeping instead: first converged, then cheaper."""
+    if new.result.status is not old.result.status:
+        return new.result.status is Status.CONVERGED
+    return _merit(new) < _merit(old)
+
+
+def _merit(stage: Stage) -> float:
+    return stage.subproblem.merit(stage.result.lin, TrustRegion().weight)
