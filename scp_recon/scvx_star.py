@@ -26,8 +26,8 @@ class AugmentedLagrangian(TrustRegion):
     Departures: convex rows are charged like the others, because P2 may have no point that meets them;
     multipliers are also updated where a step was refused and the iterate is stationary, and not while
     nothing is violated. The paper has no test for infeasibility; here a case counts as infeasible when
-    it is stationary at the largest weight, and a further update of the multipliers does not take a
-    tenth off the violation.
+    it is stationary at the largest weight, violated by more than ten times what counts as none, and a
+    further update of the multipliers does not take a tenth off the violation.
 
     Attributes are those of `ExactPenalty`, weights being those of the squares.
     """
@@ -36,7 +36,7 @@ class AugmentedLagrangian(TrustRegion):
     weight: float = 100.0
     weight_max: float = 1e5
     max_iterations: int = 100
-    HEAVIER, TIGHTER, HOPELESS = 2.0, 0.9, 0.9
+    HEAVIER, TIGHTER, HOPELESS, BEYOND_ROUNDING = 2.0, 0.9, 0.9, 10.0
     RADIUS_MIN = 1e-4
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
@@ -56,8 +56,10 @@ class AugmentedLagrangian(TrustRegion):
         violated = record.violated > self.feasible
         if not violated or not (settled or state.stationary):
             return state, record
-        hopeless = record.violated > self.HOPELESS * state.violated and state.stationary
-        if hopeless and state.charge.weight >= self.weight_max:
+        hopeless = record.violated > max(
+            self.HOPELESS * state.violated, self.BEYOND_ROUNDING * self.feasible
+        )
+        if hopeless and state.stationary and state.charge.weight >= self.weight_max:
             return state, record
         return self._update(subproblem, state, record), record
 
