@@ -15,9 +15,10 @@ from formulations import conic
 
 def test_installed_solvers_are_conic_ones_clarabel_first(monkeypatch: pytest.MonkeyPatch) -> None:
     # GLPK has no second-order cones, OSQP no cones, and ECOS_BB is for integers.
-    names = ["SCS", "GLPK", "ECOS_BB", "OSQP", "ECOS", "CLARABEL", "QOCO"]
+    monkeypatch.setitem(conic.SOLVER_MAP_CONIC, "ALLCONES", conic.SOLVER_MAP_CONIC["ECOS"])
+    names = ["SCS", "GLPK", "ECOS_BB", "OSQP", "ECOS", "ALLCONES", "CLARABEL", "QOCO"]
     monkeypatch.setattr(cp, "installed_solvers", lambda: names)
-    assert conic.installed() == ("CLARABEL", "ECOS", "QOCO", "SCS")
+    assert conic.installed() == ("CLARABEL", "ALLCONES", "ECOS", "QOCO", "SCS")
     monkeypatch.setattr(cp, "installed_solvers", lambda: ["SCS", "QOCO"])
     assert conic.installed() == ("QOCO", "SCS")
 
