@@ -52,7 +52,8 @@ def signed(lin: Linearisation) -> dict[str, Array]:
         "dv_battery": np.array(depth),
     }
     for c in problem.constraints:
-        found[c.name] = -c.margin(lin.iterate.mean)
+        inside = c.region.inside(lin.iterate.mean[c.nodes, :3])
+        found[c.name] = -inside if c.keep == "in" else inside
     return found
 
 
