@@ -148,7 +148,7 @@ def is_optimal(program: ConeProgram, x: Array, z: Array) -> bool:
     gradient = program.cost + program.matrix.T @ z
     slack = program.bound - program.matrix @ x
     prices = max(1.0, float(np.abs(program.cost).max()), float(np.abs(z).max()))
-    sizes = max(1.0, float(np.abs(program.bound).max(initial=0.0)), float(np.abs(x).max()))
+    sizes = max(1.0, float(np.abs(program.bound).max()), float(np.abs(x).max()))
     return bool(
         np.abs(gradient).max() <= GAP * prices
         and np.abs(slack[: program.zero]).max(initial=0.0) <= GAP * sizes

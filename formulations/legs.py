@@ -39,7 +39,7 @@ class Legs:
                 if start > first:
                     self._continued.append(len(blocks))
                 blocks.append(np.where(arcs < last, arcs, n_nodes - 1))
-        self._blocks = np.array(blocks, dtype=np.intp).reshape(-1, length)
+        self._blocks = np.array(blocks)
         self._arcs = self._blocks.ravel() < n_nodes - 1
 
     def compose(self, maps: Array) -> Array:

@@ -1,0 +1,163 @@
+"""What an iterate costs and violates, said by its definition."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from formulations.direct import DirectSubproblem
+from formulations.lifting import Linearisation
+from formulations.penalty import Charge, augmented_value, exact_value
+from formulations.problem import Iterate
+from formulations.rows import P3Rows
+from formulations.subproblem import SMALL_BURN, Evaluation
+from tests.helpers import Array, constrain, generators, random_flyby
+
+some = settings(max_examples=10)
+
+
+def linearised(rng: np.random.Generator) -> Linearisation:
+    """An iterate with defects that keeps some constraints and breaks others, and some limits."""
+    flyby = constrain(rng, random_flyby(rng, nodes=8, burns=4))
+    sizes = np.linalg.norm(flyby.burns, axis=1)
+    sunward = flyby.burns / sizes[:, None] * rng.choice([-1.0, 1.0], (4, 1)) + rng.normal(
+        scale=0.3, size=(4, 3)
+    )
+    problem = replace(
+        flyby.problem,
+        dv_max=float(np.median(sizes)),
+        sun=sunward / np.linalg.norm(sunward, axis=1, keepdims=True),
+    )
+    return replace(flyby, problem=problem).perturbed(rng, 0.1, 0.05)
+
+
+def signed(lin: Linearisation) -> dict[str, Array]:
+    """How far the iterate is on the wrong side, by name and one number at a time."""
+    problem, burns = lin.problem, lin.iterate.burns
+    sizes = [float(np.sqrt(burn @ burn)) for burn in burns]
+    angles = [
+        np.arccos(sense * burn @ sun / size)
+        for sense in (1.0, -1.0)
+        for burn, sun, size in zip(burns, problem.sun, sizes, strict=True)
+    ]
+    depth = [
+        size * np.sin(problem.dv_cone - angle)
+        for angle, size in zip(angles, sizes * 2, strict=True)
+    ]
+    found = {
+        "dv_max": np.array(sizes) - problem.dv_max,
+        "dv_battery": np.array(depth),
+    }
+    for c in problem.constraints:
+        inside = c.region.inside(lin.iterate.mean[c.nodes, :3])
+        found[c.name] = -inside if c.keep == "in" else inside
+    return found
+
+
+@some
+@given(generators)
+def test_violations_are_positive_parts_and_excess_has_their_signs(rng: np.random.Generator) -> None:
+    lin = linearised(rng)
+    evaluation, amounts = Evaluation(lin.problem, P3Rows(lin.problem)), signed(lin)
+    violations = evaluation.violations(lin)
+    assert list(violations) == ["dynamics", *amounts]
+    assert violations["dynamics"] == pytest.approx(np.abs(lin.defects).ravel())
+    for name, amount in amounts.items():
+        assert violations[name] == pytest.approx(np.maximum(amount, 0.0), abs=1e-12)
+    expected = np.concatenate([lin.defects[-1], *amounts.values()])
+    assert evaluation.excess(lin) == pytest.approx(expected, abs=1e-12)
+    assert np.any(expected[6:] < 0.0)
+    assert np.any(expected[6:] > 0.0)
+
+
+@some
+@given(generators)
+def test_margins_of_burns_belong_to_their_nodes(rng: np.random.Generator) -> None:
+    lin = linearised(rng)
+    problem, amounts = lin.problem, signed(lin)
+    margins = Evaluation(problem, P3Rows(problem)).margins(lin)
+    assert list(margins) == list(amounts)
+    toward, away = np.split(amounts["dv_battery"], 2)
+    amounts["dv_battery"] = np.maximum(toward, away)
+    nodes = dict.fromkeys(("dv_max", "dv_battery"), problem.burn_nodes)
+    nodes |= {c.name: c.nodes for c in problem.constraints}
+    for name, found in margins.items():
+        assert found.margin == pytest.approx(-amounts[name], abs=1e-12)
+        assert np.array_equal(found.nodes, nodes[name])
+
+
+@some
+@given(generators)
+def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng: np.random.Generator) -> None:
+    lin = linearised(rng)
+    evaluation, amounts = Evaluation(lin.problem, P3Rows(lin.problem)), signed(lin)
+    broken = np.concatenate([np.maximum(a, 0.0) for a in amounts.values()])
+    cost = np.linalg.norm(lin.iterate.burns, axis=1).sum()
+    exact = cost + 7.0 * (10.0 * np.abs(lin.defects).sum() + broken.sum())
+    # Twice each, in turn: nothing of one iterate, or of one charge, is left for the next.
+    other = linearised(rng)
+    for _ in range(2):
+        assert evaluation.merit(lin, 7.0) == pytest.approx(exact)
+        assert evaluation.merit(lin, Charge(7.0)) == pytest.approx(exact)
+        # The proximal charge is the step's, not the iterate's.
+        assert evaluation.merit(lin, Charge(7.0, prox=3.0)) == pytest.approx(exact)
+        multipliers = rng.normal(size=6 + len(broken))
+        charged = np.concatenate([lin.defects[-1], broken])
+        augmented = cost + multipliers @ charged + 3.5 * sum(charged**2)
+        charge = Charge(7.0, multipliers=multipliers)
+        assert evaluation.merit(lin, charge) == pytest.approx(augmented)
+        alone = Evaluation(lin.problem, P3Rows(lin.problem)).merit(other, 7.0)
+        assert evaluation.merit(other, 7.0) == pytest.approx(alone) != pytest.approx(exact)
+
+
+def test_charges_are_their_formulas() -> None:
+    assert exact_value(np.array([1.0, -2.0]), np.array([3.0, 4.0]), 5.0) == 5.0 * (30.0 + 7.0)
+    charge = Charge(4.0, multipliers=np.array([1.0, -2.0]))
+    assert augmented_value(np.array([3.0, 5.0]), charge) == 3.0 - 10.0 + 2.0 * (9.0 + 25.0)
+    assert Charge(4.0) == Charge(4.0, prox=0.0, multipliers=None)
+
+
+@pytest.mark.parametrize("radius", [1.0, 0.5 * SMALL_BURN])
+def test_a_small_burn_that_may_turn_is_kept_out_of_no_cone(radius: float) -> None:
+    """Small is a hundredth of the largest burn, or no more than the trust region lets it turn."""
+    lin = linearised(np.random.default_rng(4))
+    problem = replace(lin.problem, dv_max=2.0)
+    subproblem = DirectSubproblem(problem, P3Rows(problem))
+    limit = min(radius, SMALL_BURN * 2.0)
+    direction = lin.iterate.burns / np.linalg.norm(lin.iterate.burns, axis=1, keepdims=True)
+    burns = direction * limit * np.array([[0.0], [0.999], [1.001], [50.0]])
+    planes = subproblem.burn_planes(burns, radius)
+    assert planes.shape == (2, 4, 3)
+    assert not planes[:, :2].any()
+    for i, sense in enumerate((1.0, -1.0)):
+        for burn, sun, normal in zip(burns[2:], problem.sun[2:], planes[i, 2:], strict=True):
+            # The plane through the apex that touches the cone nearest to the burn.
+            assert normal @ normal == pytest.approx(1.0)
+            assert normal @ (sense * sun) == pytest.approx(-np.sin(problem.dv_cone))
+            assert np.linalg.det([normal, sun, burn]) == pytest.approx(0.0, abs=1e-12)
+            assert normal @ burn == pytest.approx(
+                np.sin(np.arccos(sense * burn @ sun / np.linalg.norm(burn)) - problem.dv_cone)
+                * np.linalg.norm(burn)
+            )
+
+
+def test_a_burn_of_the_limit_itself_counts_as_small() -> None:
+    lin = linearised(np.random.default_rng(4))
+    problem = replace(lin.problem, dv_max=2.0)
+    subproblem = DirectSubproblem(problem, P3Rows(problem))
+    burns = np.zeros((4, 3))
+    burns[:, 0] = SMALL_BURN * 2.0
+    assert not subproblem.burn_planes(burns, 1.0).any()
+    assert subproblem.burn_planes(burns, 0.9 * SMALL_BURN * 2.0).any()
+
+
+def test_a_subproblem_costs_its_iterates_as_any_evaluation() -> None:
+    lin = linearised(np.random.default_rng(6))
+    rows = P3Rows(lin.problem)
+    subproblem, evaluation = DirectSubproblem(lin.problem, rows), Evaluation(lin.problem, rows)
+    assert subproblem.merit(lin, 3.0) == evaluation.merit(lin, 3.0)
+    moved = Linearisation(lin.problem, Iterate(2.0 * lin.iterate.burns, lin.iterate.mean), lin.arcs)
+    assert subproblem.merit(moved, 3.0) == evaluation.merit(moved, 3.0)
