@@ -6,6 +6,11 @@ OUT/<row>/, the table in OUT/observation_table.csv and .md. A second run takes u
 
 from __future__ import annotations
 
+from scp_recon.command import guarded, starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Callable, Sequence
@@ -17,15 +22,13 @@ from experiments.observation_comparison import claims
 from experiments.observation_report import shown, to_csv, to_markdown
 from experiments.observation_rows import Row, rows
 from experiments.observation_runs import Failed, Measured, run_row
-from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.scenario import load_scenario
-from scp_recon.status import Status
 
 DEFAULT_OUT = Path("runs") / "paper"
 SAMPLES, QUICK_SAMPLES = 10_000, 3_000
-BAD_INPUT, ROW_FAILED = 2, 4
+ROW_FAILED = 4
 
 
 def parser() -> argparse.ArgumentParser:
@@ -103,18 +106,7 @@ def _progress(entry: Measured | Failed, seconds: float) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 if every row is there, 4 if one failed, 2 for bad input."""
     options = parser().parse_args(arguments)
-    try:
-        return _run(options)
-    except InputError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except OSError as error:
-        where = error.filename or "the terminal"
-        print(f"error: cannot write to {where}: {error.strerror}", file=sys.stderr)
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        print("interrupted; rows that are complete will be taken up", file=sys.stderr)
-        return Status.INTERRUPTED.value.exit_code
+    return guarded(lambda _: _run(options))
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -8,6 +8,11 @@ slews to timing_rules_slews.csv.
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import sys
 from collections.abc import Sequence

@@ -5,6 +5,11 @@ Drawn from what `python -m experiments.flown_plan SOLUTION` wrote into the folde
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import sys
 from pathlib import Path
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import argparse
 import csv
 import sys

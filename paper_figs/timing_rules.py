@@ -5,6 +5,11 @@ Drawn from what `python -m experiments.timing_rules` wrote into the folder RUNS.
 
 from __future__ import annotations
 
+from scp_recon.command import starting
+
+if __name__ == "__main__":
+    starting()
+
 import sys
 from dataclasses import dataclass
 from pathlib import Path
