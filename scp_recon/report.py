@@ -193,3 +193,5 @@ def show_verification(console: Console, mission: Mission, verification: Verifica
         console.print("[bold green]verified[/bold green]")
     else:
         console.print(f"[bold red]not verified[/bold red]: {', '.join(v.failed)}")
+        if "status" not in v.failed and {m.name for m in v.mean_margins} & set(v.failed):
+            console.print("The mean leaves a set between nodes: take a smaller grid.step_max_s.")

@@ -17,14 +17,14 @@ FAULTS = "faults injected and survived"
 SOLVED = "random scenarios solved and verified"
 REFUSED = "random scenarios refused: infeasible, with the least violation"
 BARRED = "random scenarios refused: no window, or a burn against a rule"
-UNFINISHED = "random scenarios ended as not converged or not verified, and said so"
+REFINED = "random scenarios not verified between coarse nodes, and ended as above on a finer grid"
 WRONG = "random scenarios ended in anything else"
 PROPERTIES, EXAMPLES = "property tests that passed", "examples that they ran"
 FAILED = "property tests that failed (must be 0); their examples are not counted"
 
 ORDER = (
     *(PROPERTIES, EXAMPLES, FAILED, BAD_INPUTS, FAULTS),
-    *(SOLVED, REFUSED, BARRED, UNFINISHED, WRONG),
+    *(SOLVED, REFUSED, BARRED, REFINED, WRONG),
 )
 
 COUNTS: Counter[str] = Counter()

@@ -13,7 +13,7 @@ from scp_recon.planner import Plan, plan
 from scp_recon.scenario import load_scenario
 
 RECON_B = load_scenario()
-COARSE = "grid.step_max_s=450.0"
+COARSE, FINE = "grid.step_max_s=450.0", "grid.step_max_s=100.0"
 """Half the nodes: what is tested here does not depend on the grid, and takes a third of the time."""
 
 
