@@ -193,5 +193,14 @@ def show_verification(console: Console, mission: Mission, verification: Verifica
         console.print("[bold green]verified[/bold green]")
     else:
         console.print(f"[bold red]not verified[/bold red]: {', '.join(v.failed)}")
-        if "status" not in v.failed and {m.name for m in v.mean_margins} & set(v.failed):
-            console.print("The mean leaves a set between nodes: take a smaller grid.step_max_s.")
+        if "status" not in v.failed and _between_nodes(mission, v):
+            console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
+
+
+def _between_nodes(mission: Mission, v: Verification) -> bool:
+    """Whether a constraint on the mean, or a probability, fails at its worst where no node is."""
+    worst = {m.name: m.worst_t_s for m in v.mean_margins}
+    worst |= {f"P({p.name})": p.worst_t_s for p in v.probabilities}
+    return any(
+        np.abs(mission.times_s - worst[name]).min() > 1.0 for name in v.failed if name in worst
+    )
