@@ -28,7 +28,7 @@ types: $(VENV)/.dev  ## check the types
 
 nightly: $(VENV)/.test  ## look harder: 500 examples a property, and the table of reliability figures
 	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest -n 2 --timeout 3600 \
-	--reliability runs/reliability.md
+	--reliability=runs/reliability.md
 
 coverage: $(VENV)/.dev  ## lines and branches that the tests reach
 	$(BIN)/python -m pytest -n 2 --cov --cov-report term --cov-report json:runs/coverage.json

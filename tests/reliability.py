@@ -1,7 +1,7 @@
 """Counts, from the test run itself, of what the reliability table reports.
 
 Tests call `count` after what they count was checked; the hooks in `conftest.py` collect the counts of
-all tests, over all processes, and the examples that Hypothesis ran. `pytest --reliability FILE` writes
+all tests, over all processes, and the examples that Hypothesis ran. `pytest --reliability=FILE` writes
 the table.
 """
 
