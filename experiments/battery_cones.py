@@ -8,6 +8,7 @@ and without calibration, go to OUT/battery_cones.csv and .md, the samples to bat
 from __future__ import annotations
 
 from scp_recon.command import starting
+from scp_recon.options import whole
 
 if __name__ == "__main__":
     starting()
@@ -22,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
-from experiments.studies import Cell, add_out, markdown, run, to_csv, whole
+from experiments.studies import Cell, add_out, markdown, run, to_csv
 from scp_recon.estimates import Estimate, proportion
 from scp_recon.files import write_atomically
 from scp_recon.scenario import load_scenario

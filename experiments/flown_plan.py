@@ -26,11 +26,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from scipy.stats import chi2
 
 from experiments.flown_samples import sample_distances
-from experiments.studies import Cell, add_out, markdown, run, to_csv, whole
+from experiments.studies import Cell, add_out, markdown, run, to_csv
 from scp_recon.errors import InputError
 from scp_recon.estimates import proportion
 from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
+from scp_recon.options import whole
 from scp_recon.solution import Solution, read_solution
 from scp_recon.spacecraft.record import (
     Record,

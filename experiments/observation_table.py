@@ -24,6 +24,7 @@ from experiments.observation_rows import Row, rows
 from experiments.observation_runs import Failed, Measured, run_row
 from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
+from scp_recon.options import whole
 from scp_recon.scenario import load_scenario
 
 DEFAULT_OUT = Path("runs") / "paper"
@@ -43,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--samples",
-        type=_samples,
+        type=whole(20, 10**9, "20 to 1e9"),
         metavar="N",
         help=f"flights a row (default: {SAMPLES}, with --quick {QUICK_SAMPLES})",
     )
@@ -59,12 +60,6 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--skip-ipopt", action="store_true", help="no rows planned by IPOPT")
     p.add_argument("--fresh", action="store_true", help="compute rows that are already there, too")
     return p
-
-
-def _samples(text: str) -> int:
-    if not text.isdigit() or not 20 <= int(text) <= 1_000_000_000:
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 20 to 1e9")
-    return int(text)
 
 
 def measure(

@@ -27,19 +27,6 @@ def add_out(parser: argparse.ArgumentParser, default: Path) -> None:
     )
 
 
-def whole(low: int, high: int) -> Callable[[str], int]:
-    """A type of option: whole numbers within bounds."""
-
-    def parse(text: str) -> int:
-        if not text.isdigit() or not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(
-                f"got {text!r}; must be a whole number from {low} to {high}"
-            )
-        return int(text)
-
-    return parse
-
-
 def run(study: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
     """Run a study to its exit status; what goes wrong ends it as it ends every command."""
 

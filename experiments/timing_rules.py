@@ -25,12 +25,13 @@ from rich.console import Console
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from experiments.studies import Cell, add_out, markdown, run, to_csv, whole
+from experiments.studies import Cell, add_out, markdown, run, to_csv
 from scp_recon import geometry
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.frames import unit
 from scp_recon.mission import Mission
+from scp_recon.options import whole
 from scp_recon.scenario import load_scenario
 from scp_recon.schedule import Leg, Mode
 from scp_recon.spacecraft.flight import Flight

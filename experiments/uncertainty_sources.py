@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from experiments.observation_rows import rows
-from experiments.studies import add_out, run, to_csv, whole
+from experiments.studies import add_out, run, to_csv
 from experiments.uncertainty_flights import (
     NO_ERRORS,
     SETS,
@@ -44,6 +44,7 @@ from experiments.uncertainty_report import (
 )
 from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
+from scp_recon.options import whole
 from scp_recon.scenario import load_scenario
 from scp_recon.solution import Solution, read_solution
 from scp_recon.spacecraft.vehicle import load_vehicle

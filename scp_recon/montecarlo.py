@@ -10,7 +10,7 @@ if __name__ == "__main__":
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from scp_recon.estimates import CONFIDENCE, Estimate, Tally, proportion
 from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.mission import Mission
 from scp_recon.observing import ALL
+from scp_recon.options import SEED, whole
 from scp_recon.solution import Solution, read_solution
 
 SCHEMA = "scp_recon.montecarlo/1"
@@ -203,7 +204,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("solution", type=Path, metavar="DIR", help="folder with a solution.json")
     p.add_argument(
         "--samples",
-        type=_whole(20, 10**9, "20 to 1e9"),
+        type=whole(20, 10**9, "20 to 1e9"),
         default=10_000,
         metavar="N",
         help="flights, at most with --until (default: 10000)",
@@ -228,30 +229,19 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--seed",
-        type=_whole(0, 2**63 - 1, "0 to 2^63 - 1"),
+        type=SEED,
         default=0,
         metavar="S",
         help="default: 0",
     )
     p.add_argument(
         "--workers",
-        type=_whole(1, 256, "1 to 256"),
+        type=whole(1, 256),
         default=1,
         metavar="N",
         help="processes (default: 1)",
     )
     return p
-
-
-def _whole(low: int, high: int, words: str) -> Callable[[str], int]:
-    """A reader of whole numbers within bounds, which are told in words."""
-
-    def number(text: str) -> int:
-        if not text.isdecimal() or len(text) > 20 or not low <= int(text) <= high:
-            raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from {words}")
-        return int(text)
-
-    return number
 
 
 def _width(text: str) -> float:

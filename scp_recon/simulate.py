@@ -19,6 +19,7 @@ from rich.table import Table
 
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
+from scp_recon.options import SEED
 from scp_recon.solution import read_solution
 from scp_recon.spacecraft.record import FILE_NAME, make_record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
@@ -30,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "solution", type=Path, metavar="SOLUTION", help="folder with a solution.json, or the file"
     )
-    p.add_argument("--seed", type=_seed, default=0, metavar="N", help="of all errors (default: 0)")
+    p.add_argument("--seed", type=SEED, default=0, metavar="N", help="of all errors (default: 0)")
     p.add_argument(
         "--out",
         type=Path,
@@ -41,12 +42,6 @@ def parser() -> argparse.ArgumentParser:
         "--vehicle", type=Path, metavar="FILE", help="vehicle as TOML (default: the packaged DARE)"
     )
     return p
-
-
-def _seed(text: str) -> int:
-    if not text.isdigit() or int(text) >= 2**63:
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 0 to 2^63 - 1")
-    return int(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

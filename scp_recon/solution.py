@@ -15,8 +15,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from scp_recon.errors import InputError
-from scp_recon.files import read_text
-from scp_recon.files import write_atomically as write_atomically
+from scp_recon.files import read_text, write_atomically
 from scp_recon.mission import Mission
 from scp_recon.scenario_schema import Line, Scenario, Speed
 from scp_recon.status import Status

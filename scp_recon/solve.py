@@ -22,6 +22,7 @@ from scp_recon.algorithms import ALGORITHMS
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission import Mission
+from scp_recon.options import whole
 from scp_recon.planner import plan
 from scp_recon.results import make_solution
 from scp_recon.scenario import base_names, load_scenario, validate_scenario
@@ -91,7 +92,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--facet-rounds",
-        type=_count,
+        type=whole(0, 100),
         default=0,
         metavar="N",
         help="choose the facets again at the solution and solve again, N times (default: 0)",
@@ -104,12 +105,6 @@ def parser() -> argparse.ArgumentParser:
         help="folder for solution.json (default: runs/latest)",
     )
     return p
-
-
-def _count(text: str) -> int:
-    if not text.isdigit() or int(text) > 100:
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from 0 to 100")
-    return int(text)
 
 
 def _folder(text: str) -> Path:
