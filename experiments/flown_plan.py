@@ -33,6 +33,7 @@ from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.options import whole
 from scp_recon.solution import Solution, read_solution
+from scp_recon.spacecraft.extra import needing_basilisk
 from scp_recon.spacecraft.record import (
     Record,
     inputs_digest,
@@ -68,12 +69,8 @@ def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path, *, fresh:
     found = None if fresh else _found(solution, vehicle, seed, folder)
     if found is not None:
         return found
-    try:
+    with needing_basilisk("python -m experiments.flown_plan"):
         from scp_recon.spacecraft.simulation import simulate
-    except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("Basilisk"):
-            raise
-        raise InputError("Basilisk", f"no module {error.name}", "needs the extra [sim]") from None
     folder.mkdir(parents=True, exist_ok=True)
     record = make_record(simulate(solution, vehicle, seed), solution, seed)
     write_record(record, folder)

@@ -17,10 +17,10 @@ from types import ModuleType
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.solution import Solution
+from scp_recon.spacecraft.extra import needing_basilisk
 from scp_recon.spacecraft.vehicle import Vehicle
 
 Array = npt.NDArray[np.float64]
@@ -91,14 +91,8 @@ def simulator() -> ModuleType:
     Raises:
         InputError: if Basilisk is not there.
     """
-    try:
+    with needing_basilisk("--flights"):
         return importlib.import_module("scp_recon.spacecraft.simulation")
-    except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith("Basilisk"):
-            raise
-        raise InputError(
-            "--flights", "no Basilisk to fly them with", "needs the extra scp_recon[sim]"
-        ) from None
 
 
 def fly_spacecraft(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Flown:

@@ -17,10 +17,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 from rich.table import Table
 
-from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
 from scp_recon.options import SEED
 from scp_recon.solution import read_solution
+from scp_recon.spacecraft.extra import needing_basilisk
 from scp_recon.spacecraft.record import FILE_NAME, make_record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
 
@@ -51,17 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _simulate(options: argparse.Namespace, console: Console) -> int:
-    try:
-        # Basilisk is an extra, and takes seconds to import.
+    with needing_basilisk("python -m scp_recon.simulate"):
         from scp_recon.spacecraft.simulation import simulate
-    except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("Basilisk"):
-            raise
-        raise InputError(
-            "python -m scp_recon.simulate",
-            f"no module named {error.name}",
-            "needs the extra [sim]: pip install 'scp_recon[sim]'",
-        ) from None
     solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
     home = options.solution if options.solution.is_dir() else options.solution.parent
     folder = options.out or home
