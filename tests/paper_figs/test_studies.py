@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from experiments import battery_cones as battery_cones_study
 from experiments.model_fidelity import TOGETHER, Compared, history, records
 from experiments.studies import to_csv
-from experiments.timing_rules import Rule, Slew
+from experiments.timing_flights import Slew
+from experiments.timing_rules import Rule
 from experiments.timing_rules import record as record_slew
 from experiments.uncertainty_flights import TRANSLATION
 from experiments.uncertainty_report import BOTH, ORDER, Measured, quantiles, record, sigmas
