@@ -13,6 +13,7 @@ if __name__ == "__main__":
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from math import inf
 from pathlib import Path
 
@@ -58,13 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, console: Console) -> int:
-    try:
-        import casadi  # noqa: F401
-        import matplotlib  # noqa: F401
-    except ModuleNotFoundError as error:
-        raise InputError(
-            "the comparison", f"no {error.name}", "install the extra scp_recon[compare]"
-        ) from None
+    for name in ("casadi", "matplotlib"):
+        if find_spec(name) is None:
+            raise InputError("the comparison", f"no {name}", "install the extra scp_recon[compare]")
     out: Path = options.out or (QUICK_OUT if options.quick else DEFAULT_OUT)
     out.mkdir(parents=True, exist_ok=True)
     if options.fresh:

@@ -72,7 +72,7 @@ class Covariance:
             self._entry[self._element] = np.arange(21)
             self._entry.T[self._element] = np.arange(21)
 
-    def size(self, burns: int) -> int:  # noqa: ARG002
+    def size(self, burns: int) -> int:  # noqa: ARG002 -- of the protocol
         """All the same."""
         return len(self._element[0])
 
@@ -82,14 +82,14 @@ class Covariance:
         after = stm @ before @ stm.T
         return ca.vertcat(*(after[int(i), int(j)] for i, j in zip(*self._element, strict=True)))
 
-    def kick(self, burn: ca.MX, burns: int) -> ca.MX:  # noqa: ARG002
+    def kick(self, burn: ca.MX, burns: int) -> ca.MX:  # noqa: ARG002 -- of the protocol
         """Beta^2 dv^2 on the diagonal of the velocity."""
         diagonal = np.diag(self._entry)[3:]
         place = np.zeros((self.size(0), 3))
         place[diagonal, range(3)] = (self._error / self._unit) ** 2
         return ca.sparsify(ca.DM(place)) @ burn**2
 
-    def pack(self, factor: Array, burns: int) -> Array:  # noqa: ARG002
+    def pack(self, factor: Array, burns: int) -> Array:  # noqa: ARG002 -- of the protocol
         """S S'."""
         return (factor @ factor.T)[self._element] / self._unit**2
 

@@ -63,7 +63,7 @@ class AugmentedLagrangian(TrustRegion):
             return state, record
         return self._update(subproblem, state, record), record
 
-    def _weighed(self, subproblem: Subproblem, state: State) -> State:  # noqa: ARG002
+    def _weighed(self, subproblem: Subproblem, state: State) -> State:  # noqa: ARG002 -- as inherited
         """Multipliers do what a heavier weight is for."""
         return state
 

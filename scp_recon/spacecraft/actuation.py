@@ -59,7 +59,7 @@ class Allocator(sysModel.SysModel):
         self._axes = unit(self.wheels.axes)
         self._share = np.linalg.pinv(self._axes.T)
 
-    def UpdateState(self, now: int) -> None:  # noqa: N802, D102
+    def UpdateState(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
         error = 4.0 * np.arctan(np.linalg.norm(self.guidance().sigma_BR))
         torque = np.array(self.torque().torqueRequestBody)
@@ -121,7 +121,7 @@ class Firer(sysModel.SysModel):
         self._starts = {round(f.start_s / CONTROL_PERIOD_S): i for i, f in enumerate(plan.firings)}
         self._ends = {round(f.end_s / CONTROL_PERIOD_S) for f in plan.firings}
 
-    def UpdateState(self, now: int) -> None:  # noqa: N802, D102
+    def UpdateState(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
         if k == 0:
             # The trigger takes a call at time zero for none, and would rest in its second call too.

@@ -48,7 +48,7 @@ class Navigator(sysModel.SysModel):
         self._reference = messaging.AttRefMsgPayload()
         self._sun = plan.mission.sun_direction(times_s)
 
-    def UpdateState(self, now: int) -> None:  # noqa: N802, D102
+    def UpdateState(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
         gyro, estimate = self._gyro(), self.filter
         if k > 0:

@@ -129,7 +129,7 @@ class Bus(sysModel.SysModel):
         drawn = np.interp(speeds, *self._wheel_curve) - self._wheel_curve[1, 0]
         return float(power + drawn.sum())
 
-    def UpdateState(self, now: int) -> None:  # noqa: N802, D102
+    def UpdateState(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
         battery = self.plan.vehicle.battery
         self.generated[k] = [read().netPower for read in self._panel_powers]
@@ -161,7 +161,7 @@ class _Loads(sysModel.SysModel):
         super().__init__()
         self.bus = bus
 
-    def UpdateState(self, now: int) -> None:  # noqa: N802
+    def UpdateState(self, now: int) -> None:  # noqa: N802 -- as Basilisk names it
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
         self.bus.loads.nodePowerOut = -self.bus.demand(k)
 

@@ -27,10 +27,10 @@ class Surroundings(sysModel.SysModel):
         self.shadow = messaging.EclipseMsg()
         self.states = messaging.SCStatesMsgReader()
 
-    def Reset(self, now: int) -> None:  # noqa: N802, D102
+    def Reset(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
         self.UpdateState(now)
 
-    def UpdateState(self, now: int) -> None:  # noqa: N802, D102
+    def UpdateState(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
         time = now * macros.NANO2SEC
         rotation = self.mission.rotation
         to_body = rotation.body_to_j2000(time).T
