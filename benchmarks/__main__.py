@@ -108,7 +108,7 @@ def machine() -> str:
     if info.exists():
         names = re.findall(r"model name\s*:\s*(.+)", info.read_text())
         cpu = f"{names[0]}, {len(names)} cores" if names else cpu
-    packages = ("clarabel", "casadi", "numpy", "cvxpy-base")
+    packages = ("clarabel", "casadi", "numpy", "cvxpy")
     versions = ", ".join(f"{name} {version(name)}" for name in packages)
     return f"{cpu}; Python {platform.python_version()}, {versions}"
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from formulations.direct import DirectSubproblem
 from formulations.lifting import Linearisation, condense
+from formulations.registry import make_subproblem
 from formulations.rows import P2Rows
 from scp_recon import guess
 from scp_recon.campaign import Setting, run_block
@@ -59,7 +59,7 @@ def test_cones_of_p2(benchmark: Any, planned: Plan) -> None:
 @pytest.mark.parametrize("stage", [0, -1], ids=["P3", "P2"])
 def test_solve_a_subproblem(benchmark: Any, planned: Plan, stage: int) -> None:
     chosen = planned.stages[stage]
-    subproblem = DirectSubproblem(chosen.subproblem.problem, chosen.subproblem.rows)
+    subproblem = make_subproblem(chosen.subproblem.problem, chosen.subproblem.rows)
     subproblem.update(chosen.result.lin)
     benchmark(subproblem.solve, 1.0, 10.0)
 

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from formulations.conic import installed
-from formulations.formulations import FORMULATIONS
 from formulations.problem import Iterate
+from formulations.program.solvers import installed
+from formulations.registry import FORMULATIONS
 from scp_recon import guess
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.mission import Mission

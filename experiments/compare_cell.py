@@ -15,12 +15,12 @@ from experiments.compare_row import Row, empty_row
 from experiments.unguarded import Unguarded
 from formulations.condensations import CONDENSATIONS
 from formulations.facets import choose_facets, included_rows
-from formulations.formulations import make_subproblem
-from formulations.interior_point import SOLVERS
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
+from formulations.program.solvers import SOLVERS
+from formulations.program.subproblem import Evaluation
+from formulations.registry import make_subproblem
 from formulations.rows import P2Rows
-from formulations.subproblem import Evaluation
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.campaign import Setting, fly_campaign
 from scp_recon.mission import Mission

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.as_flown import as_flown_burns
+from formulations.program.subproblem import Evaluation
 from formulations.rows import P3Rows
-from formulations.subproblem import Evaluation
 from scp_recon import guess
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission

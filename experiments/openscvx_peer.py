@@ -34,9 +34,9 @@ from experiments.compare_runs import PEER_NAME, version
 from experiments.compare_solvers import DEFAULT_OUT
 from experiments.openscvx_problem import pose
 from formulations.problem import Iterate
+from formulations.program.subproblem import Evaluation
 from formulations.regions import Array
 from formulations.rows import P3Rows
-from formulations.subproblem import Evaluation
 from scp_recon import guess
 from scp_recon.campaign import Setting, fly_campaign
 from scp_recon.errors import InputError

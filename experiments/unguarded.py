@@ -13,7 +13,7 @@ from typing import ClassVar
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge, Penalty
 from formulations.problem import FlybyProblem
-from formulations.subproblem import Subproblem
+from formulations.program.subproblem import Subproblem
 from scp_recon.dynamics import Dynamics
 from scp_recon.scp import Record, State, Timing, attempt, record_of_trial
 from scp_recon.status import Status

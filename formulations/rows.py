@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -68,8 +68,11 @@ class Rows(Protocol):
 
 
 def felt(problem: FlybyProblem, nodes: Nodes) -> Nodes:
-    """How many burn components the positions at some nodes depend on: those of the burns before."""
-    return 3 * np.searchsorted(problem.burn_nodes, nodes)
+    """How many burn components the positions at some nodes depend on: those of the burns before.
+
+    At least a burn's, so that no cone is without them.
+    """
+    return 3 * np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)
 
 
 class P3Rows:
@@ -93,8 +96,9 @@ class P3Rows:
         return {c.name: Margins(c.nodes, c.margin(lin.iterate.mean)) for c in constraints}
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
-        """One cone per keep-in node, one half-space per keep-out node."""
-        blocks, first = [], 0
+        """One cone per keep-in node, one half-space per keep-out node, each kind in one block."""
+        found: dict[Literal["in", "out"], list[Cones]] = {"in": [], "out": []}
+        first = 0
         for c in self.problem.constraints:
             at = np.searchsorted(self.nodes, c.nodes)
             position, jacobian = s.mean_constant[at, :3], s.mean_jacobian[at, :3]
@@ -107,13 +111,22 @@ class P3Rows:
                 matrix = np.concatenate([cone.linear[:, None], cone.matrix], axis=1)
                 constants = (matrix @ (position - cone.origin)[:, :, None])[:, :, 0]
                 constants[:, 0] += cone.constant
-            values, rows = matrix @ jacobian, first + np.arange(len(c.nodes))
-            components = felt(self.problem, c.nodes)
-            for p in np.unique(components):
-                which = components == p
-                blocks.append(Cones(rows[which], values[which, :, :p], constants[which]))
+            rows = first + np.arange(len(c.nodes))
+            values = matrix @ jacobian[:, :, : felt(self.problem, c.nodes).max()]
+            found[c.keep].append(Cones(rows, values, constants))
             first += len(rows)
-        return blocks
+        return [_joined(cones) for cones in found.values() if cones]
+
+
+def _joined(blocks: list[Cones]) -> Cones:
+    """Blocks of one dimension as one, which feels what the one that feels most does."""
+    p = max(block.values.shape[2] for block in blocks)
+    values = [np.pad(b.values, ((0, 0), (0, 0), (0, p - b.values.shape[2]))) for b in blocks]
+    return Cones(
+        np.concatenate([block.rows for block in blocks]),
+        np.concatenate(values),
+        np.concatenate([block.constants for block in blocks]),
+    )
 
 
 class P2Rows:

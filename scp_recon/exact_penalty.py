@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge
-from formulations.subproblem import Subproblem
+from formulations.program.subproblem import Subproblem
 from scp_recon.scp import Record, State, Trial, record_of, record_of_trial
 from scp_recon.status import Status
 

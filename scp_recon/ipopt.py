@@ -14,8 +14,8 @@ from formulations.lifting import Linearisation
 from formulations.nlp import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
 from formulations.nlp_program import Arcs, Start
 from formulations.problem import Iterate
+from formulations.program.subproblem import Evaluation
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Evaluation
 from scp_recon.dynamics import Dynamics
 from scp_recon.forces import acceleration
 from scp_recon.mission import Mission

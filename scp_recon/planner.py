@@ -10,12 +10,12 @@ from typing import Final, Literal
 import numpy as np
 
 from formulations.facets import Facets, choose_facets, included_rows
-from formulations.formulations import is_direct, make_subproblem
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
+from formulations.program.subproblem import Subproblem
 from formulations.regions import Array
+from formulations.registry import make_subproblem
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Subproblem
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.mission import Mission
 from scp_recon.scp import Record, Timing, run
@@ -55,9 +55,9 @@ class Planner:
 
     Args:
         mission: what to plan.
-        formulation: one of `formulations.formulations.FORMULATIONS`.
+        formulation: one of `formulations.registry.FORMULATIONS`.
         algorithm: a key of `algorithms.ALGORITHMS`.
-        solver: one of `formulations.conic.installed()`.
+        solver: one of `formulations.program.solvers.installed()`.
     """
 
     def __init__(
@@ -133,8 +133,8 @@ class Planner:
         """P2's constraints, those in the program that an iterate comes near; the last are kept."""
         margin = facets.margin(lin.iterate.mean, lin.factor)
         clearance = clearance_m / self.mission.units.length_m
-        direct = is_direct(self.formulation, self.solver)
-        nodes_max = self.mission.problem.n_nodes if direct else PROGRAM_NODES_MAX
+        lifted = self.formulation == "lifted"
+        nodes_max = PROGRAM_NODES_MAX if lifted else self.mission.problem.n_nodes
         included = included_rows(facets, margin, clearance, nodes_max)
         kept = self._p2_rows
         if kept is None or kept.facets is not facets or np.any(kept.included != included):

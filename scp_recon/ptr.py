@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from formulations.penalty import Penalty
-from formulations.subproblem import Subproblem, SubproblemError
+from formulations.program.subproblem import Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.exact_penalty import ExactPenalty
 from scp_recon.scp import Record, State, Timing, attempt

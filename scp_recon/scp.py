@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge, Penalty
-from formulations.subproblem import Step, Subproblem, SubproblemError
+from formulations.program.subproblem import Step, Subproblem, SubproblemError
 from scp_recon.dynamics import Dynamics
 from scp_recon.status import Status
 

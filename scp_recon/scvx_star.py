@@ -9,7 +9,7 @@ import numpy as np
 
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge, Penalty
-from formulations.subproblem import Subproblem
+from formulations.program.subproblem import Subproblem
 from scp_recon.dynamics import Dynamics
 from scp_recon.scp import Record, State, Timing
 from scp_recon.scvx import TrustRegion

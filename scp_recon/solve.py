@@ -15,8 +15,8 @@ from pathlib import Path
 from pydantic import ValidationError
 from rich.console import Console
 
-from formulations.formulations import FORMULATIONS
 from formulations.problem import Iterate
+from formulations.registry import FORMULATIONS
 from scp_recon import guess, report
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.errors import InputError
@@ -186,7 +186,9 @@ def _by_scp(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning
     algorithm = _one_of("--algorithm", options.algorithm or ALGORITHM, ALGORITHMS)
     solver = (options.solver or SOLVER).upper()
     if solver != SOLVER:
-        from formulations.conic import installed  # by CVXPY, which takes a second to import
+        from formulations.program.solvers import (
+            installed,  # by CVXPY, which takes a second to import
+        )
 
         _one_of("--solver", solver, installed())
 

@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 
 from formulations.facets import Facets
 from formulations.problem import Iterate
-from formulations.subproblem import Evaluation
+from formulations.program.subproblem import Evaluation
 from scp_recon.errors import InputError
 from scp_recon.guess import ballistic
 from scp_recon.mission import Mission

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import linprog
 
 from experiments.unguarded import Unguarded
-from formulations.formulations import make_subproblem
 from formulations.lifting import Linearisation, condense, final_state_map
+from formulations.registry import make_subproblem
 from formulations.rows import P2Rows
 from scp_recon import guess
 from scp_recon.mission import Mission

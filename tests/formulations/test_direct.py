@@ -8,13 +8,17 @@ from typing import get_args
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from formulations.direct import DirectSubproblem
+from formulations.modelled import ModelledSubproblem
 from hypothesis import given, settings
 
 from formulations import conic, direct, interior_point
 from formulations.condensations import CONDENSATIONS
-from formulations.direct import DirectSubproblem
 from formulations.facets import Polytopes, choose_facets
-from formulations.interior_point import (
+from formulations.lifting import Linearisation, condense
+from formulations.penalty import Charge, Penalty
+from formulations.polytopes import ball
+from formulations.program.solvers import (
     SOLVERS,
     Answer,
     Clarabel,
@@ -22,12 +26,8 @@ from formulations.interior_point import (
     Recovering,
     is_optimal,
 )
-from formulations.lifting import Linearisation, condense
-from formulations.modelled import ModelledSubproblem
-from formulations.penalty import Charge, Penalty
-from formulations.polytopes import ball
+from formulations.program.subproblem import Step, Subproblem, SubproblemError
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Step, Subproblem, SubproblemError
 from tests.helpers import constrain, generators, random_flyby
 
 PENALTIES: tuple[Penalty, ...] = get_args(Penalty)

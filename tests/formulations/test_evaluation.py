@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from formulations.direct import DirectSubproblem
 from hypothesis import given, settings
 
-from formulations.direct import DirectSubproblem
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge, augmented_value, exact_value
 from formulations.problem import Iterate
+from formulations.program.subproblem import SMALL_BURN, Evaluation
 from formulations.rows import P3Rows
-from formulations.subproblem import SMALL_BURN, Evaluation
 from tests.helpers import Array, constrain, generators, random_flyby
 
 some = settings(max_examples=10)

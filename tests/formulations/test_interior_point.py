@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations import interior_point
-from formulations.interior_point import (
+from formulations.program.solvers import (
     GAP,
     HUGE,
     SOLVERS,

@@ -7,17 +7,17 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from formulations.modelled import STATE_MODELS, ModelledSubproblem
 
 from formulations import conic
 from formulations.facets import Polytopes, choose_facets
-from formulations.formulations import FORMULATIONS, is_direct, make_subproblem
 from formulations.lifting import Linearisation
-from formulations.modelled import STATE_MODELS, ModelledSubproblem
 from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
+from formulations.program.subproblem import SubproblemError
 from formulations.regions import Ball
+from formulations.registry import FORMULATIONS, is_direct, make_subproblem
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import SubproblemError
 from tests.helpers import Array, constrain, random_flyby
 
 PENALTIES: tuple[Penalty, ...] = get_args(Penalty)

@@ -7,10 +7,10 @@ from typing import Literal, get_args
 
 import numpy as np
 import pytest
+from formulations.modelled import ModelledSubproblem
 
 from formulations.facets import Polytopes, choose_facets
 from formulations.lifting import Linearisation
-from formulations.modelled import ModelledSubproblem
 from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.problem import StateConstraint

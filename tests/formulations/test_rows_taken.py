@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from formulations.direct import DirectSubproblem
 
 from formulations import direct
-from formulations.direct import DirectSubproblem
 from formulations.facets import Polytopes, choose_facets
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge
 from formulations.polytopes import ball
+from formulations.program.subproblem import Step
 from formulations.rows import P2Rows
-from formulations.subproblem import Step
 from tests.helpers import Array, constrain, random_flyby
 
 FAR, WITHIN, MISSED = 1.0, 0.5 * direct.NEAR, -10.0 * direct.MISSED

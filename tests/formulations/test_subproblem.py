@@ -10,20 +10,20 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
+from formulations.modelled import ModelledSubproblem
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from formulations import conic, interior_point
 from formulations.condensations import CONDENSATIONS, Condensation
 from formulations.facets import Polytopes, choose_facets
-from formulations.formulations import FORMULATIONS, make_subproblem
 from formulations.lifting import Linearisation, condense, propagate_factor
-from formulations.modelled import ModelledSubproblem
 from formulations.penalty import DYNAMICS_WEIGHT
 from formulations.polytopes import ball
 from formulations.problem import FlybyProblem, Iterate
+from formulations.program.subproblem import Subproblem, SubproblemError
+from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows import P2Rows, P3Rows, Rows
-from formulations.subproblem import Subproblem, SubproblemError
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan

@@ -8,16 +8,16 @@ from typing import get_args
 import casadi as ca
 import numpy as np
 import pytest
+from formulations.modelled import ModelledSubproblem
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.facets import Polytopes, choose_facets
-from formulations.formulations import FORMULATIONS, make_subproblem
 from formulations.lifting import Linearisation, condense
-from formulations.modelled import ModelledSubproblem
 from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.problem import FlybyProblem
+from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows import P2Rows, P3Rows, Rows
 from tests.helpers import (
     Array,

@@ -21,7 +21,7 @@ from scipy.integrate import solve_ivp
 from formulations.facets import Facets
 from formulations.penalty import Charge
 from formulations.problem import Iterate
-from formulations.subproblem import Subproblem
+from formulations.program.subproblem import Subproblem
 from scp_recon import guess
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.dynamics import Dynamics

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from formulations.penalty import Charge
-from formulations.subproblem import Step
+from formulations.program.subproblem import Step
 from scp_recon import ptr, scvx
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.scp import State, Timing, Trial

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from formulations.direct import DirectSubproblem
+
 from formulations.lifting import Linearisation
+from formulations.program.subproblem import Step, SubproblemError
 from formulations.rows import P3Rows
-from formulations.subproblem import Step, SubproblemError
 from scp_recon import guess
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.mission import Mission

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from formulations import interior_point
-from formulations.interior_point import SOLVERS, Answer, Clarabel, ConeProgram
+from formulations.program.solvers import SOLVERS, Answer, Clarabel, ConeProgram
 from scp_recon import files, guess, montecarlo, simulate, solve, verify
 from scp_recon import solution as solution_module
 from scp_recon.mission import Mission

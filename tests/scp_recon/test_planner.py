@@ -11,10 +11,10 @@ import pytest
 from experiments.compare_cases import random_guess
 from formulations import direct
 from formulations.facets import choose_facets, included_rows
-from formulations.formulations import make_subproblem
 from formulations.problem import Iterate
+from formulations.program.subproblem import Subproblem
+from formulations.registry import make_subproblem
 from formulations.rows import P2Rows
-from formulations.subproblem import Subproblem
 from scp_recon import guess, planner
 from scp_recon.mission import Mission
 from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-
 from formulations.direct import DirectSubproblem
-from formulations.formulations import make_subproblem
+
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
+from formulations.program.subproblem import Step, Subproblem, SubproblemError
+from formulations.registry import make_subproblem
 from formulations.rows import P3Rows
-from formulations.subproblem import Step, Subproblem, SubproblemError
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan

@@ -3,8 +3,8 @@
     min  sum ||dv_i|| + w (sum of buffers + ||virtual control||_1)
 
 or with another charge for violations and steps, see `penalty`. What an iterate costs and violates is
-said here, from the nonlinear dynamics; how the program around it is solved in `direct`, which hands
-it to a conic solver as it is, and in `modelled`, which writes it in CVXPY.
+said here, from the nonlinear dynamics. The program around it is written in `model`; what a formulation
+adds to it is in `condensed` and `lifted`.
 """
 
 from __future__ import annotations

@@ -15,27 +15,80 @@ miss, which no flight keeps.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from dataclasses import replace
+from time import perf_counter
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.lifting import Linearisation, compose
+from formulations.lifting import Linearisation, LinearisationError, compose
+from formulations.penalty import Charge, Penalty
 from formulations.problem import FlybyProblem, Nodes, factor_columns_used
+from formulations.program.compiled import CompiledProgram
+from formulations.program.convex_subproblem import ConvexSubproblem
+from formulations.program.model import StateModel, Values, sparse_parameter, write_model
+from formulations.program.output_rows import keep_out_values, write_rows
+from formulations.program.solvers import FallbackSolver
+from formulations.program.subproblem import Step, SubproblemError
 from formulations.regions import Array
+from formulations.rows import Rows
+
+SETTINGS = {"CLARABEL": {"static_regularization_constant": 1e-7}}
+"""With the default 1e-8 Clarabel's factorisation breaks down short of the tolerances."""
 
 
-class Lifted:
-    """The textbook form; arguments as for `Condensed`."""
+class LiftedSubproblem(ConvexSubproblem):
+    """The textbook form of P3 or P2 around an iterate.
 
-    # With the default 1e-8 its factorisation breaks down short of the tolerances.
-    clarabel: ClassVar[dict[str, float]] = {"static_regularization_constant": 1e-7}
+    Args:
+        problem: the flyby problem.
+        rows: its state constraints, those of P3 or of P2.
+        penalty: how violations and steps are charged.
+        solver: of cone programs, kept from iteration to iteration.
+    """
 
-    def __init__(
-        self, problem: FlybyProblem, burns: cp.Variable, nodes: Nodes, with_factor: bool
-    ) -> None:
-        self._problem = problem
+    def __init__(self, problem: FlybyProblem, rows: Rows, penalty: Penalty, solver: str) -> None:
+        super().__init__(problem, rows, penalty, FallbackSolver(solver, SETTINGS))
+        self._dynamics = LiftedDynamics(problem, rows.nodes, rows.with_factor)
+        self._compiled: CompiledProgram | None = None
+
+    def update(self, lin: Linearisation) -> None:
+        """Convexify at an iterate. Raises as `Subproblem.update` does."""
+        try:
+            values = self._dynamics.values(lin)
+        except LinearisationError as error:
+            raise SubproblemError(str(error)) from error
+        self._at, self._values = lin, values | keep_out_values(self.rows, lin)
+
+    def solve(self, radius: float, charge: float | Charge) -> Step:
+        """See `Subproblem.solve`."""
+        start = perf_counter()
+        charge = charge if isinstance(charge, Charge) else Charge(charge)
+        if self._compiled is None:
+            model = write_model(self.problem.n_burns, self._penalty, self._write_states)
+            self._compiled = CompiledProgram(model)
+        every = np.arange(self.rows.count)
+        step = self._solve(self._compiled, self._at, radius, charge, self._values, every)
+        return replace(step, canonicalise_s=perf_counter() - start - step.solver_s)
+
+    def _write_states(self, burns: cp.Variable) -> StateModel:
+        outputs, miss, constraints, parameters = self._dynamics.write(burns)
+        rows, planes = write_rows(self.rows, outputs)
+        return StateModel(miss, rows, constraints, parameters | planes)
+
+
+class LiftedDynamics:
+    """The linearised dynamics of mean and factor as sparse equations.
+
+    Args:
+        problem: dimensions.
+        nodes: nodes whose outputs are wanted.
+        with_factor: whether the outputs carry the covariance factor.
+    """
+
+    def __init__(self, problem: FlybyProblem, nodes: Nodes, with_factor: bool) -> None:
+        self._problem, self._used = problem, nodes
         self._nodes = np.union1d(nodes, problem.burn_nodes)
         factor = with_factor and len(nodes) > 0
         self._columns = factor_columns_used(problem, nodes) if factor else 0
@@ -43,26 +96,29 @@ class Lifted:
         # The factor is needed up to the last node that a constraint looks at.
         self._factor_arcs = int(np.searchsorted(self._nodes, nodes[-1])) if self._columns else 0
         self._mean_size = 6 * (self._arcs + 1)
-        states = cp.Variable(self._mean_size + 6 * self._columns * (self._factor_arcs + 1))
-        virtual = cp.Variable(6)
-        self._indices = self._pattern()
-        rows = 6 * self._arcs + 6 * self._columns * self._factor_arcs
-        self._stepping = cp.Parameter((rows, states.size), sparsity=self._indices)
-        self._constant = cp.Parameter(rows)
-        stacked = cp.reshape(burns, (burns.size,), order="C")
+        self._size = self._mean_size + 6 * self._columns * (self._factor_arcs + 1)
+
+    def write(
+        self, burns: cp.Variable
+    ) -> tuple[cp.Expression, cp.Expression, list[cp.Constraint], dict[str, cp.Parameter]]:
+        """Position and factor rows of the used nodes, (3 n, 1 + c); miss; equations; parameters."""
+        n, columns = self._mean_size, self._columns
+        states, virtual = cp.Variable(self._size), cp.Variable(6)
         # Rows of the states that no arc ends in: the mean and the factor at the first node.
-        ends = np.r_[6 : self._mean_size, self._mean_size + 6 * self._columns : states.size]
-        starts = np.setdiff1d(np.arange(states.size), ends)
-        self._start = cp.Parameter(6 * (1 + self._columns))
-        kicks = self._kicks(states.size)
-        self.constraints: list[cp.Constraint] = [
-            states[starts] == self._start + kicks[starts] @ stacked,
-            states[ends] == self._stepping @ states + self._constant + kicks[ends] @ stacked,
-            states[self._mean_size - 6 : self._mean_size] == problem.final_state + virtual,
+        ends = np.r_[6:n, n + 6 * columns : self._size]
+        starts = np.setdiff1d(np.arange(self._size), ends)
+        entries, stepping = sparse_parameter((len(ends), self._size), *self._pattern())
+        constant, start = cp.Parameter(len(ends)), cp.Parameter(len(starts))
+        kicks = self._kicks(self._size)
+        constraints: list[cp.Constraint] = [
+            states[starts] == start + kicks[starts] @ burns,
+            states[ends] == stepping @ states + constant + kicks[ends] @ burns,
+            states[n - 6 : n] == self._problem.final_state + virtual,
         ]
-        self.virtual_control = virtual
-        pick = self._pick(np.searchsorted(self._nodes, nodes), states.size)
-        self.outputs = cp.reshape(pick @ states, (3 * len(nodes), 1 + self._columns), order="C")
+        pick = self._pick(np.searchsorted(self._nodes, self._used), self._size)
+        outputs = cp.reshape(pick @ states, (3 * len(self._used), 1 + columns), order="C")
+        parameters = {"stepping": entries, "constant": constant, "start": start}
+        return outputs, virtual, constraints, parameters
 
     def _pattern(self) -> tuple[Nodes, Nodes]:
         """Rows of the dynamics and the state entries that the parameter connects to them.
@@ -102,24 +158,27 @@ class Lifted:
         ones = np.ones(len(chosen))
         return sp.csr_array((ones, (np.arange(len(chosen)), chosen)), shape=(len(chosen), size))
 
-    def update(self, lin: Linearisation) -> None:
-        """Set the parameters for an iterate."""
+    def values(self, lin: Linearisation) -> Values:
+        """The parameters for an iterate.
+
+        Raises:
+            LinearisationError: if they are not finite.
+        """
         n, c, arcs = self._factor_arcs, self._columns, compose(lin, self._nodes)
         start = lin.problem.initial_factor[:, :c]
         start = np.pad(start, ((0, 0), (0, c - start.shape[1])))
-        self._start.value = np.r_[lin.problem.initial_state, start.ravel()]
         own = np.broadcast_to(arcs.stm[:n, :, None, :], (n, 6, c, 6))
         factor = lin.factor[self._nodes[:n], :, :c]
         # (T_k . dmu) S^_k: rows i, factor column c, mean component l.
         curved = np.einsum("kijl,kjc->kicl", arcs.tensor[:n], factor, optimize=True)
-        values = np.concatenate([arcs.stm.ravel(), own.ravel(), curved.ravel()])
-        self._stepping.value_sparse = sp.coo_array(
-            (values, self._indices), shape=self._stepping.shape
-        )
         mean = lin.iterate.mean[self._nodes]
         factor_constant = arcs.shift_stm[:n] @ factor - np.einsum("kicl,kl->kic", curved, mean[:n])
         mean_constant = self._mean_constant(lin, mean, arcs.stm, arcs.shift)
-        self._constant.value = np.concatenate([mean_constant.ravel(), factor_constant.ravel()])
+        return {
+            "stepping": np.concatenate([arcs.stm.ravel(), own.ravel(), curved.ravel()]),
+            "constant": np.concatenate([mean_constant.ravel(), factor_constant.ravel()]),
+            "start": np.r_[lin.problem.initial_state, start.ravel()],
+        }
 
     def _mean_constant(self, lin: Linearisation, mean: Array, stm: Array, shift: Array) -> Array:
         """mu^_{k+1} - A_k mu^_k + d_k - B dv^_i, (arcs, 6)."""

@@ -1,42 +1,24 @@
-"""Conic solvers, fed with a program's matrices: built once, updated with numbers afterwards."""
+"""Conic solvers, fed with a program's numbers: built once, updated with new numbers where they can."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from time import perf_counter
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import clarabel
 import numpy as np
 import scipy.sparse as sp
 
+from formulations.program.certificate import ConeProgram, is_optimal
 from formulations.regions import Array
 
 TOLERANCE = 1e-9
 """Tighter than Clarabel's 1e-8, so that late, small predicted reductions still mean something."""
 
 
-@dataclass(frozen=True)
-class ConeProgram:
-    """min q'x  subject to  b - A x in {0}^zero x R+^nonnegative x Q^d1 x Q^d2 x ...
-
-    Attributes:
-        cost: q.
-        matrix: A, with column-wise sorted entries.
-        bound: b.
-        zero: rows of the zero cone.
-        nonnegative: rows of the non-negative cone.
-        second_order: dimensions of the second-order cones.
-    """
-
-    cost: Array
-    matrix: sp.csc_array
-    bound: Array
-    zero: int
-    nonnegative: int
-    second_order: tuple[int, ...]
+NO_SETTINGS: Mapping[str, Mapping[str, float]] = {}
 
 
 class Answer(NamedTuple):
@@ -66,10 +48,15 @@ class ConicSolver(Protocol):
 
 
 class Clarabel:
-    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024."""
+    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024.
 
-    def __init__(self) -> None:
+    Args:
+        settings: besides the tolerances.
+    """
+
+    def __init__(self, settings: Mapping[str, float]) -> None:
         self._solver: Any = None
+        self._settings = settings
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`."""
@@ -80,6 +67,8 @@ class Clarabel:
             settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TOLERANCE
             settings.presolve_enable = False  # or its data could not be updated
             settings.max_threads = 1
+            for name, value in self._settings.items():
+                setattr(settings, name, value)
             cones = [
                 *([clarabel.ZeroConeT(program.zero)] if program.zero else []),
                 clarabel.NonnegativeConeT(program.nonnegative),
@@ -104,9 +93,13 @@ class Qoco:
     """Chari & Acikmese, "QOCO: a quadratic objective conic optimizer", 2025.
 
     It has no certificate of infeasibility; the subproblems need none, as they are always feasible.
+
+    Args:
+        settings: besides the tolerances.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, settings: Mapping[str, float]) -> None:
+        self._settings = settings
         self._qoco = importlib.import_module("qoco")
         self._solver: Any = None
 
@@ -121,7 +114,8 @@ class Qoco:
             sizes = len(q), len(h), z
             matrices = None, q, a if z else None, b if z else None, g, h
             cones = program.nonnegative, len(program.second_order), np.array(program.second_order)
-            self._solver.setup(*sizes, *matrices, *cones, abstol=TOLERANCE, reltol=TOLERANCE)
+            options = {"abstol": TOLERANCE, "reltol": TOLERANCE} | dict(self._settings)
+            self._solver.setup(*sizes, *matrices, *cones, **options)
         else:
             self._solver.update_vector_data(c=q, b=b if z else None, h=h)
             self._solver.update_matrix_data(P=None, A=a.data if z else None, G=g.data)
@@ -134,72 +128,111 @@ class Qoco:
         return Answer(np.array(found.x), found.status, accurate, seconds, multipliers)
 
 
-GAP, HUGE = 1e-6, 1e30
-"""Largest relative error in the proof of a verdict; no nondimensional variable is as huge."""
+HUGE = 1e30
+"""No nondimensional variable is as huge."""
 
 
-def is_optimal(program: ConeProgram, x: Array, z: Array) -> bool:
-    """Whether multipliers z prove x optimal: a verdict rests on this arithmetic, not on a status.
-
-    Weak duality: with q + A'z = 0 and z in the dual cones no x' whose b - A x' is in the cones has
-    q'x' < -b'z. All of it holds here to `GAP`.
-    """
-    primal, dual = float(program.cost @ x), -float(program.bound @ z)
-    gradient = program.cost + program.matrix.T @ z
-    slack = program.bound - program.matrix @ x
-    prices = max(1.0, float(np.abs(program.cost).max()), float(np.abs(z).max()))
-    sizes = max(1.0, float(np.abs(program.bound).max()), float(np.abs(x).max()))
-    return bool(
-        np.abs(gradient).max() <= GAP * prices
-        and np.abs(slack[: program.zero]).max(initial=0.0) <= GAP * sizes
-        and outside(program, slack) <= GAP * sizes
-        and outside(program, z) <= GAP * prices
-        and abs(primal - dual) <= GAP * max(1.0, abs(primal))
-    )
-
-
-def outside(program: ConeProgram, y: Array) -> float:
-    """How far y is from the non-negative and second-order cones, which are their own duals."""
-    first = program.zero + program.nonnegative
-    worst = float((-y[program.zero : first]).max(initial=0.0))
-    if not program.second_order:
-        return worst
-    heads = np.cumsum([0, *program.second_order[:-1]])
-    tails = y[first:] ** 2
-    tails[heads] = 0.0
-    excess = np.sqrt(np.add.reduceat(tails, heads)) - y[first:][heads]
-    return max(worst, float(excess.max()))
-
-
-class Recovering:
-    """A solver with others behind it.
-
-    A solver keeps the equilibration of the numbers that it was built with: where that does not serve
-    the new ones, or it fails, it is built again. Where it is still no better the others are asked. A
-    solver is foreign code: whatever it raises is a failure to answer, as is a number that is not
-    finite, or an answer called accurate that its multipliers do not prove optimal. What is left after
-    that, the algorithm answers with a smaller trust region.
+class ByCvxpy:
+    """Any other solver, by CVXPY's interface to it; it starts anew with each program.
 
     Args:
-        name: a key of `SOLVERS`.
+        name: CVXPY's name of it.
+        settings: besides those that this class has.
+    """
+
+    SETTINGS: ClassVar[dict[str, dict[str, Any]]] = {
+        "ECOS": {"abstol": TOLERANCE, "reltol": TOLERANCE, "feastol": TOLERANCE},
+        # A first-order method: it needs thousands of cheap iterations for what the others do in twenty.
+        "SCS": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 200_000},
+    }
+
+    def __init__(self, name: str, settings: Mapping[str, float]) -> None:
+        from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
+
+        self._name, self._interface = name, SOLVER_MAP_CONIC[name]
+        self._settings = self.SETTINGS.get(name, {}) | dict(settings)
+        self._interface.import_solver()
+
+    def solve(self, program: ConeProgram) -> Answer:
+        """See `ConicSolver`."""
+        form = program.form
+        for parameter in form.parameters:
+            parameter.value = program.values[parameter.id]
+        data, inverse = self._interface.apply(form)
+        start = perf_counter()
+        raw = self._interface.solve_via_data(data, False, False, dict(self._settings), {})
+        seconds = perf_counter() - start
+        solution = self._interface.invert(raw, inverse)
+        if solution.status not in ("optimal", "optimal_inaccurate"):
+            raise ValueError(f"{self._name} ended with status {solution.status}")
+        x = np.asarray(solution.primal_vars[form.x.id]).ravel()
+        duals = [np.ravel(solution.dual_vars[constraint.id]) for constraint in form.constraints]
+        accurate = solution.status == "optimal"
+        return Answer(x, solution.status, accurate, seconds, np.concatenate(duals))
+
+
+SOLVERS: dict[str, Callable[[Mapping[str, float]], ConicSolver]] = {
+    "CLARABEL": Clarabel,
+    "QOCO": Qoco,
+}
+"""Solvers whose numbers can be updated."""
+
+
+def installed() -> tuple[str, ...]:
+    """Conic solvers that CVXPY finds and that take second-order cones, Clarabel first."""
+    import cvxpy as cp
+    from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
+
+    found = [
+        name
+        for name in cp.installed_solvers()
+        if name in SOLVER_MAP_CONIC
+        and cp.SOC in SOLVER_MAP_CONIC[name].SUPPORTED_CONSTRAINTS
+        and name != "ECOS_BB"  # ECOS for mixed integers, of which there are none
+    ]
+    return tuple(sorted(found, key=lambda name: (name != "CLARABEL", name)))
+
+
+Settings = Mapping[str, Mapping[str, float]]
+"""Settings besides the tolerances, by solver."""
+
+
+class FallbackSolver:
+    """A conic solver with fallbacks: rebuild it, then try the others whose numbers can be updated.
+
+    A solver keeps the equilibration of the numbers that it was built with: where that does not serve
+    the new ones, or it fails, it is built again. A solver is foreign code: whatever it raises is a
+    failure to answer, as is a number that is not finite, or an answer called accurate that its
+    multipliers do not prove optimal. What is left after that, the algorithm answers with a smaller
+    trust region. A solver that is not in `SOLVERS` stands alone: it is asked for to be compared.
+
+    Args:
+        name: CVXPY's name of a conic solver.
+        settings: of the solvers.
 
     Raises:
         ModuleNotFoundError: if that solver is not installed.
     """
 
-    def __init__(self, name: str) -> None:
-        self._name, self._kept = name, SOLVERS[name]()
+    def __init__(self, name: str, settings: Settings = NO_SETTINGS) -> None:
+        self._name, self._settings = name, settings
+        self._kept = self._built(name)
+
+    def _built(self, name: str) -> ConicSolver:
+        settings = self._settings.get(name, {})
+        return SOLVERS[name](settings) if name in SOLVERS else ByCvxpy(name, settings)
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`. An inaccurate answer is one where nobody gives a better."""
         failures: dict[str, str] = {}
         answer = self._ask(self._name, self._kept, program, failures)
         solver_s = answer.solver_s if answer else 0.0
-        for name in (self._name, *(name for name in SOLVERS if name != self._name)):
+        others = [name for name in SOLVERS if name != self._name]
+        for name in (self._name, *others) if self._name in SOLVERS else ():
             if answer is not None and answer.accurate:
                 break
             try:
-                solver = SOLVERS[name]()
+                solver = self._built(name)
             except ModuleNotFoundError:  # the other one, which need not be installed
                 continue
             self._kept = solver if name == self._name else self._kept
@@ -228,6 +261,3 @@ class Recovering:
             failures[name] = f"{name} ended with status {answer.status} and proves nothing by it"
             return None
         return answer
-
-
-SOLVERS: dict[str, Callable[[], ConicSolver]] = {"CLARABEL": Clarabel, "QOCO": Qoco}

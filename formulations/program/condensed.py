@@ -1,0 +1,184 @@
+"""Condensed: mean and factor eliminated, so that the burns and the buffers are the only variables.
+
+The rows are second-order cones in the burns (`Rows.cones`). They stand in a fixed number of **slots**
+for each size of cone. A slot without a row holds one that is always satisfied, 1 >= 0, so that neither
+the sparsity nor the compiled program changes while rows come and go; when slots run out their number
+doubles. Rows far from binding are left out: the answer is checked against all of them, and the program
+solved again with those that it misses, so that it is the whole program's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from time import perf_counter
+from typing import NamedTuple
+
+import cvxpy as cp
+import numpy as np
+import numpy.typing as npt
+
+from formulations.condensations import Condensation
+from formulations.lifting import Linearisation, LinearisationError, final_state_map
+from formulations.penalty import Charge, Penalty
+from formulations.problem import FlybyProblem, Nodes
+from formulations.program.compiled import CompiledProgram
+from formulations.program.convex_subproblem import ConvexSubproblem
+from formulations.program.model import StateModel, sparse_parameter, write_model
+from formulations.program.solvers import FallbackSolver
+from formulations.program.subproblem import Step, SubproblemError
+from formulations.regions import Array
+from formulations.rows import Rows
+
+NEAR = 0.002
+"""Room, in units of length, up to which a row takes part from the start."""
+
+SLOTS = 32
+"""For each size of cone, to begin with."""
+
+MISSED = 1e-9
+"""Violation of a row that takes no part at which it has to: the conic solver's own tolerance."""
+
+
+class ConeSize(NamedTuple):
+    """What the compiled program has to know of one block of cones.
+
+    Attributes:
+        dimension: d.
+        components: p, of the burns that they feel.
+        triangular: see `Cones`.
+        slots: how many cones there can be.
+    """
+
+    dimension: int
+    components: int
+    triangular: bool
+    slots: int
+
+    @property
+    def entries(self) -> tuple[Nodes, Nodes]:
+        """Rows and columns of the entries of one cone's values that can be non-zero."""
+        full = np.ones((self.dimension, self.components), dtype=np.bool_)
+        if self.triangular:
+            full[1:] = np.triu(full[1:])
+        rows, columns = np.nonzero(full)
+        return rows, columns
+
+
+@lru_cache(maxsize=64)
+def compile_condensed(
+    n_burns: int, penalty: Penalty, sizes: tuple[ConeSize, ...]
+) -> CompiledProgram:
+    """The program for any problem with so many burns and such cones, compiled once in a process."""
+    return CompiledProgram(write_model(n_burns, penalty, lambda burns: write_states(burns, sizes)))
+
+
+def write_states(burns: cp.Variable, sizes: Sequence[ConeSize]) -> StateModel:
+    """Final state and rows as affine functions of the burns; all of their numbers are parameters."""
+    jacobian, constant = cp.Parameter((6, burns.size)), cp.Parameter(6)
+    parameters, rows = {"miss_jacobian": jacobian, "miss": constant}, []
+    for block, size in enumerate(sizes):
+        row, column = size.entries
+        cone = np.arange(size.slots)[:, None]
+        entries, values = sparse_parameter(
+            (size.slots * size.dimension, size.components),
+            (cone * size.dimension + row).ravel(),
+            np.tile(column, size.slots),
+        )
+        constants = cp.Parameter((size.slots, size.dimension))
+        y = cp.reshape(values @ burns[: size.components], constants.shape, order="C") + constants
+        rows.append(y)
+        parameters |= {f"values_{block}": entries, f"constants_{block}": constants}
+    return StateModel(jacobian @ burns + constant, rows, [], parameters)
+
+
+class CondensedSubproblem(ConvexSubproblem):
+    """A condensed formulation of P3 or P2 around an iterate.
+
+    Args:
+        problem: the flyby problem.
+        rows: its state constraints, those of P3 or of P2.
+        penalty: how violations and steps are charged.
+        solver: of cone programs, kept from iteration to iteration.
+        condensation: how mean and factor are eliminated.
+    """
+
+    def __init__(
+        self,
+        problem: FlybyProblem,
+        rows: Rows,
+        penalty: Penalty,
+        solver: str,
+        condensation: Condensation,
+    ) -> None:
+        super().__init__(problem, rows, penalty, FallbackSolver(solver))
+        self._condense, self._name = condensation, solver
+        self._active = np.zeros(rows.count, dtype=np.bool_)
+        self._slots: list[int] = []
+
+    def update(self, lin: Linearisation) -> None:
+        """Convexify at an iterate. Raises as `Subproblem.update` does."""
+        try:
+            s = self._condense(lin, self.rows.nodes, factor=self.rows.with_factor)
+        except LinearisationError as error:
+            raise SubproblemError(str(error)) from error
+        self._at, self._cones = lin, self.rows.cones(lin, s)
+        constant, jacobian = final_state_map(lin)
+        self._final = {"miss_jacobian": jacobian, "miss": constant - self.problem.final_state}
+        self._slots = self._slots or [SLOTS] * len(self._cones)
+        slack = self._slack(lin.iterate.burns)
+        self._active[:] = False
+        self._take(slack, slack < NEAR)
+
+    def solve(self, radius: float, charge: float | Charge) -> Step:
+        """See `Subproblem.solve`."""
+        start, solver_s = perf_counter(), 0.0
+        charge = charge if isinstance(charge, Charge) else Charge(charge)
+        while True:
+            step = self._attempt(radius, charge)
+            solver_s += step.solver_s
+            slack = self._slack(step.burns)
+            missed = ~self._active & (slack < -MISSED)
+            if not np.any(missed):
+                break
+            self._take(slack, missed)
+        return replace(step, solver_s=solver_s, canonicalise_s=perf_counter() - start - solver_s)
+
+    def _take(self, slack: Array, wanted: npt.NDArray[np.bool_]) -> None:
+        """Put wanted rows into free slots, those with least slack first; without a free slot double."""
+        for block, cones in enumerate(self._cones):
+            candidates = cones.rows[wanted[cones.rows]]
+            if len(candidates) == 0:
+                continue
+            free = self._slots[block] - int(self._active[cones.rows].sum())
+            if free == 0:
+                free = self._slots[block]
+                self._slots[block] *= 2
+                self._solver = FallbackSolver(self._name)
+            self._active[candidates[np.argsort(slack[candidates])[:free]]] = True
+
+    def _attempt(self, radius: float, charge: Charge) -> Step:
+        """Solve with the rows that take part."""
+        sizes, states, buffers = [], dict(self._final), [np.zeros(0, dtype=np.intp)]
+        for block, (cones, slots) in enumerate(zip(self._cones, self._slots, strict=True)):
+            chosen = np.flatnonzero(self._active[cones.rows])
+            n, (_, d, p) = len(chosen), cones.values.shape
+            size = ConeSize(d, p, cones.triangular, slots)
+            row, column = size.entries
+            values, constants = np.zeros((slots, len(row))), np.zeros((slots, d))
+            values[:n] = cones.values[chosen][:, row, column]
+            constants[:n], constants[n:, 0] = cones.constants[chosen], 1.0
+            states |= {f"values_{block}": values.ravel(), f"constants_{block}": constants}
+            sizes.append(size)
+            buffers.append(np.r_[cones.rows[chosen], np.full(slots - n, -1)])
+        compiled = compile_condensed(self.problem.n_burns, self._penalty, tuple(sizes))
+        return self._solve(compiled, self._at, radius, charge, states, np.concatenate(buffers))
+
+    def _slack(self, burns: Array) -> Array:
+        """Room that the model leaves in every row, >= 0 where it is satisfied, shape (rows,)."""
+        slack = np.empty(self.rows.count)
+        for cones in self._cones:
+            y = cones.values @ burns.ravel()[: cones.values.shape[2]] + cones.constants
+            slack[cones.rows] = y[:, 0] - np.linalg.norm(y[:, 1:], axis=1)
+        return slack
