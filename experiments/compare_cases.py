@@ -18,7 +18,7 @@ from scp_recon.mission import Mission
 
 IPOPT = "IPOPT"
 NLP_VARIANTS = ("printed", "tuned", "shooting")
-"""Keys of `formulations.nlp.VARIANTS`, which is not imported here because CasADi is optional."""
+"""Keys of `formulations.nlp.VARIANTS`, which is not imported here because CasADi takes a second."""
 
 
 @dataclass(frozen=True)

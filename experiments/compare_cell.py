@@ -13,11 +13,9 @@ import numpy as np
 from experiments.compare_cases import IPOPT, UNGUARDED, Cell, Method, initial_guess
 from experiments.compare_row import Row, empty_row
 from experiments.unguarded import Unguarded
-from formulations.condensations import CONDENSATIONS
 from formulations.facets import choose_facets, included_rows
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
-from formulations.program.solvers import SOLVERS
 from formulations.program.subproblem import Evaluation
 from formulations.registry import make_subproblem
 from formulations.rows import P2Rows
@@ -83,8 +81,8 @@ def _needs(method: Method) -> tuple[str, ...]:
     """Modules that a method imports where it uses them, which is not to count as its time."""
     if method.solver == IPOPT:
         return ("scp_recon.ipopt",)
-    modelled = method.formulation not in CONDENSATIONS or method.solver not in SOLVERS
-    return ("formulations.modelled", method.solver.lower()) if modelled else ()
+    form = "lifted" if method.formulation == "lifted" else "condensed"
+    return (f"formulations.program.{form}", method.solver.lower())
 
 
 def _peak_mib() -> float:

@@ -35,7 +35,7 @@ ASLEEP = 20.0
 Solve = Callable[[Cell, int], Row]
 
 SOURCES = (
-    "formulations/*.py",
+    "formulations/**/*.py",
     "scp_recon/*.py",
     "scp_recon/data/*.*",
     "experiments/compare_c[ae]*.py",

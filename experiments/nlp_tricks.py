@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 
 from scp_recon import guess
-from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
@@ -58,7 +57,7 @@ class Trick:
 
 
 def tricks() -> list[Trick]:
-    """From printed to tuned, and the alternatives; needs CasADi."""
+    """From printed to tuned, and the alternatives."""
     from formulations.nlp import VARIANTS, Settings, Variant, paper_covariance, scaled_covariance
     from formulations.nlp_multiple_shooting import MultipleShooting
     from formulations.nlp_single_shooting import SingleShooting
@@ -156,12 +155,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(out: Path, console: Console) -> int:
     os.environ.update(FOR_SPRAL)
-    try:
-        chosen = tricks()
-    except ModuleNotFoundError as error:
-        if error.name != "casadi":
-            raise
-        raise InputError("the tricks", "no CasADi", "install the extra scp_recon[ipopt]") from None
+    chosen = tricks()
     mission = Mission.from_scenario(load_scenario())
     rows = measure(mission, chosen, lambda line: console.print(line, highlight=False))
     out.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,6 @@ from experiments.as_flown import as_flown_burns
 from formulations.program.subproblem import Evaluation
 from formulations.rows import P3Rows
 from scp_recon import guess
-from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
 from scp_recon.results import make_solution
@@ -148,12 +147,8 @@ def _scp(init: Init, problem: Literal["P3", "P2"], mission: Mission) -> Solution
 
 
 def _ipopt(init: Init, mission: Mission) -> Solution:
-    """The one place that knows the reference solver; it needs CasADi."""
-    try:
-        from scp_recon import ipopt
-    except ModuleNotFoundError as error:
-        if error.name != "casadi":
-            raise
-        raise InputError("IPOPT", "no CasADi", "needs the extra scp_recon[ipopt]") from None
+    """The one place that knows the reference solver."""
+    from scp_recon import ipopt  # by CasADi, which takes a second to import
+
     result = ipopt.plan(mission, GUESSES[init](mission), variant=VARIANT)
     return make_solution(mission, result, init, VARIANT, "interior point", "IPOPT")

@@ -35,6 +35,7 @@ class ExactPenalty:
     SHRINK: ClassVar[float] = 0.25
     COLLAPSED: ClassVar[float] = 1e-9
     FAILURES_MAX: ClassVar[int] = 5
+    HOPELESS: ClassVar[float] = 1e-2
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from the guess."""
@@ -52,6 +53,23 @@ class ExactPenalty:
         if state.stationary:
             return Status.INFEASIBLE if heaviest else None
         return Status.STALLED if state.radius < self.COLLAPSED else None
+
+    def _negligible(self, record: Record) -> float:
+        """Reduction of the merit that is not worth a step."""
+        return self.stationary * max(1.0, abs(record.merit))
+
+    def _worth(self, charge: Charge, record: Record) -> float:
+        """Reduction of the merit within a unit radius up to which an iterate counts as stationary.
+
+        What the heaviest weight has to tell is whether violations can be removed at all. There an
+        iterate from which the model promises to take less than `HOPELESS` off what they cost is one
+        where they cannot. The last digits of the least violation do not matter, and first-order steps
+        would find them slowly.
+        """
+        negligible = self._negligible(record)
+        if charge.weight < self.weight_max or record.violated <= self.feasible:
+            return negligible
+        return max(negligible, self.HOPELESS * (record.merit - record.total_dv))
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:
         """Stationary but violated: the penalty may not have been exact, so weigh it once more."""

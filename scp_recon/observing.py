@@ -22,7 +22,7 @@ JOINT = {
     "phase": ("phase_min", "phase_max"),
     "battery_observation": ("battery_observation",),
 }
-"""Margins that make up each joint chance constraint: Echigo et al., eqs. (21) to (25)."""
+"""Margins that make up each joint chance constraint: Echigo et al., eqs. (12) to (16)."""
 
 SCIENCE = ("site_distance", "emission", "phase")
 """The observation constraints proper, whose time is counted; the battery's is not one of them."""

@@ -50,6 +50,6 @@ class ProxLinear(ExactPenalty):
         # component above one can gain: predicted + p (||s||_1 - ||s||^2).
         moved = trial.answer.burns - state.lin.iterate.burns
         bound = trial.predicted + prox * float(np.abs(moved).sum() - (moved**2).sum())
-        worth = self.stationary * max(1.0, abs(record.merit))
+        worth = self._worth(state.charge, record)
         stationary = trial.answer.accurate and not guess and bound <= worth
         return replace(new, stationary=stationary), record

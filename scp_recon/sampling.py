@@ -58,7 +58,7 @@ def fly_block(
     """Fly the first `flights` of a block of draws.
 
     The initial state is Gaussian about the mission's. A burn is executed as dv (1 + beta w) by
-    component with w standard normal (Echigo et al., eq. 11), or by Gates' model with a proportional
+    component with w standard normal (Echigo et al., eq. 3), or by Gates' model with a proportional
     error of the magnitude, beta, and of the pointing, beta rad about each axis across: the isotropic
     counterpart of the same size. A flight is integrated from burn to burn in steps that nothing else
     decides, and interpolated where it is looked at.

@@ -91,6 +91,7 @@ class State:
         charge: weights and multipliers.
         failures: of the conic solver, in a row.
         stationary: whether no step promises a reduction that is worth one.
+        worthless: whether the last step was refused, and promised no more than what is not worth one.
         change: SCvx*'s bound on the merit's change at which the multipliers are next updated.
         violated: largest violation when they were updated last.
     """
@@ -101,6 +102,7 @@ class State:
     charge: Charge
     failures: int = 0
     stationary: bool = False
+    worthless: bool = False
     change: float = float("inf")
     violated: float = float("inf")
 

@@ -47,13 +47,20 @@ class TrustRegion(ExactPenalty):
             radius = self.GROW * radius
         accepted = guess or ratio > self.ACCEPT
         new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)
-        stationary = trial.answer.accurate and not guess and self._is_stationary(record)
+        if guess or not trial.answer.accurate:
+            return replace(new, stationary=False), record
+        stationary = self._is_stationary(state, record)
         if stationary and state.radius < self.VERDICT_RADIUS:
             # Within a tiny radius the solver's rounding hides what there is to gain: look again.
             return replace(new, radius=self.VERDICT_RADIUS), record
-        return replace(new, stationary=stationary), record
+        worthless = trial.predicted <= self._negligible(record)
+        if worthless and state.worthless and ratio > self.SHRINK_BELOW:
+            # Refused, and kept at a shorter step: the derivatives are right, and curvature eats what
+            # longer steps promise. What it leaves is less than was promised then.
+            stationary = True
+        return replace(new, stationary=stationary, worthless=worthless and not accepted), record
 
-    def _is_stationary(self, record: Record) -> bool:
+    def _is_stationary(self, state: State, record: Record) -> bool:
         """No step within a unit radius promises a reduction that is worth one.
 
         The model is convex. If the trust region does not bind, a larger one promises nothing more;
@@ -61,5 +68,5 @@ class TrustRegion(ExactPenalty):
         bounds the one within a unit radius.
         """
         binds = record.step > 0.99 * record.trust_radius
-        scale = max(1.0, abs(record.merit)) * (min(1.0, record.trust_radius) if binds else 1.0)
-        return record.predicted <= self.stationary * scale
+        scale = min(1.0, record.trust_radius) if binds else 1.0
+        return record.predicted <= self._worth(state.charge, record) * scale

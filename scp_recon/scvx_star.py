@@ -67,6 +67,10 @@ class AugmentedLagrangian(TrustRegion):
         """Multipliers do what a heavier weight is for."""
         return state
 
+    def _worth(self, charge: Charge, record: Record) -> float:  # noqa: ARG002 -- as inherited
+        """Whether there is hope, the multipliers tell."""
+        return self._negligible(record)
+
     def _update(self, subproblem: Subproblem, state: State, record: Record) -> State:
         weight, multipliers = state.charge.weight, state.charge.multipliers
         assert multipliers is not None

@@ -87,7 +87,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--solver",
         metavar="NAME",
-        help="with scp a conic solver that CVXPY finds: CLARABEL; ECOS, QOCO and SCS with the extra "
+        help="with scp a conic solver that CVXPY finds: CLARABEL and SCS; ECOS and QOCO with the extra "
         f"[compare] (default: {SOLVER})",
     )
     p.add_argument(
@@ -164,15 +164,9 @@ def _method(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning
             raise InputError(
                 f"--{option.replace('_', '-')}", str(given), "goes with --method scp only"
             )
-    try:
-        from formulations.nlp import VARIANTS
-        from scp_recon import ipopt
-    except ModuleNotFoundError as error:
-        if error.name != "casadi":
-            raise
-        raise InputError(
-            "--method", "ipopt", "needs CasADi: install the extra scp_recon[ipopt]"
-        ) from None
+    from formulations.nlp import VARIANTS  # by CasADi, which takes a second to import
+    from scp_recon import ipopt
+
     variant = _one_of("--formulation", options.formulation or "tuned", VARIANTS)
 
     def by_ipopt(mission: Mission, start: Iterate, observe: Observer) -> Plan:

@@ -134,10 +134,24 @@ def _interrupted(stages: list[Stage]) -> Stage:
 
 
 def better(new: Stage, old: Stage) -> bool:
-    """Whether a run is worth keeping instead: first converged, then cheaper."""
-    if new.result.status is not old.result.status:
-        return new.result.status is Status.CONVERGED
+    """Whether a run is worth keeping instead: first by how it ended, then cheaper."""
+    if _rank(new) != _rank(old):
+        return _rank(new) > _rank(old)
     return _merit(new) < _merit(old)
+
+
+def _rank(stage: Stage) -> int:
+    """How much a run's end says: a solution, a point that violates nothing, a verdict, nothing."""
+    if stage.result.status is Status.CONVERGED:
+        return 3
+    if _violated(stage) <= stage.tolerance:
+        return 2
+    return 1 if stage.result.status is Status.INFEASIBLE else 0
+
+
+def _violated(stage: Stage) -> float:
+    violations = stage.subproblem.violations(stage.result.lin)
+    return max(float(amount.max(initial=0.0)) for amount in violations.values())
 
 
 def _merit(stage: Stage) -> float:

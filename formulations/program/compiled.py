@@ -50,8 +50,10 @@ class CompiledProgram:
         filled = np.flatnonzero(np.diff(both.indptr))
         entries = filled[filled < rows * columns]
         self._cost, self._bound = cost[:columns], both[rows * columns :]
-        self._entries, self._row = both[entries], entries % rows
-        self._starts = np.searchsorted(entries, rows * np.arange(columns + 1))
+        self._entries = both[entries]
+        starts = np.searchsorted(entries, rows * np.arange(columns + 1))
+        # QOCO takes 32-bit indices only.
+        self._row, self._starts = (entries % rows).astype(np.int32), starts.astype(np.int32)
 
     def evaluate(self, values: Mapping[str, Array]) -> ConeProgram:
         """The numbers of the program for every parameter's value, by name.

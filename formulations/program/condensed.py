@@ -129,26 +129,28 @@ class CondensedSubproblem(ConvexSubproblem):
         self._slots = self._slots or [SLOTS] * len(self._cones)
         slack = self._slack(lin.iterate.burns)
         self._active[:] = False
-        self._take(slack, slack < NEAR)
+        for cones, slots in zip(self._cones, self._slots, strict=True):
+            near = cones.rows[slack[cones.rows] < NEAR]
+            # Half of the slots: the answer may miss others.
+            self._active[near[np.argsort(slack[near])[: slots // 2]]] = True
 
-    def solve(self, radius: float, charge: float | Charge) -> Step:
-        """See `Subproblem.solve`."""
+    def _attempt(self, radius: float, charge: Charge, planes: Array) -> Step:
+        """Solve with the rows that take part, until the answer misses no other."""
         start, solver_s = perf_counter(), 0.0
-        charge = charge if isinstance(charge, Charge) else Charge(charge)
         while True:
-            step = self._attempt(radius, charge)
+            step = self._solve_with_slots(radius, charge, planes)
             solver_s += step.solver_s
             slack = self._slack(step.burns)
             missed = ~self._active & (slack < -MISSED)
             if not np.any(missed):
                 break
-            self._take(slack, missed)
+            self._take(missed, slack)
         return replace(step, solver_s=solver_s, canonicalise_s=perf_counter() - start - solver_s)
 
-    def _take(self, slack: Array, wanted: npt.NDArray[np.bool_]) -> None:
-        """Put wanted rows into free slots, those with least slack first; without a free slot double."""
+    def _take(self, missed: npt.NDArray[np.bool_], slack: Array) -> None:
+        """Put missed rows into free slots, those with least slack first; without a free slot double."""
         for block, cones in enumerate(self._cones):
-            candidates = cones.rows[wanted[cones.rows]]
+            candidates = cones.rows[missed[cones.rows]]
             if len(candidates) == 0:
                 continue
             free = self._slots[block] - int(self._active[cones.rows].sum())
@@ -158,7 +160,7 @@ class CondensedSubproblem(ConvexSubproblem):
                 self._solver = FallbackSolver(self._name)
             self._active[candidates[np.argsort(slack[candidates])[:free]]] = True
 
-    def _attempt(self, radius: float, charge: Charge) -> Step:
+    def _solve_with_slots(self, radius: float, charge: Charge, planes: Array) -> Step:
         """Solve with the rows that take part."""
         sizes, states, buffers = [], dict(self._final), [np.zeros(0, dtype=np.intp)]
         for block, (cones, slots) in enumerate(zip(self._cones, self._slots, strict=True)):
@@ -173,7 +175,7 @@ class CondensedSubproblem(ConvexSubproblem):
             sizes.append(size)
             buffers.append(np.r_[cones.rows[chosen], np.full(slots - n, -1)])
         compiled = compile_condensed(self.problem.n_burns, self._penalty, tuple(sizes))
-        return self._solve(compiled, self._at, radius, charge, states, np.concatenate(buffers))
+        return self._solve(compiled, radius, charge, planes, states, np.concatenate(buffers))
 
     def _slack(self, burns: Array) -> Array:
         """Room that the model leaves in every row, >= 0 where it is satisfied, shape (rows,)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -13,11 +15,18 @@ from formulations.program.compiled import CompiledProgram
 from formulations.program.model import Values, penalty_values
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Step, Subproblem, SubproblemError
+from formulations.regions import Array
 from formulations.rows import Rows
+
+SMALL_BURN = 1e-2
+"""Of `dv_max`; see `ConvexSubproblem.solve`."""
+
+INSIDE = 1e-9
+"""Depth in a cone that counts as none: the conic solver's own tolerance."""
 
 
 class ConvexSubproblem(Subproblem):
-    """A subproblem whose program is a `CompiledProgram`.
+    """A subproblem whose program is a `CompiledProgram`; `update` says where it is convexified.
 
     Args:
         problem: the flyby problem.
@@ -31,13 +40,56 @@ class ConvexSubproblem(Subproblem):
     ) -> None:
         super().__init__(problem, rows)
         self._penalty, self._solver = penalty, solver
+        self._at: Linearisation
+
+    def solve(self, radius: float, charge: float | Charge) -> Step:
+        """See `Subproblem.solve`.
+
+        Burns stay out of the battery's cones by planes, one for each nappe. Where a small burn points
+        says nothing about where it will point. A first answer without its planes does, and bounds what
+        any direction promises. If that answer lies in a cone, two more follow: with planes towards it,
+        and with planes towards where the burn points already, which is no worse than no step. The
+        better of the two counts.
+        """
+        charge = charge if isinstance(charge, Charge) else Charge(charge)
+        burns = self._at.iterate.burns
+        planes = self.burn_planes(burns)
+        small = np.linalg.norm(burns, axis=1) <= min(radius, SMALL_BURN * self.problem.dv_max)
+        if not small.any():
+            return self._attempt(radius, charge, planes)
+        which = small[:, None]
+        free = self._attempt(radius, charge, np.where(which, 0.0, planes))
+        toward, away = (cone.inside(free.burns) for cone in self.problem.burn_cones)
+        if np.maximum(toward, away)[small].max() <= INSIDE:
+            return free
+        turned = self.burn_planes(np.where(which, free.burns, burns))
+        steps = [free, *(self._attempt(radius, charge, either) for either in (turned, planes))]
+        return replace(
+            min(steps[1:], key=lambda step: step.merit),
+            solver_s=sum(step.solver_s for step in steps),
+            canonicalise_s=sum(step.canonicalise_s for step in steps),
+        )
+
+    @abstractmethod
+    def _attempt(self, radius: float, charge: Charge, planes: Array) -> Step:
+        """Solve with the normals of some planes off the battery's cones, shape (2, m, 3)."""
+
+    def burn_planes(self, burns: Array) -> Array:
+        """Normals of the planes that keep burns out of the battery's cones, shape (2, m, 3).
+
+        As ||across|| >= e'dv for any unit vector e across the Sun line, a plane's violation is never
+        less than its cone's, whatever burns it was made at; at these burns they are the same.
+        """
+        toward, away = self.problem.burn_cones
+        across = toward.across(burns)
+        return np.stack([cone.facets(across, cone.half_angle).normal for cone in (toward, away)])
 
     def _solve(
         self,
         compiled: CompiledProgram,
-        at: Linearisation,
         radius: float,
         charge: Charge,
+        planes: Array,
         states: Values,
         buffers: Nodes,
     ) -> Step:
@@ -45,21 +97,21 @@ class ConvexSubproblem(Subproblem):
 
         Args:
             compiled: the program.
-            at: where it is convexified.
             radius: of the trust region.
             charge: of the penalty.
+            planes: off the battery's cones.
             states: values of what the formulation adds, by parameter.
             buffers: row that each buffer belongs to, -1 for none.
 
         Raises:
             SubproblemError: if there is no answer.
         """
-        start, burns = perf_counter(), at.iterate.burns
+        start, burns = perf_counter(), self._at.iterate.burns
         own = {
             "centre": burns.ravel(),
             "radius": np.array(radius),
             "dv_max": np.array(self.problem.dv_max),
-            "cone_normals": self.burn_planes(burns, radius).reshape(-1, 3),
+            "cone_normals": planes.reshape(-1, 3),
         }
         prices = penalty_values(self._penalty, charge, len(burns), buffers)
         program = compiled.evaluate(own | prices | states)

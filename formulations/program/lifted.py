@@ -61,15 +61,13 @@ class LiftedSubproblem(ConvexSubproblem):
             raise SubproblemError(str(error)) from error
         self._at, self._values = lin, values | keep_out_values(self.rows, lin)
 
-    def solve(self, radius: float, charge: float | Charge) -> Step:
-        """See `Subproblem.solve`."""
+    def _attempt(self, radius: float, charge: Charge, planes: Array) -> Step:
         start = perf_counter()
-        charge = charge if isinstance(charge, Charge) else Charge(charge)
         if self._compiled is None:
             model = write_model(self.problem.n_burns, self._penalty, self._write_states)
             self._compiled = CompiledProgram(model)
         every = np.arange(self.rows.count)
-        step = self._solve(self._compiled, self._at, radius, charge, self._values, every)
+        step = self._solve(self._compiled, radius, charge, planes, self._values, every)
         return replace(step, canonicalise_s=perf_counter() - start - step.solver_s)
 
     def _write_states(self, burns: cp.Variable) -> StateModel:

@@ -20,9 +20,6 @@ from formulations.problem import FlybyProblem
 from formulations.regions import Array
 from formulations.rows import Margins, Rows
 
-SMALL_BURN = 1e-2
-"""Of `dv_max`; see `Subproblem.burn_planes`."""
-
 
 class SubproblemError(RuntimeError):
     """There is no usable answer; the message says why, in the conic solver's words if it has any."""
@@ -128,14 +125,3 @@ class Subproblem(Evaluation, ABC):
         Raises:
             SubproblemError: if the conic solver fails or gives no finite answer.
         """
-
-    def burn_planes(self, burns: Array, radius: float) -> Array:
-        """Normals of the planes that keep burns out of the battery's cones, shape (2, m, 3).
-
-        The direction of a small burn that may turn says nothing about where it will point: there
-        the normal is zero, and the plane constrains nothing.
-        """
-        turning = min(radius, SMALL_BURN * self.problem.dv_max)
-        steady = np.linalg.norm(burns, axis=1, keepdims=True) > turning
-        cones = self.problem.burn_cones
-        return np.stack([np.where(steady, cone.supporting(burns).normal, 0.0) for cone in cones])

@@ -130,7 +130,6 @@ def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
 
 
 def test_ipopt_agrees_from_the_same_p3_solution_and_facets() -> None:
-    pytest.importorskip("casadi")
     ours, theirs = (
         solve_cell(Cell("scenarios", "recon_b", (), method, "p3"), 0)
         for method in (REFERENCE, TUNED)
@@ -279,7 +278,6 @@ def test_a_second_try_that_was_discarded_is_not_named() -> None:
 
 def test_burns_of_a_program_that_gave_up_are_flown_before_their_merit() -> None:
     """With gaps between its arcs an iterate may look cheaper than any flight."""
-    pytest.importorskip("casadi")
     from formulations.nlp import EXACT, VARIANTS
 
     brief = replace(VARIANTS["tuned"], p2=replace(EXACT, max_iterations=5))
@@ -302,7 +300,6 @@ def test_the_csv_has_a_line_for_every_row() -> None:
 def test_the_command_leaves_table_and_figures_and_takes_up_its_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("casadi")
     cells = (Cell("matrix", "recon_b", (), REFERENCE, "cold"),)
     monkeypatch.setattr(compare_solvers, "quick_design", lambda: cells)
     monkeypatch.setattr(compare_solvers, "FLIGHTS", 1000)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
-pytest.importorskip("casadi")
-
 from experiments.nlp_tricks import HEAD, measure, to_csv, to_markdown, tricks
 from formulations.nlp import VARIANTS
 from scp_recon.mission import Mission

@@ -37,7 +37,6 @@ def test_our_row_flies_the_burns_that_it_reports(mission: Mission) -> None:
 def test_its_rows_are_taken_into_the_comparison(
     tmp_path: Path, mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("casadi")
     row = openscvx_peer.our_row(mission, guess.ballistic(mission), "ptr", "QOCO")
     (tmp_path / PEER_NAME).write_text(json.dumps(asdict(row)) + "\n")
     monkeypatch.setattr(compare_solvers, "quick_design", tuple)

@@ -8,7 +8,6 @@ from typing import get_args
 import casadi as ca
 import numpy as np
 import pytest
-from formulations.modelled import ModelledSubproblem
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +16,9 @@ from formulations.lifting import Linearisation, condense
 from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.problem import FlybyProblem
+from formulations.program import condensed, lifted
+from formulations.program.compiled import CompiledProgram
+from formulations.program.model import Model
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows import P2Rows, P3Rows, Rows
 from tests.helpers import (
@@ -55,8 +57,23 @@ def test_every_subproblem_is_disciplined_convex_and_parametrised(
 ) -> None:
     lin = some_flyby(rng).perturbed(rng, 0.1, 0.05)
     rows = rows_of(lin, name, facets)
-    program = ModelledSubproblem(lin.problem, rows, formulation, penalty=penalty).program
-    assert program.is_dcp(dpp=True)
+    compiled: list[Model] = []
+
+    def watch(model: Model) -> CompiledProgram:
+        compiled.append(model)
+        return CompiledProgram(model)
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (condensed, lifted):
+            patch.setattr(module, "CompiledProgram", watch)
+        condensed.compile_condensed.cache_clear()
+        subproblem = make_subproblem(lin.problem, rows, formulation, penalty=penalty)
+        subproblem.update(lin)
+        multipliers = np.zeros(6 + 3 * lin.problem.n_burns + rows.count)
+        augmented = penalty == "augmented"
+        subproblem.solve(0.5, Charge(WEIGHT, multipliers=multipliers if augmented else None))
+    assert compiled
+    assert all(model.program.is_dcp(dpp=True) for model in compiled)
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from formulations.direct import DirectSubproblem
 
 from formulations.lifting import Linearisation
+from formulations.program.condensed import CondensedSubproblem
 from formulations.program.subproblem import Step, SubproblemError
+from formulations.registry import make_subproblem
 from formulations.rows import P3Rows
 from scp_recon import guess
 from scp_recon.algorithms import ALGORITHMS
@@ -49,7 +50,7 @@ def p3_by(
     algorithm: ProxLinear | AugmentedLagrangian, mission: Mission, start: Linearisation
 ) -> Result:
     rows = P3Rows(mission.problem)
-    subproblem = DirectSubproblem(mission.problem, rows, penalty=algorithm.penalty)
+    subproblem = make_subproblem(mission.problem, rows, penalty=algorithm.penalty)
     return run(subproblem, mission.dynamics, start, algorithm, ignore)
 
 
@@ -74,14 +75,14 @@ def test_what_cannot_be_reached_is_infeasible_with_the_least_violation(name: str
 def test_an_answer_that_the_solver_does_not_vouch_for_ends_in_no_verdict(
     name: str, mission: Mission, cold: Linearisation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = DirectSubproblem.solve
+    original = CondensedSubproblem.solve
 
-    def solve(self: DirectSubproblem, *arguments: float) -> Step:
+    def solve(self: CondensedSubproblem, *arguments: float) -> Step:
         return replace(original(self, *arguments), accurate=False)
 
-    monkeypatch.setattr(DirectSubproblem, "solve", solve)
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
     algorithm = ALGORITHMS[name]()
-    subproblem = DirectSubproblem(
+    subproblem = make_subproblem(
         mission.problem, P3Rows(mission.problem), penalty=algorithm.penalty
     )
     result = run(subproblem, mission.dynamics, cold, algorithm, ignore)
@@ -95,9 +96,9 @@ def test_a_solver_that_always_fails_ends_the_run(
     def solve(*_: object) -> Step:
         raise SubproblemError("no answer")
 
-    monkeypatch.setattr(DirectSubproblem, "solve", solve)
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
     algorithm = ALGORITHMS[name]()
-    subproblem = DirectSubproblem(
+    subproblem = make_subproblem(
         mission.problem, P3Rows(mission.problem), penalty=algorithm.penalty
     )
     result = run(subproblem, mission.dynamics, cold, algorithm, ignore)
@@ -154,7 +155,7 @@ def test_multipliers_end_at_the_price_of_the_final_state(
     """Moving the final state by d changes the least delta-v by -l'd, to first order."""
     algorithm = AugmentedLagrangian()
     rows = P3Rows(mission.problem)
-    subproblem = DirectSubproblem(mission.problem, rows, penalty="augmented")
+    subproblem = make_subproblem(mission.problem, rows, penalty="augmented")
     state = algorithm.init(subproblem, cold)
 
     for k in itertools.count(1):
@@ -165,7 +166,7 @@ def test_multipliers_end_at_the_price_of_the_final_state(
     step = np.zeros(6)
     step[4] = 1e-3
     moved = replace(mission.problem, final_state=mission.problem.final_state + step)
-    again = DirectSubproblem(moved, P3Rows(moved), penalty="proximal")
+    again = make_subproblem(moved, P3Rows(moved), penalty="proximal")
     start = mission.dynamics.linearise(moved, prox_run.lin.iterate)
     result = run(again, mission.dynamics, start, ProxLinear(), ignore)
     change = result.lin.iterate.total_dv - prox_run.lin.iterate.total_dv

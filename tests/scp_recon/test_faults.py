@@ -20,8 +20,9 @@ import clarabel
 import numpy as np
 import pytest
 
-from formulations import interior_point
-from formulations.program.solvers import SOLVERS, Answer, Clarabel, ConeProgram
+from formulations.program import solvers
+from formulations.program.certificate import ConeProgram
+from formulations.program.solvers import SOLVERS, Answer, Clarabel
 from scp_recon import files, guess, montecarlo, simulate, solve, verify
 from scp_recon import solution as solution_module
 from scp_recon.mission import Mission
@@ -88,7 +89,7 @@ class Faulty:
     """Clarabel, some of whose answers are spoilt."""
 
     def __init__(self, fault: Fault, spoilt: Callable[[], bool]) -> None:
-        self._solver, self._fault, self._spoilt = Clarabel(), fault, spoilt
+        self._solver, self._fault, self._spoilt = Clarabel({}), fault, spoilt
 
     def solve(self, program: ConeProgram) -> Answer:
         answer = self._solver.solve(program)
@@ -98,7 +99,7 @@ class Faulty:
 def inject(
     monkeypatch: pytest.MonkeyPatch, fault: Fault, spoilt: Callable[[], bool], *, others: bool
 ) -> None:
-    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda: Faulty(fault, spoilt))
+    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda _: Faulty(fault, spoilt))
     if not others:
         monkeypatch.delitem(SOLVERS, "QOCO")
 
@@ -202,6 +203,7 @@ class Timid(Liar):
     def asked(self, b: Any) -> Any:
         n = 3 * coarse()[0].problem.n_burns
         middle = 0.5 * (b[:n] - b[n : 2 * n])  # of the trust region's rows, radius +- burns
+        assert np.ptp(b[:n] + b[n : 2 * n]) < 1e-9
         return np.concatenate([1e-7 + middle, 1e-7 - middle, b[2 * n :]])
 
 
@@ -226,7 +228,7 @@ def test_a_wrong_status_is_found_out(liar: type[Liar], monkeypatch: pytest.Monke
     mission, _ = coarse()
     names = {name: getattr(clarabel, name) for name in dir(clarabel)}
     lying = SimpleNamespace(**{**names, "DefaultSolver": liar})
-    monkeypatch.setattr(interior_point, "clarabel", lying)
+    monkeypatch.setattr(solvers, "clarabel", lying)
     monkeypatch.delitem(SOLVERS, "QOCO")
     found = plan(mission, guess.cold(mission))
     # Asked again from nothing, one that repeats itself tells the truth.
@@ -245,19 +247,23 @@ def test_a_failing_solver_ends_the_command_with_a_status(
     reliability.count(reliability.FAULTS)
 
 
-@pytest.mark.parametrize("formulation", ["lifted"])
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_a_solver_behind_cvxpy_that_raises_ends_in_a_status(
     formulation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import cvxpy as cp
+    pytest.importorskip("ecos", reason="there is no solver behind CVXPY")
+    from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
 
     def broken(*_: object, **__: object) -> None:
         raise RuntimeError("an assertion in the solver")
 
     mission, _ = coarse()
-    monkeypatch.setattr(cp.Problem, "solve", broken)
-    found = plan(mission, guess.cold(mission), formulation=formulation, problem="P3")
+    monkeypatch.setattr(SOLVER_MAP_CONIC["ECOS"], "solve_via_data", broken)
+    start = guess.cold(mission)
+    found = plan(mission, start, formulation=formulation, solver="ECOS", problem="P3")
     assert found.final.result.status is Status.SOLVER_FAILED
+    words = {record.failure for record in found.final.result.records}
+    assert words == {"an assertion in the solver"}
     reliability.count(reliability.FAULTS)
 
 

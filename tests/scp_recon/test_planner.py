@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from experiments.compare_cases import random_guess
-from formulations import direct
 from formulations.facets import choose_facets, included_rows
 from formulations.problem import Iterate
+from formulations.program import condensed
 from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
 from formulations.rows import P2Rows
@@ -432,12 +432,12 @@ def test_what_is_planned_again_is_verified_with_its_own_mission(
 def test_rows_left_out_of_its_programs_do_not_change_a_stage(
     mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither those far from binding at the start nor those that the direct program leaves out."""
+    """Neither those far from binding at the start nor those that the condensed program leaves out."""
     facets, start = default_plan.final.facets, default_plan.stages[0].result.lin
     assert facets is not None
     found = []
     for near, clearance_m in ((0.04, CLEARANCE_M), (0.04, 40.0), (np.inf, np.inf)):
-        monkeypatch.setattr(direct, "NEAR", near)
+        monkeypatch.setattr(condensed, "NEAR", near)
         planner = Planner(mission)
         rows = planner.p2_rows(facets, start, clearance_m)
         subproblem = planner.subproblem(rows)

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from formulations.direct import DirectSubproblem
 
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
+from formulations.program.condensed import CondensedSubproblem
 from formulations.program.subproblem import Step, Subproblem, SubproblemError
 from formulations.registry import make_subproblem
 from formulations.rows import P3Rows
@@ -23,7 +23,7 @@ from scp_recon.status import Status
 
 from .support import Array, mission_of
 
-Solve = Callable[[DirectSubproblem, float, float], Step]
+Solve = Callable[[CondensedSubproblem, float, float], Step]
 
 
 def ignore(_: Record) -> None:
@@ -61,11 +61,11 @@ def some_plan(request: pytest.FixtureRequest) -> Plan:
 
 
 def inject(monkeypatch: pytest.MonkeyPatch, solve: Solve) -> None:
-    monkeypatch.setattr(DirectSubproblem, "solve", solve)
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
 
 
-def reference(subproblem: DirectSubproblem) -> Array:
-    return np.asarray(subproblem._burns)
+def reference(subproblem: CondensedSubproblem) -> Array:
+    return np.asarray(subproblem._at.iterate.burns)
 
 
 # --- what every run must do ---------------------------------------------------------------------
@@ -190,7 +190,7 @@ def test_iteration_limit(p3: Subproblem, cold: Linearisation, mission: Mission) 
 def test_a_solver_that_always_fails_ends_the_run(
     p3: Subproblem, cold: Linearisation, mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def solve(_: DirectSubproblem, radius: float, weight: float) -> Step:
+    def solve(_: CondensedSubproblem, radius: float, weight: float) -> Step:
         raise SubproblemError(f"no answer within {radius} at {weight}")
 
     inject(monkeypatch, solve)
@@ -212,9 +212,9 @@ def test_a_solver_that_fails_now_and_then_is_survived(
     failing: set[int],
 ) -> None:
     calls: Iterator[int] = iter(range(1, 100))
-    original = DirectSubproblem.solve
+    original = CondensedSubproblem.solve
 
-    def solve(self: DirectSubproblem, radius: float, weight: float) -> Step:
+    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:
         if next(calls) in failing:
             raise SubproblemError("just this once")
         return original(self, radius, weight)
@@ -233,7 +233,7 @@ def test_a_promise_never_kept_stalls(
 ) -> None:
     merit = p3.merit(optimum.lin, TrustRegion.weight)
 
-    def solve(self: DirectSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
+    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
         return Step(reference(self) + radius, merit - 1.0, 0.0, 0.0)
 
     inject(monkeypatch, solve)
@@ -261,9 +261,9 @@ def test_interrupted_within_an_iteration_keeps_the_last_whole_one(
     p3: Subproblem, cold: Linearisation, mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: Iterator[int] = iter(range(1, 100))
-    original = DirectSubproblem.solve
+    original = CondensedSubproblem.solve
 
-    def solve(self: DirectSubproblem, radius: float, weight: float) -> Step:
+    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:
         if next(calls) == 4:
             raise KeyboardInterrupt
         return original(self, radius, weight)
@@ -294,7 +294,7 @@ def test_an_inaccurate_answer_proves_no_stationarity(
     assert start.iterate.total_dv > 1.2 * optimum.lin.iterate.total_dv
     merit = p3.merit(start, TrustRegion.weight)
 
-    def solve(self: DirectSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
+    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
         return Step(reference(self) + 0.0, merit + 0.1, 0.0, 0.0)
 
     inject(monkeypatch, solve)

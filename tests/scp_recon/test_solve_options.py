@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from formulations import conic
+from formulations.program import solvers
 from scp_recon.solution import read_solution
 
 from .support import run_solve
@@ -46,6 +46,6 @@ def test_what_cannot_be_chosen_is_refused(
 def test_every_conic_solver_of_the_extra_is_found() -> None:
     for name in ("ecos", "qoco", "scs"):
         pytest.importorskip(name)
-    found = conic.installed()
+    found = solvers.installed()
     assert found[0] == "CLARABEL"
     assert {"ECOS", "QOCO", "SCS"} <= set(found)

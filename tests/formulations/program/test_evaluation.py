@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from formulations.direct import DirectSubproblem
 from hypothesis import given, settings
 
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge, augmented_value, exact_value
 from formulations.problem import Iterate
-from formulations.program.subproblem import SMALL_BURN, Evaluation
+from formulations.program.subproblem import Evaluation
+from formulations.registry import make_subproblem
 from formulations.rows import P3Rows
 from tests.helpers import Array, constrain, generators, random_flyby
 
@@ -120,44 +120,10 @@ def test_charges_are_their_formulas() -> None:
     assert Charge(4.0) == Charge(4.0, prox=0.0, multipliers=None)
 
 
-@pytest.mark.parametrize("radius", [1.0, 0.5 * SMALL_BURN])
-def test_a_small_burn_that_may_turn_is_kept_out_of_no_cone(radius: float) -> None:
-    """Small is a hundredth of the largest burn, or no more than the trust region lets it turn."""
-    lin = linearised(np.random.default_rng(4))
-    problem = replace(lin.problem, dv_max=2.0)
-    subproblem = DirectSubproblem(problem, P3Rows(problem))
-    limit = min(radius, SMALL_BURN * 2.0)
-    direction = lin.iterate.burns / np.linalg.norm(lin.iterate.burns, axis=1, keepdims=True)
-    burns = direction * limit * np.array([[0.0], [0.999], [1.001], [50.0]])
-    planes = subproblem.burn_planes(burns, radius)
-    assert planes.shape == (2, 4, 3)
-    assert not planes[:, :2].any()
-    for i, sense in enumerate((1.0, -1.0)):
-        for burn, sun, normal in zip(burns[2:], problem.sun[2:], planes[i, 2:], strict=True):
-            # The plane through the apex that touches the cone nearest to the burn.
-            assert normal @ normal == pytest.approx(1.0)
-            assert normal @ (sense * sun) == pytest.approx(-np.sin(problem.dv_cone))
-            assert np.linalg.det([normal, sun, burn]) == pytest.approx(0.0, abs=1e-12)
-            assert normal @ burn == pytest.approx(
-                np.sin(np.arccos(sense * burn @ sun / np.linalg.norm(burn)) - problem.dv_cone)
-                * np.linalg.norm(burn)
-            )
-
-
-def test_a_burn_of_the_limit_itself_counts_as_small() -> None:
-    lin = linearised(np.random.default_rng(4))
-    problem = replace(lin.problem, dv_max=2.0)
-    subproblem = DirectSubproblem(problem, P3Rows(problem))
-    burns = np.zeros((4, 3))
-    burns[:, 0] = SMALL_BURN * 2.0
-    assert not subproblem.burn_planes(burns, 1.0).any()
-    assert subproblem.burn_planes(burns, 0.9 * SMALL_BURN * 2.0).any()
-
-
 def test_a_subproblem_costs_its_iterates_as_any_evaluation() -> None:
     lin = linearised(np.random.default_rng(6))
     rows = P3Rows(lin.problem)
-    subproblem, evaluation = DirectSubproblem(lin.problem, rows), Evaluation(lin.problem, rows)
+    subproblem, evaluation = make_subproblem(lin.problem, rows), Evaluation(lin.problem, rows)
     assert subproblem.merit(lin, 3.0) == evaluation.merit(lin, 3.0)
     moved = Linearisation(lin.problem, Iterate(2.0 * lin.iterate.burns, lin.iterate.mean), lin.arcs)
     assert subproblem.merit(moved, 3.0) == evaluation.merit(moved, 3.0)

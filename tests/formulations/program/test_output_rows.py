@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 import pytest
-from formulations.modelled import ModelledSubproblem
 
 from formulations.facets import Polytopes, choose_facets
 from formulations.lifting import Linearisation
@@ -15,11 +14,13 @@ from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.problem import StateConstraint
 from formulations.regions import Ball, Cone
+from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows import P2Rows, P3Rows
 from tests.helpers import random_flyby, random_unit
 
+from .support import PENALTIES
+
 Keep = Literal["in", "out"]
-PENALTIES: tuple[Penalty, ...] = get_args(Penalty)
 
 
 def on_the_wrong_side(keep: Keep, n_nodes: int) -> Linearisation:
@@ -45,7 +46,7 @@ def on_the_wrong_side(keep: Keep, n_nodes: int) -> Linearisation:
 @pytest.mark.parametrize("n_nodes", [1, 2, 4])
 @pytest.mark.parametrize("keep", ["in", "out"])
 @pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_without_a_step_every_row_costs_its_own_violation(
     formulation: str, name: str, keep: Keep, n_nodes: int
 ) -> None:
@@ -53,7 +54,7 @@ def test_without_a_step_every_row_costs_its_own_violation(
     facets = choose_facets(lin.problem, Polytopes(ball(6), 4), lin.iterate.mean, lin.factor)
     every = np.ones(len(facets.node), dtype=np.bool_)
     rows = P3Rows(lin.problem) if name == "P3" else P2Rows(lin.problem, facets, every)
-    subproblem = ModelledSubproblem(lin.problem, rows, formulation)
+    subproblem = make_subproblem(lin.problem, rows, formulation)
     violations = subproblem.violations(lin)
     if name == "P3":
         assert all(np.all(violations[c.name] > 0.0) for c in lin.problem.constraints)
@@ -62,8 +63,9 @@ def test_without_a_step_every_row_costs_its_own_violation(
     assert subproblem.solve(1e-11, 10.0).merit == pytest.approx(merit, rel=1e-6)
 
 
+@pytest.mark.parametrize("formulation", FORMULATIONS)
 @pytest.mark.parametrize("penalty", PENALTIES)
-def test_without_a_row_the_flight_alone_counts(penalty: Penalty) -> None:
+def test_without_a_row_the_flight_alone_counts(penalty: Penalty, formulation: str) -> None:
     """P3 without constraints and P2 without a facet are the same program, in any charge."""
     lin = on_the_wrong_side("in", 2)
     facets = choose_facets(lin.problem, Polytopes(ball(6), 4), lin.iterate.mean, lin.factor)
@@ -73,7 +75,7 @@ def test_without_a_row_the_flight_alone_counts(penalty: Penalty) -> None:
     multipliers = np.linspace(0.0, 1.0, limits) if penalty == "augmented" else None
     charge, merits = Charge(10.0, multipliers=multipliers), []
     for rows in (P3Rows(bare), none):
-        subproblem = ModelledSubproblem(bare, rows, "condensed", penalty=penalty)
+        subproblem = make_subproblem(bare, rows, formulation, penalty=penalty)
         subproblem.update(replace(lin, problem=bare))
         merits.append(subproblem.solve(0.5, charge).merit)
     assert merits[1] == pytest.approx(merits[0], rel=1e-6)

@@ -6,21 +6,22 @@ import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import cvxpy as cp
 import numpy as np
 import pytest
+from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
-from formulations.modelled import ModelledSubproblem
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from formulations import conic, interior_point
 from formulations.condensations import CONDENSATIONS, Condensation
-from formulations.facets import Polytopes, choose_facets
 from formulations.lifting import Linearisation, condense, propagate_factor
 from formulations.penalty import DYNAMICS_WEIGHT
-from formulations.polytopes import ball
 from formulations.problem import FlybyProblem, Iterate
+from formulations.program import condensed, lifted
+from formulations.program.certificate import ConeProgram
+from formulations.program.compiled import CompiledProgram
+from formulations.program.model import Model
+from formulations.program.solvers import SOLVERS, Answer, FallbackSolver
 from formulations.program.subproblem import Subproblem, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows import P2Rows, P3Rows, Rows
@@ -32,11 +33,11 @@ from scp_recon.scvx import TrustRegion
 from scp_recon.status import Status
 from tests.helpers import Array, constrain, generators, random_flyby
 
+from .support import every_row, need, tighten
+
 CONDENSED = ["condensed", "frozen-stm", "frozen-covariance"]
 FROZEN = ["frozen-stm", "frozen-covariance"]
 WEIGHT = TrustRegion.weight
-TIGHT = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-11)
-"""Of the conic solver, where two programs for the same problem are compared and not its accuracy."""
 
 
 @dataclass(frozen=True)
@@ -107,45 +108,65 @@ def build(case: Case) -> Build:
 # --- convex, and compiled once ------------------------------------------------------------------
 
 
+def compiling(monkeypatch: pytest.MonkeyPatch) -> list[Model]:
+    """The models that are compiled from now on; those of condensed forms with slots for all rows."""
+    compiled: list[Model] = []
+
+    def watch(model: Model) -> CompiledProgram:
+        compiled.append(model)
+        return CompiledProgram(model)
+
+    for module in (condensed, lifted):
+        monkeypatch.setattr(module, "CompiledProgram", watch)
+    monkeypatch.setattr(condensed, "SLOTS", 128)
+    condensed.compile_condensed.cache_clear()
+    return compiled
+
+
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_programs_are_disciplined_convex_and_parametrised(
-    case: Case, formulation: str, name: str
+    case: Case, formulation: str, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subproblem = ModelledSubproblem(case.problem, case.rows(name), formulation)
-    assert subproblem.program.is_dcp(dpp=True)
+    compiled = compiling(monkeypatch)
+    subproblem = make_subproblem(case.problem, case.rows(name), formulation)
+    subproblem.update(case.at("P3"))
+    subproblem.solve(0.5, WEIGHT)
+    (model,) = compiled
+    assert model.program.is_dcp(dpp=True)
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-def test_programs_are_compiled_once_and_only_parameters_change(
+def test_programs_are_compiled_once_and_only_their_numbers_change(
     case: Case, formulation: str, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subproblem = ModelledSubproblem(case.problem, case.rows(name), formulation)
-    compilations = []
-    compile_ = SolvingChain.apply
+    models, applied, programs = compiling(monkeypatch), [], list[ConeProgram]()
+    apply, solve = SolvingChain.apply, FallbackSolver.solve
 
     def count(self: SolvingChain, *args: object) -> object:
-        compilations.append(args)
-        return compile_(self, *args)
+        applied.append(args)
+        return apply(self, *args)
+
+    def watch(self: FallbackSolver, program: ConeProgram) -> Answer:
+        programs.append(program)
+        return solve(self, program)
 
     monkeypatch.setattr(SolvingChain, "apply", count)
-    program, sizes, values = subproblem.program, [], []
+    monkeypatch.setattr(FallbackSolver, "solve", watch)
+    subproblem, of = make_subproblem(case.problem, case.rows(name), formulation), []
     for around in ("ballistic", "P3", "P2"):
         subproblem.update(case.at(around))
         subproblem.solve(0.5, WEIGHT)
-        assert subproblem.program is program
-        sizes.append([(v.id, v.shape) for v in (*program.variables(), *program.parameters())])
-        values.append([norm_of(parameter) for parameter in program.parameters()])
-    assert sizes[1:] == sizes[:-1]
-    assert values[0] != values[1] != values[2]
-    assert len(compilations) == 1
-
-
-def norm_of(parameter: cp.Parameter) -> float:
-    if parameter.attributes["sparsity"]:
-        return float(np.linalg.norm(parameter.value_sparse.data))
-    return float(np.linalg.norm(parameter.value))
+        of.append(programs[-1])
+    assert len(models) == len(applied) == 1
+    assert len(programs) >= 3
+    for program in programs:
+        assert program.form is programs[0].form
+        assert np.array_equal(program.matrix.indices, programs[0].matrix.indices)
+        assert np.array_equal(program.matrix.indptr, programs[0].matrix.indptr)
+    norms = [np.linalg.norm(program.matrix.data) for program in of]
+    assert norms[0] != norms[1] != norms[2]
 
 
 # --- exact at the iterate -----------------------------------------------------------------------
@@ -162,15 +183,6 @@ def test_without_a_step_the_model_predicts_the_nonlinear_merit(
     subproblem.update(lin)
     merit = subproblem.merit(lin, WEIGHT)
     assert subproblem.solve(1e-12, WEIGHT).merit == pytest.approx(merit, rel=1e-6)
-
-
-def every_row(lin: Linearisation, name: str) -> Rows:
-    """The constraints of P3, or all facets of P2 placed at the iterate."""
-    if name == "P3":
-        return P3Rows(lin.problem)
-    shapes = Polytopes(ball(8), 4)
-    facets = choose_facets(lin.problem, shapes, lin.iterate.mean, lin.factor)
-    return P2Rows(lin.problem, facets, np.ones(len(facets.node), dtype=np.bool_))
 
 
 def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
@@ -254,14 +266,13 @@ def test_the_merit_is_the_total_delta_v_plus_the_weighted_violations(
     [("P3", "cold"), ("P3", "ballistic"), ("P3", "P2"), ("P2", "ballistic"), ("P2", "P3")],
 )
 def test_lifted_and_condensed_have_the_same_solution(
-    case: Case, build: Build, name: str, around: str, monkeypatch: pytest.MonkeyPatch
+    case: Case, name: str, around: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(conic.SETTINGS, "CLARABEL", TIGHT)
-    monkeypatch.setattr(interior_point, "TOLERANCE", 1e-11)
+    tighten(monkeypatch)
     lin, speed = case.at(around), case.mission.units.speed_m_s
     steps = []
-    condensed = make_subproblem(case.problem, case.rows(name), "condensed")
-    for subproblem in (condensed, build("lifted", name)):
+    for formulation in ("condensed", "lifted"):  # built here, with the tight tolerance
+        subproblem = make_subproblem(case.problem, case.rows(name), formulation)
         subproblem.update(lin)
         steps.append(subproblem.solve(TrustRegion.initial_radius, WEIGHT))
     assert steps[1].merit == pytest.approx(steps[0].merit, rel=1e-6)
@@ -289,8 +300,7 @@ def test_lifted_and_condensed_agree_on_random_flybys(
     lin = constrain(rng, random_flyby(rng, nodes=7), keeps).perturbed(rng, 0.1, 0.05)
     merits = []
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(conic.SETTINGS, "CLARABEL", TIGHT)
-        patch.setattr(interior_point, "TOLERANCE", 1e-11)
+        tighten(patch)
         for formulation in ("condensed", "lifted"):
             subproblem = make_subproblem(lin.problem, every_row(lin, name), formulation)
             subproblem.update(lin)
@@ -475,38 +485,74 @@ def test_a_larger_trust_region_never_promises_less(case: Case, build: Build) -> 
     assert merits[-1] < merits[0]
 
 
-def test_a_solver_that_fails_raises_our_own_error_with_its_words(
-    case: Case, monkeypatch: pytest.MonkeyPatch
+class Scripted:
+    """A conic solver with one answer."""
+
+    def __init__(self, answer: Answer | str) -> None:
+        self._answer = answer
+
+    def solve(self, program: ConeProgram) -> Answer:
+        if isinstance(self._answer, str):
+            raise ValueError(self._answer)
+        return self._answer._replace(x=np.full(len(program.cost), self._answer.x[0]))
+
+
+def scripted(monkeypatch: pytest.MonkeyPatch, answer: Answer | str, other: str) -> None:
+    """One solver with this answer, however often it is built, and another that fails."""
+    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda _: Scripted(answer))
+    monkeypatch.setitem(SOLVERS, "QOCO", lambda _: Scripted(other))
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_solvers_that_fail_raise_our_own_error_with_their_words(
+    case: Case, formulation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subproblem = ModelledSubproblem(case.problem, case.rows("P3"), "condensed")
+    scripted(monkeypatch, "it broke down", other="so did I")
+    subproblem = make_subproblem(case.problem, case.rows("P3"), formulation)
     subproblem.update(case.at("P3"))
-
-    def fail(**_: object) -> float:
-        raise cp.SolverError("it broke down")
-
-    monkeypatch.setattr(subproblem.program, "solve", fail)
-    with pytest.raises(SubproblemError, match="it broke down") as caught:
+    with pytest.raises(SubproblemError, match=r"^it broke down; so did I$") as caught:
         subproblem.solve(1.0, WEIGHT)
-    assert isinstance(caught.value.__cause__, cp.SolverError)
+    assert isinstance(caught.value.__cause__, ValueError)
 
 
-@pytest.mark.parametrize("answer", [None, np.nan, np.inf])
-def test_a_solver_without_a_finite_answer_raises_our_own_error(
-    case: Case, answer: float | None, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_solvers_without_a_finite_answer_raise_our_own_error(
+    case: Case, formulation: str, value: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subproblem = ModelledSubproblem(case.problem, case.rows("P3"), "condensed")
+    scripted(monkeypatch, Answer(np.full(1, value), "good", True, 0.0), other="no")
+    subproblem = make_subproblem(case.problem, case.rows("P3"), formulation)
     subproblem.update(case.at("P3"))
-
-    def solve(**_: object) -> float:
-        (burns,) = (v for v in subproblem.program.variables() if v.shape == (4, 3))
-        burns.save_value(None if answer is None else np.full((4, 3), answer))
-        return np.inf
-
-    monkeypatch.setattr(subproblem.program, "solve", solve)
-    with pytest.raises(SubproblemError, match="CLARABEL ended with status"):
+    with pytest.raises(SubproblemError, match="no finite burns"):
         subproblem.solve(1.0, WEIGHT)
 
 
-def test_an_unknown_formulation_is_refused(case: Case) -> None:
-    with pytest.raises(KeyError, match="unheard of"):
-        make_subproblem(case.problem, case.rows("P3"), "unheard of")
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_solver_behind_cvxpy_that_fails_raises_our_own_error_with_its_words(
+    case: Case, formulation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need("ECOS")
+
+    def fail(*_: object) -> None:
+        raise RuntimeError("it broke down")
+
+    monkeypatch.setattr(SOLVER_MAP_CONIC["ECOS"], "solve_via_data", fail)
+    subproblem = make_subproblem(case.problem, case.rows("P3"), formulation, "ECOS")
+    subproblem.update(case.at("P3"))
+    with pytest.raises(SubproblemError, match=r"^it broke down$"):
+        subproblem.solve(1.0, WEIGHT)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_a_step_is_as_accurate_as_its_answer(
+    case: Case, formulation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = Answer(np.full(1, 0.125), "poor", False, 0.0)
+    monkeypatch.setattr(condensed, "MISSED", np.inf)
+    for accurate in (False, True):
+        scripted(monkeypatch, answer._replace(accurate=accurate), other="no")
+        subproblem = make_subproblem(case.problem, case.rows("P3"), formulation)
+        subproblem.update(case.at("ballistic"))
+        step = subproblem.solve(1.0, WEIGHT)
+        assert step.accurate is accurate
+        assert np.array_equal(step.burns, np.full((4, 3), 0.125))

@@ -1,0 +1,211 @@
+"""The compiled program is CVXPY's own, evaluated; and it has no state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from formulations.lifting import Linearisation, condense
+from formulations.penalty import Penalty
+from formulations.program.compiled import CompiledProgram
+from formulations.program.condensed import (
+    CondensedSubproblem,
+    ConeSize,
+    compile_condensed,
+    write_states,
+)
+from formulations.program.lifted import LiftedSubproblem
+from formulations.program.model import Model, write_model
+from tests.helpers import Array, generators
+
+from .support import PENALTIES, charge_for, every_row, linearised
+
+SIZES = (
+    ConeSize(1, 3, triangular=False, slots=3),
+    ConeSize(4, 6, triangular=False, slots=2),
+    ConeSize(8, 6, triangular=True, slots=3),
+)
+
+
+def condensed_model(penalty: Penalty, _: str = "") -> Model:
+    return write_model(4, penalty, lambda burns: write_states(burns, SIZES))
+
+
+def lifted_model(penalty: Penalty, name: str) -> Model:
+    lin = linearised(np.random.default_rng(1))
+    subproblem = LiftedSubproblem(lin.problem, every_row(lin, name, 4), penalty, "CLARABEL")
+    return write_model(lin.problem.n_burns, penalty, subproblem._write_states)
+
+
+MODELS: dict[str, Callable[[Penalty], Model]] = {
+    "condensed": condensed_model,
+    "lifted P3": lambda penalty: lifted_model(penalty, "P3"),
+    "lifted P2": lambda penalty: lifted_model(penalty, "P2"),
+}
+
+
+def random_values(model: Model, rng: np.random.Generator) -> dict[str, Array]:
+    """Of every parameter, some of them exactly zero."""
+    return {
+        name: rng.normal(size=parameter.shape) * (rng.uniform(size=parameter.shape) < 0.8)
+        for name, parameter in model.parameters.items()
+    }
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("kind", MODELS)
+def test_its_numbers_are_what_cvxpys_own_form_gives(kind: str, penalty: Penalty) -> None:
+    model = MODELS[kind](penalty)
+    compiled = CompiledProgram(model)
+    sparsity: list[tuple[Array, Array]] = []
+
+    @settings(max_examples=4)
+    @given(generators)
+    def check(rng: np.random.Generator) -> None:
+        values = random_values(model, rng)
+        program = compiled.evaluate(values)
+        form = program.form
+        by_id = {model.parameters[name].id: value for name, value in values.items()}
+        assert set(program.values) == set(by_id) == set(form.id_to_param)
+        q, _, a, b = form.apply_parameters(by_id, keep_zeros=True)
+        a.sort_indices()
+        assert program.matrix.shape == a.shape
+        assert np.array_equal(program.matrix.indptr, a.indptr)
+        assert np.array_equal(program.matrix.indices, a.indices)
+        # To the order in which a sum is taken.
+        assert program.cost == pytest.approx(q, rel=1e-14, abs=1e-14)
+        assert program.matrix.data == pytest.approx(-a.data, rel=1e-14, abs=1e-14)
+        assert program.bound == pytest.approx(b, rel=1e-14, abs=1e-14)
+        cones = form.cone_dims
+        counts = program.zero, program.nonnegative, list(program.second_order)
+        assert counts == (cones.zero, cones.nonneg, list(cones.soc))
+        assert cones.zero + cones.nonneg + sum(cones.soc) == len(b)
+        sparsity.append((program.matrix.indices.copy(), program.matrix.indptr.copy()))
+        assert all(np.array_equal(x, y) for x, y in zip(sparsity[0], sparsity[-1], strict=True))
+
+    check()
+    assert len(sparsity) >= 4
+
+
+@pytest.mark.parametrize("kind", MODELS)
+@pytest.mark.parametrize("penalty", PENALTIES)
+def test_the_entries_of_a_column_are_in_ascending_rows_each_once(
+    kind: str, penalty: Penalty
+) -> None:
+    model = MODELS[kind](penalty)
+    matrix = CompiledProgram(model).evaluate(random_values(model, np.random.default_rng(0))).matrix
+    for first, last in zip(matrix.indptr, matrix.indptr[1:], strict=False):
+        assert np.all(np.diff(matrix.indices[first:last]) > 0)
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("kind", MODELS)
+def test_programs_are_disciplined_convex_in_their_parameters(kind: str, penalty: Penalty) -> None:
+    assert MODELS[kind](penalty).program.is_dcp(dpp=True)
+
+
+def test_a_program_that_is_not_disciplined_is_refused() -> None:
+    burns, one, other = cp.Variable(3), cp.Parameter(3), cp.Parameter()
+    parameters = {"one": one, "other": other}
+    products = cp.Problem(cp.Minimize((other * one) @ burns), [cp.norm(burns) <= 1.0])
+    assert products.is_dcp()
+    concave = cp.Problem(cp.Minimize(-cp.norm(burns)), [burns <= one * 1.0, other * burns <= one])
+    for program in (products, concave):
+        with pytest.raises(ValueError, match="not disciplined convex in its parameters"):
+            CompiledProgram(Model(program, burns, parameters))
+
+
+def test_the_burns_are_those_of_the_variables_that_they_belong_to() -> None:
+    """Min sum of ||z_i|| with z on planes: each burn has an answer of its own."""
+    before, burns, sizes = cp.Variable(5), cp.Variable(6), cp.Variable(2)
+    target = cp.Parameter(6)
+    constraints = [
+        before == np.arange(5.0),
+        cp.SOC(sizes, cp.reshape(burns, (2, 3), order="C"), axis=1),
+        burns >= target,
+    ]
+    model = Model(cp.Problem(cp.Minimize(cp.sum(sizes)), constraints), burns, {"target": target})
+    compiled, wanted = CompiledProgram(model), np.arange(1.0, 7.0)
+    program = compiled.evaluate({"target": wanted})
+    target.value = wanted
+    model.program.solve(solver=cp.CLARABEL)
+    x = np.zeros(program.form.x.size)
+    for variable in (before, burns, sizes):
+        first = program.form.var_id_to_col[variable.id]
+        x[first : first + variable.size] = variable.value
+    assert compiled.burns(x) == pytest.approx(wanted.reshape(2, 3), rel=1e-6)
+
+
+# --- no state -----------------------------------------------------------------------------------
+
+
+def watched(subproblem: CondensedSubproblem) -> list[CompiledProgram]:
+    """The compiled programs that a subproblem uses from now on."""
+    seen: list[CompiledProgram] = []
+    solve = subproblem._solve
+
+    def watch(compiled: CompiledProgram, *arguments: Any) -> Any:
+        seen.append(compiled)
+        return solve(compiled, *arguments)
+
+    subproblem._solve = watch  # type: ignore[method-assign]
+    return seen
+
+
+def subproblem_at(lin: Linearisation, penalty: Penalty, name: str) -> CondensedSubproblem:
+    rows = every_row(lin, name)
+    subproblem = CondensedSubproblem(lin.problem, rows, penalty, "CLARABEL", condense)
+    subproblem.update(lin)
+    return subproblem
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("name", ["P3", "P2"])
+def test_subproblems_that_share_a_program_answer_as_if_alone(name: str, penalty: Penalty) -> None:
+    one = linearised(np.random.default_rng(21))
+    rng = np.random.default_rng(22)
+    burns = one.iterate.burns + 0.2 * rng.normal(size=one.iterate.burns.shape)
+    moved = type(one.iterate)(burns, one.iterate.mean)
+    other = Linearisation(one.problem, moved, one.arcs)
+    rows = every_row(one, name)
+    charges = [charge_for(penalty, rows, one, weight) for weight in (5.0, 20.0)]
+    alone = []
+    for lin in (one, other):
+        compile_condensed.cache_clear()
+        subproblem = subproblem_at(lin, penalty, name)
+        alone.append([subproblem.solve(radius, charges[0]).burns for radius in (0.1, 0.6)])
+        alone[-1].append(subproblem.solve(0.3, charges[1]).burns)
+    compile_condensed.cache_clear()
+    pair = [subproblem_at(lin, penalty, name) for lin in (one, other)]
+    used = [watched(subproblem) for subproblem in pair]
+    together: list[list[Array]] = [[], []]
+    for radius, charge in ((0.1, charges[0]), (0.6, charges[0]), (0.3, charges[1])):
+        for subproblem, found in zip(pair, together, strict=True):
+            found.append(subproblem.solve(radius, charge).burns)
+    assert {id(compiled) for compiled in used[0]} & {id(compiled) for compiled in used[1]}
+    for found, expected in zip(together, alone, strict=True):
+        for ours, theirs in zip(found, expected, strict=True):
+            assert np.array_equal(ours, theirs)
+
+
+def test_evaluating_again_gives_the_same_numbers_whatever_came_between() -> None:
+    model = condensed_model("augmented")
+    compiled = CompiledProgram(model)
+    rng = np.random.default_rng(4)
+    first, second = (random_values(model, rng) for _ in range(2))
+    before = compiled.evaluate(first)
+    kept = before.cost.copy(), before.matrix.data.copy(), before.bound.copy()
+    compiled.evaluate(second)
+    for parameter in model.parameters.values():
+        parameter.value = np.full(parameter.shape, 7.0)
+    after = compiled.evaluate(first)
+    for program in (before, after):
+        for ours, theirs in zip(
+            (program.cost, program.matrix.data, program.bound), kept, strict=True
+        ):
+            assert np.array_equal(ours, theirs)

@@ -1,0 +1,420 @@
+"""Which rows a condensed subproblem takes, in which slots, and that neither changes its answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from formulations.condensations import CONDENSATIONS
+from formulations.lifting import Linearisation, condense
+from formulations.penalty import Charge, Penalty
+from formulations.program import condensed
+from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
+from formulations.program.subproblem import Step
+from formulations.rows import P2Rows, Rows
+from scp_recon import guess
+from scp_recon.mission import Mission
+from scp_recon.planner import plan
+from scp_recon.scenario import load_scenario
+from tests.helpers import Array, constrain, generators, random_flyby
+
+from .support import (
+    PENALTIES,
+    alone,
+    charge_for,
+    every_row,
+    linearised,
+    minimum,
+    need,
+    solve_plainly,
+    tighten,
+)
+
+FAR, WITHIN, MISSED = 1.0, 0.5 * condensed.NEAR, -10.0 * condensed.MISSED
+
+
+def make(
+    lin: Linearisation, rows: Rows, penalty: Penalty = "exact", solver: str = "CLARABEL"
+) -> CondensedSubproblem:
+    """A subproblem at an iterate."""
+    subproblem = CondensedSubproblem(lin.problem, rows, penalty, solver, condense)
+    subproblem.update(lin)
+    return subproblem
+
+
+# --- which rows ---------------------------------------------------------------------------------
+
+
+class Told(CondensedSubproblem):
+    """A subproblem that is told how far each of its rows is from binding."""
+
+    def __init__(self, lin: Linearisation) -> None:
+        rows = every_row(lin, "P2")
+        super().__init__(lin.problem, rows, "exact", "CLARABEL", CONDENSATIONS["condensed"])
+        self.told: list[Array] = []
+        self.attempts: list[list[int]] = []
+
+    def _slack(self, burns: Array) -> Array:
+        return self.told.pop(0) if self.told else super()._slack(burns)
+
+    def _solve(self, *arguments: Any) -> Step:
+        self.attempts.append(self.taken)
+        return replace(super()._solve(*arguments), solver_s=0.25)
+
+    @property
+    def taken(self) -> list[int]:
+        return np.flatnonzero(self._active).tolist()
+
+    def slack(self, **rows: list[int]) -> Array:
+        """Far from binding but for some rows."""
+        room = np.full(self.rows.count, FAR)
+        for name, which in rows.items():
+            room[which] = {"within": WITHIN, "missed": MISSED}[name]
+        return room
+
+    def block_of(self, row: int) -> int:
+        """The block of cones that a row is in."""
+        return next(k for k, cones in enumerate(self._cones) if row in cones.rows)
+
+
+@pytest.fixture
+def lin() -> Linearisation:
+    rng = np.random.default_rng(3)
+    return constrain(rng, random_flyby(rng, nodes=8, burns=4)).perturbed(rng, 0.1, 0.05)
+
+
+def test_rows_near_binding_are_taken_at_every_iterate_anew(lin: Linearisation) -> None:
+    subproblem = Told(lin)
+    solver = subproblem._solver
+    assert subproblem.taken == []
+    for within in ([3, 5], [4], [3], []):
+        subproblem.told = [subproblem.slack(within=within)]
+        subproblem.update(lin)
+        assert subproblem.taken == within
+        # Its data can be updated whichever rows are in the slots.
+        assert subproblem._solver is solver
+
+
+def test_near_is_below_the_limit(lin: Linearisation) -> None:
+    subproblem = Told(lin)
+    room = subproblem.slack()
+    room[:3] = 0.999 * condensed.NEAR, condensed.NEAR, -FAR
+    subproblem.told = [room]
+    subproblem.update(lin)
+    assert subproblem.taken == [0, 2]
+
+
+def test_an_answer_that_misses_rows_takes_them_in_and_no_others(
+    lin: Linearisation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subproblem = Told(lin)
+    clock = iter([100.0, 107.0])
+    monkeypatch.setattr(condensed, "perf_counter", lambda: next(clock))
+    subproblem.told = [
+        subproblem.slack(within=[1]),
+        subproblem.slack(within=[2], missed=[1, 4]),
+        subproblem.slack(within=[6], missed=[1, 4]),
+    ]
+    subproblem.update(lin)
+    step = subproblem.solve(0.5, 10.0)
+    assert subproblem.attempts == [[1], [1, 4]]
+    assert subproblem.taken == [1, 4]
+    assert step.solver_s == 0.5  # of both
+    assert step.canonicalise_s == 6.5
+
+
+@pytest.mark.parametrize(("share", "again"), [(0.5, False), (1.5, True)])
+def test_a_row_is_missed_by_more_than_the_solvers_tolerance(
+    lin: Linearisation, share: float, again: bool
+) -> None:
+    subproblem = Told(lin)
+    room = subproblem.slack(within=[0, 1])
+    room[3] = -share * condensed.MISSED
+    subproblem.told = [subproblem.slack(), room, subproblem.slack()]
+    subproblem.update(lin)
+    subproblem.solve(0.5, 10.0)
+    assert subproblem.attempts == ([[], [3]] if again else [[]])
+
+
+def test_with_no_room_at_all_only_what_is_missed_comes_in(
+    lin: Linearisation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(condensed, "NEAR", -np.inf)
+    subproblem = Told(lin)
+    subproblem.told = [subproblem.slack(), subproblem.slack(within=[2], missed=[5])]
+    subproblem.update(lin)
+    subproblem.solve(0.5, 10.0)
+    assert subproblem.attempts[:2] == [[], [5]]
+
+
+def test_the_room_of_a_row_is_its_cones(lin: Linearisation) -> None:
+    """Of each row, wherever it stands among the cones, at any burns."""
+    subproblem = Told(lin)
+    subproblem.update(lin)
+    burns = lin.iterate.burns + 0.1
+    expected = np.empty(subproblem.rows.count)
+    for cones in subproblem._cones:
+        for row, values, constants in zip(cones.rows, cones.values, cones.constants, strict=True):
+            y = values @ burns.reshape(-1)[: values.shape[1]] + constants
+            expected[row] = y[0] - np.sqrt((y[1:] ** 2).sum())
+    assert subproblem._slack(burns) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("near", [-np.inf, 0.0, 0.2])
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@settings(max_examples=10)
+@given(generators)
+def test_rows_that_are_left_out_change_nothing(
+    name: str, penalty: Penalty, near: float, rng: np.random.Generator
+) -> None:
+    lin = linearised(rng)
+    rows = every_row(lin, name)
+    charge, found = charge_for(penalty, rows, lin), []
+    with pytest.MonkeyPatch.context() as patch:
+        tighten(patch)
+        for room in (near, np.inf):
+            patch.setattr(condensed, "NEAR", room)
+            found.append(minimum(make(lin, rows, penalty).solve(0.5, charge), lin, charge))
+    assert found[0] == pytest.approx(found[1], rel=1e-7 if penalty == "exact" else 1e-6)
+
+
+def test_rows_far_from_binding_are_left_out_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    lin = linearised(np.random.default_rng(7))
+    subproblem = Told(lin)
+    monkeypatch.setattr(condensed, "NEAR", -np.inf)
+    subproblem.update(lin)
+    subproblem.solve(0.5, 10.0)
+    sizes = [len(taken) for taken in subproblem.attempts]
+    assert sizes[0] == 0
+    assert sizes == sorted(set(sizes))
+    assert 0 < sizes[-1] < subproblem.rows.count
+
+
+# --- which slots --------------------------------------------------------------------------------
+
+
+def test_half_of_the_slots_go_to_the_rows_with_the_least_room(
+    lin: Linearisation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other half stays free for what the answer misses."""
+    monkeypatch.setattr(condensed, "SLOTS", 4)
+    subproblem = Told(lin)
+    subproblem.told = [subproblem.slack()]
+    subproblem.update(lin)
+    assert len(subproblem._cones) > 1
+    blocks = [cones.rows[:4] for cones in subproblem._cones]
+    room = subproblem.slack()
+    for rows in blocks:
+        room[rows] = WITHIN * np.array([0.9, 0.1, 0.5, 0.3])[: len(rows)]
+    subproblem.told = [room]
+    subproblem.update(lin)
+    # Every block has slots of its own.
+    assert all(len(rows) == 4 for rows in blocks)
+    assert subproblem.taken == sorted(int(row) for rows in blocks for row in rows[[1, 3]])
+    assert subproblem._slots == [4] * len(blocks)
+
+
+def test_slots_double_for_those_cones_alone_that_run_out_of_them(
+    lin: Linearisation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(condensed, "SLOTS", 2)
+    subproblem = Told(lin)
+    subproblem.told = [subproblem.slack()]
+    subproblem.update(lin)
+    which = int(np.argmax([len(cones.rows) for cones in subproblem._cones]))
+    a, b, c, d = subproblem._cones[which].rows[:4].tolist()
+    taken = [a], sorted([a, b]), sorted([a, b, c, d])
+    assert condensed.SLOTS // 2 == 1
+    subproblem.told = [
+        subproblem.slack(within=[a]),
+        subproblem.slack(missed=[b]),
+        subproblem.slack(missed=[c, d]),
+        subproblem.slack(),
+    ]
+    built = subproblem._solver
+    subproblem.update(lin)
+    subproblem.solve(0.5, 10.0)
+    assert subproblem.attempts == list(taken)
+    expected = [2] * len(subproblem._cones)
+    expected[which] = 4
+    assert subproblem._slots == expected
+    assert subproblem._solver is not built  # of another size
+    # They stay, so that the next iterate needs no new solver.
+    built = subproblem._solver
+    subproblem.told = [subproblem.slack(within=[c])]
+    subproblem.update(lin)
+    assert subproblem._slots == expected
+    assert subproblem._solver is built
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@settings(max_examples=2)
+@given(generators)
+def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(
+    name: str, penalty: Penalty, slots: int, rng: np.random.Generator
+) -> None:
+    """And both where the plain program does, which has no slots and every row."""
+    lin = linearised(rng)
+    rows = every_row(lin, name)
+    charge, found = charge_for(penalty, rows, lin), []
+    with pytest.MonkeyPatch.context() as patch:
+        tighten(patch)
+        for few, near in ((slots, -np.inf), (256, np.inf)):
+            patch.setattr(condensed, "SLOTS", few)
+            patch.setattr(condensed, "NEAR", near)
+            subproblem = make(lin, rows, penalty)
+            found.append(subproblem.solve(0.5, charge))
+    assert subproblem._active.all()  # nothing but unused slots sets the second apart
+    rel = 1e-7 if penalty == "exact" else 1e-6
+    few_slots, every = (minimum(step, lin, charge) for step in found)
+    assert few_slots == pytest.approx(every, rel=rel)
+    assert found[0].burns == pytest.approx(found[1].burns, abs=1e-3)
+    plain = solve_plainly(lin, rows, 0.5, penalty, charge)
+    assert every == pytest.approx(plain.value, rel=rel)
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("name", ["P3", "P2"])
+def test_unused_slots_change_nothing(
+    name: str, penalty: Penalty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Twice as many as rows, one more, or many times as many."""
+    tighten(monkeypatch)
+    monkeypatch.setattr(condensed, "NEAR", np.inf)
+    lin = linearised(np.random.default_rng(12))
+    rows = every_row(lin, name)
+    charge, found = charge_for(penalty, rows, lin), []
+    largest = max(len(cones.rows) for cones in make(lin, rows)._cones)
+    for slots in (2 * largest, 2 * largest + 1, 4 * largest):
+        monkeypatch.setattr(condensed, "SLOTS", slots)
+        subproblem = make(lin, rows, penalty)
+        step = subproblem.solve(0.5, charge)
+        assert subproblem._active.all()
+        assert set(subproblem._slots) == {slots}
+        found.append(minimum(step, lin, charge))
+    rel = 1e-8 if penalty == "exact" else 1e-6
+    assert found == pytest.approx([found[0]] * 3, rel=rel)
+
+
+def test_the_entries_of_a_cone_are_its_rows_or_a_triangle_below_its_first() -> None:
+    rows, columns = ConeSize(3, 2, triangular=False, slots=5).entries
+    assert list(zip(rows, columns, strict=True)) == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]
+    rows, columns = ConeSize(4, 3, triangular=True, slots=5).entries
+    assert list(zip(rows, columns, strict=True)) == [
+        *((0, 0), (0, 1), (0, 2)),
+        *((1, 0), (1, 1), (1, 2)),
+        *((2, 1), (2, 2)),
+        (3, 2),
+    ]
+
+
+def test_the_default_plan_needs_three_programs_at_the_most(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One a stage, and one more where its slots run out; a second plan needs none."""
+    sizes: set[Any] = set()
+
+    def watch(*arguments: Any) -> Any:
+        sizes.add(arguments)
+        return compile_condensed(*arguments)
+
+    monkeypatch.setattr(condensed, "compile_condensed", watch)
+    compile_condensed.cache_clear()
+    mission = Mission.from_scenario(load_scenario())
+    plan(mission, guess.cold(mission))
+    compiled = compile_condensed.cache_info().misses
+    assert 2 <= len(sizes) <= 3
+    assert compiled == len(sizes)
+    plan(mission, guess.cold(mission))
+    assert compile_condensed.cache_info().misses == compiled
+
+
+# --- reductions and updates ---------------------------------------------------------------------
+
+
+@given(generators)
+def test_triangular_factors_preserve_every_facets_deviation(rng: np.random.Generator) -> None:
+    lin = linearised(rng, ("in",))
+    rows = every_row(lin, "P2")
+    assert isinstance(rows, P2Rows)
+    s = condense(lin, rows.nodes)
+    z = lin.iterate.burns.ravel() + 0.3 * rng.normal(size=12)
+    carried = rows.carried
+    at = np.searchsorted(rows.nodes, carried.node)
+    mean = s.mean_constant[at, :3] + s.mean_jacobian[at, :3] @ z
+    factor = s.factor_constant[at, :3] + s.factor_jacobian[at, :3] @ z
+    deviation = np.linalg.norm(np.einsum("mi,mic->mc", carried.normal, factor), axis=1)
+    room = carried.offset - np.einsum("mi,mi->m", carried.normal, mean)
+    seen = np.zeros(rows.count, dtype=int)
+    for cones in rows.cones(lin, s):
+        p = cones.values.shape[2]
+        y = cones.values @ z[:p] + cones.constants
+        seen[cones.rows] += 1
+        assert y[:, 0] == pytest.approx(room[cones.rows], rel=1e-9, abs=1e-9)
+        spread = np.abs(carried.quantile[cones.rows]) * deviation[cones.rows]
+        assert np.linalg.norm(y[:, 1:], axis=1) == pytest.approx(spread, rel=1e-9, abs=1e-12)
+        assert cones.triangular
+        assert not np.any(np.tril(cones.values[:, 1:], -1))
+    assert np.all(seen == 1)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+def test_an_updated_program_is_a_new_one(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The solver keeps its factorisation's pattern; nothing else may be left of the last numbers."""
+    tighten(monkeypatch)
+    rng = np.random.default_rng(2)
+    first = linearised(rng)
+    moved = replace(first.iterate, burns=first.iterate.burns + 0.05 * rng.normal(size=(4, 3)))
+    flyby = Linearisation(first.problem, moved, first.arcs)
+    rows = every_row(first, name)
+    used, fresh = (make(first, rows) for _ in range(2))
+    used.solve(0.3, 5.0)
+    for subproblem in (used, fresh):
+        subproblem.update(flyby)
+    assert used.solve(0.8, 10.0).merit == pytest.approx(fresh.solve(0.8, 10.0).merit, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("penalty", PENALTIES)
+def test_conic_solvers_agree(name: str, penalty: Penalty) -> None:
+    need("QOCO")
+    lin = linearised(np.random.default_rng(4))
+    rows = every_row(lin, name)
+    merits = []
+    for solver in ("CLARABEL", "QOCO"):
+        with pytest.MonkeyPatch.context() as patch:
+            tighten(patch)
+            alone(patch, solver)
+            subproblem = make(lin, rows, penalty, solver)
+            for radius in (0.1, 0.8):  # built, then updated
+                subproblem.update(lin)
+                merits.append(subproblem.solve(radius, charge_for(penalty, rows, lin)).merit)
+    assert merits[2:] == pytest.approx(merits[:2], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("penalty", PENALTIES)
+def test_a_solver_that_starts_anew_each_time_agrees(name: str, penalty: Penalty) -> None:
+    """ECOS, by CVXPY's interface to it, with the tolerance that it has in use."""
+    need("ECOS")
+    lin = linearised(np.random.default_rng(4))
+    rows = every_row(lin, name)
+    charge, found = charge_for(penalty, rows, lin), []
+    for solver in ("CLARABEL", "ECOS"):
+        subproblem = make(lin, rows, penalty, solver)
+        found += [minimum(subproblem.solve(radius, charge), lin, charge) for radius in (0.1, 0.8)]
+    assert found[2:] == pytest.approx(found[:2], rel=1e-6)
+
+
+def test_a_number_is_the_exact_penaltys_weight() -> None:
+    lin = linearised(np.random.default_rng(4))
+    subproblem = make(lin, every_row(lin, "P2"))
+    one, other = subproblem.solve(0.5, 10.0), subproblem.solve(0.5, Charge(10.0))
+    assert one.merit == pytest.approx(other.merit, rel=1e-9)

@@ -1,0 +1,129 @@
+"""The program says what the iterate, the radius, and the charge make of it, in every form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations.lifting import Linearisation
+from formulations.penalty import DYNAMICS_WEIGHT, Charge, Penalty
+from formulations.program.model import penalty_values, sparse_parameter
+from formulations.program.subproblem import SubproblemError
+from formulations.registry import FORMULATIONS, make_subproblem
+from formulations.rows import P3Rows, Rows
+from tests.helpers import Array, constrain, random_flyby
+
+from .support import PENALTIES, charge_for, every_row, need
+
+
+def linearised(seed: int = 3) -> Linearisation:
+    rng = np.random.default_rng(seed)
+    return constrain(rng, random_flyby(rng, nodes=5)).perturbed(rng, 0.1, 0.05)
+
+
+def rows_of(lin: Linearisation, name: str) -> Rows:
+    return every_row(lin, name, 4)
+
+
+def elsewhere(lin: Linearisation) -> Linearisation:
+    """The same arcs around other burns and means."""
+    rng = np.random.default_rng(11)
+    burns = lin.iterate.burns + 0.1 * rng.normal(size=lin.iterate.burns.shape)
+    mean = lin.iterate.mean + 0.05 * rng.normal(size=lin.iterate.mean.shape)
+    return Linearisation(lin.problem, replace(lin.iterate, burns=burns, mean=mean), lin.arcs)
+
+
+@pytest.mark.parametrize("penalty", PENALTIES)
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_an_updated_program_is_a_new_one(formulation: str, name: str, penalty: Penalty) -> None:
+    """Every parameter is set again: nothing is left of the last iterate, radius and charge."""
+    lin = linearised()
+    rows, moved = rows_of(lin, name), elsewhere(lin)
+    used, fresh = (
+        make_subproblem(lin.problem, rows, formulation, penalty=penalty) for _ in range(2)
+    )
+    used.update(lin)
+    used.solve(0.1, charge_for(penalty, rows, lin, 3.0))
+    charge = charge_for(penalty, rows, lin, 20.0)
+    for subproblem in (used, fresh):
+        subproblem.update(moved)
+    again, new = used.solve(0.5, charge), fresh.solve(0.5, charge)
+    assert again.merit == pytest.approx(new.merit, rel=1e-6)
+    assert again.burns == pytest.approx(new.burns, abs=1e-3)
+    assert np.abs(again.burns - moved.iterate.burns).max() <= 0.5 + 1e-6
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+def test_limits_on_burns_are_broken_at_their_price(formulation: str, side: float) -> None:
+    """Burns twice as large as allowed and close to the Sun's line, with no way to turn."""
+    flyby = linearised()
+    burns, mean = flyby.iterate.burns, flyby.iterate.mean
+    sizes = np.linalg.norm(burns, axis=1, keepdims=True)
+    sun = side * burns / sizes + 0.05
+    problem = replace(
+        flyby.problem,
+        dv_max=0.5 * float(sizes.min()),
+        sun=sun / np.linalg.norm(sun, axis=1, keepdims=True),
+        final_state=mean[-1],
+    )
+    state = mean[1:].copy()
+    state[problem.burn_nodes[1:] - 1, 3:] -= burns[1:]  # no defects
+    arcs = replace(flyby.arcs, state=state)
+    lin = Linearisation(problem, flyby.iterate, arcs)
+    assert np.abs(lin.defects).max() < 1e-12
+    subproblem = make_subproblem(problem, P3Rows(problem), formulation)
+    subproblem.update(lin)
+    merit, broken = subproblem.merit(lin, 10.0), subproblem.violations(lin)
+    assert min(broken[name].sum() for name in ("dv_max", "dv_battery")) > 0.01
+    assert subproblem.solve(1e-10, 10.0).merit == pytest.approx(merit, rel=1e-6)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("solver", ["CLARABEL", "ECOS"])
+def test_dynamics_without_finite_derivatives_are_refused(formulation: str, solver: str) -> None:
+    need(solver)
+    lin = linearised()
+    stm: Array = np.full_like(lin.arcs.stm, np.nan)
+    broken = Linearisation(lin.problem, lin.iterate, replace(lin.arcs, stm=stm))
+    subproblem = make_subproblem(lin.problem, rows_of(lin, "P3"), formulation, solver)
+    with (
+        np.errstate(invalid="ignore"),
+        pytest.raises(SubproblemError, match="no finite derivatives at the iterate"),
+    ):
+        subproblem.update(broken)
+
+
+# --- its parameters -----------------------------------------------------------------------------
+
+
+def test_prices_are_those_of_the_charge_each_at_its_place() -> None:
+    """Misses first, then limits of the burns, then the buffers of the rows that have one."""
+    m, rows = 2, np.array([3, 0, -1, 2])
+    limits = 6 + 3 * m
+    exact = penalty_values("exact", Charge(5.0), m, rows)
+    assert list(exact) == ["prices"]
+    assert exact["prices"].tolist() == [DYNAMICS_WEIGHT * 5.0] * 6 + [5.0] * (3 * m + 4)
+    proximal = penalty_values("proximal", Charge(5.0, prox=3.0), m, rows)
+    assert np.array_equal(proximal["prices"], exact["prices"])
+    assert proximal["curvature"] == 1.5
+    multipliers = np.arange(1.0, limits + 5.0)
+    charge = Charge(5.0, multipliers=multipliers)
+    augmented = penalty_values("augmented", charge, m, rows)
+    assert augmented["curvature"] == 2.5
+    own = [multipliers[limits + 3], multipliers[limits], 0.0, multipliers[limits + 2]]
+    assert augmented["prices"].tolist() == [*multipliers[:limits], *own]
+
+
+def test_a_sparse_parameter_is_a_matrix_with_its_entries_at_their_places() -> None:
+    rows, columns = np.array([2, 0, 1, 2]), np.array([0, 3, 1, 3])
+    entries, matrix = sparse_parameter((3, 4), rows, columns)
+    entries.value = np.array([5.0, 6.0, 7.0, 8.0])
+    expected = np.zeros((3, 4))
+    expected[rows, columns] = entries.value
+    assert np.array_equal(np.asarray(matrix.value), expected)
+    assert matrix.is_affine()
+    assert (matrix @ np.ones(4)).is_dpp()

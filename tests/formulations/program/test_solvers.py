@@ -1,0 +1,621 @@
+"""Conic solvers say what they found, a verdict needs a proof, and failures have others behind."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from types import SimpleNamespace
+from typing import Any
+
+import clarabel
+import cvxpy as cp
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from cvxpy.reductions.solvers import defines
+
+from formulations.program import solvers
+from formulations.program.certificate import ConeProgram, is_optimal, outside
+from formulations.program.compiled import CompiledProgram
+from formulations.program.model import Model
+from formulations.program.solvers import (
+    HUGE,
+    SOLVERS,
+    TOLERANCE,
+    Answer,
+    ByCvxpy,
+    Clarabel,
+    FallbackSolver,
+    Qoco,
+)
+
+from .support import alone, disk, need, tent
+
+Settings = Mapping[str, float]
+FREE = ConeProgram(np.zeros(2), sp.csc_array((0, 2)), np.zeros(0), 0, 0, ())
+
+
+# --- each solver --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("equations", [0, 1])
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_solvers_keep_their_tolerance_and_are_silent(
+    solver: str, equations: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    need(solver)
+    rng = np.random.default_rng(3)
+    kept = SOLVERS[solver]({})
+    for _ in range(3):
+        program = disk(rng, equations)
+        answer = kept.solve(program)
+        z = answer.multipliers
+        assert z is not None
+        assert is_optimal(program, answer.x, z)
+        assert program.cost @ answer.x == pytest.approx(-program.bound @ z, abs=1e-8)
+        assert outside(program, z) < 1e-8
+        assert answer.accurate or solver == "QOCO"  # which is stricter with itself
+        assert 0.0 < answer.solver_s < 1.0
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_wide_tolerance_is_taken_at_its_word(
+    solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither tolerance is left at the solver's own, which is far below this one."""
+    need(solver)
+    program, gaps = disk(np.random.default_rng(5), 0), []
+    for tolerance in (1e-9, 1e-1):
+        monkeypatch.setattr(solvers, "TOLERANCE", tolerance)
+        answer = SOLVERS[solver]({}).solve(program)
+        assert answer.multipliers is not None
+        gaps.append(abs(program.cost @ answer.x + program.bound @ answer.multipliers))
+    assert gaps[0] < 1e-8
+    assert gaps[1] > 1e-5
+
+
+def test_clarabel_is_set_up_for_new_numbers_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Presolving would make its data final; its threads are ours to give."""
+    seen: list[Any] = []
+    real = clarabel.DefaultSolver
+
+    def watch(*arguments: Any) -> Any:
+        seen.append(arguments)
+        return real(*arguments)
+
+    monkeypatch.setattr(clarabel, "DefaultSolver", watch)
+    solver = Clarabel({})
+    for _ in range(2):
+        solver.solve(disk(np.random.default_rng(1), 1))
+    ((p, q, _, _, cones, settings),) = seen  # built once
+    assert p.shape == (len(q), len(q))
+    assert p.nnz == 0
+    assert len(cones) == 3
+    assert settings.presolve_enable is False
+    assert settings.verbose is False
+    assert settings.max_threads == 1
+    tolerances = settings.tol_gap_abs, settings.tol_gap_rel, settings.tol_feas
+    assert tolerances == (solvers.TOLERANCE,) * 3
+
+
+def test_an_almost_solved_program_is_answered_and_not_vouched_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = SimpleNamespace(x=[1.0, 2.0, 3.0], z=[4.0], status="AlmostSolved")
+    fake = SimpleNamespace(solve=lambda: found)
+    monkeypatch.setattr(clarabel, "DefaultSolver", lambda *_: fake)
+    answer = Clarabel({}).solve(disk(np.random.default_rng(1), 0))
+    assert (answer.status, answer.accurate) == ("AlmostSolved", False)
+    assert list(answer.x) == [1.0, 2.0, 3.0]
+    assert answer.multipliers is not None
+    assert list(answer.multipliers) == [4.0]
+
+
+class FakeQoco:
+    """QOCO's interface, and what it was given."""
+
+    def __init__(self, status: str) -> None:
+        self.given: dict[str, Any] = {}
+        self._found = SimpleNamespace(x=[1.0], y=[2.0], z=[3.0, 4.0], status=status)
+
+    def setup(self, *arguments: Any, **settings: Any) -> None:
+        self.given["setup"] = arguments, settings
+
+    def update_vector_data(self, **vectors: Any) -> None:
+        self.given |= vectors
+
+    def update_matrix_data(self, **matrices: Any) -> None:
+        self.given |= matrices
+
+    def solve(self) -> SimpleNamespace:
+        return self._found
+
+
+@pytest.mark.parametrize("equations", [0, 1])
+def test_qoco_gets_equations_apart_and_gives_multipliers_of_all(equations: int) -> None:
+    need("QOCO")
+    program, fake, solver = (
+        disk(np.random.default_rng(2), equations),
+        FakeQoco("QOCO_SOLVED_INACCURATE"),
+        Qoco({}),
+    )
+    solver._qoco = SimpleNamespace(QOCO=lambda: fake)
+    answer = solver.solve(program)
+    assert (answer.status, answer.accurate) == ("QOCO_SOLVED_INACCURATE", False)
+    assert answer.multipliers is not None
+    assert list(answer.multipliers) == [2.0, 3.0, 4.0][1 - equations :]
+    (n, m, p, _, q, a, b, g, h, count, cones, sizes), settings = fake.given["setup"]
+    assert (n, m, p, count, cones, list(sizes)) == (3, 10, equations, 6, 1, [4])
+    assert settings == {"abstol": solvers.TOLERANCE, "reltol": solvers.TOLERANCE}
+    assert np.array_equal(q, program.cost)
+    assert np.array_equal(h, program.bound[equations:])
+    assert np.array_equal(g.toarray(), program.matrix.toarray()[equations:])
+    solver.solve(program)
+    assert fake.given["P"] is None
+    assert np.array_equal(fake.given["c"], program.cost)
+    assert np.array_equal(fake.given["h"], h)
+    assert np.array_equal(fake.given["G"], g.data)
+    if equations:
+        assert np.array_equal(fake.given["A"], a.data)
+        assert np.array_equal(fake.given["b"], b)
+        assert np.array_equal(b, program.bound[:1])
+    else:
+        assert (a, b, fake.given["A"], fake.given["b"]) == (None,) * 4
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_program_without_a_solution_has_no_answer(solver: str) -> None:
+    need(solver)
+    matrix = sp.csc_array(np.array([[1.0], [-1.0]]))
+    program = ConeProgram(np.ones(1), matrix, np.array([-1.0, -1.0]), 0, 2, ())
+    with pytest.raises(ValueError, match=f"{solver} ended with status"):
+        SOLVERS[solver]({}).solve(program)
+
+
+@pytest.mark.parametrize("zero", [0, 1])
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_solver_with_new_numbers_answers_as_a_new_one(solver: str, zero: int) -> None:
+    need(solver)
+    rng = np.random.default_rng(7)
+    kept = SOLVERS[solver]({})
+    for _ in range(5):
+        program = disk(rng, zero)
+        updated, new = kept.solve(program), SOLVERS[solver]({}).solve(program)
+        assert updated.x == pytest.approx(new.x, abs=1e-5)
+        assert updated.accurate == (updated.status in ("Solved", "QOCO_SOLVED"))
+        assert "solved" in updated.status.lower()
+        assert 0.0 <= updated.solver_s < 1.0
+        slack = program.bound - program.matrix @ updated.x
+        assert np.abs(slack[:zero]).max(initial=0.0) < 1e-6
+        assert slack[zero : zero + 6].min() > -1e-6
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_multipliers_prove_an_optimum(solver: str) -> None:
+    need(solver)
+    program, _, _ = tent()
+    answer = SOLVERS[solver]({}).solve(program)
+    assert answer.x == pytest.approx([np.sqrt(2.0), 0.0, 0.0], abs=1e-4)
+    assert answer.multipliers is not None
+    assert is_optimal(program, answer.x, answer.multipliers)
+
+
+# --- one that fails, and others behind it -------------------------------------------------------
+
+Word = Answer | BaseException
+
+
+class Scripted:
+    """A solver that answers or raises, one after the other."""
+
+    def __init__(self, words: list[Word]) -> None:
+        self._words = words
+
+    def solve(self, _: ConeProgram) -> Answer:
+        word = self._words.pop(0)
+        if isinstance(word, BaseException):
+            raise word
+        return word
+
+
+def script(
+    monkeypatch: pytest.MonkeyPatch, first: list[Word], second: list[Word]
+) -> dict[str, int]:
+    """Two solvers with what they say from now on; counts how often each was built."""
+    built = {"CLARABEL": 0, "QOCO": 0}
+
+    def maker(name: str, words: list[Word]) -> Callable[[Settings], Scripted]:
+        def make(_: Settings) -> Scripted:
+            built[name] += 1
+            return Scripted(words)
+
+        return make
+
+    monkeypatch.setitem(SOLVERS, "CLARABEL", maker("CLARABEL", first))
+    monkeypatch.setitem(SOLVERS, "QOCO", maker("QOCO", second))
+    return built
+
+
+def said(status: str, *, accurate: bool) -> Answer:
+    return Answer(np.ones(2), status, accurate, 1.0)
+
+
+GOOD, POOR = said("good", accurate=True), said("poor", accurate=False)
+
+
+def test_a_good_answer_asks_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    built = script(monkeypatch, [GOOD, GOOD], [])
+    solver = FallbackSolver("CLARABEL")
+    for _ in range(2):
+        assert solver.solve(FREE) == GOOD
+    assert built == {"CLARABEL": 1, "QOCO": 0}
+
+
+def test_seconds_of_all_that_answered_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    built = script(monkeypatch, [POOR, POOR], [GOOD])
+    assert FallbackSolver("CLARABEL").solve(FREE) == GOOD._replace(solver_s=3.0)
+    assert built == {"CLARABEL": 2, "QOCO": 1}
+    script(monkeypatch, [ValueError("no"), POOR], [GOOD])
+    assert FallbackSolver("CLARABEL").solve(FREE).solver_s == 2.0
+    script(monkeypatch, [ValueError("no"), GOOD], [])
+    assert FallbackSolver("CLARABEL").solve(FREE).solver_s == 1.0
+
+
+def test_the_one_named_is_asked_first_and_kept_when_built_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    built = script(monkeypatch, [], [POOR, GOOD, GOOD])
+    solver = FallbackSolver("QOCO")
+    for _ in range(2):
+        assert solver.solve(FREE).status == "good"
+    assert built == {"CLARABEL": 0, "QOCO": 2}
+
+
+def test_another_that_helped_out_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    built = script(monkeypatch, [POOR, POOR, GOOD], [GOOD])
+    solver = FallbackSolver("CLARABEL")
+    for _ in range(2):
+        assert solver.solve(FREE).status == "good"
+    assert built == {"CLARABEL": 2, "QOCO": 1}
+
+
+def test_of_inaccurate_answers_the_first_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    again, other = (said(name, accurate=False) for name in ("again", "other"))
+    script(monkeypatch, [POOR, again], [other])
+    assert FallbackSolver("CLARABEL").solve(FREE) == POOR._replace(solver_s=3.0)
+    script(monkeypatch, [POOR, ValueError("no")], [ValueError("no")])
+    assert FallbackSolver("CLARABEL").solve(FREE) == POOR
+    script(monkeypatch, [ValueError("no"), ValueError("no")], [other])
+    assert FallbackSolver("CLARABEL").solve(FREE) == other
+
+
+def test_another_that_is_not_installed_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    script(monkeypatch, [POOR, POOR, ValueError("a"), ValueError("b")], [])
+
+    def absent(_: Settings) -> Scripted:
+        raise ModuleNotFoundError("no module named so")
+
+    later = {"QOCO": absent, "third": lambda _: Scripted([GOOD])}
+    for name, make in later.items():
+        monkeypatch.setitem(SOLVERS, name, make)
+    assert FallbackSolver("CLARABEL").solve(FREE).status == "good"
+    monkeypatch.delitem(SOLVERS, "third")
+    with pytest.raises(ValueError, match=r"^b$"):
+        FallbackSolver("CLARABEL").solve(FREE)
+
+
+class Panic(BaseException):
+    """What a panic in Rust is to Python."""
+
+
+@pytest.mark.parametrize("error", [ValueError("x"), ZeroDivisionError("x"), Panic("x")])
+def test_whatever_a_solver_raises_is_a_failure_to_answer(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script(monkeypatch, [error, GOOD], [])
+    assert FallbackSolver("CLARABEL").solve(FREE).status == "good"
+    script(monkeypatch, [error, error], [ValueError("y")])
+    with pytest.raises(ValueError, match=r"^x; y$"):
+        FallbackSolver("CLARABEL").solve(FREE)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_what_is_no_fault_of_the_solver_goes_through(
+    error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script(monkeypatch, [error(), GOOD], [GOOD])
+    with pytest.raises(error):
+        FallbackSolver("CLARABEL").solve(FREE)
+
+
+@pytest.mark.parametrize(("value", "taken"), [(0.9 * HUGE, True), (-HUGE, False), (np.nan, False)])
+def test_numbers_have_to_be_finite(
+    value: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script(monkeypatch, [GOOD._replace(x=np.array([0.0, value])), POOR], [POOR])
+    assert FallbackSolver("CLARABEL").solve(FREE).accurate is taken
+    assert np.isfinite(value) or not taken
+    odd = GOOD._replace(x=np.array([0.0, value]))
+    script(monkeypatch, [odd, odd], [odd])
+    if not taken:
+        reason = "the conic solver gave no finite burns"
+        with pytest.raises(ValueError, match=f"^{reason}; {reason}$"):
+            FallbackSolver("CLARABEL").solve(FREE)
+
+
+def test_only_an_accurate_answer_with_multipliers_is_held_to_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    program, x, z = tent()
+    right = Answer(x, "right", True, 1.0, z)
+    off = right._replace(x=x + 0.1)
+    script(monkeypatch, [right], [])
+    assert FallbackSolver("CLARABEL").solve(program) == right
+    script(monkeypatch, [off._replace(multipliers=None)], [])
+    assert FallbackSolver("CLARABEL").solve(program).x is off.x
+    script(monkeypatch, [off._replace(accurate=False)] * 2, [ValueError("no")])
+    assert FallbackSolver("CLARABEL").solve(program).x is off.x
+    script(monkeypatch, [off] * 2, [off])
+    doubt = "{} ended with status right and proves nothing by it"
+    both = "; ".join(doubt.format(name) for name in ("CLARABEL", "QOCO"))
+    with pytest.raises(ValueError, match=f"^{both}$"):
+        FallbackSolver("CLARABEL").solve(program)
+
+
+def test_a_solver_that_is_not_installed_is_missed_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "qoco", None)
+    with pytest.raises(ModuleNotFoundError, match="qoco"):
+        FallbackSolver("QOCO")
+
+
+def test_a_solver_that_its_old_scaling_does_not_serve_is_built_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for second in (POOR, ValueError("it broke down")):
+        built = script(monkeypatch, [GOOD, second, GOOD], [])
+        solver = FallbackSolver("CLARABEL")
+        solver.solve(FREE)
+        assert built["CLARABEL"] == 1
+        assert solver.solve(FREE).accurate
+        assert built["CLARABEL"] == 2
+
+
+def test_an_inaccurate_answer_is_one_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    for again in (POOR, ValueError("it broke down")):
+        script(monkeypatch, [POOR, again], [ValueError("no")])
+        assert not FallbackSolver("CLARABEL").solve(FREE).accurate
+
+
+def test_an_answer_that_its_multipliers_do_not_prove_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    program, _, _ = tent()
+    right = Clarabel({}).solve(program)
+    wrong = right._replace(x=right.x + 0.1)
+    script(monkeypatch, [wrong, right], [])
+    assert FallbackSolver("CLARABEL").solve(program).x is right.x
+    script(monkeypatch, [wrong, wrong], [ValueError("no")])
+    with pytest.raises(ValueError, match="proves nothing by it; no"):
+        FallbackSolver("CLARABEL").solve(program)
+
+
+def test_every_solver_is_built_with_the_settings_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[tuple[str, Settings]] = []
+    for name in SOLVERS:
+        answers = [POOR] if name == "CLARABEL" else [GOOD]
+        monkeypatch.setitem(
+            SOLVERS,
+            name,
+            lambda given, name=name, answers=answers: (
+                built.append((name, given)) or Scripted(list(answers))
+            ),
+        )
+    settings = {"CLARABEL": {"max_iter": 7}}
+    FallbackSolver("CLARABEL", settings).solve(FREE)
+    own = ("CLARABEL", settings["CLARABEL"])
+    assert built == [own, own, ("QOCO", {})]
+
+
+# --- those that are asked by CVXPY --------------------------------------------------------------
+
+
+def two_tents(prices: tuple[float, float], sizes: tuple[float, float]) -> ConeProgram:
+    """Two programs of `tent` in one, compiled by CVXPY; x is (t, x, y) of both."""
+    variables, price, size = cp.Variable(6), cp.Parameter(2), cp.Parameter(2)
+    t, x, y = variables[:2], variables[2:4], variables[4:]
+    constraints = [x == y, x <= 10.0 * size, cp.SOC(t, cp.vstack([x - size, x + size]), axis=0)]
+    parameters = {"price": price, "size": size}
+    program = cp.Problem(cp.Minimize(price @ t), constraints)
+    compiled = CompiledProgram(Model(program, variables, parameters))
+    return compiled.evaluate({"price": np.array(prices), "size": np.array(sizes)})
+
+
+@pytest.mark.parametrize("solver", [*SOLVERS, *ByCvxpy.SETTINGS])
+def test_the_same_multipliers_prove_every_solvers_answer(
+    solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    need(solver)
+    alone(monkeypatch, solver)
+    program = two_tents((1.0, 3.0), (0.5, 2.0))
+    answer = FallbackSolver(solver).solve(program)
+    assert answer.accurate
+    assert answer.x == pytest.approx(np.sqrt(2.0) * np.array([0.5, 2, 0, 0, 0, 0]), abs=1e-3)
+    assert program.cost @ answer.x == pytest.approx(6.5 * np.sqrt(2.0), rel=1e-6)
+    z = answer.multipliers
+    assert z is not None
+    assert is_optimal(program, answer.x, z)
+    # Which they would not in another order, or with another sign.
+    assert not is_optimal(program, answer.x, -z)
+    assert not is_optimal(program, answer.x, z[::-1])
+
+
+@pytest.mark.parametrize("solver", ByCvxpy.SETTINGS)
+def test_each_program_is_solved_with_its_own_numbers(solver: str) -> None:
+    """Those of the call, whatever is left in CVXPY's parameters by another."""
+    need(solver)
+    first = two_tents((1.0, 3.0), (0.5, 2.0))
+    kept = ByCvxpy(solver, {})
+    for size in (2.0, 0.5, 2.0):
+        values = dict(first.values)
+        sizes = next(key for key, value in values.items() if value[0] != 1.0)
+        values[sizes] = np.array([size, 1.0])
+        q, _, a, b = first.form.apply_parameters(values, keep_zeros=True)
+        counts = first.zero, first.nonnegative, first.second_order
+        second = ConeProgram(q, -a, b, *counts, first.form, values)
+        assert second.cost @ kept.solve(second).x == pytest.approx(
+            np.sqrt(2.0) * (size + 3.0), rel=1e-6
+        )
+
+
+class FakeInterface:
+    """CVXPY's interface to a solver, and what it was asked."""
+
+    def __init__(self, status: str = cp.OPTIMAL, error: BaseException | None = None) -> None:
+        self.asked: dict[str, Any] = {}
+        self.values: list[Any] = []
+        self._status, self._error = status, error
+
+    def import_solver(self) -> None:
+        pass
+
+    def apply(self, form: Any) -> tuple[Any, Any]:
+        self.values = [parameter.value.tolist() for parameter in form.parameters]
+        return {"form": form}, {}
+
+    def solve_via_data(self, data: Any, warm: bool, verbose: bool, options: Any, _: Any) -> Any:
+        self.asked = {"warm": warm, "verbose": verbose, **options}
+        if self._error:
+            raise self._error
+        return data
+
+    def invert(self, raw: Any, _: Any) -> SimpleNamespace:
+        form = raw["form"]
+        duals = {constraint.id: [float(k)] for k, constraint in enumerate(form.constraints)}
+        primal = {form.x.id: np.arange(float(form.x.size))[:, None]}
+        return SimpleNamespace(status=self._status, primal_vars=primal, dual_vars=duals)
+
+
+def fake(monkeypatch: pytest.MonkeyPatch, interface: FakeInterface, name: str = "FAKE") -> None:
+    monkeypatch.setitem(defines.SOLVER_MAP_CONIC, name, interface)
+
+
+@pytest.mark.parametrize("solver", [*ByCvxpy.SETTINGS, "ANOTHER"])
+def test_solvers_get_their_settings_and_what_is_asked_besides(
+    solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interface, program = FakeInterface(), two_tents((1.0, 3.0), (0.5, 2.0))
+    fake(monkeypatch, interface, solver)
+    settings = ByCvxpy.SETTINGS.get(solver, {})
+    ByCvxpy(solver, {"extra": 3}).solve(program)
+    assert interface.asked == {"warm": False, "verbose": False, **settings, "extra": 3}
+    assert sorted(interface.values) == [[0.5, 2.0], [1.0, 3.0]]
+    if settings:
+        key = next(iter(settings))
+        ByCvxpy(solver, {key: 5}).solve(program)
+        assert interface.asked[key] == 5
+        assert ByCvxpy.SETTINGS[solver] == settings
+
+
+def test_ecos_has_our_tolerance() -> None:
+    assert set(ByCvxpy.SETTINGS["ECOS"].values()) == {TOLERANCE}
+
+
+def test_an_answer_by_cvxpy_is_the_variables_the_multipliers_and_the_seconds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    program = two_tents((1.0, 3.0), (0.5, 2.0))
+    for status, accurate in ((cp.OPTIMAL, True), (cp.OPTIMAL_INACCURATE, False)):
+        fake(monkeypatch, FakeInterface(status))
+        clock = iter([10.0, 14.0])
+        monkeypatch.setattr(solvers, "perf_counter", lambda clock=clock: next(clock))
+        answer = ByCvxpy("FAKE", {}).solve(program)
+        assert (answer.status, answer.accurate, answer.solver_s) == (status, accurate, 4.0)
+        assert answer.x.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+        assert answer.multipliers is not None
+        assert answer.multipliers.tolist() == [0.0, 1.0, 2.0]
+
+
+@pytest.mark.parametrize("status", [cp.INFEASIBLE, cp.UNBOUNDED, cp.SOLVER_ERROR, "none"])
+def test_any_other_status_is_a_failure(status: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch, FakeInterface(status))
+    program = two_tents((1.0, 3.0), (0.5, 2.0))
+    with pytest.raises(ValueError, match=rf"^FAKE ended with status {status}$"):
+        FallbackSolver("FAKE").solve(program)
+
+
+@pytest.mark.parametrize(
+    "error", [ValueError("it broke"), cp.SolverError("it broke"), RuntimeError("it broke")]
+)
+def test_whatever_such_a_solver_raises_is_a_failure_with_its_words(
+    error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake(monkeypatch, FakeInterface(error=error))
+    with pytest.raises(ValueError, match=r"^it broke$"):
+        FallbackSolver("FAKE").solve(two_tents((1.0, 3.0), (0.5, 2.0)))
+
+
+@pytest.mark.parametrize("error", [MemoryError(), KeyboardInterrupt()])
+def test_what_is_no_fault_of_such_a_solver_goes_through(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake(monkeypatch, FakeInterface(error=error))
+    with pytest.raises(type(error)):
+        FallbackSolver("FAKE").solve(two_tents((1.0, 3.0), (0.5, 2.0)))
+
+
+@pytest.mark.parametrize("status", [cp.OPTIMAL_INACCURATE, cp.INFEASIBLE])
+def test_a_solver_asked_to_be_compared_stands_alone(
+    status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not built again either, and no other answers in its place."""
+    built = script(monkeypatch, [GOOD], [GOOD])
+    interface, program = FakeInterface(status), two_tents((1.0, 3.0), (0.5, 2.0))
+    fake(monkeypatch, interface)
+    solver, made = FallbackSolver("FAKE"), []
+    monkeypatch.setattr(solvers, "ByCvxpy", lambda *given: made.append(given))
+    if status == cp.INFEASIBLE:
+        with pytest.raises(ValueError, match="FAKE ended with status"):
+            solver.solve(program)
+    else:
+        assert not solver.solve(program).accurate
+    assert (built, made) == ({"CLARABEL": 0, "QOCO": 0}, [])
+
+
+def test_an_answer_by_cvxpy_has_to_be_proved_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake(monkeypatch, FakeInterface())
+    monkeypatch.setattr(ByCvxpy, "solve", lambda *_: Answer(x + 0.1, "optimal", True, 1.0, z))
+    program, x, z = tent()
+    with pytest.raises(ValueError, match="FAKE ended with status optimal and proves nothing by it"):
+        FallbackSolver("FAKE").solve(program)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_solver_takes_the_numbers_that_cvxpys_form_gives_and_takes_new_ones(solver: str) -> None:
+    """As they are: with the types of indices that they have."""
+    need(solver)
+    kept = SOLVERS[solver]({})
+    for size in (0.5, 2.0, 1.0):
+        program = two_tents((1.0, 3.0), (size, 1.0))
+        answer = kept.solve(program)
+        assert program.cost @ answer.x == pytest.approx(np.sqrt(2.0) * (size + 3.0), rel=1e-6)
+
+
+def test_a_solver_that_stops_early_says_so_and_warns_nobody(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Warnings are errors here, and CVXPY's own word for an inaccurate answer is one."""
+    need("SCS")
+    answer = ByCvxpy("SCS", {"max_iters": 5}).solve(two_tents((1.0, 3.0), (0.5, 2.0)))
+    assert (answer.status, answer.accurate) == (cp.OPTIMAL_INACCURATE, False)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_installed_solvers_are_conic_ones_clarabel_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    # GLPK has no second-order cones, OSQP no cones, and ECOS_BB is for integers.
+    monkeypatch.setitem(defines.SOLVER_MAP_CONIC, "ALLCONES", defines.SOLVER_MAP_CONIC["ECOS"])
+    names = ["SCS", "GLPK", "ECOS_BB", "OSQP", "ECOS", "ALLCONES", "CLARABEL", "QOCO"]
+    monkeypatch.setattr(cp, "installed_solvers", lambda: names)
+    assert solvers.installed() == ("CLARABEL", "ALLCONES", "ECOS", "QOCO", "SCS")
+    monkeypatch.setattr(cp, "installed_solvers", lambda: ["SCS", "QOCO"])
+    assert solvers.installed() == ("QOCO", "SCS")
