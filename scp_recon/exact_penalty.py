@@ -20,6 +20,7 @@ class ExactPenalty:
         initial_radius: of the first trust region, hard or soft.
         weight: first penalty weight; exact when above every multiplier.
         weight_max: tried once more with before calling a case infeasible.
+        weight_limit: up to which it is raised where the cost does not tell that nothing is feasible.
         stationary: largest predicted reduction, against the merit and a unit radius, to stop at.
         feasible: largest violation that counts as none: 1e-6 of the unit of length is a millimetre.
         max_iterations: limit.
@@ -28,6 +29,7 @@ class ExactPenalty:
     initial_radius: float = 3.0
     weight: float = 10.0
     weight_max: float = 1_000.0
+    weight_limit: float = 1e5
     stationary: float = 1e-6
     feasible: float = 1e-6
     max_iterations: int = 50
@@ -36,6 +38,7 @@ class ExactPenalty:
     COLLAPSED: ClassVar[float] = 1e-9
     FAILURES_MAX: ClassVar[int] = 5
     HOPELESS: ClassVar[float] = 1e-2
+    RAISE: ClassVar[float] = 10.0
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from the guess."""
@@ -47,11 +50,10 @@ class ExactPenalty:
         if state.failures > self.FAILURES_MAX:
             return Status.SOLVER_FAILED
         violated = record.violated > self.feasible
-        heaviest = state.charge.weight >= self.weight_max
         if state.stationary and not violated:
             return Status.CONVERGED
         if state.stationary:
-            return Status.INFEASIBLE if heaviest else None
+            return Status.INFEASIBLE if self._heavier(state) is None else None
         return Status.STALLED if state.radius < self.COLLAPSED else None
 
     def _negligible(self, record: Record) -> float:
@@ -73,10 +75,24 @@ class ExactPenalty:
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:
         """Stationary but violated: the penalty may not have been exact, so weigh it once more."""
-        if not state.stationary:
+        weight = self._heavier(state)
+        if not state.stationary or weight is None:
             return state
-        merit = subproblem.merit(state.lin, self.weight_max)
-        return State(state.lin, merit, self.initial_radius, Charge(self.weight_max))
+        merit = subproblem.merit(state.lin, weight)
+        return State(state.lin, merit, self.initial_radius, Charge(weight))
+
+    def _heavier(self, state: State) -> float | None:
+        """The next weight, if a heavier one may tell more.
+
+        No plan that keeps the limits costs more than all burns at their largest. A merit above that is
+        above any such plan's; below it the weight may still be less than a multiplier.
+        """
+        weight, problem = state.charge.weight, state.lin.problem
+        if weight < self.weight_max:
+            return self.weight_max
+        if state.merit > problem.n_burns * problem.dv_max or weight >= self.weight_limit:
+            return None
+        return self.RAISE * weight
 
     def _judged(
         self,

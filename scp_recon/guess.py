@@ -59,20 +59,40 @@ def ballistic(mission: Mission) -> Iterate:
     return min(candidates, key=lambda iterate: iterate.total_dv)
 
 
+def circular(mission: Mission, way: float) -> Iterate:
+    """A steady turn from the initial to the final position, burns next to nothing.
+
+    It never comes nearer to the body than its ends, as a straight line may.
+
+    Args:
+        mission: gives the boundary states.
+        way: 1 for the shorter way round the body, -1 for the longer.
+    """
+    position = _circular_positions(mission, way, mission.times_s / mission.times_s[-1]).T
+    velocity = np.gradient(position, mission.times_s, axis=0)
+    burns = np.full((len(mission.burn_nodes), 3), COLD_BURN_M_S)
+    return _scaled(mission, burns, np.hstack([position, velocity]))
+
+
+def _circular_positions(mission: Mission, way: float, fraction: Array) -> Array:
+    """A steady turn about the body and change of radius, shape (3, n), at fractions of it (n,)."""
+    ends = mission.initial_state[:3], mission.final_state[:3]
+    radii = [float(np.linalg.norm(position)) for position in ends]
+    first, last = (position / radius for position, radius in zip(ends, radii, strict=True))
+    normal = way * np.cross(first, last)
+    if np.linalg.norm(normal) < 1e-9:  # (anti)parallel: any plane will do, take one with the pole
+        normal = way * np.cross(first, mission.forces.pole)
+    across = np.cross(normal / np.linalg.norm(normal), first)
+    sweep = np.arctan2(last @ across, last @ first) % (2.0 * np.pi)
+    turned = np.outer(first, np.cos(sweep * fraction)) + np.outer(across, np.sin(sweep * fraction))
+    return np.interp(fraction, [0, 1], radii) * turned
+
+
 def _two_impulses(mission: Mission, way: float) -> Iterate | None:
     start, end = mission.initial_state, mission.final_state
     duration, forces = mission.times_s[-1], mission.forces
-    first, last = (state[:3] / np.linalg.norm(state[:3]) for state in (start, end))
-    normal = way * np.cross(first, last)
-    if np.linalg.norm(normal) < 1e-9:  # (anti)parallel: any plane will do, take one with the pole
-        normal = way * np.cross(first, forces.pole)
-    across = np.cross(normal / np.linalg.norm(normal), first)
-    sweep = np.arctan2(last @ across, last @ first) % (2.0 * np.pi)
     mesh = np.linspace(0.0, 1.0, 41)
-    radius = np.interp(mesh, [0, 1], [np.linalg.norm(start[:3]), np.linalg.norm(end[:3])])
-    position = radius * (
-        np.outer(first, np.cos(sweep * mesh)) + np.outer(across, np.sin(sweep * mesh))
-    )
+    position = _circular_positions(mission, way, mesh)
     length, time = mission.units.length_m, duration
     scaled = forces.in_units(length, time)
     guess = np.vstack([position / length, np.gradient(position / length, mesh, axis=1)])

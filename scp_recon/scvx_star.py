@@ -71,6 +71,10 @@ class AugmentedLagrangian(TrustRegion):
         """Whether there is hope, the multipliers tell."""
         return self._negligible(record)
 
+    def _heavier(self, state: State) -> float | None:
+        """Weights grow with the multipliers; the largest is the last."""
+        return self.weight_max if state.charge.weight < self.weight_max else None
+
     def _update(self, subproblem: Subproblem, state: State, record: Record) -> State:
         weight, multipliers = state.charge.weight, state.charge.multipliers
         assert multipliers is not None

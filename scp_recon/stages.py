@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal, Protocol
@@ -11,7 +12,7 @@ from formulations.facets import Facets
 from formulations.problem import Iterate
 from formulations.program.subproblem import Evaluation
 from scp_recon.errors import InputError
-from scp_recon.guess import ballistic
+from scp_recon.guess import ballistic, circular
 from scp_recon.mission import Mission
 from scp_recon.scp import Record, Result, Timing
 from scp_recon.scvx import TrustRegion
@@ -29,7 +30,7 @@ class Stage:
 
     Attributes:
         name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
-            that began again at the ballistic arc.
+            that began again at the ballistic arc, c and d at a turn about the body.
         result: how it ended and where.
         subproblem: of which it was; it knows the constraints' margins.
         facets: of P2, None for P3.
@@ -44,8 +45,8 @@ class Stage:
 
     @property
     def begun_again(self) -> bool:
-        """Whether it began at the ballistic arc because the guess led nowhere."""
-        return self.name.startswith(("P3b", "P2b"))
+        """Whether it began elsewhere because the guess led nowhere."""
+        return self.name[2:3] in ("b", "c", "d")
 
 
 @dataclass(frozen=True)
@@ -78,37 +79,51 @@ class StageSolver(Protocol):
 def solve_in_stages(solver: StageSolver, guess: Iterate, problem: Literal["P3", "P2"]) -> Stage:
     """P3 from a guess and P2 from there.
 
-    Where P3 does not converge from the guess it is tried once more from the ballistic arc; and so it is
-    where P2 does not converge, because P3 may have stopped at a local optimum from which there is no
-    way. The better of the two tries counts.
+    Where P3 does not converge from the guess it is tried again from other starts; and so it is where
+    P2 does not converge, because P3 may have stopped at a local optimum from which there is no way.
+    The best of the tries counts.
     """
-    p3 = first = solver.solve_p3(guess, "P3")
-    if p3.result.status is not Status.CONVERGED:
-        p3 = _again(solver, first)
-    if problem == "P3" or p3.result.status is Status.SOLVER_FAILED:
-        return p3
-    final = solver.solve_p2(p3)
-    converged = final.result.status is Status.CONVERGED
-    if converged or first.result.status is not Status.CONVERGED:
-        return final
-    p3 = _again(solver, first)
-    if _merit(p3) > OTHER_OPTIMUM * _merit(first):
-        return final
-    again = solver.solve_p2(p3)
-    return again if better(again, final) else final
+    firsts: list[Stage] = []
+    finals: list[Stage] = []
+    for letter, start in _starts(solver.mission, guess):
+        p3 = solver.solve_p3(start, f"P3{letter}")
+        known = any(_same_optimum(p3, other) for other in firsts)
+        firsts.append(p3)
+        if p3.result.status is not Status.CONVERGED or known:
+            continue
+        finals.append(p3 if problem == "P3" else solver.solve_p2(p3))
+        if finals[-1].result.status is Status.CONVERGED:
+            break
+    if not finals:
+        p3 = _best(firsts)
+        lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
+        finals.append(p3 if lost else solver.solve_p2(p3))
+    return _best(finals)
 
 
-def _again(solver: StageSolver, failed: Stage) -> Stage:
-    """P3 once more from the ballistic arc; the better of the two.
+def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
+    """The guess, the ballistic arc, and a turn about the body either way.
 
     A straight line may pass through the body's centre, where nothing can be linearised.
     """
-    try:
-        guess = ballistic(solver.mission)
-    except InputError:
-        return failed
-    again = solver.solve_p3(guess, "P3b")
-    return again if better(again, failed) else failed
+    yield "", guess
+    with suppress(InputError):  # there may be no such arc
+        yield "b", ballistic(mission)
+    yield "c", circular(mission, 1.0)
+    yield "d", circular(mission, -1.0)
+
+
+def _same_optimum(one: Stage, other: Stage) -> bool:
+    """Whether two runs of P3 ended alike."""
+    low, high = sorted((_merit(one), _merit(other)))
+    return one.result.status is other.result.status and low > OTHER_OPTIMUM * high
+
+
+def _best(stages: list[Stage]) -> Stage:
+    best = stages[0]
+    for stage in stages[1:]:
+        best = stage if better(stage, best) else best
+    return best
 
 
 def finish(solver: StageSolver, work: Callable[[], Stage]) -> Plan:

@@ -49,7 +49,7 @@ class ConvexSubproblem(Subproblem):
         says nothing about where it will point. A first answer without its planes does, and bounds what
         any direction promises. If that answer lies in a cone, two more follow: with planes towards it,
         and with planes towards where the burn points already, which is no worse than no step. The
-        better of the two counts.
+        better of the two counts. From a guess there is no step to compare with: the first answer is it.
         """
         charge = charge if isinstance(charge, Charge) else Charge(charge)
         burns = self._at.iterate.burns
@@ -60,7 +60,7 @@ class ConvexSubproblem(Subproblem):
         which = small[:, None]
         free = self._attempt(radius, charge, np.where(which, 0.0, planes))
         toward, away = (cone.inside(free.burns) for cone in self.problem.burn_cones)
-        if np.maximum(toward, away)[small].max() <= INSIDE:
+        if np.maximum(toward, away)[small].max() <= INSIDE or not self._at.is_flown:
             return free
         turned = self.burn_planes(np.where(which, free.burns, burns))
         steps = [free, *(self._attempt(radius, charge, either) for either in (turned, planes))]
