@@ -6,6 +6,7 @@ import importlib
 import resource
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from time import perf_counter, process_time
 
 import numpy as np
@@ -146,10 +147,10 @@ def _of_plan(done: Plan, cpu_s: float) -> _Found:
 
 def _first_status(done: Plan) -> str:
     """How the first try ended, where there was a second."""
-    names = [stage.name for stage in done.stages]
-    if "P3b" not in names:
-        return ""
-    return done.stages[names.index("P3b") - 1].result.status.value.name
+    for before, stage in pairwise(done.stages):
+        if stage.begun_again:
+            return before.result.status.value.name
+    return ""
 
 
 def _from_p3(mission: Mission, cell: Cell) -> _Found:

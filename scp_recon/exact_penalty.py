@@ -75,8 +75,8 @@ class ExactPenalty:
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:
         """Stationary but violated: the penalty may not have been exact, so weigh it once more."""
-        weight = self._heavier(state)
-        if not state.stationary or weight is None:
+        weight = self._heavier(state) if state.stationary else None
+        if weight is None:
             return state
         merit = subproblem.merit(state.lin, weight)
         return State(state.lin, merit, self.initial_radius, Charge(weight))

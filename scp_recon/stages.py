@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal, Protocol
@@ -102,13 +101,17 @@ def solve_in_stages(solver: StageSolver, guess: Iterate, problem: Literal["P3", 
 
 
 def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
-    """The guess, the ballistic arc, and a turn about the body either way.
+    """The guess, the ballistic arc if there is one, and a turn about the body either way.
 
     A straight line may pass through the body's centre, where nothing can be linearised.
     """
     yield "", guess
-    with suppress(InputError):  # there may be no such arc
-        yield "b", ballistic(mission)
+    try:
+        arc = ballistic(mission)
+    except InputError:
+        pass
+    else:
+        yield "b", arc
     yield "c", circular(mission, 1.0)
     yield "d", circular(mission, -1.0)
 
@@ -156,12 +159,12 @@ def better(new: Stage, old: Stage) -> bool:
 
 
 def _rank(stage: Stage) -> int:
-    """How much a run's end says: a solution, a point that violates nothing, a verdict, nothing."""
+    """How much a run's end says: a solution, a point that violates nothing, any other, nothing."""
     if stage.result.status is Status.CONVERGED:
         return 3
     if _violated(stage) <= stage.tolerance:
         return 2
-    return 1 if stage.result.status is Status.INFEASIBLE else 0
+    return 0 if stage.result.status is Status.SOLVER_FAILED else 1
 
 
 def _violated(stage: Stage) -> float:

@@ -21,13 +21,15 @@ LIMIT = 2.0 * SMALL_BURN
 
 
 class Scripted(CondensedSubproblem):
-    """A subproblem whose attempts are told, and that remembers the planes of each."""
+    """A subproblem whose attempts are told, and that remembers the planes of each; flown or not."""
 
-    def __init__(self, burns: Array, steps: list[Step]) -> None:
+    def __init__(self, burns: Array, steps: list[Step], *, flown: bool = True) -> None:
         lin = linearised(np.random.default_rng(4))
         problem = replace(lin.problem, dv_max=2.0)
         super().__init__(problem, P3Rows(problem), "exact", "CLARABEL", condense)
         self.update(Linearisation(problem, replace(lin.iterate, burns=burns), lin.arcs))
+        self._at = Linearisation(problem, self._at.iterate, lin.arcs)
+        self._at.__dict__["defects"] = np.full((problem.n_nodes, 6), 0.0 if flown else 1.0)
         self.steps, self.planes = steps, list[Array]()
 
     def _attempt(self, radius: float, charge: Charge, planes: Array) -> Step:
@@ -102,6 +104,15 @@ def test_where_no_burn_is_small_one_answer_is_enough() -> None:
     subproblem.steps = [answer]
     assert subproblem.solve(0.5, 10.0) is answer
     assert np.array_equal(subproblem.planes[0], subproblem.burn_planes(burns))
+
+
+def test_from_a_guess_the_first_answer_is_taken_wherever_it_points() -> None:
+    """There is no step to compare it with, and the next one is made at its burns."""
+    subproblem = Scripted(along([0.5 * LIMIT, 1.0, 1.5, 2.0]), [], flown=False)
+    inside = across(subproblem, 0.1)
+    inside[0] = 0.1 * subproblem.problem.sun[0]
+    subproblem.steps = [step(inside, 1.0)]
+    assert subproblem.solve(1.0, 10.0).burns is inside
 
 
 @pytest.mark.parametrize("better", [1, 2])
