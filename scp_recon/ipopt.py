@@ -100,9 +100,9 @@ class _Work:
         dynamics, flyby = self.mission.dynamics, self.mission.problem
         return self._run(name, P3Rows(flyby), dynamics.linearise(flyby, guess))
 
-    def solve_p2(self, p3: Stage) -> Stage:
+    def solve_p2(self, start: Stage, name: str) -> Stage:
         """P2, again with the facets that were left out of the program where they turn out missed."""
-        name, lin = p3.name.replace("P3", "P2"), p3.result.lin
+        lin = start.result.lin
         rows = self.solver.facet_rows(lin)
         while True:
             stage = self._run(name, rows, lin)

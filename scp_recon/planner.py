@@ -174,15 +174,10 @@ class _Work:
         """P3 from a guess."""
         return self._run(name, self.planner.p3_rows, self.start(guess), None)
 
-    def solve_p2(self, p3: Stage) -> Stage:
-        """P2 from a solution of P3, and again with new facets as long as that helps.
-
-        Facets that leave nothing feasible are chosen again once, whatever was asked.
-        """
-        name = p3.name.replace("P3", "P2")
-        final = self._solve_p2(name, p3.result.lin)
-        infeasible = final.result.status is Status.INFEASIBLE
-        for round_ in range(2, max(self.facet_rounds, int(infeasible)) + 2):
+    def solve_p2(self, start: Stage, name: str) -> Stage:
+        """P2 from where a stage ended, and again with new facets as long as that helps."""
+        final = self._solve_p2(name, start.result.lin)
+        for round_ in range(2, self.facet_rounds + 2):
             again = self._solve_p2(f"{name}.{round_}", final.result.lin)
             if not better(again, final):
                 break

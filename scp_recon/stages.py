@@ -70,8 +70,8 @@ class StageSolver(Protocol):
         """P3 from a guess."""
         ...
 
-    def solve_p2(self, p3: Stage) -> Stage:
-        """P2 from a solution of P3, with the facets chosen there."""
+    def solve_p2(self, start: Stage, name: str) -> Stage:
+        """P2 from where a stage ended, with the facets chosen there."""
         ...
 
 
@@ -80,7 +80,8 @@ def solve_in_stages(solver: StageSolver, guess: Iterate, problem: Literal["P3", 
 
     Where P3 does not converge from the guess it is tried again from other starts; and so it is where
     P2 does not converge, because P3 may have stopped at a local optimum from which there is no way.
-    The best of the tries counts.
+    The best of the tries counts. Facets that leave even it nothing feasible are chosen again, where
+    it ended.
     """
     firsts: list[Stage] = []
     finals: list[Stage] = []
@@ -90,14 +91,17 @@ def solve_in_stages(solver: StageSolver, guess: Iterate, problem: Literal["P3", 
         firsts.append(p3)
         if p3.result.status is not Status.CONVERGED or known:
             continue
-        finals.append(p3 if problem == "P3" else solver.solve_p2(p3))
+        finals.append(p3 if problem == "P3" else solver.solve_p2(p3, f"P2{letter}"))
         if finals[-1].result.status is Status.CONVERGED:
             break
     if not finals:
         p3 = _best(firsts)
         lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
-        finals.append(p3 if lost else solver.solve_p2(p3))
-    return _best(finals)
+        finals.append(p3 if lost else solver.solve_p2(p3, p3.name.replace("P3", "P2")))
+    best = _best(finals)
+    if best.facets is None or best.result.status is not Status.INFEASIBLE:
+        return best
+    return _best([best, solver.solve_p2(best, f"{best.name}.2")])
 
 
 def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:

@@ -134,7 +134,7 @@ def coarse() -> Case:
 
 @pytest.fixture(scope="module")
 def infeasible() -> Case:
-    return Case.of("risk.p_chance=0.9")
+    return Case.of("risk.p_chance=0.95")
 
 
 def within(value: Array) -> Any:
@@ -361,13 +361,13 @@ def test_the_three_stages_give_a_solution(
 def test_what_does_not_converge_begins_again_at_the_ballistic_arc(
     default: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the planner has it; here P3 is given too few iterations, so that neither try converges."""
+    """As the planner has it; here P3 is given too few iterations, so that no try converges."""
     brief = replace(VARIANTS["shooting"], p3=replace(EXACT, max_iterations=3))
     monkeypatch.setitem(VARIANTS, "shooting", brief)
     result = ipopt.plan(default.mission, guess.cold(default.mission), variant="shooting")
     names = [stage.name for stage in result.stages]
-    assert names[:2] == ["P3", "P3b"]
-    assert set(names[2:]) <= {"P2", "P2b"}
+    assert names[:4] == ["P3", "P3b", "P3c", "P3d"]
+    assert all(name.startswith("P2") for name in names[4:])
     first, again = result.stages[0].result.lin, result.stages[1].result.lin
     assert np.abs(first.iterate.burns - again.iterate.burns).max() > 0.0
 
@@ -377,12 +377,11 @@ def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
     variant = replace(VARIANTS["shooting"], p2=replace(QUASI_NEWTON, max_iterations=60))
     hard = solve_nlp(infeasible.problem, infeasible.arcs, infeasible.facets, start, variant)
     assert hard.outcome in (NlpOutcome.INFEASIBLE, NlpOutcome.LIMIT), hard.status
-    elastic = ipopt.plan(mission, guess.ballistic(mission), variant="shooting", elastic=True)
-    assert elastic.final.result.status is Status.INFEASIBLE
-    assert (
-        "site_distance_max"
-        in make_solution(mission, elastic, "warm", "shooting").violation.by_constraint
-    )
+    stages = ipopt.IpoptStages(mission, infeasible.arcs, VARIANTS["shooting"], elastic=True)
+    elastic = stages.solve("P2", infeasible.p2.subproblem.rows, infeasible.p3.result.lin)
+    assert elastic.result.status is Status.INFEASIBLE
+    violations = elastic.subproblem.violations(elastic.result.lin)
+    assert max(violations["site_distance_max"]) > elastic.tolerance
 
 
 @pytest.mark.parametrize("by_hand", [True, False], ids=["ctrl-c", "another exception"])

