@@ -64,9 +64,9 @@ def timed(run: Callable[[], object], repeats: int) -> Timed:
     return Timed(walls[0], walls[best], cpus[best])
 
 
-def _described(figures: Timed, mission: Mission, plans: list[Plan], name: str) -> Timed:
+def _described(figures: Timed, mission: Mission, plans: list[Plan]) -> Timed:
     found = min(plans[1:] or plans, key=lambda plan: plan.total_s)
-    solution = make_solution(mission, found, "cold", name)
+    solution = make_solution(found)
     parts = asdict(found.timing) | {"other": found.total_s - sum(vars(found.timing).values())}
     p2 = [r.solver_s for stage in found.stages if stage.facets for r in stage.result.records]
     solves = {"p2_subproblem": statistics.median(p2)} if p2 else {}
@@ -87,7 +87,7 @@ def scp(mission: Mission, formulation: str, repeats: int) -> Timed:
     def run() -> None:
         plans.append(Planner(mission, formulation=formulation).plan(start))
 
-    return _described(timed(run, repeats), mission, plans, formulation)
+    return _described(timed(run, repeats), mission, plans)
 
 
 def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
@@ -99,7 +99,7 @@ def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
     def run() -> None:
         plans.append(reference.plan(mission, start, variant=variant))
 
-    return _described(timed(run, repeats), mission, plans, variant)
+    return _described(timed(run, repeats), mission, plans)
 
 
 def replan(mission: Mission, repeats: int) -> Timed:

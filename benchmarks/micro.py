@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
-from formulations.lifting import Linearisation, condense
+from formulations.condensations import condense
+from formulations.lifting import Linearisation
 from formulations.registry import make_subproblem
-from formulations.rows import P2Rows
+from formulations.rows.chance import P2Rows
 from scp_recon import guess
 from scp_recon.campaign import Setting, run_block
 from scp_recon.flow import differentiate
@@ -45,12 +46,12 @@ def test_second_derivatives_of_all_arcs(benchmark: Any, mission: Mission, planne
 
 
 def test_condense(benchmark: Any, planned: Plan) -> None:
-    nodes = planned.final.subproblem.rows.nodes
+    nodes = planned.final.merit.rows.nodes
     benchmark(lambda: condense(fresh(planned.final.result.lin), nodes))
 
 
 def test_cones_of_p2(benchmark: Any, planned: Plan) -> None:
-    rows, lin = planned.final.subproblem.rows, planned.final.result.lin
+    rows, lin = planned.final.merit.rows, planned.final.result.lin
     assert isinstance(rows, P2Rows)
     sensitivity = condense(lin, rows.nodes)
     benchmark(rows.cones, lin, sensitivity)
@@ -59,7 +60,7 @@ def test_cones_of_p2(benchmark: Any, planned: Plan) -> None:
 @pytest.mark.parametrize("stage", [0, -1], ids=["P3", "P2"])
 def test_solve_a_subproblem(benchmark: Any, planned: Plan, stage: int) -> None:
     chosen = planned.stages[stage]
-    subproblem = make_subproblem(chosen.subproblem.problem, chosen.subproblem.rows)
+    subproblem = make_subproblem(chosen.merit.problem, chosen.merit.rows)
     subproblem.update(chosen.result.lin)
     benchmark(subproblem.solve, 1.0, 10.0)
 

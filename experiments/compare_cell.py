@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import importlib
 import resource
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from time import perf_counter, process_time
+from time import process_time
 
 import numpy as np
 
@@ -17,18 +16,15 @@ from experiments.unguarded import Unguarded
 from formulations.facets import choose_facets, included_rows
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
-from formulations.program.subproblem import Evaluation
-from formulations.registry import make_subproblem
-from formulations.rows import P2Rows
-from scp_recon.algorithms import ALGORITHMS
+from formulations.program.merit import MeritFunction
+from formulations.rows.chance import P2Rows
 from scp_recon.campaign import Setting, fly_campaign
 from scp_recon.mission import Mission
 from scp_recon.observing import ALL
-from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, plan
+from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Planner, ScpStages, plan
 from scp_recon.scenario import load_scenario
-from scp_recon.scp import Algorithm, Result, run
 from scp_recon.scvx import TrustRegion
-from scp_recon.stages import Plan
+from scp_recon.stages import Plan, Provenance, RowsSolver, StageRunner
 from scp_recon.status import Status
 
 
@@ -49,15 +45,14 @@ def solve_cell(cell: Cell, flights: int) -> Row:
     weights = TrustRegion()
     setting, peak = Setting(mission, burns), _peak_mib()
     observed = fly_campaign(setting, samples=flights).held[ALL].mean().value if flights else np.nan
-    worst = max(float(v.max(initial=0.0)) for v in found.subproblem.violations(lin).values())
     return replace(
         empty_row(cell),
         status=found.status.value.name,
-        problem="P2" if isinstance(found.subproblem.rows, P2Rows) else "P3",
+        problem="P2" if isinstance(found.merit.rows, P2Rows) else "P3",
         total_dv_m_s=lin.iterate.total_dv * speed,
-        merit_m_s=found.subproblem.merit(lin, weights.weight) * speed,
-        heavy_merit_m_s=found.subproblem.merit(lin, weights.weight_max) * speed,
-        violation_m=worst * length,
+        merit_m_s=found.merit(lin, weights.weight) * speed,
+        heavy_merit_m_s=found.merit(lin, weights.weight_max) * speed,
+        violation_m=found.merit.worst_violation(lin) * length,
         iterations_p3=found.iterations_p3,
         iterations_p2=found.iterations_p2,
         first_status=found.first_status,
@@ -97,7 +92,7 @@ class _Found:
 
     status: Status
     lin: Linearisation
-    subproblem: Evaluation
+    merit: MeritFunction
     iterations_p3: int
     iterations_p2: int
     first_status: str
@@ -134,7 +129,7 @@ def _of_plan(done: Plan, cpu_s: float) -> _Found:
     return _Found(
         status=done.final.result.status,
         lin=done.final.result.lin,
-        subproblem=done.final.subproblem,
+        merit=done.final.merit,
         iterations_p3=sum(n for name, n in counts.items() if name.startswith("P3")),
         iterations_p2=sum(n for name, n in counts.items() if name.startswith("P2")),
         first_status=_first_status(done),
@@ -161,59 +156,24 @@ def _from_p3(mission: Mission, cell: Cell) -> _Found:
     margin = facets.margin(p3.iterate.mean, p3.factor)
     clearance = CLEARANCE_M / mission.units.length_m
     included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
-    solve = _solver_of_p2(mission, cell.method)
-    begin, cpu_begin = perf_counter(), process_time()
-    lin, iterations, solver_s = p3, 0, 0.0
-    while True:
-        rows = P2Rows(problem, facets, included)
-        subproblem, result = solve(rows, lin)
-        lin = result.lin
-        iterations += len(result.records)
-        solver_s += result.timing.conic_solver
-        missed = rows.missed(lin, TrustRegion.feasible)
-        if not missed.any():
-            break
-        included = included | missed
-    return _Found(
-        status=result.status,
-        lin=lin,
-        subproblem=subproblem,
-        iterations_p3=0,
-        iterations_p2=iterations,
-        first_status="",
-        from_arc=False,
-        total_s=perf_counter() - begin,
-        cpu_s=process_time() - cpu_begin,
-        solver_s=solver_s,
+    runner = StageRunner(mission, _solver_of_rows(mission, cell.method))
+    provenance = Provenance(
+        cell.method.formulation, cell.method.algorithm, cell.method.solver, "p3"
     )
+    rows, cpu_begin = P2Rows(problem, facets, included), process_time()
+    done = runner.run(lambda: runner.restore("P2", rows, p3), provenance)
+    return _of_plan(done, process_time() - cpu_begin)
 
 
-def _solver_of_p2(
-    mission: Mission, method: Method
-) -> Callable[[P2Rows, Linearisation], tuple[Evaluation, Result]]:
-    """P2 on given rows from a given iterate, by SCP or by IPOPT."""
+def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
+    """What solves P2 by a method."""
     if method.solver == IPOPT:
         from formulations.nlp import VARIANTS
         from scp_recon.ipopt import IpoptStages, casadi_arcs
 
         variant, arcs = VARIANTS[method.formulation], casadi_arcs(mission.dynamics)
-        solver = IpoptStages(mission, arcs, variant, method.algorithm == "elastic")
-
-        def by_ipopt(rows: P2Rows, start: Linearisation) -> tuple[Evaluation, Result]:
-            stage = solver.solve("P2", rows, start)
-            return stage.subproblem, stage.result
-
-        return by_ipopt
-    algorithm: Algorithm = (
-        Unguarded(mission.problem)
-        if method.algorithm == UNGUARDED
-        else ALGORITHMS[method.algorithm]()
-    )
-
-    def by_scp(rows: P2Rows, start: Linearisation) -> tuple[Evaluation, Result]:
-        subproblem = make_subproblem(
-            mission.problem, rows, method.formulation, method.solver, algorithm.penalty
-        )
-        return subproblem, run(subproblem, mission.dynamics, start, algorithm, lambda _: None)
-
-    return by_scp
+        return IpoptStages(mission, arcs, variant, method.algorithm == "elastic")
+    unguarded = Unguarded(mission.problem) if method.algorithm == UNGUARDED else None
+    name = "scvx" if unguarded else method.algorithm  # of the same penalty
+    planner = Planner(mission, formulation=method.formulation, algorithm=name, solver=method.solver)
+    return ScpStages(planner, mission, unguarded or planner.algorithm)

@@ -7,6 +7,7 @@ was tried instead of one of them. The table goes to OUT/nlp_tricks.csv and .md.
 
 from __future__ import annotations
 
+from formulations.facets import choose_facets
 from scp_recon.command import guarded, starting
 
 if __name__ == "__main__":
@@ -108,12 +109,15 @@ def measure(mission: Mission, chosen: Sequence[Trick], tell: Callable[[str], Non
     from scp_recon.ipopt import IpoptStages, casadi_arcs
 
     start = plan(mission, guess.cold(mission), problem="P3").final.result.lin
+    mean, factor = start.iterate.mean, start.factor
+    facets = choose_facets(mission.problem, mission.polytopes, mean, factor)
     arcs = casadi_arcs(mission.dynamics)
     rows: list[Row] = []
     for trick in chosen:
         solver = IpoptStages(mission, arcs, trick.variant)
         begin = process_time()
-        stage = solver.solve("P2", solver.facet_rows(start), start)
+        rows_ = solver.chance_rows(facets, start)
+        stage = solver.solve("P2", rows_, start, lambda *_: None)
         run = stage.runs[-1]
         row: Row = (
             trick.name,

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from experiments.as_flown import as_flown_burns
-from formulations.program.subproblem import Evaluation
-from formulations.rows import P3Rows
+from formulations.program.merit import MeritFunction
+from formulations.rows.deterministic import P3Rows
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
@@ -21,7 +21,7 @@ from scp_recon.results import make_solution
 from scp_recon.scp import Result, Timing
 from scp_recon.scvx import TrustRegion
 from scp_recon.solution import Solution
-from scp_recon.stages import Plan, Stage
+from scp_recon.stages import Plan, Provenance, Stage
 from scp_recon.status import Status
 
 Array = npt.NDArray[np.float64]
@@ -116,13 +116,12 @@ def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tu
 def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> Solution:
     """Given burns in the form of a solution: rolled out, with P3's margins, nothing optimised."""
     lin = mission.dynamics.linearise(mission.problem, guess.from_burns(mission, burns_m_s))
-    subproblem = Evaluation(mission.problem, P3Rows(mission.problem))
+    merit = MeritFunction(mission.problem, P3Rows(mission.problem))
     # No iteration was allowed, which is what the status says of a plan that is none.
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
-    stage = Stage(init, result, subproblem, None, TrustRegion().feasible)
-    plan_of_one = Plan(mission, (stage,), stage, Timing(), 0.0)
-    none = NOT_OPTIMISED
-    solution = make_solution(mission, plan_of_one, init, none, algorithm=none, solver=none)
+    stage = Stage(init, result, merit, None, TrustRegion().feasible)
+    provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, init)
+    solution = make_solution(Plan(mission, provenance, (stage,), stage, Timing(), 0.0))
     return solution.model_copy(update={"message": message})
 
 
@@ -142,13 +141,11 @@ def _as_flown(kernel: Path, table: Path, mission: Mission) -> Solution:
 
 
 def _scp(init: Init, problem: Literal["P3", "P2"], mission: Mission) -> Solution:
-    result = plan(mission, GUESSES[init](mission), problem=problem)
-    return make_solution(mission, result, init, "condensed")
+    return make_solution(plan(mission, GUESSES[init](mission), problem=problem, init=init))
 
 
 def _ipopt(init: Init, mission: Mission) -> Solution:
     """The one place that knows the reference solver."""
     from scp_recon import ipopt  # by CasADi, which takes a second to import
 
-    result = ipopt.plan(mission, GUESSES[init](mission), variant=VARIANT)
-    return make_solution(mission, result, init, VARIANT, "interior point", "IPOPT")
+    return make_solution(ipopt.plan(mission, GUESSES[init](mission), variant=VARIANT, init=init))

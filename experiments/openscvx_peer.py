@@ -34,9 +34,9 @@ from experiments.compare_runs import PEER_NAME, version
 from experiments.compare_solvers import DEFAULT_OUT
 from experiments.openscvx_problem import pose
 from formulations.problem import Iterate
-from formulations.program.subproblem import Evaluation
+from formulations.program.merit import MeritFunction
 from formulations.regions import Array
-from formulations.rows import P3Rows
+from formulations.rows.deterministic import P3Rows
 from scp_recon import guess
 from scp_recon.campaign import Setting, fly_campaign
 from scp_recon.errors import InputError
@@ -135,8 +135,7 @@ def _row(mission: Mission, method: Method, burns: Array) -> Row:
     p, units, weights = mission.problem, mission.units, TrustRegion()
     mean = mission.dynamics.rollout(p.initial_state, burns)
     lin = mission.dynamics.linearise(p, Iterate(burns, mean))
-    judge = Evaluation(p, P3Rows(p))
-    worst = max(float(v.max(initial=0.0)) for v in judge.violations(lin).values())
+    judge = MeritFunction(p, P3Rows(p))
     setting = Setting(mission, burns * units.speed_m_s)
     return replace(
         empty_row(Cell("matrix", "recon_b", (), method, "warm")),
@@ -144,9 +143,9 @@ def _row(mission: Mission, method: Method, burns: Array) -> Row:
         group="peer",
         problem="P3",
         total_dv_m_s=lin.iterate.total_dv * units.speed_m_s,
-        merit_m_s=judge.merit(lin, weights.weight) * units.speed_m_s,
-        heavy_merit_m_s=judge.merit(lin, weights.weight_max) * units.speed_m_s,
-        violation_m=worst * units.length_m,
+        merit_m_s=judge(lin, weights.weight) * units.speed_m_s,
+        heavy_merit_m_s=judge(lin, weights.weight_max) * units.speed_m_s,
+        violation_m=judge.worst_violation(lin) * units.length_m,
         observed_s=fly_campaign(setting, samples=FLIGHTS).held[ALL].mean().value,
         burns_m_s=tuple((burns * units.speed_m_s).ravel().tolist()),
         limit_s=np.inf,

@@ -6,7 +6,7 @@ from formulations.condensations import CONDENSATIONS
 from formulations.penalty import Penalty
 from formulations.problem import FlybyProblem
 from formulations.program.subproblem import Subproblem
-from formulations.rows import Rows
+from formulations.rows.cones import Rows
 
 FORMULATIONS = ("condensed", "lifted", "frozen-stm", "frozen-covariance")
 

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal
 
 import casadi as ca
 import numpy as np
 
-from formulations.facets import Facets, choose_facets, included_rows
+from formulations.facets import Facets, included_rows
 from formulations.lifting import Linearisation
 from formulations.nlp import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
 from formulations.nlp_program import Arcs, Start
 from formulations.problem import Iterate
-from formulations.program.subproblem import Evaluation
-from formulations.rows import P2Rows, P3Rows, Rows
+from formulations.program.merit import MeritFunction
+from formulations.rows.chance import P2Rows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import P3Rows
 from scp_recon.dynamics import Dynamics
 from scp_recon.forces import acceleration
 from scp_recon.mission import Mission
 from scp_recon.planner import CLEARANCE_M
 from scp_recon.scp import Record, Result, Timing
 from scp_recon.scvx import TrustRegion
-from scp_recon.stages import Observer, Plan, Stage, finish, solve_in_stages
+from scp_recon.stages import Observer, Plan, Provenance, Stage, StageRunner
 from scp_recon.status import Status
 
 
@@ -63,11 +65,12 @@ def plan(
     problem: Literal["P3", "P2"] = "P2",
     variant: str = "tuned",
     elastic: bool = False,
+    init: str = "given",
     observe: Observer | None = None,
 ) -> Plan:
     """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-    What does not converge is tried once more from the ballistic arc, as `Planner.plan` does.
+    What does not converge begins again elsewhere, as in `Planner.plan`.
 
     Args:
         mission: what to plan.
@@ -75,54 +78,16 @@ def plan(
         problem: "P3" stops after the first stage.
         variant: a key of `formulations.nlp.VARIANTS`.
         elastic: weigh violations as the sequential convex programs do, instead of forbidding them.
+        init: what the guess is called in the solution file.
         observe: called with each line of IPOPT's log once a run is over.
 
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
     arcs = casadi_arcs(mission.dynamics)
-    work = _Work(IpoptStages(mission, arcs, VARIANTS[variant], elastic), mission, observe)
-    return finish(work, lambda: solve_in_stages(work, guess, problem))
-
-
-@dataclass
-class _Work:
-    """What accumulates while the stages of one plan are solved."""
-
-    solver: IpoptStages
-    mission: Mission
-    observe: Observer | None
-    stages: list[Stage] = field(default_factory=list)
-    timing: Timing = field(default_factory=Timing)
-
-    def solve_p3(self, guess: Iterate, name: str) -> Stage:
-        """P3 from a guess."""
-        dynamics, flyby = self.mission.dynamics, self.mission.problem
-        return self._run(name, P3Rows(flyby), dynamics.linearise(flyby, guess))
-
-    def solve_p2(self, start: Stage, name: str) -> Stage:
-        """P2, again with the facets that were left out of the program where they turn out missed."""
-        lin = start.result.lin
-        rows = self.solver.facet_rows(lin)
-        while True:
-            stage = self._run(name, rows, lin)
-            lin = stage.result.lin
-            missed = rows.missed(lin, stage.tolerance)
-            if not missed.any():
-                return stage
-            rows = P2Rows(self.mission.problem, rows.facets, rows.included | missed)
-
-    def _run(self, name: str, rows: Rows, start: Linearisation) -> Stage:
-        """One stage; an interrupted one ends the work."""
-        stage = self.solver.solve(name, rows, start)
-        self.stages.append(stage)
-        self.timing.add(stage.result.timing)
-        for record in stage.result.records:
-            if self.observe:
-                self.observe(name, record)
-        if stage.result.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        return stage
+    runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
+    provenance = Provenance(variant, "interior point", "IPOPT", init)
+    return runner.run(lambda: runner.plan(guess, problem), provenance)
 
 
 @dataclass(frozen=True)
@@ -141,10 +106,13 @@ class IpoptStages:
     variant: Variant
     elastic: bool = False
 
-    def facet_rows(self, lin: Linearisation) -> P2Rows:
-        """P2's rows with the facets chosen at a P3 solution, screened as the planner screens them."""
+    def deterministic_rows(self) -> P3Rows:
+        """P3's constraints."""
+        return P3Rows(self.mission.problem)
+
+    def chance_rows(self, facets: Facets, lin: Linearisation) -> P2Rows:
+        """P2's constraints on given facets, screened as the planner screens them."""
         mission = self.mission
-        facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
         margin = facets.margin(lin.iterate.mean, lin.factor)
         clearance = CLEARANCE_M / mission.units.length_m if self.variant.screened else np.inf
         return P2Rows(
@@ -153,7 +121,7 @@ class IpoptStages:
             included_rows(facets, margin, clearance, mission.problem.n_nodes),
         )
 
-    def solve(self, name: str, rows: Rows, start: Linearisation) -> NlpStage:
+    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> NlpStage:
         """Solve P3 or, on the included facets of its rows, P2.
 
         An elastic problem that stays violated is weighed once more with the largest penalty, as
@@ -161,7 +129,7 @@ class IpoptStages:
         """
         begin = perf_counter()
         algorithm = TrustRegion()
-        subproblem = Evaluation(self.mission.problem, rows)
+        merit = MeritFunction(self.mission.problem, rows)
         setup = perf_counter() - begin
         weights = (algorithm.weight, algorithm.weight_max) if self.elastic else (None,)
         runs: list[NlpResult] = []
@@ -169,13 +137,15 @@ class IpoptStages:
         for weight in weights:
             lin, run = self._run(rows, lin, weight)
             runs.append(run)
-            violated = _worst(subproblem, lin) > algorithm.feasible
+            violated = merit.worst_violation(lin) > algorithm.feasible
             status = _status(run.outcome, violated=violated, elastic=self.elastic)
             if not violated or status is Status.INTERRUPTED:
                 break
         result = Result(status, lin, _records(runs), _timing(runs, setup))
+        for record in result.records:
+            observe(name, record)
         facets = rows.facets if isinstance(rows, P2Rows) else None
-        return NlpStage(name, result, subproblem, facets, algorithm.feasible, tuple(runs))
+        return NlpStage(name, result, merit, facets, algorithm.feasible, tuple(runs))
 
     def _run(
         self, rows: Rows, lin: Linearisation, penalty: float | None
@@ -192,10 +162,6 @@ class IpoptStages:
 def _included(rows: P2Rows) -> Facets:
     names = Facets.__annotations__
     return Facets(*(getattr(rows.facets, name)[rows.included] for name in names))
-
-
-def _worst(subproblem: Evaluation, lin: Linearisation) -> float:
-    return max(float(v.max(initial=0.0)) for v in subproblem.violations(lin).values())
 
 
 def _status(outcome: NlpOutcome, *, violated: bool, elastic: bool) -> Status:

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from time import perf_counter
 from typing import Final, Literal
 
 import numpy as np
 
-from formulations.facets import Facets, choose_facets, included_rows
+from formulations.facets import Facets, included_rows
 from formulations.lifting import Linearisation
 from formulations.problem import Iterate
 from formulations.program.subproblem import Subproblem
 from formulations.regions import Array
 from formulations.registry import make_subproblem
-from formulations.rows import P2Rows, P3Rows, Rows
+from formulations.rows.chance import P2Rows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import P3Rows
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.mission import Mission
-from scp_recon.scp import Record, Timing, run
-from scp_recon.stages import Observer, Plan, Stage, better, finish, solve_in_stages
-from scp_recon.status import Status
+from scp_recon.scp import Algorithm, Record, run
+from scp_recon.stages import Observer, Plan, Provenance, Stage, StageRunner
 
 PROGRAM_NODES_MAX = 48
 """Nodes in CVXPY's program of P2 to begin with: its memory grows with them times the factor."""
@@ -41,11 +42,14 @@ def plan(
     algorithm: str = "scvx",
     solver: str = "CLARABEL",
     facet_rounds: int = 0,
+    init: str = "given",
     observe: Observer | None = None,
 ) -> Plan:
     """Plan a mission once: `Planner.plan` with its arguments and those of `Planner`."""
     planner = Planner(mission, formulation=formulation, algorithm=algorithm, solver=solver)
-    return planner.plan(guess, problem=problem, facet_rounds=facet_rounds, observe=observe)
+    return planner.plan(
+        guess, problem=problem, facet_rounds=facet_rounds, init=init, observe=observe
+    )
 
 
 class Planner:
@@ -71,6 +75,7 @@ class Planner:
         self.mission: Final = mission
         self.formulation: Final = formulation
         self.solver: Final = solver
+        self.algorithm_name: Final = algorithm
         self.algorithm: Final = ALGORITHMS[algorithm]()
         self._p2_rows: P2Rows | None = None
         self._kept: dict[type[Rows], Subproblem] = {}
@@ -81,21 +86,24 @@ class Planner:
         *,
         problem: Literal["P3", "P2"] = "P2",
         facet_rounds: int = 0,
+        init: str = "given",
         observe: Observer | None = None,
     ) -> Plan:
         """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-        What does not converge is tried once more from the ballistic arc: see `solve_in_stages`.
+        What does not converge begins again elsewhere: see `StageRunner.plan`.
 
         Args:
             guess: initial iterate, which may have defects.
             problem: "P3" stops after the first stage.
             facet_rounds: how often to choose the facets again at the solution and solve again. A
                 round is kept only while it lowers the merit, so that facets cannot cycle.
+            init: what the guess is called in the solution file.
             observe: called after each iteration with the stage's name and the record.
         """
-        work = _Work(self, self.mission, observe, facet_rounds)
-        return finish(work, lambda: solve_in_stages(work, guess, problem))
+        stages = ScpStages(self, self.mission, self.algorithm)
+        runner = StageRunner(self.mission, stages, observe, facet_rounds)
+        return runner.run(lambda: runner.plan(guess, problem), self._provenance(init))
 
     def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.
@@ -113,16 +121,25 @@ class Planner:
             ValueError: if the plan is not one of P2, or of a mission that differs in more than the
                 initial state; or if the state is none outside the body.
         """
-        if last.final.facets is None:
+        facets = last.final.facets
+        if facets is None:
             raise ValueError("only a plan of P2 can be planned again")
         if last.mission.with_initial_state(initial_state).scenario != (
             self.mission.with_initial_state(initial_state).scenario
         ):
             raise ValueError("the plan is of another mission")
         mission = self.mission.with_initial_state(initial_state)
-        work = _Work(self, mission, observe)
-        final = last.final
-        return finish(work, lambda: work.solve_p2_again(final))
+        runner = StageRunner(mission, ScpStages(self, mission, self.algorithm), observe)
+
+        def again() -> Stage:
+            # The last plan's iterate knows its factor; the facets are screened there.
+            rows = self.p2_rows(facets, last.final.result.lin, CLEARANCE_AGAIN_M)
+            return runner.restore("P2", rows, runner.start(last.final.result.lin.iterate))
+
+        return runner.run(again, self._provenance("plan"))
+
+    def _provenance(self, init: str) -> Provenance:
+        return Provenance(self.formulation, self.algorithm_name, self.solver, init)
 
     @cached_property
     def p3_rows(self) -> P3Rows:
@@ -144,7 +161,7 @@ class Planner:
     def subproblem(self, rows: Rows) -> Subproblem:
         """The convex subproblem with some rows; of P3 and of P2 the one made last is kept."""
         kept = self._kept.get(type(rows))
-        if kept is None or kept.rows is not rows:
+        if kept is None or kept.merit.rows is not rows:
             kept = make_subproblem(
                 self.mission.problem, rows, self.formulation, self.solver, self.algorithm.penalty
             )
@@ -152,75 +169,38 @@ class Planner:
         return kept
 
 
-@dataclass
-class _Work:
-    """What accumulates while the stages of one plan are solved."""
+@dataclass(frozen=True)
+class ScpStages:
+    """A `RowsSolver` by SCP, with a planner's subproblems.
+
+    Attributes:
+        planner: keeps the subproblems and screens the facets.
+        mission: the planner's, or the same from another initial state.
+        algorithm: with the penalty of the planner's.
+    """
 
     planner: Planner
     mission: Mission
-    observe: Observer | None
-    facet_rounds: int = 0
-    stages: list[Stage] = field(default_factory=list)
-    timing: Timing = field(default_factory=Timing)
+    algorithm: Algorithm
 
-    def start(self, guess: Iterate) -> Linearisation:
-        """Linearised at a guess; whatever it says, the flight starts where the problem does."""
-        problem, mean = self.mission.problem, guess.mean.copy()
-        mean[0] = problem.initial_state
-        mean[0, 3:] += guess.burns[0]
-        return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
+    def deterministic_rows(self) -> P3Rows:
+        """See `RowsSolver`."""
+        return self.planner.p3_rows
 
-    def solve_p3(self, guess: Iterate, name: str) -> Stage:
-        """P3 from a guess."""
-        return self._run(name, self.planner.p3_rows, self.start(guess), None)
+    def chance_rows(self, facets: Facets, lin: Linearisation) -> P2Rows:
+        """See `RowsSolver`."""
+        return self.planner.p2_rows(facets, lin, CLEARANCE_M)
 
-    def solve_p2(self, start: Stage, name: str) -> Stage:
-        """P2 from where a stage ended, and again with new facets as long as that helps."""
-        final = self._solve_p2(name, start.result.lin)
-        for round_ in range(2, self.facet_rounds + 2):
-            again = self._solve_p2(f"{name}.{round_}", final.result.lin)
-            if not better(again, final):
-                break
-            final = again
-        return final
-
-    def _solve_p2(self, name: str, lin: Linearisation) -> Stage:
-        """P2 with the facets chosen at the start."""
-        mission = self.mission
-        facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
-        return self._restoring(name, self.planner.p2_rows(facets, lin, CLEARANCE_M), lin)
-
-    def solve_p2_again(self, last: Stage) -> Stage:
-        """P2 from the iterate of a stage and with its facets."""
-        lin, facets = last.result.lin, last.facets
-        assert facets is not None
-        rows = self.planner.p2_rows(facets, lin, CLEARANCE_AGAIN_M)
-        return self._restoring("P2", rows, self.start(lin.iterate))
-
-    def _restoring(self, name: str, rows: P2Rows, lin: Linearisation) -> Stage:
-        """P2, again with the facets that were left out of the program where they turn out missed."""
-        while True:
-            stage = self._run(name, rows, lin, rows.facets)
-            lin = stage.result.lin
-            missed = rows.missed(lin, self.planner.algorithm.feasible)
-            if not missed.any():
-                return stage
-            rows = P2Rows(self.mission.problem, rows.facets, rows.included | missed)
-
-    def _run(self, name: str, rows: Rows, start: Linearisation, facets: Facets | None) -> Stage:
-        """One run of the SCP; an interrupted one ends the work."""
+    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
+        """See `RowsSolver`."""
         begin = perf_counter()
         subproblem = self.planner.subproblem(rows)
-        self.timing.setup += perf_counter() - begin
-        algorithm, observe = self.planner.algorithm, self.observe
+        setup = perf_counter() - begin
 
         def seen(record: Record) -> None:
-            if observe:
-                observe(name, record)
+            observe(name, record)
 
-        result = run(subproblem, self.mission.dynamics, start, algorithm, seen)
-        self.timing.add(result.timing)
-        self.stages.append(Stage(name, result, subproblem, facets, algorithm.feasible))
-        if result.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        return self.stages[-1]
+        result = run(subproblem, self.mission.dynamics, start, self.algorithm, seen)
+        result.timing.setup += setup
+        facets = rows.facets if isinstance(rows, P2Rows) else None
+        return Stage(name, result, subproblem.merit, facets, self.algorithm.feasible)

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from formulations.rows import Margins
+from formulations.rows.cones import Margins
 from scp_recon.mission import Mission
 from scp_recon.scp import Record
 from scp_recon.solution import (
@@ -27,15 +27,9 @@ from scp_recon.stages import Plan, Stage
 FINAL_STATE = "final_state"
 
 
-def make_solution(
-    mission: Mission,
-    plan: Plan,
-    init: str,
-    formulation: str,
-    algorithm: str = "scvx",
-    solver: str = "CLARABEL",
-) -> Solution:
+def make_solution(plan: Plan) -> Solution:
     """Collect a plan into the solution file's form, not yet verified."""
+    mission, made = plan.mission, plan.provenance
     lin, units = plan.final.result.lin, mission.units
     burns = lin.iterate.burns * units.speed_m_s
     factor = lin.factor * units.state[:, None]
@@ -44,10 +38,10 @@ def make_solution(
         status=outcome.name,
         message=f"{outcome.message} {outcome.remedy}".strip(),
         problem="P3" if plan.final.facets is None else "P2",
-        init=init,
-        formulation=formulation,
-        algorithm=algorithm,
-        solver=solver,
+        init=made.init,
+        formulation=made.formulation,
+        algorithm=made.algorithm,
+        solver=made.solver,
         total_dv_m_s=float(np.linalg.norm(burns, axis=1).sum()),
         burns=[
             Burn(t_s=time, dv_m_s=tuple(burn.tolist()))
@@ -121,7 +115,7 @@ def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]
 
 def _all_margins(mission: Mission, stage: Stage) -> dict[str, Margins]:
     lin = stage.result.lin
-    margins = stage.subproblem.margins(lin)
+    margins = stage.merit.margins(lin)
     if stage.facets is not None:
         facets, margin = stage.facets, stage.facets.margin(lin.iterate.mean, lin.factor)
         for index, constraint in enumerate(mission.problem.constraints):
@@ -149,7 +143,7 @@ def _violation(mission: Mission, stage: Stage) -> Violation:
     length = mission.units.length_m
     by_constraint = {}
     scaled = [np.zeros(1)]
-    for name, amounts in stage.subproblem.violations(stage.result.lin).items():
+    for name, amounts in stage.merit.violations(stage.result.lin).items():
         used = amounts[amounts > stage.tolerance]
         if len(used):
             scaled.append(used)

@@ -201,7 +201,7 @@ def attempt(
 
 def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:
     """The record of an iteration that went nowhere: what it ends with is what it began with."""
-    violations = dict(subproblem.violations(state.lin))
+    violations = dict(subproblem.merit.violations(state.lin))
     defect = float(violations.pop("dynamics").max())
     return Record(
         k=k,

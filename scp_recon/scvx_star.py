@@ -41,7 +41,7 @@ class AugmentedLagrangian(TrustRegion):
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """Start from the guess, without multipliers."""
-        charge = Charge(self.weight, multipliers=np.zeros_like(subproblem.excess(lin)))
+        charge = Charge(self.weight, multipliers=np.zeros_like(subproblem.merit.excess(lin)))
         return State(lin, subproblem.merit(lin, charge), self.initial_radius, charge)
 
     def step(
@@ -78,7 +78,7 @@ class AugmentedLagrangian(TrustRegion):
     def _update(self, subproblem: Subproblem, state: State, record: Record) -> State:
         weight, multipliers = state.charge.weight, state.charge.multipliers
         assert multipliers is not None
-        multipliers = multipliers + weight * subproblem.excess(state.lin)
+        multipliers = multipliers + weight * subproblem.merit.excess(state.lin)
         multipliers[6:] = np.maximum(multipliers[6:], 0.0)
         charge = Charge(min(self.HEAVIER * weight, self.weight_max), multipliers=multipliers)
         change = min(state.change, abs(record.actual)) if state.change == np.inf else state.change

@@ -126,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _solve(options: argparse.Namespace, console: Console) -> int:
-    name, label, make_plan = _method(options)
+    make_plan = _method(options)
     mission, start = _inputs(options)
     check_writable(options.out, FILE_NAME, "--out")
     report.show_mission(console, mission)
@@ -134,7 +134,7 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
     try:
         with report.live_iterations(console, mission) as observe:
             result = make_plan(mission, start, observe)
-        solution = make_solution(mission, result, options.init, name, *label)
+        solution = make_solution(result)
     except ValidationError:  # which only numbers that are not finite can cause
         raise InputError(
             "scenario",
@@ -155,8 +155,8 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
 
 
-def _method(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning]:
-    """The formulation's name, the algorithm and solver, and what makes the plan."""
+def _method(options: argparse.Namespace) -> Planning:
+    """What makes the plan."""
     if options.method == "scp":
         return _by_scp(options)
     for option in ("algorithm", "solver", "facet_rounds"):
@@ -170,19 +170,24 @@ def _method(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning
     variant = _one_of("--formulation", options.formulation or "tuned", VARIANTS)
 
     def by_ipopt(mission: Mission, start: Iterate, observe: Observer) -> Plan:
-        return ipopt.plan(mission, start, problem=options.problem, variant=variant, observe=observe)
+        return ipopt.plan(
+            mission,
+            start,
+            problem=options.problem,
+            variant=variant,
+            init=options.init,
+            observe=observe,
+        )
 
-    return variant, ("interior point", "IPOPT"), by_ipopt
+    return by_ipopt
 
 
-def _by_scp(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning]:
+def _by_scp(options: argparse.Namespace) -> Planning:
     formulation = _one_of("--formulation", options.formulation or "condensed", FORMULATIONS)
     algorithm = _one_of("--algorithm", options.algorithm or ALGORITHM, ALGORITHMS)
     solver = (options.solver or SOLVER).upper()
     if solver != SOLVER:
-        from formulations.program.solvers import (
-            installed,  # by CVXPY, which takes a second to import
-        )
+        from formulations.program.solvers import installed
 
         _one_of("--solver", solver, installed())
 
@@ -195,10 +200,11 @@ def _by_scp(options: argparse.Namespace) -> tuple[str, tuple[str, str], Planning
             algorithm=algorithm,
             solver=solver,
             facet_rounds=options.facet_rounds,
+            init=options.init,
             observe=observe,
         )
 
-    return formulation, (algorithm, solver), planning
+    return planning
 
 
 def _one_of(option: str, name: str, known: Collection[str]) -> str:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Literal, Protocol
 
-from formulations.facets import Facets
+from formulations.facets import Facets, choose_facets
+from formulations.lifting import Linearisation
 from formulations.problem import Iterate
-from formulations.program.subproblem import Evaluation
+from formulations.program.merit import MeritFunction
+from formulations.rows.chance import P2Rows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import P3Rows
 from scp_recon.errors import InputError
 from scp_recon.guess import ballistic, circular
 from scp_recon.mission import Mission
@@ -31,14 +35,14 @@ class Stage:
         name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
             that began again at the ballistic arc, c and d at a turn about the body.
         result: how it ended and where.
-        subproblem: of which it was; it knows the constraints' margins.
+        merit: what it minimised; it knows the constraints' margins.
         facets: of P2, None for P3.
         tolerance: violation that counted as none.
     """
 
     name: str
     result: Result
-    subproblem: Evaluation
+    merit: MeritFunction
     facets: Facets | None
     tolerance: float
 
@@ -49,59 +53,177 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class Provenance:
+    """How a plan was made, in the words of the solution file.
+
+    Attributes:
+        formulation: of the convex subproblem, or the variant of the nonlinear program.
+        algorithm: around it.
+        solver: conic solver, or IPOPT.
+        init: where it began: "cold", "warm", a file.
+    """
+
+    formulation: str
+    algorithm: str
+    solver: str
+    init: str
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
-    """All stages of planning a mission; the one in `stages` that `final` names holds the answer."""
+    """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
+
+    A plan is data: it pickles and copies, and it equals another one of the same scenario and provenance
+    that went through the same stages to the same flight. Timings do not count.
+    """
 
     mission: Mission
+    provenance: Provenance
     stages: tuple[Stage, ...]
     final: Stage
     timing: Timing
     total_s: float
 
+    def __eq__(self, other: object) -> bool:
+        """Whether another plan is the same but for the time it took."""
+        if not isinstance(other, Plan):
+            return NotImplemented
+        return self._identity == other._identity
 
-class StageSolver(Protocol):
-    """What solves single stages, and keeps those that it solved; Ctrl-C raises KeyboardInterrupt."""
+    def __hash__(self) -> int:
+        """Of the burns."""
+        return hash(self.final.result.lin.iterate.burns.tobytes())
+
+    @property
+    def _identity(self) -> tuple[object, ...]:
+        runs = [(s.name, s.result.status, len(s.result.records)) for s in self.stages]
+        flown = [
+            (s.result.lin.iterate.burns.tobytes(), s.result.lin.iterate.mean.tobytes())
+            for s in (*self.stages, self.final)
+        ]
+        return self.mission.scenario, self.provenance, runs, flown
+
+
+class RowsSolver(Protocol):
+    """What solves P3 or P2 on one set of rows; all that distinguishes SCP's plans from IPOPT's."""
+
+    def deterministic_rows(self) -> P3Rows:
+        """P3's constraints."""
+        ...
+
+    def chance_rows(self, facets: Facets, lin: Linearisation) -> P2Rows:
+        """P2's constraints on given facets, those in the program that an iterate comes near."""
+        ...
+
+    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
+        """A stage, from a start; an interrupted one says so in its status."""
+        ...
+
+
+@dataclass
+class StageRunner:
+    """State of one planning run: stages and timings so far.
+
+    Attributes:
+        mission: what is planned.
+        solver: of the stages.
+        observe: called after each iteration with the stage's name and the record.
+        facet_rounds: see `Planner.plan`.
+    """
 
     mission: Mission
-    stages: list[Stage]
-    timing: Timing
+    solver: RowsSolver
+    observe: Observer | None = None
+    facet_rounds: int = 0
+    stages: list[Stage] = field(default_factory=list)
+    timing: Timing = field(default_factory=Timing)
 
-    def solve_p3(self, guess: Iterate, name: str) -> Stage:
-        """P3 from a guess."""
-        ...
+    def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
+        """Do it; an interrupted plan ends with the best stage so far, if there is one."""
+        started = perf_counter()
+        try:
+            final = work()
+        except KeyboardInterrupt:
+            if not self.stages:
+                raise
+            final = _interrupted(self.stages)
+        seconds = perf_counter() - started
+        return Plan(self.mission, provenance, tuple(self.stages), final, self.timing, seconds)
 
-    def solve_p2(self, start: Stage, name: str) -> Stage:
-        """P2 from where a stage ended, with the facets chosen there."""
-        ...
+    def plan(self, guess: Iterate, problem: Literal["P3", "P2"]) -> Stage:
+        """P3 from a guess and P2 from there.
 
+        Where P3 does not converge from the guess it is tried again from other starts; and so it is
+        where P2 does not converge: P3 may have stopped at a local optimum from which there is no way.
+        The best of the tries counts. Facets that leave even it nothing feasible are chosen again, where
+        it ended.
+        """
+        firsts: list[Stage] = []
+        finals: list[Stage] = []
+        for letter, start in _starts(self.mission, guess):
+            p3 = self._solve(f"P3{letter}", self.solver.deterministic_rows(), self.start(start))
+            known = any(_same_optimum(p3, other) for other in firsts)
+            firsts.append(p3)
+            if p3.result.status is not Status.CONVERGED or known:
+                continue
+            finals.append(p3 if problem == "P3" else self._solve_p2(f"P2{letter}", p3))
+            if finals[-1].result.status is Status.CONVERGED:
+                break
+        if not finals:
+            p3 = _best(firsts)
+            lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
+            finals.append(p3 if lost else self._solve_p2(p3.name.replace("P3", "P2"), p3))
+        best = _best(finals)
+        if best.facets is None or best.result.status is not Status.INFEASIBLE:
+            return best
+        return _best([best, self._solve_p2(f"{best.name}.2", best)])
 
-def solve_in_stages(solver: StageSolver, guess: Iterate, problem: Literal["P3", "P2"]) -> Stage:
-    """P3 from a guess and P2 from there.
+    def start(self, guess: Iterate) -> Linearisation:
+        """Linearised at a guess; whatever it says, the flight starts where the problem does."""
+        problem, mean = self.mission.problem, guess.mean.copy()
+        mean[0] = problem.initial_state
+        mean[0, 3:] += guess.burns[0]
+        return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
 
-    Where P3 does not converge from the guess it is tried again from other starts; and so it is where
-    P2 does not converge, because P3 may have stopped at a local optimum from which there is no way.
-    The best of the tries counts. Facets that leave even it nothing feasible are chosen again, where
-    it ended.
-    """
-    firsts: list[Stage] = []
-    finals: list[Stage] = []
-    for letter, start in _starts(solver.mission, guess):
-        p3 = solver.solve_p3(start, f"P3{letter}")
-        known = any(_same_optimum(p3, other) for other in firsts)
-        firsts.append(p3)
-        if p3.result.status is not Status.CONVERGED or known:
-            continue
-        finals.append(p3 if problem == "P3" else solver.solve_p2(p3, f"P2{letter}"))
-        if finals[-1].result.status is Status.CONVERGED:
-            break
-    if not finals:
-        p3 = _best(firsts)
-        lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
-        finals.append(p3 if lost else solver.solve_p2(p3, p3.name.replace("P3", "P2")))
-    best = _best(finals)
-    if best.facets is None or best.result.status is not Status.INFEASIBLE:
-        return best
-    return _best([best, solver.solve_p2(best, f"{best.name}.2")])
+    def _solve_p2(self, name: str, start: Stage) -> Stage:
+        """P2 from where a stage ended, and again with new facets as long as that helps."""
+        final = self._with_facets(name, start.result.lin)
+        for round_ in range(2, self.facet_rounds + 2):
+            again = self._with_facets(f"{name}.{round_}", final.result.lin)
+            if not better(again, final):
+                break
+            final = again
+        return final
+
+    def _with_facets(self, name: str, lin: Linearisation) -> Stage:
+        """P2 with the facets chosen at the start."""
+        mission = self.mission
+        facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
+        return self.restore(name, self.solver.chance_rows(facets, lin), lin)
+
+    def restore(self, name: str, rows: P2Rows, lin: Linearisation) -> Stage:
+        """P2, again with the facets that were left out of the program where they turn out missed."""
+        while True:
+            stage = self._solve(name, rows, lin)
+            lin = stage.result.lin
+            missed = rows.missed(lin, stage.tolerance)
+            if not missed.any():
+                return stage
+            rows = P2Rows(self.mission.problem, rows.facets, rows.included | missed)
+
+    def _solve(self, name: str, rows: Rows, start: Linearisation) -> Stage:
+        """One stage; an interrupted one ends the run."""
+
+        def seen(stage: str, record: Record) -> None:
+            if self.observe:
+                self.observe(stage, record)
+
+        stage = self.solver.solve(name, rows, start, seen)
+        self.stages.append(stage)
+        self.timing.add(stage.result.timing)
+        if stage.result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return stage
 
 
 def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
@@ -133,19 +255,6 @@ def _best(stages: list[Stage]) -> Stage:
     return best
 
 
-def finish(solver: StageSolver, work: Callable[[], Stage]) -> Plan:
-    """Do it; an interrupted plan ends with the best stage so far, if there is one."""
-    started = perf_counter()
-    try:
-        final = work()
-    except KeyboardInterrupt:
-        if not solver.stages:
-            raise
-        final = _interrupted(solver.stages)
-    seconds = perf_counter() - started
-    return Plan(solver.mission, tuple(solver.stages), final, solver.timing, seconds)
-
-
 def _interrupted(stages: list[Stage]) -> Stage:
     """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
     solved = [s for s in stages if s.facets and s.result.status is Status.CONVERGED]
@@ -166,15 +275,10 @@ def _rank(stage: Stage) -> int:
     """How much a run's end says: a solution, a point that violates nothing, any other, nothing."""
     if stage.result.status is Status.CONVERGED:
         return 3
-    if _violated(stage) <= stage.tolerance:
+    if stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
         return 2
     return 0 if stage.result.status is Status.SOLVER_FAILED else 1
 
 
-def _violated(stage: Stage) -> float:
-    violations = stage.subproblem.violations(stage.result.lin)
-    return max(float(amount.max(initial=0.0)) for amount in violations.values())
-
-
 def _merit(stage: Stage) -> float:
-    return stage.subproblem.merit(stage.result.lin, TrustRegion().weight)
+    return stage.merit(stage.result.lin, TrustRegion().weight)

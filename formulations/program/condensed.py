@@ -29,7 +29,7 @@ from formulations.program.model import StateModel, sparse_parameter, write_model
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Step, SubproblemError
 from formulations.regions import Array
-from formulations.rows import Rows
+from formulations.rows.cones import Rows
 
 NEAR = 0.002
 """Room, in units of length, up to which a row takes part from the start."""
@@ -125,7 +125,7 @@ class CondensedSubproblem(ConvexSubproblem):
             raise SubproblemError(str(error)) from error
         self._at, self._cones = lin, self.rows.cones(lin, s)
         constant, jacobian = final_state_map(lin)
-        self._final = {"miss_jacobian": jacobian, "miss": constant - self.problem.final_state}
+        self._final = {"miss_jacobian": jacobian, "miss": constant - lin.problem.final_state}
         self._slots = self._slots or [SLOTS] * len(self._cones)
         slack = self._slack(lin.iterate.burns)
         self._active[:] = False

@@ -12,11 +12,12 @@ from formulations.lifting import Linearisation
 from formulations.penalty import Charge, Penalty
 from formulations.problem import FlybyProblem, Nodes
 from formulations.program.compiled import CompiledProgram
+from formulations.program.merit import MeritFunction
 from formulations.program.model import Values, penalty_values
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Step, Subproblem, SubproblemError
 from formulations.regions import Array
-from formulations.rows import Rows
+from formulations.rows.cones import Rows
 
 SMALL_BURN = 1e-2
 """Of `dv_max`; see `ConvexSubproblem.solve`."""
@@ -38,7 +39,7 @@ class ConvexSubproblem(Subproblem):
     def __init__(
         self, problem: FlybyProblem, rows: Rows, penalty: Penalty, solver: FallbackSolver
     ) -> None:
-        super().__init__(problem, rows)
+        self.merit, self.problem, self.rows = MeritFunction(problem, rows), problem, rows
         self._penalty, self._solver = penalty, solver
         self._at: Linearisation
 

@@ -22,17 +22,18 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.lifting import Linearisation, LinearisationError, compose
+from formulations.lifting import Linearisation, LinearisationError
 from formulations.penalty import Charge, Penalty
 from formulations.problem import FlybyProblem, Nodes, factor_columns_used
 from formulations.program.compiled import CompiledProgram
+from formulations.program.composed_arcs import compose
 from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import StateModel, Values, sparse_parameter, write_model
 from formulations.program.output_rows import keep_out_values, write_rows
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Step, SubproblemError
 from formulations.regions import Array
-from formulations.rows import Rows
+from formulations.rows.cones import Rows
 
 SETTINGS = {"CLARABEL": {"static_regularization_constant": 1e-7}}
 """With the default 1e-8 Clarabel's factorisation breaks down short of the tolerances."""
@@ -107,15 +108,16 @@ class LiftedDynamics:
         starts = np.setdiff1d(np.arange(self._size), ends)
         entries, stepping = sparse_parameter((len(ends), self._size), *self._pattern())
         constant, start = cp.Parameter(len(ends)), cp.Parameter(len(starts))
+        final = cp.Parameter(6)
         kicks = self._kicks(self._size)
         constraints: list[cp.Constraint] = [
             states[starts] == start + kicks[starts] @ burns,
             states[ends] == stepping @ states + constant + kicks[ends] @ burns,
-            states[n - 6 : n] == self._problem.final_state + virtual,
+            states[n - 6 : n] == final + virtual,
         ]
         pick = self._pick(np.searchsorted(self._nodes, self._used), self._size)
         outputs = cp.reshape(pick @ states, (3 * len(self._used), 1 + columns), order="C")
-        parameters = {"stepping": entries, "constant": constant, "start": start}
+        parameters = {"stepping": entries, "constant": constant, "start": start, "final": final}
         return outputs, virtual, constraints, parameters
 
     def _pattern(self) -> tuple[Nodes, Nodes]:
@@ -176,6 +178,7 @@ class LiftedDynamics:
             "stepping": np.concatenate([arcs.stm.ravel(), own.ravel(), curved.ravel()]),
             "constant": np.concatenate([mean_constant.ravel(), factor_constant.ravel()]),
             "start": np.r_[lin.problem.initial_state, start.ravel()],
+            "final": lin.problem.final_state,
         }
 
     def _mean_constant(self, lin: Linearisation, mean: Array, stm: Array, shift: Array) -> Array:

@@ -13,7 +13,9 @@ import scipy.sparse as sp
 from formulations.lifting import Linearisation
 from formulations.problem import StateConstraint
 from formulations.program.model import Values
-from formulations.rows import P2Rows, P3Rows, Rows
+from formulations.rows.chance import P2Rows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import P3Rows
 
 
 def write_rows(

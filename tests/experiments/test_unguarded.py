@@ -7,9 +7,10 @@ import pytest
 from scipy.optimize import linprog
 
 from experiments.unguarded import Unguarded
-from formulations.lifting import Linearisation, condense, final_state_map
+from formulations.condensations import condense
+from formulations.lifting import Linearisation, final_state_map
 from formulations.registry import make_subproblem
-from formulations.rows import P2Rows
+from formulations.rows.chance import P2Rows
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan
@@ -24,7 +25,7 @@ def full(mission: Mission) -> Plan:
 
 @pytest.fixture(scope="module")
 def rows(full: Plan) -> P2Rows:
-    found = full.stages[1].subproblem.rows
+    found = full.stages[1].merit.rows
     assert isinstance(found, P2Rows)
     return found
 

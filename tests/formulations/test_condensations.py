@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.condensations import CONDENSATIONS
-from formulations.lifting import condense
+from formulations.condensations import CONDENSATIONS, condense
 from tests.helpers import generators, random_flyby
 
 

@@ -35,7 +35,8 @@ from formulations.nlp_spread import Covariance, Factor, Spread, initial_deviatio
 from formulations.penalty import DYNAMICS_WEIGHT
 from formulations.problem import FlybyProblem, Iterate
 from formulations.regions import Ball, Cone
-from formulations.rows import P2Rows, P3Rows
+from formulations.rows.chance import P2Rows
+from formulations.rows.deterministic import P3Rows
 from scp_recon import guess, ipopt
 from scp_recon.flow import propagate
 from scp_recon.mission import Mission
@@ -92,7 +93,7 @@ class Case:
     @property
     def facets(self) -> Facets:
         """Those of P2 that its convex program carries."""
-        facets, rows = self.p2.facets, self.p2.subproblem.rows
+        facets, rows = self.p2.facets, self.p2.merit.rows
         assert facets is not None
         assert isinstance(rows, P2Rows)
         return Facets(*(getattr(facets, name)[rows.included] for name in Facets.__annotations__))
@@ -318,10 +319,10 @@ def test_ipopt_and_scp_agree_on_the_merit_of_an_infeasible_case(infeasible: Case
     problem, variant = infeasible.problem, VARIANTS["shooting"]
     result = solve_nlp(problem, infeasible.arcs, infeasible.facets, start, variant, weight)
     assert result.outcome is NlpOutcome.SOLVED, result.status
-    merit = stage.subproblem.merit(stage.result.lin, weight)
+    merit = stage.merit(stage.result.lin, weight)
     assert result.objective == pytest.approx(merit, rel=1e-4)
     lin = infeasible.mission.dynamics.linearise(problem, result.iterate)
-    assert stage.subproblem.merit(lin, weight) == pytest.approx(result.objective, rel=1e-6)
+    assert stage.merit(lin, weight) == pytest.approx(result.objective, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ["tuned", "shooting"])
@@ -332,7 +333,7 @@ def test_the_penalty_weighs_as_the_merit_does(default: Case, name: str) -> None:
     objective, rows = ca.Function("f", [nlp.unknowns], [nlp.objective, nlp.rows])(nlp.start)
     assert np.array(rows).min() >= -1e-9
     defect = np.abs(lin.defects[:-1]).sum()
-    merit = stage.subproblem.merit(lin, 10.0) - 10.0 * DYNAMICS_WEIGHT * defect
+    merit = stage.merit(lin, 10.0) - 10.0 * DYNAMICS_WEIGHT * defect
     assert float(objective) == pytest.approx(merit, rel=1e-7)
 
 
@@ -349,7 +350,7 @@ def test_the_three_stages_give_a_solution(
         observe=lambda stage, record: lines.append((stage, record.k)),
     )
     assert capfd.readouterr() == ("", "")
-    solution = make_solution(mission, result, "cold", variant)
+    solution = make_solution(result)
     assert solution.status == "converged"
     assert [stage.name for stage in solution.stages] == ["P3", "P2"]
     assert len(lines) == len(solution.iterations) == sum(s.iterations for s in solution.stages)
@@ -378,9 +379,11 @@ def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
     hard = solve_nlp(infeasible.problem, infeasible.arcs, infeasible.facets, start, variant)
     assert hard.outcome in (NlpOutcome.INFEASIBLE, NlpOutcome.LIMIT), hard.status
     stages = ipopt.IpoptStages(mission, infeasible.arcs, VARIANTS["shooting"], elastic=True)
-    elastic = stages.solve("P2", infeasible.p2.subproblem.rows, infeasible.p3.result.lin)
+    elastic = stages.solve(
+        "P2", infeasible.p2.merit.rows, infeasible.p3.result.lin, lambda *_: None
+    )
     assert elastic.result.status is Status.INFEASIBLE
-    violations = elastic.subproblem.violations(elastic.result.lin)
+    violations = elastic.merit.violations(elastic.result.lin)
     assert max(violations["site_distance_max"]) > elastic.tolerance
 
 

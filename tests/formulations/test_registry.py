@@ -14,7 +14,7 @@ from formulations.program.condensed import CondensedSubproblem
 from formulations.program.lifted import LiftedSubproblem
 from formulations.program.solvers import FallbackSolver
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows import P3Rows
+from formulations.rows.deterministic import P3Rows
 
 from .program.support import PENALTIES, every_row, linearised, need
 

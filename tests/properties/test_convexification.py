@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from formulations.condensations import condense
 from formulations.facets import Polytopes, choose_facets
-from formulations.lifting import Linearisation, condense
+from formulations.lifting import Linearisation
 from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.problem import FlybyProblem
@@ -20,7 +21,9 @@ from formulations.program import condensed, lifted
 from formulations.program.compiled import CompiledProgram
 from formulations.program.model import Model
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows import P2Rows, P3Rows, Rows
+from formulations.rows.chance import P2Rows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import P3Rows
 from tests.helpers import (
     Array,
     Flyby,

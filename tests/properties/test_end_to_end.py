@@ -5,14 +5,13 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from scp_recon import guess
+from scp_recon import guess, ipopt
 from scp_recon.errors import InputError
 from scp_recon.mission import Mission
 from scp_recon.planner import plan
@@ -144,13 +143,8 @@ def others_that_find_a_plan(solution: Solution) -> list[str]:
         start = guess.ballistic(mission)
     except InputError:
         start = guess.cold(mission)
-    ways = {"scvx-star": lambda: plan(mission, start, algorithm="scvx-star")}
-    if find_spec("casadi"):
-        from scp_recon import ipopt
-
-        ways["ipopt"] = lambda: ipopt.plan(mission, start, variant="shooting")
-    return [
-        name
-        for name, way in ways.items()
-        if verify(mission, make_solution(mission, way(), "warm", name)).ok
-    ]
+    ways = {
+        "scvx-star": lambda: plan(mission, start, algorithm="scvx-star"),
+        "ipopt": lambda: ipopt.plan(mission, start, variant="shooting"),
+    }
+    return [name for name, way in ways.items() if verify(mission, make_solution(way())).ok]

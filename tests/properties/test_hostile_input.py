@@ -340,7 +340,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("solved")
     mission = Mission.from_scenario(load_scenario(None, ["grid.step_max_s=3000.0"]))
     found = planner.plan(mission, guess.cold(mission))
-    make_solution(mission, found, "cold", "condensed").write(folder)
+    make_solution(found).write(folder)
     return folder
 
 

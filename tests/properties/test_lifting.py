@@ -10,18 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.condensations import Sensitivity, condense
 from formulations.legs import Legs
 from formulations.lifting import (
     Linearisation,
     LinearisationError,
-    Sensitivity,
-    compose,
-    condense,
     final_state_map,
     propagate_factor,
     step_mean,
 )
 from formulations.problem import FlybyProblem, Iterate, Nodes, factor_columns_used
+from formulations.program.composed_arcs import compose
 from scp_recon.dynamics import Dynamics
 from scp_recon.forces import ForceModel
 from tests.helpers import Arcs, Array, Flyby, generators, random_flyby, random_rotation

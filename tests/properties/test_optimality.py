@@ -304,7 +304,7 @@ def test_what_is_called_converged_is_feasible_when_integrated_again(
     assert margin_m.min() > -0.1
     assert np.linalg.norm(burns, axis=1).max() <= mission.scenario.burns.dv_max_m_s * (1.0 + 1e-6)
     # And no buffer holds anything.
-    buffers = found.final.subproblem.violations(lin)
+    buffers = found.final.merit.violations(lin)
     assert (
         max(float(amounts.max(initial=0.0)) for amounts in buffers.values()) <= TrustRegion.feasible
     )

@@ -32,8 +32,8 @@ def default_plan(mission: Mission) -> Plan:
 
 
 @pytest.fixture(scope="session")
-def solution(mission: Mission, default_plan: Plan) -> Solution:
-    return make_solution(mission, default_plan, "cold", "condensed")
+def solution(default_plan: Plan) -> Solution:
+    return make_solution(default_plan)
 
 
 @pytest.fixture(scope="session")

@@ -23,8 +23,8 @@ def at(burns: float, *, flown: bool = True) -> Any:
     return SimpleNamespace(is_flown=flown, iterate=iterate)
 
 
-class Stub:
-    """A subproblem without constraints, and with nothing violated."""
+class Merit:
+    """Of a problem without constraints, at an iterate with nothing violated."""
 
     def violations(self, _: object) -> dict[str, Any]:
         return {"dynamics": np.zeros((1, 6)), "rows": np.zeros(1)}
@@ -32,8 +32,11 @@ class Stub:
     def excess(self, _: object) -> Any:
         return np.zeros(7)
 
-    def merit(self, *_: object) -> float:
+    def __call__(self, *_: object) -> float:
         return 1.0
+
+
+STUB = SimpleNamespace(merit=Merit())
 
 
 @pytest.fixture(params=["scvx", "ptr", "scvx-star"])
@@ -50,7 +53,7 @@ def after_a_step(
     for module in (scvx, ptr):
         monkeypatch.setattr(module, "attempt", lambda *_: trial)
     state = State(before, 1.0, 1.0, Charge(10.0, multipliers=np.zeros(7)))
-    new, record = algorithm.step(Stub(), None, state, 2, Timing())
+    new, record = algorithm.step(STUB, None, state, 2, Timing())
     assert record.accepted == (new.lin is trial.lin)
     return state, new
 

@@ -12,7 +12,7 @@ from formulations.lifting import Linearisation
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.subproblem import Step, SubproblemError
 from formulations.registry import make_subproblem
-from formulations.rows import P3Rows
+from formulations.rows.deterministic import P3Rows
 from scp_recon import guess
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.mission import Mission
@@ -67,7 +67,7 @@ def test_what_cannot_be_reached_is_infeasible_with_the_least_violation(name: str
     mission = mission_of("burns.dv_max_m_s=0.02")
     done = plan(mission, guess.cold(mission), problem="P3", algorithm=name)
     assert done.final.result.status is Status.INFEASIBLE
-    violations = done.final.subproblem.violations(done.final.result.lin)
+    violations = done.final.merit.violations(done.final.result.lin)
     assert violations["dv_max"].max() > 0.1
 
 

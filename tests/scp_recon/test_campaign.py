@@ -87,7 +87,7 @@ def test_predicted_covariance_lies_in_the_interval_of_the_sampled_one_for_small_
         update={"initial_sigma_fraction": 1e-4, "execution_error": 8e-4}
     )
     tame = Mission.from_scenario(mission.scenario.model_copy(update={"uncertainty": small}))
-    design = make_solution(tame, plan(tame, guess.cold(tame)), "cold", "condensed")
+    design = make_solution(plan(tame, guess.cold(tame)))
     report = summarise(fly_campaign(Setting(tame, design.burns_m_s), samples=3000), design)
     ratios = report["terminal"]["sigma_ratio"].values()
     # Six intervals at 95 %: more than one miss has a probability of 3 %.
@@ -116,7 +116,7 @@ def test_without_uncertainty_nothing_spreads_and_the_report_is_json(
     certain = Mission.from_scenario(
         mission.scenario.model_copy(update={"uncertainty": Uncertainty(**none)})
     )
-    make_solution(certain, plan(certain, guess.cold(certain)), "cold", "condensed").write(tmp_path)
+    make_solution(plan(certain, guess.cold(certain))).write(tmp_path)
     assert main([str(tmp_path), "--samples", "50"]) == 0
 
     def no_constant(text: str) -> None:

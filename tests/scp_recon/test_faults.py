@@ -116,7 +116,7 @@ def assert_honest(mission: Mission, found: Plan) -> None:
     assert status is not Status.INFEASIBLE
     if status is Status.CONVERGED:
         assert found.final.result.lin.iterate.total_dv == pytest.approx(best, rel=2e-3)
-        misses = found.final.subproblem.violations(found.final.result.lin).values()
+        misses = found.final.merit.violations(found.final.result.lin).values()
         assert max(float(miss.max(initial=0.0)) for miss in misses) <= 1e-6
     assert np.isfinite(found.final.result.lin.iterate.mean).all()
     assert mission is coarse()[0]

@@ -18,8 +18,9 @@ from formulations.program.certificate import ConeProgram
 from formulations.program.solvers import Answer, Clarabel, Qoco
 from scp_recon import guess
 from scp_recon.mission import Mission
-from scp_recon.planner import Plan, Planner, _Work, plan
+from scp_recon.planner import Plan, Planner, ScpStages, plan
 from scp_recon.scp import Record
+from scp_recon.stages import StageRunner
 from scp_recon.status import Status
 
 from .support import Array, burns_of
@@ -176,7 +177,9 @@ P2_DV, PLAN_DV = 0.14013527592, 0.14013527592
 
 def p2_from_there(mission: Mission) -> Iterate:
     lin = mission.dynamics.linearise(mission.problem, guess.from_burns(mission, np.array(P3_BURNS)))
-    stage = _Work(Planner(mission), mission, None)._solve_p2("P2", lin)
+    planner = Planner(mission)
+    stages = ScpStages(planner, mission, planner.algorithm)
+    stage = StageRunner(mission, stages)._with_facets("P2", lin)
     assert stage.result.status is Status.CONVERGED
     return stage.result.lin.iterate
 

@@ -14,8 +14,9 @@ from formulations.problem import Iterate
 from formulations.program import condensed
 from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
-from formulations.rows import P2Rows
-from scp_recon import guess, planner
+from formulations.rows.chance import P2Rows
+from scp_recon import guess, stages
+from scp_recon import planner as planner_module
 from scp_recon.algorithms import ALGORITHMS
 from scp_recon.mission import Mission
 from scp_recon.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
@@ -35,8 +36,8 @@ def total_dv(mission: Mission, stage: Stage) -> float:
     return stage.result.lin.iterate.total_dv * mission.units.speed_m_s
 
 
-def assert_no_buffer_is_used(mission: Mission, of: Plan) -> None:
-    violation = make_solution(mission, of, "cold", "condensed").violation
+def assert_no_buffer_is_used(of: Plan) -> None:
+    violation = make_solution(of).violation
     assert (violation.max, violation.total, violation.by_constraint) == (0.0, 0.0, {})
 
 
@@ -73,7 +74,7 @@ def test_p2_with_the_papers_polytopes(mission: Mission, default_plan: Plan) -> N
     assert stage.result.status is Status.CONVERGED
     assert total_dv(mission, stage) <= 0.1420
     assert len(stage.result.records) <= 8
-    assert_no_buffer_is_used(mission, default_plan)
+    assert_no_buffer_is_used(default_plan)
     # Certainty costs: P2 contains P3's constraints.
     assert total_dv(mission, stage) > 1.1 * total_dv(mission, default_plan.stages[0])
 
@@ -83,14 +84,14 @@ def test_p2_with_the_facets_chosen_again(mission: Mission, two_rounds: Plan) -> 
     assert two_rounds.final.result.status is Status.CONVERGED
     assert len(two_rounds.stages) == 3
     assert all(len(stage.result.records) <= 8 for stage in two_rounds.stages[1:])
-    assert_no_buffer_is_used(mission, two_rounds)
+    assert_no_buffer_is_used(two_rounds)
 
 
 def test_p2_with_tight_polytopes(tight_mission: Mission, tight: Plan) -> None:
     assert total_dv(tight_mission, tight.final) <= 0.1135
     assert tight.final.result.status is Status.CONVERGED
     assert len(tight.final.result.records) <= 8
-    assert_no_buffer_is_used(tight_mission, tight)
+    assert_no_buffer_is_used(tight)
 
 
 def test_the_prototypes_numbers(mission: Mission, default_plan: Plan, two_rounds: Plan) -> None:
@@ -193,11 +194,11 @@ def test_facets_wrongly_left_out_are_restored(
     mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without any clearance only what P3 violates is known at first."""
-    monkeypatch.setattr(planner, "CLEARANCE_M", 0.0)
+    monkeypatch.setattr(planner_module, "CLEARANCE_M", 0.0)
     screened = plan(mission, guess.cold(mission))
     assert len(screened.stages) > 2  # something had to be restored
     assert screened.final.result.status is Status.CONVERGED
-    assert_no_buffer_is_used(mission, screened)
+    assert_no_buffer_is_used(screened)
     final = screened.final
     assert final.facets is not None
     margin = final.facets.margin(final.result.lin.iterate.mean, final.result.lin.factor)
@@ -303,7 +304,7 @@ def test_an_interrupt_between_two_stages_keeps_the_first(
     def ctrl_c(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(planner, "choose_facets", ctrl_c)
+    monkeypatch.setattr(stages, "choose_facets", ctrl_c)
     found = plan(mission, guess.cold(mission))
     assert found.final.result.status is Status.INTERRUPTED
     np.testing.assert_allclose(
@@ -384,9 +385,9 @@ def test_planning_again_from_the_same_state_changes_nothing(mission: Mission) ->
 def test_a_planner_keeps_its_programs(mission: Mission, default_plan: Plan) -> None:
     planner = Planner(mission)
     first, second = (planner.plan(guess.cold(mission)) for _ in range(2))
-    assert first.stages[0].subproblem is second.stages[0].subproblem
+    assert first.stages[0].merit is second.stages[0].merit
     replans = [planner.replan(first, mission.initial_state) for _ in range(2)]
-    assert replans[0].final.subproblem is replans[1].final.subproblem
+    assert replans[0].final.merit is replans[1].final.merit
     # What is kept shows in what is found by no more than where P3 stops.
     for found in (first, second):
         assert total_dv(mission, found.final) == pytest.approx(
@@ -424,7 +425,7 @@ def test_what_is_planned_again_is_verified_with_its_own_mission(
 ) -> None:
     found = Planner(mission).replan(default_plan, 1.002 * mission.initial_state)
     assert found.mission.initial_state == pytest.approx(1.002 * mission.initial_state)
-    solution = make_solution(found.mission, found, "replan", "condensed")
+    solution = make_solution(found)
     assert verify(found.mission, solution).ok
     assert verify(Mission.from_scenario(solution.scenario), solution).ok
     assert not verify(mission, solution).ok

@@ -20,14 +20,12 @@ from .support import mission_of
 def infeasible() -> tuple[Mission, Plan, Solution]:
     mission = mission_of("burns.dv_max_m_s=0.02")
     found = plan(mission, guess.cold(mission))
-    return mission, found, make_solution(mission, found, "cold", "condensed")
+    return mission, found, make_solution(found)
 
 
 @pytest.fixture(scope="module")
 def p3(mission: Mission) -> Solution:
-    return make_solution(
-        mission, plan(mission, guess.cold(mission), problem="P3"), "cold", "condensed"
-    )
+    return make_solution(plan(mission, guess.cold(mission), problem="P3"))
 
 
 def test_burns_are_at_the_firing_times_and_add_up(solution: Solution) -> None:

@@ -13,7 +13,7 @@ from formulations.problem import Iterate
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.subproblem import Step, Subproblem, SubproblemError
 from formulations.registry import make_subproblem
-from formulations.rows import P3Rows
+from formulations.rows.deterministic import P3Rows
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan
@@ -121,7 +121,7 @@ def test_the_result_is_the_iterate_of_the_last_record(some_plan: Plan) -> None:
     for stage in some_plan.stages:
         last = stage.result.records[-1]
         assert last.total_dv == pytest.approx(stage.result.lin.iterate.total_dv, rel=1e-12)
-        violations = stage.subproblem.violations(stage.result.lin)
+        violations = stage.merit.violations(stage.result.lin)
         defect = violations.pop("dynamics").max()
         assert last.max_defect == pytest.approx(defect, abs=1e-15)
         worst = max(v.max(initial=0.0) for v in violations.values())
@@ -174,7 +174,7 @@ def test_infeasible_is_told_with_the_least_violation(infeasible: Plan) -> None:
     result = infeasible.final.result
     assert result.status is Status.INFEASIBLE
     assert result.records[-1].max_violation > 1e-3
-    violations = infeasible.final.subproblem.violations(result.lin)
+    violations = infeasible.final.merit.violations(result.lin)
     assert violations["dv_max"].max() > 1e-3
     # The dynamics weigh more than the constraints, so that physics is not what gives way.
     assert np.abs(result.lin.defects).max() < 1e-6

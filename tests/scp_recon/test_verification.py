@@ -88,9 +88,7 @@ def test_no_margin_at_the_solutions_own_nodes_is_below_the_worst(
 
 
 def test_p3_is_confirmed_without_asking_for_probabilities(mission: Mission) -> None:
-    p3 = make_solution(
-        mission, plan(mission, guess.cold(mission), problem="P3"), "cold", "condensed"
-    )
+    p3 = make_solution(plan(mission, guess.cold(mission), problem="P3"))
     checked = verify(mission, p3)
     assert checked.ok
     assert min(p.estimate for p in checked.probabilities) < 0.70  # what P2 is for
@@ -99,9 +97,7 @@ def test_p3_is_confirmed_without_asking_for_probabilities(mission: Mission) -> N
 
 
 def test_the_same_solution_called_p2_is_not_confirmed(mission: Mission) -> None:
-    p3 = make_solution(
-        mission, plan(mission, guess.cold(mission), problem="P3"), "cold", "condensed"
-    )
+    p3 = make_solution(plan(mission, guess.cold(mission), problem="P3"))
     checked = verify(mission, p3.model_copy(update={"problem": "P2"}))
     assert not checked.ok
     assert all(name.startswith("P(") or name == "facets" for name in checked.failed)
@@ -286,7 +282,7 @@ def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again() ->
     for overrides, problem in (([], "P3"), (["burns.dv_max_m_s=0.03"], "P2")):
         case = mission_of(*overrides)
         found = plan(case, guess.cold(case), problem=problem)
-        assert inconsistencies(case, make_solution(case, found, "cold", "condensed")) == []
+        assert inconsistencies(case, make_solution(found)) == []
 
 
 @pytest.mark.usefixtures("few_flights")

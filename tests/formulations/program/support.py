@@ -10,16 +10,18 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from formulations.condensations import Condensation
+from formulations.condensations import Condensation, condense
 from formulations.facets import Polytopes, choose_facets
-from formulations.lifting import Linearisation, condense
+from formulations.lifting import Linearisation
 from formulations.penalty import Charge, Penalty
 from formulations.polytopes import ball
 from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
 from formulations.program.subproblem import Step
 from formulations.regions import Ball
-from formulations.rows import P2Rows, P3Rows, Rows
+from formulations.rows.chance import P2Rows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import P3Rows
 from tests.helpers import Array, constrain, random_flyby
 
 PENALTIES: tuple[Penalty, ...] = get_args(Penalty)

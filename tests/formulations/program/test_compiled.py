@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.lifting import Linearisation, condense
+from formulations.condensations import condense
+from formulations.lifting import Linearisation
 from formulations.penalty import Penalty
 from formulations.program.compiled import CompiledProgram
 from formulations.program.condensed import (

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.condensations import CONDENSATIONS
-from formulations.lifting import Linearisation, condense
+from formulations.condensations import CONDENSATIONS, condense
+from formulations.lifting import Linearisation
 from formulations.penalty import Charge, Penalty
 from formulations.program import condensed
 from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
 from formulations.program.subproblem import Step
-from formulations.rows import P2Rows, Rows
+from formulations.rows.chance import P2Rows
+from formulations.rows.cones import Rows
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import plan

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.lifting import Linearisation, condense
+from formulations.condensations import condense
+from formulations.lifting import Linearisation
 from formulations.penalty import Charge
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
 from formulations.program.subproblem import Step
-from formulations.rows import P3Rows
+from formulations.rows.deterministic import P3Rows
 from tests.helpers import Array
 
 from .support import linearised

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from formulations.lifting import Linearisation
 from formulations.penalty import Charge, augmented_value, exact_value
 from formulations.problem import Iterate
-from formulations.program.subproblem import Evaluation
+from formulations.program.merit import MeritFunction
 from formulations.registry import make_subproblem
-from formulations.rows import P3Rows
+from formulations.rows.deterministic import P3Rows
 from tests.helpers import Array, constrain, generators, random_flyby
 
 some = settings(max_examples=10)
@@ -61,7 +61,7 @@ def signed(lin: Linearisation) -> dict[str, Array]:
 @given(generators)
 def test_violations_are_positive_parts_and_excess_has_their_signs(rng: np.random.Generator) -> None:
     lin = linearised(rng)
-    evaluation, amounts = Evaluation(lin.problem, P3Rows(lin.problem)), signed(lin)
+    evaluation, amounts = MeritFunction(lin.problem, P3Rows(lin.problem)), signed(lin)
     violations = evaluation.violations(lin)
     assert list(violations) == ["dynamics", *amounts]
     assert violations["dynamics"] == pytest.approx(np.abs(lin.defects).ravel())
@@ -78,7 +78,7 @@ def test_violations_are_positive_parts_and_excess_has_their_signs(rng: np.random
 def test_margins_of_burns_belong_to_their_nodes(rng: np.random.Generator) -> None:
     lin = linearised(rng)
     problem, amounts = lin.problem, signed(lin)
-    margins = Evaluation(problem, P3Rows(problem)).margins(lin)
+    margins = MeritFunction(problem, P3Rows(problem)).margins(lin)
     assert list(margins) == list(amounts)
     toward, away = np.split(amounts["dv_battery"], 2)
     amounts["dv_battery"] = np.maximum(toward, away)
@@ -93,24 +93,24 @@ def test_margins_of_burns_belong_to_their_nodes(rng: np.random.Generator) -> Non
 @given(generators)
 def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng: np.random.Generator) -> None:
     lin = linearised(rng)
-    evaluation, amounts = Evaluation(lin.problem, P3Rows(lin.problem)), signed(lin)
+    evaluation, amounts = MeritFunction(lin.problem, P3Rows(lin.problem)), signed(lin)
     broken = np.concatenate([np.maximum(a, 0.0) for a in amounts.values()])
     cost = np.linalg.norm(lin.iterate.burns, axis=1).sum()
     exact = cost + 7.0 * (10.0 * np.abs(lin.defects).sum() + broken.sum())
     # Twice each, in turn: nothing of one iterate, or of one charge, is left for the next.
     other = linearised(rng)
     for _ in range(2):
-        assert evaluation.merit(lin, 7.0) == pytest.approx(exact)
-        assert evaluation.merit(lin, Charge(7.0)) == pytest.approx(exact)
+        assert evaluation(lin, 7.0) == pytest.approx(exact)
+        assert evaluation(lin, Charge(7.0)) == pytest.approx(exact)
         # The proximal charge is the step's, not the iterate's.
-        assert evaluation.merit(lin, Charge(7.0, prox=3.0)) == pytest.approx(exact)
+        assert evaluation(lin, Charge(7.0, prox=3.0)) == pytest.approx(exact)
         multipliers = rng.normal(size=6 + len(broken))
         charged = np.concatenate([lin.defects[-1], broken])
         augmented = cost + multipliers @ charged + 3.5 * sum(charged**2)
         charge = Charge(7.0, multipliers=multipliers)
-        assert evaluation.merit(lin, charge) == pytest.approx(augmented)
-        alone = Evaluation(lin.problem, P3Rows(lin.problem)).merit(other, 7.0)
-        assert evaluation.merit(other, 7.0) == pytest.approx(alone) != pytest.approx(exact)
+        assert evaluation(lin, charge) == pytest.approx(augmented)
+        alone = MeritFunction(lin.problem, P3Rows(lin.problem))(other, 7.0)
+        assert evaluation(other, 7.0) == pytest.approx(alone) != pytest.approx(exact)
 
 
 def test_charges_are_their_formulas() -> None:
@@ -123,7 +123,7 @@ def test_charges_are_their_formulas() -> None:
 def test_a_subproblem_costs_its_iterates_as_any_evaluation() -> None:
     lin = linearised(np.random.default_rng(6))
     rows = P3Rows(lin.problem)
-    subproblem, evaluation = make_subproblem(lin.problem, rows), Evaluation(lin.problem, rows)
-    assert subproblem.merit(lin, 3.0) == evaluation.merit(lin, 3.0)
+    subproblem, evaluation = make_subproblem(lin.problem, rows), MeritFunction(lin.problem, rows)
+    assert subproblem.merit(lin, 3.0) == evaluation(lin, 3.0)
     moved = Linearisation(lin.problem, Iterate(2.0 * lin.iterate.burns, lin.iterate.mean), lin.arcs)
-    assert subproblem.merit(moved, 3.0) == evaluation.merit(moved, 3.0)
+    assert subproblem.merit(moved, 3.0) == evaluation(moved, 3.0)

@@ -15,7 +15,7 @@ from formulations.program import convex_subproblem, lifted, solvers
 from formulations.program.solvers import SOLVERS
 from formulations.regions import Ball
 from formulations.registry import make_subproblem
-from formulations.rows import Rows
+from formulations.rows.cones import Rows
 from tests.helpers import constrain, random_flyby
 
 from .support import PENALTIES, alone, charge_for, every_row, minimum, need, tighten

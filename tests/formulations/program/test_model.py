@@ -12,7 +12,8 @@ from formulations.penalty import DYNAMICS_WEIGHT, Charge, Penalty
 from formulations.program.model import penalty_values, sparse_parameter
 from formulations.program.subproblem import SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows import P3Rows, Rows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import P3Rows
 from tests.helpers import Array, constrain, random_flyby
 
 from .support import PENALTIES, charge_for, every_row, need
@@ -77,7 +78,7 @@ def test_limits_on_burns_are_broken_at_their_price(formulation: str, side: float
     assert np.abs(lin.defects).max() < 1e-12
     subproblem = make_subproblem(problem, P3Rows(problem), formulation)
     subproblem.update(lin)
-    merit, broken = subproblem.merit(lin, 10.0), subproblem.violations(lin)
+    merit, broken = subproblem.merit(lin, 10.0), subproblem.merit.violations(lin)
     assert min(broken[name].sum() for name in ("dv_max", "dv_battery")) > 0.01
     assert subproblem.solve(1e-10, 10.0).merit == pytest.approx(merit, rel=1e-6)
 

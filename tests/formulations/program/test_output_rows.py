@@ -15,7 +15,8 @@ from formulations.polytopes import ball
 from formulations.problem import StateConstraint
 from formulations.regions import Ball, Cone
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows import P2Rows, P3Rows
+from formulations.rows.chance import P2Rows
+from formulations.rows.deterministic import P3Rows
 from tests.helpers import random_flyby, random_unit
 
 from .support import PENALTIES
@@ -55,7 +56,7 @@ def test_without_a_step_every_row_costs_its_own_violation(
     every = np.ones(len(facets.node), dtype=np.bool_)
     rows = P3Rows(lin.problem) if name == "P3" else P2Rows(lin.problem, facets, every)
     subproblem = make_subproblem(lin.problem, rows, formulation)
-    violations = subproblem.violations(lin)
+    violations = subproblem.merit.violations(lin)
     if name == "P3":
         assert all(np.all(violations[c.name] > 0.0) for c in lin.problem.constraints)
     subproblem.update(lin)

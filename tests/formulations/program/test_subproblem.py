@@ -13,8 +13,8 @@ from cvxpy.reductions.solvers.solving_chain import SolvingChain
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from formulations.condensations import CONDENSATIONS, Condensation
-from formulations.lifting import Linearisation, condense, propagate_factor
+from formulations.condensations import CONDENSATIONS, Condensation, condense
+from formulations.lifting import Linearisation, propagate_factor
 from formulations.penalty import DYNAMICS_WEIGHT
 from formulations.problem import FlybyProblem, Iterate
 from formulations.program import condensed, lifted
@@ -24,7 +24,9 @@ from formulations.program.model import Model
 from formulations.program.solvers import SOLVERS, Answer, FallbackSolver
 from formulations.program.subproblem import Subproblem, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows import P2Rows, P3Rows, Rows
+from formulations.rows.chance import P2Rows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import P3Rows
 from scp_recon import guess
 from scp_recon.mission import Mission
 from scp_recon.planner import Plan, plan
@@ -53,7 +55,7 @@ class Case:
 
     @property
     def p2_rows(self) -> P2Rows:
-        rows = self.plan.final.subproblem.rows
+        rows = self.plan.final.merit.rows
         assert isinstance(rows, P2Rows)
         return rows
 
@@ -213,7 +215,7 @@ def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(
     lin = breaking_every_limit(np.random.default_rng(seed))
     subproblem = make_subproblem(lin.problem, every_row(lin, name), formulation)
     subproblem.update(lin)
-    assert all(amount.sum() > 0.0 for amount in subproblem.violations(lin).values())
+    assert all(amount.sum() > 0.0 for amount in subproblem.merit.violations(lin).values())
     merit = subproblem.merit(lin, WEIGHT)
     assert subproblem.solve(1e-12, WEIGHT).merit == pytest.approx(merit, rel=1e-6)
 
@@ -241,7 +243,7 @@ def test_the_merit_is_the_total_delta_v_plus_the_weighted_violations(
     case: Case, build: Build, name: str
 ) -> None:
     subproblem, lin = build("condensed", name), case.at("cold")
-    amounts = subproblem.violations(lin)
+    amounts = subproblem.merit.violations(lin)
     constraints = {c.name for c in case.problem.constraints}
     assert set(amounts) == {"dynamics", "dv_max", "dv_battery"} | constraints
     violation = DYNAMICS_WEIGHT * np.abs(lin.defects).sum()
@@ -439,7 +441,7 @@ def promised(case: Case, subproblem: Subproblem) -> float:
 @pytest.mark.parametrize("name", ["P3", "P2"])
 def test_at_convergence_every_buffer_is_zero(case: Case, build: Build, name: str) -> None:
     lin, subproblem = case.at(name), build("condensed", name)
-    assert max(v.max(initial=0.0) for v in subproblem.violations(lin).values()) <= 1e-8
+    assert max(v.max(initial=0.0) for v in subproblem.merit.violations(lin).values()) <= 1e-8
     subproblem.update(lin)
     step = subproblem.solve(1.0, WEIGHT)
     buffers = step.merit - np.linalg.norm(step.burns, axis=1).sum()

@@ -1,0 +1,90 @@
+"""Rows of P2: facets that hold with their share of the probability."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from formulations.condensations import Sensitivity
+from formulations.facets import Facets
+from formulations.lifting import Linearisation
+from formulations.problem import FlybyProblem
+from formulations.rows.cones import Cones, Margins, felt
+
+
+class P2Rows:
+    """Chance constraints on fixed facets: a'mu + q ||S'a|| <= b + buffer, a second-order cone each.
+
+    Args:
+        problem: names the constraints.
+        facets: every facet.
+        included: mask of the facets that the convex program carries, shape (m,).
+    """
+
+    with_factor = True
+
+    def __init__(
+        self, problem: FlybyProblem, facets: Facets, included: npt.NDArray[np.bool_]
+    ) -> None:
+        self.problem = problem
+        self.facets = facets
+        self.included = included
+        self.carried = facets.chosen(included)
+        self.nodes = np.unique(self.carried.node)
+        self.count = len(self.carried.node)
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """B - a'mu - q ||S'a|| of the included facets."""
+        margin = self.carried.margin(lin.iterate.mean, lin.factor)
+        ends = np.searchsorted(
+            self.carried.constraint, np.arange(len(self.problem.constraints) + 1)
+        )
+        return {
+            c.name: Margins(self.carried.node[first:last], margin[first:last])
+            for c, first, last in zip(self.problem.constraints, ends, ends[1:], strict=False)
+        }
+
+    def missed(self, lin: Linearisation, tolerance: float) -> npt.NDArray[np.bool_]:
+        """Facets left out of the program that the iterate violates by more than `tolerance`."""
+        margin = self.facets.margin(lin.iterate.mean, lin.factor)
+        return ~self.included & (margin < -tolerance)
+
+    @cached_property
+    def pick(self) -> sp.csr_array:
+        """A'r of every facet from the stacked positions r of all `nodes`, shape (count, 3 n)."""
+        columns = 3 * np.searchsorted(self.nodes, self.carried.node)[:, None] + np.arange(3)
+        indices = np.repeat(np.arange(self.count), 3), columns.ravel()
+        shape = (self.count, 3 * len(self.nodes))
+        return sp.csr_array((self.carried.normal.ravel(), indices), shape=shape)
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """All facets. Of ||S'a|| = ||M (z', 1)|| only the triangular factor of M = Q R is kept.
+
+        Q preserves the norm, and R has one row for each burn component that the node feels and one
+        more, instead of one for each column of S.
+        """
+        del lin
+        blocks, carried = [], self.carried
+        components = felt(self.problem, self.nodes)
+        for p in np.unique(components):
+            nodes = np.flatnonzero(components == p)
+            rows = np.flatnonzero(np.isin(carried.node, self.nodes[nodes]))
+            pick = self.pick[rows][:, (3 * nodes[:, None] + np.arange(3)).ravel()]
+            c = self.problem.initial_factor.shape[1] + int(p)
+            spread = np.concatenate(
+                [s.factor_jacobian[nodes, :3, :c, :p], s.factor_constant[nodes, :3, :c, None]], -1
+            )
+            spread = (pick @ spread.reshape(3 * len(nodes), -1)).reshape(-1, c, p + 1)
+            spread *= carried.quantile[rows, None, None]
+            mean = np.concatenate(
+                [s.mean_jacobian[nodes, :3, :p], s.mean_constant[nodes, :3, None]], axis=2
+            )
+            room = -(pick @ mean.reshape(3 * len(nodes), -1))
+            room[:, -1] += carried.offset[rows]
+            triangle = np.asarray(np.linalg.qr(spread, mode="r"))
+            both = np.concatenate([room[:, None], triangle], axis=1)
+            blocks.append(Cones(rows, both[..., :-1], both[..., -1], triangular=True))
+        return blocks

@@ -1,0 +1,72 @@
+"""What a subproblem asks of its state constraints: margins, and cones in the burns."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from formulations.condensations import Sensitivity
+from formulations.lifting import Linearisation
+from formulations.problem import FlybyProblem, Nodes
+from formulations.regions import Array
+
+
+class Margins(NamedTuple):
+    """Margins of one constraint's rows (>= 0 where satisfied) and the nodes they belong to."""
+
+    nodes: Nodes
+    margin: Array
+
+
+class Cones(NamedTuple):
+    """Second-order cones in the burns: y = values z' + constants has y_0 + buffer >= ||y_1..||.
+
+    They are of one dimension d (d = 1: half-spaces) and feel the first p burn components z' only.
+
+    Attributes:
+        rows: which of the buffers each has, shape (n,).
+        values: shape (n, d, p).
+        constants: shape (n, d).
+        triangular: whether the last d - 1 rows of [values, constants] are zero below the diagonal.
+    """
+
+    rows: Nodes
+    values: Array
+    constants: Array
+    triangular: bool = False
+
+
+class Rows(Protocol):
+    """What a subproblem asks of its state constraints."""
+
+    @property
+    def nodes(self) -> Nodes:
+        """Nodes that the rows look at, ascending."""
+        ...
+
+    @property
+    def with_factor(self) -> bool:
+        """Whether they look at the covariance factor."""
+        ...
+
+    @property
+    def count(self) -> int:
+        """Number of rows, and of buffers."""
+        ...
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Margins by constraint name from the nonlinear mean and factor, never from the model."""
+        ...
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """The rows, convexified at an iterate, for mean and factor at `nodes` affine in the burns."""
+        ...
+
+
+def felt(problem: FlybyProblem, nodes: Nodes) -> Nodes:
+    """How many burn components the positions at some nodes depend on: those of the burns before.
+
+    At least a burn's, so that no cone is without them.
+    """
+    return 3 * np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)

@@ -1,0 +1,66 @@
+"""Rows of P3: the regions themselves, without uncertainty."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from formulations.condensations import Sensitivity
+from formulations.lifting import Linearisation
+from formulations.problem import FlybyProblem
+from formulations.rows.cones import Cones, Margins, felt
+
+
+class P3Rows:
+    """Deterministic constraints: keep-in sets as cones, keep-out sets by their supporting plane.
+
+    The plane that touches the region nearest to the iterate is its linearisation and an inner
+    approximation of the complement at once.
+    """
+
+    with_factor = False
+
+    def __init__(self, problem: FlybyProblem) -> None:
+        self.problem = problem
+        used = [c.nodes for c in problem.constraints]
+        self.nodes = np.unique(np.concatenate(used)) if used else np.zeros(0, dtype=np.intp)
+        self.count = sum(len(nodes) for nodes in used)
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Signed distances of the mean to the regions."""
+        constraints = self.problem.constraints
+        return {c.name: Margins(c.nodes, c.margin(lin.iterate.mean)) for c in constraints}
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """One cone per keep-in node, one half-space per keep-out node, each kind in one block."""
+        found: dict[Literal["in", "out"], list[Cones]] = {"in": [], "out": []}
+        first = 0
+        for c in self.problem.constraints:
+            at = np.searchsorted(self.nodes, c.nodes)
+            position, jacobian = s.mean_constant[at, :3], s.mean_jacobian[at, :3]
+            if c.keep == "out":
+                planes = c.region.supporting(lin.iterate.mean[c.nodes, :3])
+                matrix = planes.normal[:, None]
+                constants = (matrix @ position[:, :, None])[:, :, 0] - planes.offset[:, None]
+            else:
+                cone = c.region.second_order_cone
+                matrix = np.concatenate([cone.linear[:, None], cone.matrix], axis=1)
+                constants = (matrix @ (position - cone.origin)[:, :, None])[:, :, 0]
+                constants[:, 0] += cone.constant
+            rows = first + np.arange(len(c.nodes))
+            values = matrix @ jacobian[:, :, : felt(self.problem, c.nodes).max()]
+            found[c.keep].append(Cones(rows, values, constants))
+            first += len(rows)
+        return [_joined(cones) for cones in found.values() if cones]
+
+
+def _joined(blocks: list[Cones]) -> Cones:
+    """Blocks of one dimension as one, which feels what the one that feels most does."""
+    p = max(block.values.shape[2] for block in blocks)
+    values = [np.pad(b.values, ((0, 0), (0, 0), (0, p - b.values.shape[2]))) for b in blocks]
+    return Cones(
+        np.concatenate([block.rows for block in blocks]),
+        np.concatenate(values),
+        np.concatenate([block.constants for block in blocks]),
+    )
