@@ -7,10 +7,10 @@ needs.
 
 from __future__ import annotations
 
-from scp_recon.command import guarded, starting
+from scp_recon.cli.command import exit_on_sigint, run_command
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import json
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="replace the tables in the README's performance section",
     )
     options = parser.parse_args(arguments)
-    return guarded(lambda console: _measure(options, console))
+    return run_command(lambda console: _measure(options, console))
 
 
 def _measure(options: argparse.Namespace, console: Console) -> int:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scp_recon import guess
-from scp_recon.mission import Mission
-from scp_recon.planner import Planner
-from scp_recon.scenario import load_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Planner
+from scp_recon.scenario.load import load_scenario
 
 REPEATS = 5
 
@@ -86,7 +86,7 @@ def fit(study: Study) -> Fit:
 
 def _plan(overrides: list[str]) -> tuple[float, int, str]:
     mission = Mission.from_scenario(load_scenario(None, overrides))
-    start = guess.cold(mission)
+    start = initial_guess.cold(mission)
     best = min((Planner(mission).plan(start) for _ in range(REPEATS)), key=lambda p: p.total_s)
     iterations = sum(len(stage.result.records) for stage in best.stages)
     return best.total_s, iterations, best.final.result.status.value.name

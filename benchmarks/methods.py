@@ -12,15 +12,15 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from scp_recon import guess
-from scp_recon.campaign import Setting, run_block
-from scp_recon.mission import Mission
-from scp_recon.planner import Planner
-from scp_recon.results import make_solution
-from scp_recon.sampling import BLOCK
-from scp_recon.scenario import load_scenario
-from scp_recon.stages import Plan
-from scp_recon.verification import verify
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.flights import CampaignConfig, run_block
+from scp_recon.monte_carlo.sampling import BLOCK
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Planner
+from scp_recon.planning.stages import Plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.solution.from_plan import make_solution
+from scp_recon.verification.reintegration import verify
 
 REPLANS = 100
 
@@ -82,7 +82,7 @@ def _described(figures: Timed, mission: Mission, plans: list[Plan]) -> Timed:
 
 def scp(mission: Mission, formulation: str, repeats: int) -> Timed:
     """P3, facets and P2 from a cold start, each time by a new planner."""
-    start, plans = guess.cold(mission), list[Plan]()
+    start, plans = initial_guess.cold(mission), list[Plan]()
 
     def run() -> None:
         plans.append(Planner(mission, formulation=formulation).plan(start))
@@ -92,9 +92,9 @@ def scp(mission: Mission, formulation: str, repeats: int) -> Timed:
 
 def ipopt(mission: Mission, variant: str, repeats: int) -> Timed:
     """The same stages by IPOPT."""
-    from scp_recon import ipopt as reference
+    from scp_recon.planning import ipopt as reference
 
-    start, plans = guess.cold(mission), list[Plan]()
+    start, plans = initial_guess.cold(mission), list[Plan]()
 
     def run() -> None:
         plans.append(reference.plan(mission, start, variant=variant))
@@ -106,7 +106,7 @@ def replan(mission: Mission, repeats: int) -> Timed:
     """P2 again from initial states drawn from their covariance, against planning them cold."""
     del repeats
     planner = Planner(mission)
-    last, start = planner.plan(guess.cold(mission)), guess.cold(mission)
+    last, start = planner.plan(initial_guess.cold(mission)), initial_guess.cold(mission)
     rng, again, cold = np.random.default_rng(0), [], []
     converged = 0
     first = perf_counter()
@@ -127,8 +127,8 @@ def replan(mission: Mission, repeats: int) -> Timed:
 
 def montecarlo(mission: Mission, repeats: int) -> Timed:
     """A block of flights with crossing times."""
-    found = Planner(mission).plan(guess.cold(mission)).final.result.lin.iterate.burns
-    setting = Setting(mission, found * mission.units.speed_m_s)
+    found = Planner(mission).plan(initial_guess.cold(mission)).final.result.lin.iterate.burns
+    setting = CampaignConfig(mission, found * mission.units.speed_m_s)
     figures = timed(lambda: run_block(setting, (0, BLOCK)), 4 * repeats)
     return replace(figures, details={"flights_per_s": BLOCK / figures.best})
 

@@ -6,17 +6,17 @@ from typing import Any
 
 import pytest
 
-from formulations.condensations import condense
-from formulations.lifting import Linearisation
+from formulations.linearisation.condensation import condense
+from formulations.linearisation.linearisation import Linearisation
 from formulations.registry import make_subproblem
-from formulations.rows.chance import P2Rows
-from scp_recon import guess
-from scp_recon.campaign import Setting, run_block
-from scp_recon.flow import differentiate
-from scp_recon.mission import Mission
-from scp_recon.planner import plan
-from scp_recon.scenario import load_scenario
-from scp_recon.stages import Plan
+from formulations.rows.chance import ChanceRows
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.flights import CampaignConfig, run_block
+from scp_recon.physics.flow import differentiate
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import Plan
+from scp_recon.scenario.load import load_scenario
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def mission() -> Mission:
 
 @pytest.fixture(scope="module")
 def planned(mission: Mission) -> Plan:
-    return plan(mission, guess.cold(mission))
+    return plan(mission, initial_guess.cold(mission))
 
 
 def fresh(lin: Linearisation) -> Linearisation:
@@ -52,7 +52,7 @@ def test_condense(benchmark: Any, planned: Plan) -> None:
 
 def test_cones_of_p2(benchmark: Any, planned: Plan) -> None:
     rows, lin = planned.final.merit.rows, planned.final.result.lin
-    assert isinstance(rows, P2Rows)
+    assert isinstance(rows, ChanceRows)
     sensitivity = condense(lin, rows.nodes)
     benchmark(rows.cones, lin, sensitivity)
 
@@ -67,9 +67,9 @@ def test_solve_a_subproblem(benchmark: Any, planned: Plan, stage: int) -> None:
 
 def test_fly_a_step(benchmark: Any, mission: Mission, planned: Plan) -> None:
     lin = planned.stages[0].result.lin
-    benchmark(mission.dynamics.fly, lin, planned.final.result.lin.iterate.burns)
+    benchmark(mission.dynamics.close_defects, lin, planned.final.result.lin.iterate.burns)
 
 
 def test_fly_a_thousand_samples(benchmark: Any, mission: Mission, planned: Plan) -> None:
     burns = planned.final.result.lin.iterate.burns * mission.units.speed_m_s
-    benchmark(run_block, Setting(mission, burns), (0, 1000))
+    benchmark(run_block, CampaignConfig(mission, burns), (0, 1000))

@@ -7,11 +7,11 @@ and without calibration, go to OUT/battery_cones.csv and .md, the samples to bat
 
 from __future__ import annotations
 
-from scp_recon.command import starting
-from scp_recon.options import whole
+from scp_recon.cli.command import exit_on_sigint
+from scp_recon.cli.options import int_between
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import sys
@@ -24,10 +24,10 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 
 from experiments.studies import Cell, add_out, markdown, run, to_csv
-from scp_recon.estimates import Estimate, proportion
 from scp_recon.files import write_atomically
-from scp_recon.scenario import load_scenario
-from scp_recon.scenario_schema import Scenario
+from scp_recon.monte_carlo.estimates import Estimate, proportion
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
 from scp_recon.spacecraft.panels import SolarArray, irradiance
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
@@ -231,14 +231,14 @@ def parser() -> argparse.ArgumentParser:
     add_out(p, DEFAULT_OUT)
     p.add_argument(
         "--samples",
-        type=whole(100, 10_000_000),
+        type=int_between(100, 10_000_000),
         default=SAMPLES,
         metavar="N",
         help=f"positions (default: {SAMPLES})",
     )
     p.add_argument(
         "--seed",
-        type=whole(0, 2**32 - 1),
+        type=int_between(0, 2**32 - 1),
         default=0,
         metavar="N",
         help="of the positions (default: 0)",

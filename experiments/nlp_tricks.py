@@ -7,11 +7,11 @@ was tried instead of one of them. The table goes to OUT/nlp_tricks.csv and .md.
 
 from __future__ import annotations
 
-from formulations.facets import choose_facets
-from scp_recon.command import guarded, starting
+from formulations.problem.facets import choose_facets
+from scp_recon.cli.command import exit_on_sigint, run_command
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import csv
@@ -26,14 +26,14 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from scp_recon import guess
 from scp_recon.files import write_atomically
-from scp_recon.mission import Mission
-from scp_recon.planner import plan
-from scp_recon.scenario import load_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.scenario.load import load_scenario
 
 if TYPE_CHECKING:
-    from formulations.nlp import Variant
+    from formulations.nlp.solve import Variant
 
 DEFAULT_OUT = Path("runs") / "nlp_tricks"
 HEAD = (
@@ -59,11 +59,17 @@ class Trick:
 
 def tricks() -> list[Trick]:
     """From printed to tuned, and the alternatives."""
-    from formulations.nlp import VARIANTS, Settings, Variant, paper_covariance, scaled_covariance
-    from formulations.nlp_multiple_shooting import MultipleShooting
-    from formulations.nlp_single_shooting import SingleShooting
-    from formulations.nlp_spread import Covariance, Factor, initial_deviation
-    from formulations.problem import FlybyProblem
+    from formulations.nlp.covariance import Covariance, Factor, initial_deviation
+    from formulations.nlp.multiple_shooting import MultipleShooting
+    from formulations.nlp.single_shooting import SingleShooting
+    from formulations.nlp.solve import (
+        VARIANTS,
+        Settings,
+        Variant,
+        paper_covariance,
+        scaled_covariance,
+    )
+    from formulations.problem.flyby import FlybyProblem
 
     def unique(problem: FlybyProblem) -> Covariance:
         return Covariance(problem, unique=True)
@@ -106,9 +112,9 @@ def tricks() -> list[Trick]:
 
 def measure(mission: Mission, chosen: Sequence[Trick], tell: Callable[[str], None]) -> list[Row]:
     """Solve P2 with each, from the same P3 solution."""
-    from scp_recon.ipopt import IpoptStages, casadi_arcs
+    from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
-    start = plan(mission, guess.cold(mission), problem="P3").final.result.lin
+    start = plan(mission, initial_guess.cold(mission), problem="P3").final.result.lin
     mean, factor = start.iterate.mean, start.factor
     facets = choose_facets(mission.problem, mission.polytopes, mean, factor)
     arcs = casadi_arcs(mission.dynamics)
@@ -154,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     p = argparse.ArgumentParser(prog="python -m experiments.nlp_tricks", description=__doc__)
     p.add_argument("--out", type=Path, default=DEFAULT_OUT, metavar="DIR")
     options = p.parse_args(arguments)
-    return guarded(lambda console: _run(options.out, console))
+    return run_command(lambda console: _run(options.out, console))
 
 
 def _run(out: Path, console: Console) -> int:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from scp_recon.command import guarded
+from scp_recon.cli.command import run_command
 from scp_recon.errors import InputError
 
 Cell = str | float | int | bool
@@ -39,7 +39,7 @@ def run(study: Callable[[argparse.Namespace], int], options: argparse.Namespace)
             reason = (error.strerror or "unusable").lower()
             raise InputError(str(error.filename), reason, "must be writable") from None
 
-    return guarded(action)
+    return run_command(action)
 
 
 def to_csv(records: Sequence[Mapping[str, Cell]]) -> str:

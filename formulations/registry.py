@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from formulations.condensations import CONDENSATIONS
-from formulations.penalty import Penalty
-from formulations.problem import FlybyProblem
+from formulations.linearisation.condensation import CONDENSATIONS
+from formulations.problem.flyby import FlybyProblem
+from formulations.program.penalty import Penalty
 from formulations.program.subproblem import Subproblem
 from formulations.rows.cones import Rows
 

@@ -7,10 +7,10 @@ drawn where their folders are found.
 
 from __future__ import annotations
 
-from scp_recon.command import guarded, show_written, starting
+from scp_recon.cli.command import exit_on_sigint, run_command, show_written
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import sys
@@ -22,27 +22,29 @@ from typing import Any, Protocol
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from paper_figs import (
-    attitude_and_actuators,
-    battery_cones,
+from paper_figs.drawing import PICTURES, save
+from paper_figs.inputs import TABLE, Runs, read_runs
+from paper_figs.paper import (
     cone_polytopes,
     control_history,
-    flown_plan,
-    model_fidelity,
     observation_geometry,
     observation_histories,
     observation_table,
     observation_times,
     parameters,
-    power_history,
     terminal_normality,
-    timing_rules,
     trajectories,
+)
+from paper_figs.studies import (
+    attitude_and_actuators,
+    battery_cones,
+    flown_plan,
+    model_fidelity,
+    power_history,
+    timing_rules,
     uncertainty_quantiles,
     uncertainty_sources,
 )
-from paper_figs.drawing import PICTURES, save
-from paper_figs.inputs import TABLE, Runs, read_runs
 from scp_recon.files import unwritable, write_atomically
 
 
@@ -169,7 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="folder for all of it (default: runs/figures)",
     )
     options = p.parse_args(arguments)
-    return guarded(lambda console: _make(options, console))
+    return run_command(lambda console: _make(options, console))
 
 
 def _make(options: argparse.Namespace, console: Console) -> int:

@@ -14,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from rich.console import Console
 
 from paper_figs.inputs import Runs, read_runs
-from scp_recon.command import guarded, show_written
+from scp_recon.cli.command import run_command, show_written
 from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically
 
@@ -113,4 +113,4 @@ def command_from(
         show_written(console, path)
         return 0
 
-    return guarded(work)
+    return run_command(work)

@@ -6,10 +6,10 @@ observation window, with the spread of the samples about the plan.
 
 from __future__ import annotations
 
-from scp_recon.command import guarded, show_written, starting
+from scp_recon.cli.command import exit_on_sigint, run_command, show_written
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import sys
@@ -25,12 +25,12 @@ from matplotlib.patches import Circle
 from rich.console import Console
 
 from paper_figs.drawing import BANDS, STYLE, plain, save
-from paper_figs.observed import SEED, observed
-from scp_recon import geometry
-from scp_recon.frames import sun_north_to_j2000
-from scp_recon.mission import Mission
-from scp_recon.sampling import sample_positions
-from scp_recon.solution import Solution, read_solution
+from paper_figs.paper.observed import SEED, observed
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import sun_north_to_j2000
+from scp_recon.solution.file import Solution, read_solution
 
 Array = npt.NDArray[np.float64]
 
@@ -136,7 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         show_written(console, save(figure, options.picture, dpi=140))
         return 0
 
-    return guarded(work)
+    return run_command(work)
 
 
 if __name__ == "__main__":

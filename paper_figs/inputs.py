@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from scp_recon.errors import InputError
-from scp_recon.mission import Mission
+from scp_recon.mission.mission import Mission
 from scp_recon.montecarlo import SCHEMA
-from scp_recon.solution import Solution, read_solution
+from scp_recon.solution.file import Solution, read_solution
 
 PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
 TABLE = "observation_table.csv"

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from scp_recon.command import guarded, show_written, starting
+from scp_recon.cli.command import exit_on_sigint, run_command, show_written
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import json
@@ -20,13 +20,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemaining
 from rich.table import Table
 from scipy.stats import chi2, normaltest
 
-from scp_recon.campaign import Campaign, Setting, fly_campaign
-from scp_recon.estimates import CONFIDENCE, Estimate, Tally, proportion
+from scp_recon.cli.options import SEED, int_between
 from scp_recon.files import check_writable, unwritable, write_atomically
-from scp_recon.mission import Mission
-from scp_recon.observing import ALL
-from scp_recon.options import SEED, whole
-from scp_recon.solution import Solution, read_solution
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
+from scp_recon.monte_carlo.flights import Campaign, CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.solution.file import Solution, read_solution
 
 SCHEMA = "scp_recon.montecarlo/1"
 FILE_NAME = "montecarlo.json"
@@ -204,7 +204,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("solution", type=Path, metavar="DIR", help="folder with a solution.json")
     p.add_argument(
         "--samples",
-        type=whole(20, 10**9, "20 to 1e9"),
+        type=int_between(20, 10**9, "20 to 1e9"),
         default=10_000,
         metavar="N",
         help="flights, at most with --until (default: 10000)",
@@ -236,7 +236,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--workers",
-        type=whole(1, 256),
+        type=int_between(1, 256),
         default=1,
         metavar="N",
         help="processes (default: 1)",
@@ -257,7 +257,7 @@ def _width(text: str) -> float:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = parser().parse_args(arguments)
-    return guarded(lambda console: _fly(options, console))
+    return run_command(lambda console: _fly(options, console))
 
 
 def _fly(options: argparse.Namespace, console: Console) -> int:
@@ -265,7 +265,9 @@ def _fly(options: argparse.Namespace, console: Console) -> int:
     folder = options.solution if options.solution.is_dir() else options.solution.parent
     check_writable(folder, FILE_NAME, "folder")
     mission = Mission.from_scenario(solution.scenario)
-    setting = Setting(mission, solution.burns_m_s, options.seed, options.truth, options.errors)
+    setting = CampaignConfig(
+        mission, solution.burns_m_s, options.seed, options.truth, options.errors
+    )
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("flights", total=options.samples)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from scp_recon.command import guarded, show_written, starting
+from scp_recon.cli.command import exit_on_sigint, run_command, show_written
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import sys
@@ -17,10 +17,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 from rich.table import Table
 
+from scp_recon.cli.options import SEED
 from scp_recon.files import check_writable, unwritable
-from scp_recon.options import SEED
-from scp_recon.solution import read_solution
-from scp_recon.spacecraft.extra import needing_basilisk
+from scp_recon.solution.file import read_solution
+from scp_recon.spacecraft.basilisk.optional import needing_basilisk
 from scp_recon.spacecraft.record import FILE_NAME, make_record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
 
@@ -47,12 +47,12 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0, 2 after bad input or without Basilisk, 130 if interrupted."""
     options = parser().parse_args(arguments)
-    return guarded(lambda console: _simulate(options, console))
+    return run_command(lambda console: _simulate(options, console))
 
 
 def _simulate(options: argparse.Namespace, console: Console) -> int:
     with needing_basilisk("python -m scp_recon.simulate"):
-        from scp_recon.spacecraft.simulation import simulate
+        from scp_recon.spacecraft.basilisk.simulation import simulate
     solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
     home = options.solution if options.solution.is_dir() else options.solution.parent
     folder = options.out or home

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from scp_recon.command import NOT_VERIFIED, guarded, show_written, starting
+from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command, show_written
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import sys
@@ -15,22 +15,23 @@ from pathlib import Path
 from pydantic import ValidationError
 from rich.console import Console
 
-from formulations.problem import Iterate
+from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
-from scp_recon import guess, report
-from scp_recon.algorithms import ALGORITHMS
+from scp_recon.cli import plan_tables
+from scp_recon.cli.options import int_between
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
-from scp_recon.mission import Mission
-from scp_recon.options import whole
-from scp_recon.planner import plan
-from scp_recon.results import make_solution
-from scp_recon.scenario import base_names, load_scenario, validate_scenario
-from scp_recon.scenario_schema import Scenario
-from scp_recon.solution import FILE_NAME, Solution, read_solution
-from scp_recon.stages import Observer, Plan
-from scp_recon.status import Status
-from scp_recon.verification import verify
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import Observer, Plan
+from scp_recon.scenario.load import base_names, load_scenario, validate_scenario
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import FILE_NAME, Solution, read_solution
+from scp_recon.solution.from_plan import make_solution
+from scp_recon.verification.reintegration import verify
 
 ALGORITHM, SOLVER = "scvx", "CLARABEL"
 Planning = Callable[[Mission, Iterate, Observer], Plan]
@@ -92,7 +93,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--facet-rounds",
-        type=whole(0, 100),
+        type=int_between(0, 100),
         default=0,
         metavar="N",
         help="choose the facets again at the solution and solve again, N times (default: 0)",
@@ -122,17 +123,17 @@ def _start(text: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     options = parser().parse_args(arguments)
-    return guarded(lambda console: _solve(options, console))
+    return run_command(lambda console: _solve(options, console))
 
 
 def _solve(options: argparse.Namespace, console: Console) -> int:
     make_plan = _method(options)
     mission, start = _inputs(options)
     check_writable(options.out, FILE_NAME, "--out")
-    report.show_mission(console, mission)
+    plan_tables.show_mission(console, mission)
     console.print()
     try:
-        with report.live_iterations(console, mission) as observe:
+        with plan_tables.live_iterations(console, mission) as observe:
             result = make_plan(mission, start, observe)
         solution = make_solution(result)
     except ValidationError:  # which only numbers that are not finite can cause
@@ -143,14 +144,14 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
         ) from None
     # Written before it is verified, so that an interrupt from here on loses nothing.
     path = _write(solution, options.out)
-    report.show_solution(console, solution)
+    plan_tables.show_solution(console, solution)
     status = Status.named(solution.status)
     if status is Status.INTERRUPTED:
         show_written(console, path)
         return status.value.exit_code
     verification = verify(mission, solution)
     path = _write(solution.model_copy(update={"verification": verification}), options.out)
-    report.show_verification(console, mission, verification)
+    plan_tables.show_verification(console, mission, verification)
     show_written(console, path)
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
 
@@ -164,8 +165,8 @@ def _method(options: argparse.Namespace) -> Planning:
             raise InputError(
                 f"--{option.replace('_', '-')}", str(given), "goes with --method scp only"
             )
-    from formulations.nlp import VARIANTS  # by CasADi, which takes a second to import
-    from scp_recon import ipopt
+    from formulations.nlp.solve import VARIANTS  # by CasADi, which takes a second to import
+    from scp_recon.planning import ipopt
 
     variant = _one_of("--formulation", options.formulation or "tuned", VARIANTS)
 
@@ -217,13 +218,14 @@ def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:
     """The mission and the initial guess that the options ask for."""
     if options.init in ("cold", "warm"):
         mission = Mission.from_scenario(load_scenario(options.scenario, options.overrides))
-        return mission, (guess.cold if options.init == "cold" else guess.ballistic)(mission)
+        start = initial_guess.cold if options.init == "cold" else initial_guess.ballistic
+        return mission, start(mission)
     path = Path(options.init)
     given = read_solution(path) if _is_solution(path) else None
     mission = Mission.from_scenario(_scenario(options, given))
     if given is None:
-        return mission, guess.from_table(mission, path)
-    return mission, guess.from_burns(mission, given.burns_m_s)
+        return mission, initial_guess.from_table(mission, path)
+    return mission, initial_guess.from_burns(mission, given.burns_m_s)
 
 
 def _scenario(options: argparse.Namespace, given: Solution | None) -> Scenario:

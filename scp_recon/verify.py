@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from scp_recon.command import NOT_VERIFIED, guarded, starting
+from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command
 
 if __name__ == "__main__":
-    starting()
+    exit_on_sigint()
 
 import argparse
 import sys
@@ -14,10 +14,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from scp_recon import report
-from scp_recon.mission import Mission
-from scp_recon.solution import read_solution
-from scp_recon.verification import verify
+from scp_recon.cli import plan_tables
+from scp_recon.mission.mission import Mission
+from scp_recon.solution.file import read_solution
+from scp_recon.verification.reintegration import verify
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -27,15 +27,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "solution", type=Path, metavar="DIR", help="folder with a solution.json, or the file"
     )
     options = p.parse_args(arguments)
-    return guarded(lambda console: _verify(options.solution, console))
+    return run_command(lambda console: _verify(options.solution, console))
 
 
 def _verify(path: Path, console: Console) -> int:
     solution = read_solution(path)
     mission = Mission.from_scenario(solution.scenario)
-    report.show_solution(console, solution)
+    plan_tables.show_solution(console, solution)
     verification = verify(mission, solution)
-    report.show_verification(console, mission, verification)
+    plan_tables.show_verification(console, mission, verification)
     return 0 if verification.ok else NOT_VERIFIED
 
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from formulations.lifting import Linearisation
-from formulations.problem import FlybyProblem, Iterate, StateConstraint
-from formulations.regions import Ball, Cone
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
+from formulations.problem.regions import Ball, Cone
 
 Array = npt.NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from functools import lru_cache
 import numpy as np
 from hypothesis import strategies as st
 
-from scp_recon import guess
-from scp_recon.mission import Mission
-from scp_recon.planner import Plan, plan
-from scp_recon.scenario import load_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.scenario.load import load_scenario
 
 RECON_B = load_scenario()
 COARSE, FINE = "grid.step_max_s=450.0", "grid.step_max_s=100.0"
@@ -120,4 +120,4 @@ def planned(overrides: tuple[str, ...]) -> tuple[Mission, Plan]:
         InputError: if it has no window, or a burn breaks a rule of the schedule.
     """
     mission = Mission.from_scenario(load_scenario(None, overrides))
-    return mission, plan(mission, guess.cold(mission))
+    return mission, plan(mission, initial_guess.cold(mission))

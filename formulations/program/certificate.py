@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.regions import Array
+from formulations.problem.regions import Array
 
 GAP = 1e-6
 """Largest relative error in the proof of a verdict."""

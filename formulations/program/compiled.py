@@ -15,9 +15,9 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
+from formulations.problem.regions import Array
 from formulations.program.certificate import ConeProgram
 from formulations.program.model import Model
-from formulations.regions import Array
 
 
 class CompiledProgram:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from formulations.lifting import Linearisation, require_finite
-from formulations.problem import Nodes
-from formulations.regions import Array
+from formulations.linearisation.linearisation import Linearisation, require_finite
+from formulations.problem.flyby import Nodes
+from formulations.problem.regions import Array
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,20 @@ import cvxpy as cp
 import numpy as np
 import numpy.typing as npt
 
-from formulations.condensations import Condensation
-from formulations.lifting import Linearisation, LinearisationError, final_state_map
-from formulations.penalty import Charge, Penalty
-from formulations.problem import FlybyProblem, Nodes
+from formulations.linearisation.condensation import Condensation
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    LinearisationError,
+    final_state_map,
+)
+from formulations.problem.flyby import FlybyProblem, Nodes
+from formulations.problem.regions import Array
 from formulations.program.compiled import CompiledProgram
 from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import StateModel, sparse_parameter, write_model
+from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Step, SubproblemError
-from formulations.regions import Array
 from formulations.rows.cones import Rows
 
 NEAR = 0.002
@@ -134,7 +138,7 @@ class CondensedSubproblem(ConvexSubproblem):
             # Half of the slots: the answer may miss others.
             self._active[near[np.argsort(slack[near])[: slots // 2]]] = True
 
-    def _attempt(self, radius: float, charge: Charge, planes: Array) -> Step:
+    def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
         """Solve with the rows that take part, until the answer misses no other."""
         start, solver_s = perf_counter(), 0.0
         while True:
@@ -160,7 +164,7 @@ class CondensedSubproblem(ConvexSubproblem):
                 self._solver = FallbackSolver(self._name)
             self._active[candidates[np.argsort(slack[candidates])[:free]]] = True
 
-    def _solve_with_slots(self, radius: float, charge: Charge, planes: Array) -> Step:
+    def _solve_with_slots(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
         """Solve with the rows that take part."""
         sizes, states, buffers = [], dict(self._final), [np.zeros(0, dtype=np.intp)]
         for block, (cones, slots) in enumerate(zip(self._cones, self._slots, strict=True)):

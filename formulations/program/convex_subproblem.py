@@ -8,15 +8,15 @@ from time import perf_counter
 
 import numpy as np
 
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge, Penalty
-from formulations.problem import FlybyProblem, Nodes
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import FlybyProblem, Nodes
+from formulations.problem.regions import Array
 from formulations.program.compiled import CompiledProgram
 from formulations.program.merit import MeritFunction
 from formulations.program.model import Values, penalty_values
+from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Step, Subproblem, SubproblemError
-from formulations.regions import Array
 from formulations.rows.cones import Rows
 
 SMALL_BURN = 1e-2
@@ -43,7 +43,7 @@ class ConvexSubproblem(Subproblem):
         self._penalty, self._solver = penalty, solver
         self._at: Linearisation
 
-    def solve(self, radius: float, charge: float | Charge) -> Step:
+    def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """See `Subproblem.solve`.
 
         Burns stay out of the battery's cones by planes, one for each nappe. Where a small burn points
@@ -52,7 +52,7 @@ class ConvexSubproblem(Subproblem):
         and with planes towards where the burn points already, which is no worse than no step. The
         better of the two counts. From a guess there is no step to compare with: the first answer is it.
         """
-        charge = charge if isinstance(charge, Charge) else Charge(charge)
+        charge = charge if isinstance(charge, PenaltyParameters) else PenaltyParameters(charge)
         burns = self._at.iterate.burns
         planes = self.burn_planes(burns)
         small = np.linalg.norm(burns, axis=1) <= min(radius, SMALL_BURN * self.problem.dv_max)
@@ -61,7 +61,7 @@ class ConvexSubproblem(Subproblem):
         which = small[:, None]
         free = self._attempt(radius, charge, np.where(which, 0.0, planes))
         toward, away = (cone.inside(free.burns) for cone in self.problem.burn_cones)
-        if np.maximum(toward, away)[small].max() <= INSIDE or not self._at.is_flown:
+        if np.maximum(toward, away)[small].max() <= INSIDE or not self._at.is_dynamically_feasible:
             return free
         turned = self.burn_planes(np.where(which, free.burns, burns))
         steps = [free, *(self._attempt(radius, charge, either) for either in (turned, planes))]
@@ -72,7 +72,7 @@ class ConvexSubproblem(Subproblem):
         )
 
     @abstractmethod
-    def _attempt(self, radius: float, charge: Charge, planes: Array) -> Step:
+    def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
         """Solve with the normals of some planes off the battery's cones, shape (2, m, 3)."""
 
     def burn_planes(self, burns: Array) -> Array:
@@ -89,7 +89,7 @@ class ConvexSubproblem(Subproblem):
         self,
         compiled: CompiledProgram,
         radius: float,
-        charge: Charge,
+        charge: PenaltyParameters,
         planes: Array,
         states: Values,
         buffers: Nodes,

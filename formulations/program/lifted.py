@@ -22,17 +22,17 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.lifting import Linearisation, LinearisationError
-from formulations.penalty import Charge, Penalty
-from formulations.problem import FlybyProblem, Nodes, factor_columns_used
+from formulations.linearisation.linearisation import Linearisation, LinearisationError
+from formulations.problem.flyby import FlybyProblem, Nodes, factor_columns_used
+from formulations.problem.regions import Array
 from formulations.program.compiled import CompiledProgram
 from formulations.program.composed_arcs import compose
 from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import StateModel, Values, sparse_parameter, write_model
 from formulations.program.output_rows import keep_out_values, write_rows
+from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Step, SubproblemError
-from formulations.regions import Array
 from formulations.rows.cones import Rows
 
 SETTINGS = {"CLARABEL": {"static_regularization_constant": 1e-7}}
@@ -62,7 +62,7 @@ class LiftedSubproblem(ConvexSubproblem):
             raise SubproblemError(str(error)) from error
         self._at, self._values = lin, values | keep_out_values(self.rows, lin)
 
-    def _attempt(self, radius: float, charge: Charge, planes: Array) -> Step:
+    def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
         start = perf_counter()
         if self._compiled is None:
             model = write_model(self.problem.n_burns, self._penalty, self._write_states)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge, augmented_value, exact_value
-from formulations.problem import FlybyProblem
-from formulations.regions import Array
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import FlybyProblem
+from formulations.problem.regions import Array
+from formulations.program.penalty import PenaltyParameters, augmented_value, exact_value
 from formulations.rows.cones import Margins, Rows
 
 
@@ -26,16 +26,16 @@ class MeritFunction:
         self.problem, self.rows = problem, rows
         self._seen: tuple[Linearisation, dict[str, Array]] | None = None
 
-    def __call__(self, lin: Linearisation, charge: float | Charge) -> float:
+    def __call__(self, lin: Linearisation, charge: float | PenaltyParameters) -> float:
         """Total delta-v plus the charge for every violation, from the nonlinear dynamics.
 
         A number is the exact penalty's weight.
         """
-        if isinstance(charge, Charge) and charge.multipliers is not None:
+        if isinstance(charge, PenaltyParameters) and charge.multipliers is not None:
             excess = self.excess(lin)
             charged = np.r_[excess[:6], np.maximum(excess[6:], 0.0)]
             return lin.iterate.total_dv + augmented_value(charged, charge)
-        weight = charge.weight if isinstance(charge, Charge) else charge
+        weight = charge.weight if isinstance(charge, PenaltyParameters) else charge
         violations = self.violations(lin)
         defects = violations.pop("dynamics")
         rows = np.concatenate(list(violations.values()))

@@ -24,9 +24,9 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.penalty import DYNAMICS_WEIGHT, Charge, Penalty
-from formulations.problem import Nodes
-from formulations.regions import Array
+from formulations.problem.flyby import Nodes
+from formulations.problem.regions import Array
+from formulations.program.penalty import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
 
 Values = dict[str, Array]
 """Numbers by a parameter's name."""
@@ -112,7 +112,9 @@ def write_model(n_burns: int, penalty: Penalty, write_states: StateModelWriter) 
     return Model(cp.Problem(cp.Minimize(objective), constraints), z, parameters)
 
 
-def penalty_values(penalty: Penalty, charge: Charge, n_burns: int, rows: Nodes) -> Values:
+def penalty_values(
+    penalty: Penalty, charge: PenaltyParameters, n_burns: int, rows: Nodes
+) -> Values:
     """What prices and curvature are for a charge.
 
     Args:

@@ -10,28 +10,28 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.lifting import Linearisation
-from formulations.problem import StateConstraint
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import StateConstraint
 from formulations.program.model import Values
-from formulations.rows.chance import P2Rows
+from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import P3Rows
+from formulations.rows.deterministic import DeterministicRows
 
 
 def write_rows(
     rows: Rows, outputs: cp.Expression
 ) -> tuple[list[cp.Expression], dict[str, cp.Parameter]]:
     """The y of `model`, one block a kind of row; and the parameters of keep-out planes."""
-    if isinstance(rows, P2Rows):
+    if isinstance(rows, ChanceRows):
         return _chance_rows(rows, outputs), {}
-    assert isinstance(rows, P3Rows)
+    assert isinstance(rows, DeterministicRows)
     return _deterministic_rows(rows, outputs)
 
 
 def keep_out_values(rows: Rows, lin: Linearisation) -> Values:
     """The supporting planes of keep-out sets at an iterate, where the rows are deterministic."""
     values: Values = {}
-    if isinstance(rows, P3Rows):
+    if isinstance(rows, DeterministicRows):
         for c in rows.problem.constraints:
             if c.keep == "out":
                 planes = c.region.supporting(lin.iterate.mean[c.nodes, :3])
@@ -39,7 +39,7 @@ def keep_out_values(rows: Rows, lin: Linearisation) -> Values:
     return values
 
 
-def _chance_rows(rows: P2Rows, outputs: cp.Expression) -> list[cp.Expression]:
+def _chance_rows(rows: ChanceRows, outputs: cp.Expression) -> list[cp.Expression]:
     """All facets at once; normals, offsets and quantiles are constants."""
     if rows.count == 0:
         return []
@@ -49,7 +49,7 @@ def _chance_rows(rows: P2Rows, outputs: cp.Expression) -> list[cp.Expression]:
 
 
 def _deterministic_rows(
-    rows: P3Rows, outputs: cp.Expression
+    rows: DeterministicRows, outputs: cp.Expression
 ) -> tuple[list[cp.Expression], dict[str, cp.Parameter]]:
     """One second-order cone per keep-in node, one linear row per keep-out node."""
     written: list[cp.Expression] = []

@@ -11,8 +11,8 @@ import clarabel
 import numpy as np
 import scipy.sparse as sp
 
+from formulations.problem.regions import Array
 from formulations.program.certificate import ConeProgram, is_optimal
-from formulations.regions import Array
 
 TOLERANCE = 1e-9
 """Tighter than Clarabel's 1e-8, so that late, small predicted reductions still mean something."""

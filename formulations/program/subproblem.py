@@ -12,10 +12,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.regions import Array
 from formulations.program.merit import MeritFunction
-from formulations.regions import Array
+from formulations.program.penalty import PenaltyParameters
 
 
 class SubproblemError(RuntimeError):
@@ -55,7 +55,7 @@ class Subproblem(ABC):
         """
 
     @abstractmethod
-    def solve(self, radius: float, charge: float | Charge) -> Step:
+    def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """Solve within a trust region: no component of a burn moves by more than `radius`.
 
         Args:

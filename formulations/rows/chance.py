@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from formulations.condensations import Sensitivity
-from formulations.facets import Facets
-from formulations.lifting import Linearisation
-from formulations.problem import FlybyProblem
-from formulations.rows.cones import Cones, Margins, felt
+from formulations.linearisation.condensation import Sensitivity
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import Facets
+from formulations.problem.flyby import FlybyProblem
+from formulations.rows.cones import Cones, Margins, burn_components_before
 
 
-class P2Rows:
+class ChanceRows:
     """Chance constraints on fixed facets: a'mu + q ||S'a|| <= b + buffer, a second-order cone each.
 
     Args:
@@ -68,7 +68,7 @@ class P2Rows:
         """
         del lin
         blocks, carried = [], self.carried
-        components = felt(self.problem, self.nodes)
+        components = burn_components_before(self.problem, self.nodes)
         for p in np.unique(components):
             nodes = np.flatnonzero(components == p)
             rows = np.flatnonzero(np.isin(carried.node, self.nodes[nodes]))

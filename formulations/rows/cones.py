@@ -6,10 +6,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from formulations.condensations import Sensitivity
-from formulations.lifting import Linearisation
-from formulations.problem import FlybyProblem, Nodes
-from formulations.regions import Array
+from formulations.linearisation.condensation import Sensitivity
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import FlybyProblem, Nodes
+from formulations.problem.regions import Array
 
 
 class Margins(NamedTuple):
@@ -64,7 +64,7 @@ class Rows(Protocol):
         ...
 
 
-def felt(problem: FlybyProblem, nodes: Nodes) -> Nodes:
+def burn_components_before(problem: FlybyProblem, nodes: Nodes) -> Nodes:
     """How many burn components the positions at some nodes depend on: those of the burns before.
 
     At least a burn's, so that no cone is without them.

@@ -6,13 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from formulations.condensations import Sensitivity
-from formulations.lifting import Linearisation
-from formulations.problem import FlybyProblem
-from formulations.rows.cones import Cones, Margins, felt
+from formulations.linearisation.condensation import Sensitivity
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import FlybyProblem
+from formulations.rows.cones import Cones, Margins, burn_components_before
 
 
-class P3Rows:
+class DeterministicRows:
     """Deterministic constraints: keep-in sets as cones, keep-out sets by their supporting plane.
 
     The plane that touches the region nearest to the iterate is its linearisation and an inner
@@ -49,7 +49,7 @@ class P3Rows:
                 constants = (matrix @ (position - cone.origin)[:, :, None])[:, :, 0]
                 constants[:, 0] += cone.constant
             rows = first + np.arange(len(c.nodes))
-            values = matrix @ jacobian[:, :, : felt(self.problem, c.nodes).max()]
+            values = matrix @ jacobian[:, :, : burn_components_before(self.problem, c.nodes).max()]
             found[c.keep].append(Cones(rows, values, constants))
             first += len(rows)
         return [_joined(cones) for cones in found.values() if cones]

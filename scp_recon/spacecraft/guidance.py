@@ -16,12 +16,12 @@ import numpy.typing as npt
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation
 
-from scp_recon import geometry
 from scp_recon.errors import InputError
-from scp_recon.frames import unit
-from scp_recon.mission import Mission
-from scp_recon.schedule import Leg, Mode
-from scp_recon.solution import Solution
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Leg, Mode
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import unit
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.panels import SolarArray, align, irradiance
 from scp_recon.spacecraft.vehicle import Vehicle
 

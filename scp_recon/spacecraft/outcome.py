@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from scp_recon import geometry
-from scp_recon.frames import unit
-from scp_recon.schedule import Leg, Mode
-from scp_recon.solution import Solution
+from scp_recon.mission.schedule import Leg, Mode
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import unit
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 

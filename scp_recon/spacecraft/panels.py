@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.mission import AU_KM
-from scp_recon.scenario_schema import Scenario
+from scp_recon.mission.mission import AU_KM
+from scp_recon.scenario.schema import Scenario
 from scp_recon.spacecraft.vehicle import Vehicle
 
 Array = npt.NDArray[np.float64]

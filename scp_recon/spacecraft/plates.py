@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.frames import unit
+from scp_recon.physics.frames import unit
 from scp_recon.spacecraft.vehicle import Vehicle
 
 Array = npt.NDArray[np.float64]

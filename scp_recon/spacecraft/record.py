@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
-from scp_recon.schedule import Mode
-from scp_recon.solution import Solution
+from scp_recon.mission.schedule import Mode
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 from scp_recon.spacecraft.outcome import (

@@ -11,8 +11,8 @@ import benchmarks.__main__ as command
 from benchmarks.growth import STUDIES, Fit, Study
 from benchmarks.methods import METHODS, Timed
 from benchmarks.tables import growth_table, pair_table, ratio_lines
-from scp_recon.mission import Mission
-from scp_recon.scenario import load_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import load_scenario
 
 SPLIT = {"setup": 0.0, "linearise": 0.02, "canonicalise": 0.01, "conic_solver": 0.05, "other": 0.02}
 PLANNED = Timed(0.2, 0.1, 0.1, SPLIT, 100.0, 0.14, "converged", True, {"p2_subproblem": 0.008})

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.observation_rows import rows
-from experiments.observation_table import main
-from scp_recon.mission import Mission
-from scp_recon.scenario import load_scenario
-from scp_recon.solution import Solution
+from experiments.observation_table.__main__ import main
+from experiments.observation_table.rows import rows
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import load_scenario
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
 from .support import QUICK

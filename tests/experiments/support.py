@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.uncertainty_flights import SETS, TRANSLATION, Flown
-from scp_recon.solution import Solution
+from experiments.uncertainty_sources.flights import SETS, TRANSLATION, Flown
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.vehicle import Vehicle
 
 SAMPLES = 1500

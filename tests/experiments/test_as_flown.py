@@ -12,14 +12,19 @@ import numpy.typing as npt
 import pytest
 import spiceypy
 
-from experiments.as_flown import BENNU_ID, OSIRIS_REX_ID, as_flown_burns, read_states
-from experiments.observation_table import main
-from scp_recon import guess
+from experiments.observation_table.__main__ import main
+from experiments.observation_table.as_flown import (
+    BENNU_ID,
+    OSIRIS_REX_ID,
+    as_flown_burns,
+    read_states,
+)
 from scp_recon.errors import InputError
-from scp_recon.flow import propagate
-from scp_recon.frames import J2000_TDB
-from scp_recon.mission import Mission
-from scp_recon.scenario_schema import Epoch
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import propagate
+from scp_recon.physics.frames import J2000_TDB
+from scp_recon.planning import initial_guess
+from scp_recon.scenario.schema import Epoch
 
 from .support import QUICK, table_of
 
@@ -40,7 +45,7 @@ def write_kernel(path: Path, mission: Mission, states: Array) -> Path:
 @pytest.fixture(scope="module")
 def flight(mission: Mission) -> Array:
     """The ballistic arc, its departure in two halves of which the second comes half an hour late."""
-    half = 0.5 * guess.ballistic(mission).burns[0] * mission.units.speed_m_s
+    half = 0.5 * initial_guess.ballistic(mission).burns[0] * mission.units.speed_m_s
     late = int(np.searchsorted(mission.times_s, 1800.0))
     states = np.empty((len(mission.times_s), 6))
     states[0] = mission.initial_state
@@ -65,15 +70,15 @@ def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times
     mission: Mission, kernel: Path, flight: Array, tmp_path: Path
 ) -> None:
     burns, distance_m = as_flown_burns(mission, kernel, tmp_path / "states.csv")
-    flown = guess.from_burns(mission, burns).mean * mission.units.state
+    flown = initial_guess.from_burns(mission, burns).mean * mission.units.state
     window = mission.window_nodes
     off = np.linalg.norm(flown[window, :3] - flight[window, :3], axis=1).max()
     assert off == pytest.approx(distance_m, rel=1e-6)
     assert off < 10.0
     np.testing.assert_allclose(flown[-1, 3:], mission.final_state[3:], atol=1e-9)
     # Read off at the firing times alone the second half is lost.
-    table = guess.from_table(mission, tmp_path / "states.csv")
-    lost = guess.from_burns(mission, table.burns * mission.units.speed_m_s).mean
+    table = initial_guess.from_table(mission, tmp_path / "states.csv")
+    lost = initial_guess.from_burns(mission, table.burns * mission.units.speed_m_s).mean
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
 
 

@@ -19,9 +19,9 @@ from experiments.battery_cones import (
     sample,
     study,
 )
-from scp_recon.forces import SPEED_OF_LIGHT_M_S
-from scp_recon.scenario import load_scenario
-from scp_recon.scenario_schema import Scenario
+from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
 from scp_recon.spacecraft.panels import SolarArray, irradiance
 from scp_recon.spacecraft.plates import Plates
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle

@@ -13,8 +13,9 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from experiments import compare_runs, compare_solvers
-from experiments.compare_cases import (
+from experiments.compare_solvers import __main__ as compare_solvers
+from experiments.compare_solvers import runs
+from experiments.compare_solvers.cases import (
     ELASTIC,
     REFERENCE,
     TUNED,
@@ -23,19 +24,18 @@ from experiments.compare_cases import (
     Method,
     full_design,
     quick_design,
-    random_guess,
     scenarios,
 )
-from experiments.compare_cell import solve_cell
-from experiments.compare_claims import FROZEN, agreements, claims
-from experiments.compare_report import shown, to_csv, to_markdown
-from experiments.compare_row import FAILED, Row, failed_row
-from experiments.compare_runs import FILE_NAME, Solve, read_rows, run_cells
-from scp_recon import guess
-from scp_recon.algorithms import ALGORITHMS
-from scp_recon.mission import Mission
-from scp_recon.planner import plan
-from scp_recon.scenario import load_scenario
+from experiments.compare_solvers.cell import solve_cell
+from experiments.compare_solvers.claims import FROZEN, agreements, claims
+from experiments.compare_solvers.report import shown, to_csv, to_markdown
+from experiments.compare_solvers.row import FAILED, Row, failed_row
+from experiments.compare_solvers.runs import FILE_NAME, Solve, read_rows, run_cells
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.algorithms import ALGORITHMS
 
 FIGURES = ("total_dv_m_s", "merit_m_s", "heavy_merit_m_s", "violation_m", "total_s", "cpu_s")
 FIGURES += ("solver_s", "peak_mib", "observed_s")
@@ -112,12 +112,12 @@ def test_rows_of_another_limit_or_of_other_sources_are_left_alone(
     longer = list(run_cells(CELLS, path, flights=6, limit_s=LIMIT_S + 1.0, solve=fine))
     assert [row.total_s for row in longer] == [6.0] * 3
     assert [row.total_s for row in collect(path, raises)] == [5.0] * 3
-    monkeypatch.setattr(compare_runs, "version", lambda: "another")
+    monkeypatch.setattr(runs, "version", lambda: "another")
     assert not read_rows(path, LIMIT_S)
 
 
 def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
-    done = plan(mission, guess.cold(mission))
+    done = plan(mission, initial_guess.cold(mission))
     expected = done.final.result.lin.iterate.total_dv * mission.units.speed_m_s
     for start in ("cold", "p3"):
         row = solve_cell(Cell("matrix", "recon_b", (), REFERENCE, start), 0)
@@ -168,7 +168,7 @@ def test_the_full_design_has_what_it_is_to_have() -> None:
 def test_a_random_guess_is_the_same_every_time_and_another_for_another_seed(
     mission: Mission,
 ) -> None:
-    one, again, other = (random_guess(mission, seed) for seed in (1, 1, 2))
+    one, again, other = (initial_guess.random(mission, seed) for seed in (1, 1, 2))
     assert np.array_equal(one.mean, again.mean)
     assert np.array_equal(one.burns, again.burns)
     assert np.abs(one.mean - other.mean).max() > 0.01
@@ -267,7 +267,8 @@ def test_what_a_second_try_solves_is_not_solved_at_the_first(mission: Mission) -
     assert shown(row) == "converged, from the ballistic arc"
     assert "| 1 | 0 % | 0 to 98 % | 100 % |" in to_markdown([row])
     assert (
-        plan(mission, random_guess(mission, 0)).stages[1].result.status.value.name == "infeasible"
+        plan(mission, initial_guess.random(mission, 0)).stages[1].result.status.value.name
+        == "infeasible"
     )
 
 
@@ -278,7 +279,7 @@ def test_a_second_try_that_was_discarded_is_not_named() -> None:
 
 def test_burns_of_a_program_that_gave_up_are_flown_before_their_merit() -> None:
     """With gaps between its arcs an iterate may look cheaper than any flight."""
-    from formulations.nlp import EXACT, VARIANTS
+    from formulations.nlp.solve import EXACT, VARIANTS
 
     brief = replace(VARIANTS["tuned"], p2=replace(EXACT, max_iterations=5))
     with mock.patch.dict(VARIANTS, tuned=brief):
@@ -309,7 +310,7 @@ def test_the_command_leaves_table_and_figures_and_takes_up_its_rows(
             assert compare_solvers.main(["--quick", "--out", str(tmp_path)]) == 0
         assert "1/1" in printed.getvalue()
     names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"comparison.csv", "comparison.md", "comparison_times.png", FILE_NAME}
+    assert names == {"comparison.csv", "comparison.md", FILE_NAME}
     assert len(read_rows(tmp_path / FILE_NAME, compare_solvers.QUICK_LIMIT_S)) == 1
     assert "only --full settles" in " ".join(printed.getvalue().split())
     assert len((tmp_path / FILE_NAME).read_text().split()) > 1

@@ -8,10 +8,10 @@ import pytest
 
 pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
-from experiments import flown_plan
-from scp_recon.mission import Mission
-from scp_recon.solution import Solution
-from scp_recon.spacecraft import simulation
+from experiments.flown_plan import __main__ as flown_plan
+from scp_recon.mission.mission import Mission
+from scp_recon.solution.file import Solution
+from scp_recon.spacecraft.basilisk import simulation
 from scp_recon.spacecraft.record import read_record
 from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.flown_samples import sample_distances
-from experiments.uncertainty_flights import TRANSLATION, fly_paths
+from experiments.flown_plan.samples import sample_distances
+from experiments.uncertainty_sources.flights import TRANSLATION, fly_paths
 from scp_recon.spacecraft.vehicle import load_vehicle
 from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of

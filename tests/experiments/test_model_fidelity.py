@@ -9,16 +9,24 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments import model_fidelity
-from experiments.fidelity_arcs import Firing, Model, fly
-from experiments.fidelity_models import BURNS, GRAVITY, SRP, Choices, Flight, passing, relapses
-from experiments.model_fidelity import Compared, compare, flown_models, main, verdicts
-from experiments.observation_rows import rows
-from scp_recon.flow import propagate
-from scp_recon.harmonics import HarmonicField
-from scp_recon.mission import Mission
-from scp_recon.scenario import load_scenario
-from scp_recon.schedule import Mode
+from experiments.model_fidelity import __main__ as model_fidelity
+from experiments.model_fidelity.__main__ import Compared, compare, flown_models, main, verdicts
+from experiments.model_fidelity.arcs import Firing, Model, fly
+from experiments.model_fidelity.models import (
+    BURNS,
+    GRAVITY,
+    SRP,
+    Choices,
+    Flight,
+    passing,
+    relapses,
+)
+from experiments.observation_table.rows import rows
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Mode
+from scp_recon.physics.flow import propagate
+from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.scenario.load import load_scenario
 from scp_recon.spacecraft.plates import Plates
 from scp_recon.spacecraft.vehicle import load_vehicle
 

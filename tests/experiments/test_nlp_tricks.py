@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from experiments.nlp_tricks import HEAD, measure, to_csv, to_markdown, tricks
-from formulations.nlp import VARIANTS
-from scp_recon.mission import Mission
+from formulations.nlp.solve import VARIANTS
+from scp_recon.mission.mission import Mission
 
 
 def test_the_ladder_leads_from_the_printed_program_to_the_tuned_one() -> None:

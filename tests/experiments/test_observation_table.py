@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from experiments import observation_table
-from experiments.observation_comparison import claims
-from experiments.observation_report import to_csv, to_markdown
-from experiments.observation_rows import PRINTED_WINDOW_S, rows
-from experiments.observation_runs import Failed, Measured, run_row
-from experiments.observation_table import main, measure
-from scp_recon.mission import Mission
-from scp_recon.solution import Solution, read_solution
+from experiments.observation_table import __main__ as observation_table
+from experiments.observation_table.__main__ import main, measure
+from experiments.observation_table.claims import claims
+from experiments.observation_table.report import to_csv, to_markdown
+from experiments.observation_table.rows import PRINTED_WINDOW_S, rows
+from experiments.observation_table.runs import Failed, Measured, run_row
+from scp_recon.mission.mission import Mission
+from scp_recon.solution.file import Solution, read_solution
 
 from .support import QUICK, SAMPLES, table_of
 
@@ -192,8 +192,9 @@ def test_a_folder_that_cannot_be_written_exits_with_two(
 
 def test_the_reference_solver_is_imported_only_where_it_is_used() -> None:
     code = (
-        "import sys, experiments.observation_table as t; from experiments.observation_rows import "
-        "rows; print(len(rows()), len(rows(ipopt=False)), {'casadi', 'spiceypy'} & set(sys.modules))"
+        "import sys, experiments.observation_table.__main__; "
+        "from experiments.observation_table.rows import rows; "
+        "print(len(rows()), len(rows(ipopt=False)), {'casadi', 'spiceypy'} & set(sys.modules))"
     )
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],

@@ -9,10 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from experiments import compare_solvers, openscvx_peer, openscvx_problem
-from experiments.compare_runs import PEER_NAME
-from scp_recon import guess
-from scp_recon.mission import Mission
+from experiments.compare_solvers import __main__ as compare_solvers
+from experiments.compare_solvers.runs import PEER_NAME
+from experiments.openscvx_peer import __main__ as openscvx_peer
+from experiments.openscvx_peer import problem
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
 
 MISSING = importlib.util.find_spec("openscvx") is None
 
@@ -27,7 +29,7 @@ def test_without_it_the_command_names_the_extra(
 
 
 def test_our_row_flies_the_burns_that_it_reports(mission: Mission) -> None:
-    row = openscvx_peer.our_row(mission, guess.ballistic(mission), "scvx", "CLARABEL")
+    row = openscvx_peer.our_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
     assert (row.group, row.problem, row.status) == ("peer", "P3", "converged")
     assert row.total_dv_m_s == pytest.approx(0.107723, abs=2e-6)
     assert row.merit_m_s == pytest.approx(row.total_dv_m_s, rel=1e-6)
@@ -37,7 +39,7 @@ def test_our_row_flies_the_burns_that_it_reports(mission: Mission) -> None:
 def test_its_rows_are_taken_into_the_comparison(
     tmp_path: Path, mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    row = openscvx_peer.our_row(mission, guess.ballistic(mission), "ptr", "QOCO")
+    row = openscvx_peer.our_row(mission, initial_guess.ballistic(mission), "ptr", "QOCO")
     (tmp_path / PEER_NAME).write_text(json.dumps(asdict(row)) + "\n")
     monkeypatch.setattr(compare_solvers, "quick_design", tuple)
     assert compare_solvers.main(["--quick", "--out", str(tmp_path)]) == 0
@@ -47,6 +49,6 @@ def test_its_rows_are_taken_into_the_comparison(
 
 @pytest.mark.skipif(MISSING, reason="OpenSCvx is not installed")
 def test_its_problem_has_the_planners_nodes_and_burns(mission: Mission) -> None:
-    problem = openscvx_problem.pose(mission, guess.ballistic(mission), 5)
-    assert problem.arguments["N"] < len(mission.times_s)
-    assert len(problem.burn_nodes) == mission.problem.n_burns
+    posed = problem.pose(mission, initial_guess.ballistic(mission), 5)
+    assert posed.arguments["N"] < len(mission.times_s)
+    assert len(posed.burn_nodes) == mission.problem.n_burns

@@ -5,11 +5,12 @@ import pytest
 
 pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
-from experiments import timing_flights, timing_rules
-from experiments.timing_flights import Slew, measure_recharge, measure_slew
-from experiments.timing_rules import dark_charge, rules
-from scp_recon.mission import Mission
-from scp_recon.scenario import load_scenario
+from experiments.timing_rules import __main__ as timing_rules
+from experiments.timing_rules import flights
+from experiments.timing_rules.__main__ import dark_charge, rules
+from experiments.timing_rules.flights import Slew, measure_recharge, measure_slew
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import load_scenario
 from scp_recon.spacecraft.panels import SolarArray, irradiance
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
@@ -27,7 +28,7 @@ def vehicle() -> Vehicle:
 def test_a_half_turn_takes_at_least_the_limited_rate_and_settles(
     mission: Mission, vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(timing_flights, "SLEW_S", 1500.0)
+    monkeypatch.setattr(flights, "SLEW_S", 1500.0)
     slew = measure_slew(mission, vehicle, 2, 0)
     assert list(slew.settling_s) == sorted(slew.settling_s)
     assert slew.settling_s[0] > 180.0 / 0.4
@@ -39,14 +40,14 @@ def test_a_recharge_takes_what_the_power_left_over_gives(
     mission: Mission, vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Batteries an eighth as large, so that the flight is short."""
-    monkeypatch.setattr(timing_flights, "RECHARGE_S", 300.0)
+    monkeypatch.setattr(flights, "RECHARGE_S", 300.0)
     battery = vehicle.battery.model_copy(update={"capacity_wh": 5.0})
     small = vehicle.model_copy(update={"battery": battery})
     most = np.linalg.norm(SolarArray.of(vehicle, irradiance(mission.scenario)).best_direction())
     net = most - vehicle.loads.quiescent_w
     expected = 3600.0 * 10.0 / battery.efficiency / net
     assert measure_recharge(mission, small, 0) == pytest.approx(expected, abs=3.0)
-    monkeypatch.setattr(timing_flights, "RECHARGE_S", 100.0)
+    monkeypatch.setattr(flights, "RECHARGE_S", 100.0)
     assert measure_recharge(mission, small, 0) == np.inf
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import uncertainty_flights
-from experiments.uncertainty_flights import (
+from experiments.uncertainty_sources import flights
+from experiments.uncertainty_sources.flights import (
     CHEMICAL,
     INITIAL,
     SETS,
@@ -21,9 +21,9 @@ from experiments.uncertainty_flights import (
     fly_all,
     fly_paths,
 )
-from experiments.uncertainty_statistics import dispersion
-from scp_recon.mission import Mission
-from scp_recon.solution import Solution
+from experiments.uncertainty_sources.statistics import dispersion
+from scp_recon.mission.mission import Mission
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.vehicle import Vehicle
 
 from .support import simulated
@@ -74,7 +74,7 @@ def test_sets_are_the_vehicles_errors(vehicle: Vehicle) -> None:
 
 
 def test_sets_are_the_simulations_sources() -> None:
-    simulation = pytest.importorskip("scp_recon.spacecraft.simulation")
+    simulation = pytest.importorskip("scp_recon.spacecraft.basilisk.simulation")
     assert {source.value for source in simulation.Source} == set(SETS["all"])
 
 
@@ -114,7 +114,7 @@ def test_flights_in_the_logbook_are_not_flown_again(
         flown.append(job)
         return simulated(solution, vehicle, job)
 
-    monkeypatch.setattr(uncertainty_flights, "fly_spacecraft", spy)
+    monkeypatch.setattr(flights, "fly_spacecraft", spy)
     jobs = [("none", 0), ("imu", 0), ("imu", 1), ("all", 0)]
     with pytest.raises(KeyboardInterrupt):
         fly_all(Logbook(tmp_path, solution, vehicle), solution, vehicle, jobs)
@@ -144,7 +144,7 @@ def test_two_processes_fly_what_one_does(
     solution: Solution, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("Basilisk")
-    monkeypatch.setattr(uncertainty_flights, "fly_spacecraft", simulated)
+    monkeypatch.setattr(flights, "fly_spacecraft", simulated)
     jobs = [("imu", seed) for seed in range(5)]
     logbook = Logbook(tmp_path, solution, vehicle)
     found = fly_all(logbook, solution, vehicle, jobs, workers=2)
@@ -164,7 +164,7 @@ def test_a_stop_waits_for_no_flight(
     solution: Solution, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("Basilisk")
-    monkeypatch.setattr(uncertainty_flights, "fly_spacecraft", stopped)
+    monkeypatch.setattr(flights, "fly_spacecraft", stopped)
     jobs, start = [("imu", seed) for seed in range(4)], time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         fly_all(Logbook(tmp_path, solution, vehicle), solution, vehicle, jobs, workers=2)

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import uncertainty_flights
-from experiments.uncertainty_flights import (
+from experiments.uncertainty_sources import flights
+from experiments.uncertainty_sources.__main__ import main
+from experiments.uncertainty_sources.flights import (
     ATTITUDE,
     CHEMICAL,
     NO_ERRORS,
@@ -17,7 +18,7 @@ from experiments.uncertainty_flights import (
     TRANSLATION,
     Flown,
 )
-from experiments.uncertainty_report import (
+from experiments.uncertainty_sources.report import (
     BOTH,
     SPACECRAFT,
     Measured,
@@ -25,8 +26,7 @@ from experiments.uncertainty_report import (
     measure_paths,
     verdicts,
 )
-from experiments.uncertainty_sources import main
-from scp_recon.solution import Solution
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.vehicle import Vehicle
 
 from .support import simulated
@@ -71,7 +71,7 @@ def test_the_command_measures_every_set(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(uncertainty_flights, "fly_spacecraft", simulated)
+    monkeypatch.setattr(flights, "fly_spacecraft", simulated)
     solution.write(tmp_path)
     out = tmp_path / "out"
     arguments = ["--solution", str(tmp_path), "--out", str(out), "--paths", "500"]
@@ -89,9 +89,9 @@ def test_the_command_measures_every_set(
         )
     assert float(table["imu"]["attitude_error_deg"]) == pytest.approx(np.rad2deg(1e-4))
     with (out / "uncertainty_flights.csv").open(encoding="utf-8") as file:
-        flights = list(csv.DictReader(file))
-    assert len(flights) == 61
-    assert set(STATE) <= set(flights[0])
+        written = list(csv.DictReader(file))
+    assert len(written) == 61
+    assert set(STATE) <= set(written[0])
     text = (out / "uncertainty_sources.md").read_text("utf-8")
     assert "| star tracker | 15 arcsec | whole spacecraft | 10 |" in text
     assert "| chemical thruster | 10 % of the thrust | planner's dynamics | 500 |" in text

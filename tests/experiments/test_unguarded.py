@@ -6,31 +6,31 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from experiments.unguarded import Unguarded
-from formulations.condensations import condense
-from formulations.lifting import Linearisation, final_state_map
+from experiments.compare_solvers.unguarded import Unguarded
+from formulations.linearisation.condensation import condense
+from formulations.linearisation.linearisation import Linearisation, final_state_map
 from formulations.registry import make_subproblem
-from formulations.rows.chance import P2Rows
-from scp_recon import guess
-from scp_recon.mission import Mission
-from scp_recon.planner import Plan, plan
-from scp_recon.scp import Record, State, Timing, run
-from scp_recon.status import Status
+from formulations.rows.chance import ChanceRows
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.scp.loop import Record, State, Timing, run
+from scp_recon.scp.status import Status
 
 
 @pytest.fixture(scope="module")
 def full(mission: Mission) -> Plan:
-    return plan(mission, guess.cold(mission))
+    return plan(mission, initial_guess.cold(mission))
 
 
 @pytest.fixture(scope="module")
-def rows(full: Plan) -> P2Rows:
+def rows(full: Plan) -> ChanceRows:
     found = full.stages[1].merit.rows
-    assert isinstance(found, P2Rows)
+    assert isinstance(found, ChanceRows)
     return found
 
 
-def feasible_points(mission: Mission, rows: P2Rows, lin: Linearisation) -> int:
+def feasible_points(mission: Mission, rows: ChanceRows, lin: Linearisation) -> int:
     """SciPy's word on burns in a box that meet every facet with the covariance of an iterate."""
     s, facets = condense(lin, rows.nodes, factor=False), rows.carried
     at = np.searchsorted(rows.nodes, facets.node)
@@ -52,7 +52,7 @@ def feasible_points(mission: Mission, rows: P2Rows, lin: Linearisation) -> int:
     ).status
 
 
-def steps(mission: Mission, rows: P2Rows, start: Linearisation) -> list[tuple[State, Record]]:
+def steps(mission: Mission, rows: ChanceRows, start: Linearisation) -> list[tuple[State, Record]]:
     """The states after each iteration with a frozen covariance, up to a verdict."""
     subproblem = make_subproblem(mission.problem, rows, "frozen-covariance")
     algorithm, found = Unguarded(mission.problem), []
@@ -66,7 +66,7 @@ def steps(mission: Mission, rows: P2Rows, start: Linearisation) -> list[tuple[St
 
 
 def test_the_full_linearisation_needs_no_guard_here(
-    mission: Mission, full: Plan, rows: P2Rows
+    mission: Mission, full: Plan, rows: ChanceRows
 ) -> None:
     subproblem = make_subproblem(mission.problem, rows)
     start = full.stages[0].result.lin
@@ -77,7 +77,7 @@ def test_the_full_linearisation_needs_no_guard_here(
 
 
 def test_a_frozen_covariance_has_no_feasible_point_where_the_problem_has_one(
-    mission: Mission, full: Plan, rows: P2Rows
+    mission: Mission, full: Plan, rows: ChanceRows
 ) -> None:
     start = full.stages[0].result.lin
     found = steps(mission, rows, start)

@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations.condensations import CONDENSATIONS
-from formulations.penalty import Penalty
+from formulations.linearisation.condensation import CONDENSATIONS
 from formulations.program import condensed, lifted
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.lifted import LiftedSubproblem
+from formulations.program.penalty import Penalty
 from formulations.program.solvers import FallbackSolver
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.deterministic import P3Rows
+from formulations.rows.deterministic import DeterministicRows
 
 from .program.support import PENALTIES, every_row, linearised, need
 
@@ -52,7 +52,7 @@ def test_the_condensed_form_by_clarabel_under_the_exact_penalty_is_the_default(
     asked: list[str] = []
     monkeypatch.setattr(condensed, "FallbackSolver", asked.append)
     lin = linearised(np.random.default_rng(3))
-    made = make_subproblem(lin.problem, P3Rows(lin.problem))
+    made = make_subproblem(lin.problem, DeterministicRows(lin.problem))
     assert isinstance(made, CondensedSubproblem)
     assert made._condense is CONDENSATIONS["condensed"]
     assert (asked, made._penalty) == (["CLARABEL"], "exact")
@@ -65,4 +65,4 @@ def test_every_condensation_is_a_formulation() -> None:
 def test_an_unknown_formulation_is_refused() -> None:
     lin = linearised(np.random.default_rng(3))
     with pytest.raises(KeyError, match="unheard of"):
-        make_subproblem(lin.problem, P3Rows(lin.problem), "unheard of")
+        make_subproblem(lin.problem, DeterministicRows(lin.problem), "unheard of")

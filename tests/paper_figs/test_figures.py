@@ -15,23 +15,23 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
-from experiments.observation_report import to_csv
-from experiments.observation_rows import rows
-from experiments.observation_table import measure
-from paper_figs import (
-    cone_polytopes,
-    control_history,
-    flyby,
-    observation_geometry,
-    observation_table,
-)
+from experiments.observation_table.__main__ import measure
+from experiments.observation_table.report import to_csv
+from experiments.observation_table.rows import rows
+from paper_figs import flyby
 from paper_figs.__main__ import FIGURES, TABLES, main, make_all
 from paper_figs.drawing import PICTURES, command
 from paper_figs.inputs import COMMAND, TABLE, Runs, read_runs
-from paper_figs.observation_times import rebinned
+from paper_figs.paper import (
+    cone_polytopes,
+    control_history,
+    observation_geometry,
+    observation_table,
+)
+from paper_figs.paper.observation_times import rebinned
 from scp_recon.errors import InputError
-from scp_recon.mission import Mission
-from scp_recon.scenario import load_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import load_scenario
 
 SAMPLES = 400
 NEEDED = ("scp_cold", "ballistic")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from paper_figs import solver_comparison
-from paper_figs.solver_comparison import Row
+from paper_figs.studies import solver_comparison
+from paper_figs.studies.solver_comparison import Row
 
 
 def row(group: str, method: str, dv: float, status: str = "converged", **other: str) -> Row:

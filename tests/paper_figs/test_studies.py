@@ -12,17 +12,19 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from experiments import battery_cones as battery_cones_study
-from experiments.model_fidelity import TOGETHER, Compared, history, records
+from experiments.model_fidelity.__main__ import TOGETHER, Compared, history, records
 from experiments.studies import to_csv
-from experiments.timing_flights import Slew
-from experiments.timing_rules import Rule
-from experiments.timing_rules import record as record_slew
-from experiments.uncertainty_flights import TRANSLATION
-from experiments.uncertainty_report import BOTH, ORDER, Measured, quantiles, record, sigmas
-from experiments.uncertainty_report import PATH as BY_PATH
-from experiments.uncertainty_report import SPACECRAFT as BY_SPACECRAFT
+from experiments.timing_rules.__main__ import Rule
+from experiments.timing_rules.__main__ import record as record_slew
+from experiments.timing_rules.flights import Slew
+from experiments.uncertainty_sources.flights import TRANSLATION
+from experiments.uncertainty_sources.report import BOTH, ORDER, Measured, quantiles, record, sigmas
+from experiments.uncertainty_sources.report import PATH as BY_PATH
+from experiments.uncertainty_sources.report import SPACECRAFT as BY_SPACECRAFT
 from paper_figs import __main__ as command_line
-from paper_figs import (
+from paper_figs.__main__ import STUDIES, make_all
+from paper_figs.drawing import PICTURES, command_from
+from paper_figs.studies import (
     attitude_and_actuators,
     battery_cones,
     flown_plan,
@@ -32,8 +34,6 @@ from paper_figs import (
     uncertainty_quantiles,
     uncertainty_sources,
 )
-from paper_figs.__main__ import STUDIES, make_all
-from paper_figs.drawing import PICTURES, command_from
 from scp_recon.errors import InputError
 from scp_recon.spacecraft.record import ARRAYS, KEYS, SCHEMA, Record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle

@@ -10,11 +10,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm, qmc
 
-from formulations.facets import Facets, Polytopes, choose_facets
-from formulations.polytopes import ball, inner_pyramid_angle, paper_ball
-from formulations.problem import FlybyProblem, StateConstraint
-from formulations.regions import Ball, Cone, Region
-from formulations.risk import boole, quantile
+from formulations.problem.facets import Facets, Polytopes, choose_facets
+from formulations.problem.flyby import FlybyProblem, StateConstraint
+from formulations.problem.polytopes import ball, inner_pyramid_angle, paper_ball
+from formulations.problem.regions import Ball, Cone, Region
+from formulations.risk.uniform import quantile, split_risk
 from tests.helpers import Array, generators, random_flyby, random_unit, share_of_examples
 
 probabilities = st.floats(0.5, 0.9999)
@@ -165,7 +165,7 @@ def test_no_quantile_where_the_condition_is_not_convex_or_never_met(probability:
 
 @given(probabilities, st.integers(1, 100))
 def test_booles_shares_of_the_risk_add_up_to_the_whole(probability: float, parts: int) -> None:
-    share = boole(probability, parts)
+    share = split_risk(probability, parts)
     assert parts * (1.0 - share) == pytest.approx(1.0 - probability, abs=1e-12)
     assert probability <= share < 1.0
 
@@ -173,7 +173,7 @@ def test_booles_shares_of_the_risk_add_up_to_the_whole(probability: float, parts
 @given(probabilities, st.floats(0.0, 1.0))
 def test_booles_split_is_tight_for_two_opposite_facets(probability: float, share: float) -> None:
     # Their failures exclude one another, so that nothing is lost: 1 - p = sum of what fails.
-    q = quantile(boole(probability, 2))
+    q = quantile(split_risk(probability, 2))
     assert norm.cdf(q) - norm.cdf(-q) == pytest.approx(probability, abs=1e-12)
     risk = 1.0 - probability  # any other split of the risk keeps the sum, too
     assume(0.01 < share < 0.99)

@@ -11,19 +11,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from formulations.condensations import condense
-from formulations.facets import Polytopes, choose_facets
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge, Penalty
-from formulations.polytopes import ball
-from formulations.problem import FlybyProblem
+from formulations.linearisation.condensation import condense
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import Polytopes, choose_facets
+from formulations.problem.flyby import FlybyProblem
+from formulations.problem.polytopes import ball
 from formulations.program import condensed, lifted
 from formulations.program.compiled import CompiledProgram
 from formulations.program.model import Model
+from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.chance import P2Rows
+from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import P3Rows
+from formulations.rows.deterministic import DeterministicRows
 from tests.helpers import (
     Array,
     Flyby,
@@ -40,10 +40,10 @@ few = settings(max_examples=share_of_examples(6))
 
 def rows_of(lin: Linearisation, name: str, facets: int) -> Rows:
     if name == "P3":
-        return P3Rows(lin.problem)
+        return DeterministicRows(lin.problem)
     polytopes = Polytopes(ball(facets), facets)
     chosen = choose_facets(lin.problem, polytopes, lin.iterate.mean, lin.factor)
-    return P2Rows(lin.problem, chosen, np.ones(len(chosen.node), dtype=np.bool_))
+    return ChanceRows(lin.problem, chosen, np.ones(len(chosen.node), dtype=np.bool_))
 
 
 def some_flyby(rng: np.random.Generator) -> Flyby:
@@ -74,7 +74,9 @@ def test_every_subproblem_is_disciplined_convex_and_parametrised(
         subproblem.update(lin)
         multipliers = np.zeros(6 + 3 * lin.problem.n_burns + rows.count)
         augmented = penalty == "augmented"
-        subproblem.solve(0.5, Charge(WEIGHT, multipliers=multipliers if augmented else None))
+        subproblem.solve(
+            0.5, PenaltyParameters(WEIGHT, multipliers=multipliers if augmented else None)
+        )
     assert compiled
     assert all(model.program.is_dcp(dpp=True) for model in compiled)
 
@@ -91,7 +93,9 @@ def test_the_linearisation_is_exact_at_the_iterate(
     subproblem.update(lin)
     merit = subproblem.merit(lin, WEIGHT)
     # A step of next to nothing changes next to nothing.
-    assert subproblem.solve(1e-10, Charge(WEIGHT)).merit == pytest.approx(merit, rel=1e-6, abs=1e-6)
+    assert subproblem.solve(1e-10, PenaltyParameters(WEIGHT)).merit == pytest.approx(
+        merit, rel=1e-6, abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
@@ -109,7 +113,7 @@ def test_the_model_error_falls_with_the_square_of_the_step(
     subproblem.update(lin)
 
     def error(radius: float) -> float:
-        step = subproblem.solve(radius, Charge(WEIGHT))
+        step = subproblem.solve(radius, PenaltyParameters(WEIGHT))
         flown = flyby.waves.linearise(flyby.problem, flyby.waves.rollout(flyby.problem, step.burns))
         return abs(subproblem.merit(flown, WEIGHT) - step.merit)
 

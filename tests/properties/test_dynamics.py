@@ -9,9 +9,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.flow import differentiate, propagate
-from scp_recon.forces import ForceModel, acceleration, gravity_curvature, gravity_gradient
-from scp_recon.harmonics import HarmonicField
+from scp_recon.physics.flow import differentiate, propagate
+from scp_recon.physics.forces import ForceModel, acceleration, gravity_curvature, gravity_gradient
+from scp_recon.physics.harmonics import HarmonicField
 from tests.helpers import Array, generators, random_unit
 
 SUBSTEPS = 32

@@ -11,14 +11,14 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from scp_recon import guess, ipopt
 from scp_recon.errors import InputError
-from scp_recon.mission import Mission
-from scp_recon.planner import plan
-from scp_recon.results import make_solution
-from scp_recon.solution import Solution, read_solution
-from scp_recon.status import Status
-from scp_recon.verification import verify
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning.planner import plan
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.from_plan import make_solution
+from scp_recon.verification.reintegration import verify
 from tests import reliability
 from tests.helpers import share_of_examples
 from tests.scenarios import FINE, generous, scenarios
@@ -140,9 +140,9 @@ def others_that_find_a_plan(solution: Solution) -> list[str]:
     """
     mission = Mission.from_scenario(solution.scenario)
     try:
-        start = guess.ballistic(mission)
+        start = initial_guess.ballistic(mission)
     except InputError:
-        start = guess.cold(mission)
+        start = initial_guess.cold(mission)
     ways = {
         "scvx-star": lambda: plan(mission, start, algorithm="scvx-star"),
         "ipopt": lambda: ipopt.plan(mission, start, variant="shooting"),

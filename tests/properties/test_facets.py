@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 from scipy.stats import norm
 
-from formulations.facets import (
+from formulations.problem.facets import (
     Facets,
     Polytopes,
     choose_facets,
@@ -21,9 +21,9 @@ from formulations.facets import (
     inner_facets,
     outer_facets,
 )
-from formulations.polytopes import ball, paper_ball
-from formulations.problem import FlybyProblem, StateConstraint
-from formulations.regions import Ball, Cone, Halfspaces, Region
+from formulations.problem.flyby import FlybyProblem, StateConstraint
+from formulations.problem.polytopes import ball, paper_ball
+from formulations.problem.regions import Ball, Cone, Halfspaces, Region
 from tests.helpers import Array, constrain, generators, random_flyby, random_unit
 
 EXACT = 1e-9

@@ -22,14 +22,15 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from scp_recon import guess, montecarlo, planner, simulate, solve, verify
-from scp_recon.algorithms import ALGORITHMS
+from scp_recon import montecarlo, simulate, solve, verify
 from scp_recon.errors import InputError
-from scp_recon.mission import Mission
-from scp_recon.results import make_solution
-from scp_recon.scenario import load_scenario
-from scp_recon.scvx import TrustRegion
-from scp_recon.solution import read_solution
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess, planner
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.scvx import SCvx
+from scp_recon.solution.file import read_solution
+from scp_recon.solution.from_plan import make_solution
 from tests import reliability
 from tests.helpers import share_of_examples
 from tests.scenarios import COARSE
@@ -285,7 +286,7 @@ def solved_or_refused(overrides: list[str], *options: str) -> None:
     """One of the documented ends, after ten iterations a stage; for bad input nothing is written."""
     sets = [argument for override in overrides for argument in ("--set", override)]
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ALGORITHMS, "scvx", lambda: TrustRegion(max_iterations=10))
+        patch.setitem(ALGORITHMS, "scvx", lambda: SCvx(max_iterations=10))
         code = command(solve.main, [*options, *sets, "--out", folder])
         assert code in (0, 2, 3, 4)
         assert (Path(folder) / "solution.json").exists() == (code != 2)
@@ -339,7 +340,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small solution."""
     folder = tmp_path_factory.mktemp("solved")
     mission = Mission.from_scenario(load_scenario(None, ["grid.step_max_s=3000.0"]))
-    found = planner.plan(mission, guess.cold(mission))
+    found = planner.plan(mission, initial_guess.cold(mission))
     make_solution(found).write(folder)
     return folder
 
@@ -456,7 +457,7 @@ def test_no_bytes_end_in_anything_but_a_guess_or_a_message(coarse: Mission, cont
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.csv"
         path.write_bytes(content)
-        read_or_refuse(lambda: guess.from_table(coarse, path))
+        read_or_refuse(lambda: initial_guess.from_table(coarse, path))
 
 
 # --- command lines ------------------------------------------------------------------------------

@@ -10,19 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from formulations.condensations import Sensitivity, condense
-from formulations.legs import Legs
-from formulations.lifting import (
+from formulations.linearisation.condensation import Sensitivity, condense
+from formulations.linearisation.linearisation import (
     Linearisation,
     LinearisationError,
     final_state_map,
     propagate_factor,
     step_mean,
 )
-from formulations.problem import FlybyProblem, Iterate, Nodes, factor_columns_used
+from formulations.problem.flyby import FlybyProblem, Iterate, Nodes, factor_columns_used
+from formulations.problem.legs import Legs
 from formulations.program.composed_arcs import compose
-from scp_recon.dynamics import Dynamics
-from scp_recon.forces import ForceModel
+from scp_recon.physics.dynamics import Dynamics
+from scp_recon.physics.forces import ForceModel
 from tests.helpers import Arcs, Array, Flyby, generators, random_flyby, random_rotation
 
 EXACT = {"rel": 1e-9, "abs": 1e-11}

@@ -18,21 +18,21 @@ import pytest
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from scipy.integrate import solve_ivp
 
-from formulations.facets import Facets
-from formulations.penalty import Charge
-from formulations.problem import Iterate
+from formulations.problem.facets import Facets
+from formulations.problem.flyby import Iterate
+from formulations.program.penalty import PenaltyParameters
 from formulations.program.subproblem import Subproblem
-from scp_recon import guess
-from scp_recon.algorithms import ALGORITHMS
-from scp_recon.dynamics import Dynamics
 from scp_recon.errors import InputError
-from scp_recon.forces import ForceModel, acceleration
-from scp_recon.mission import Mission
-from scp_recon.planner import Plan, Stage, plan
-from scp_recon.scenario import load_scenario
-from scp_recon.scp import Algorithm, Record, State, Timing
-from scp_recon.scvx import TrustRegion
-from scp_recon.status import Status
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.dynamics import Dynamics
+from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, Stage, plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.loop import Algorithm, Record, State, Timing
+from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.status import Status
 from tests.helpers import Array, share_of_examples
 from tests.scenarios import planned, scenarios
 
@@ -204,23 +204,23 @@ def test_a_converged_plan_satisfies_the_kkt_conditions_of_p2_with_facets_fixed(
 ) -> None:
     mission, found = converged(overrides)
     at = conditions(mission, found.final)
-    assert at.infeasibility < 2.0 * TrustRegion.feasible
+    assert at.infeasibility < 2.0 * SCvx.feasible
     assert at.residual < 1e-3
     assert at.complementarity < 1e-6
     # The penalty is exact where no multiplier is above its heaviest weight.
-    assert max(at.largest) < TrustRegion.weight_max
+    assert max(at.largest) < SCvx.weight_max
 
 
 @cache
 def default_plan(formulation: str) -> tuple[Mission, Plan]:
     mission = Mission.from_scenario(load_scenario())
-    return mission, plan(mission, guess.cold(mission), formulation=formulation)
+    return mission, plan(mission, initial_guess.cold(mission), formulation=formulation)
 
 
 def test_the_default_plan_satisfies_the_kkt_conditions() -> None:
     mission, found = default_plan("condensed")
     at = conditions(mission, found.final)
-    assert at.infeasibility < TrustRegion.feasible
+    assert at.infeasibility < SCvx.feasible
     assert at.residual < 1e-4
     assert at.complementarity < 1e-6
 
@@ -230,7 +230,7 @@ def test_the_stms_dependence_on_the_mean_is_what_the_kkt_conditions_need() -> No
     mission, found = default_plan("frozen-stm")
     assert found.final.result.status is Status.CONVERGED
     at = conditions(mission, found.final)
-    assert at.infeasibility < TrustRegion.feasible
+    assert at.infeasibility < SCvx.feasible
     assert at.residual > 3e-3
 
 
@@ -253,7 +253,9 @@ class Watched:
         return new, record
 
 
-def merit_of(mission: Mission, subproblem: Subproblem, state: State, charge: Charge) -> float:
+def merit_of(
+    mission: Mission, subproblem: Subproblem, state: State, charge: PenaltyParameters
+) -> float:
     """Of the burns alone, flown here once more and linearised anew."""
     problem, dynamics = mission.problem, mission.dynamics
     burns = state.lin.iterate.burns
@@ -273,8 +275,12 @@ def test_accepted_steps_never_raise_the_merit(algorithm: str, overrides: tuple[s
         assume(False)
     watched = Watched(ALGORITHMS[algorithm](), [])
     with mock.patch.dict(ALGORITHMS, {algorithm: lambda: watched}):
-        plan(mission, guess.cold(mission), algorithm=algorithm)
-    taken = [(p, a, b) for p, a, b in watched.steps if b.lin is not a.lin and a.lin.is_flown]
+        plan(mission, initial_guess.cold(mission), algorithm=algorithm)
+    taken = [
+        (p, a, b)
+        for p, a, b in watched.steps
+        if b.lin is not a.lin and a.lin.is_dynamically_feasible
+    ]
     assert taken
     for subproblem, before, after in taken:
         # Multipliers are updated after a step, a weight before it.
@@ -305,9 +311,7 @@ def test_what_is_called_converged_is_feasible_when_integrated_again(
     assert np.linalg.norm(burns, axis=1).max() <= mission.scenario.burns.dv_max_m_s * (1.0 + 1e-6)
     # And no buffer holds anything.
     buffers = found.final.merit.violations(lin)
-    assert (
-        max(float(amounts.max(initial=0.0)) for amounts in buffers.values()) <= TrustRegion.feasible
-    )
+    assert max(float(amounts.max(initial=0.0)) for amounts in buffers.values()) <= SCvx.feasible
 
 
 def adaptive(mission: Mission, burns_m_s: Array) -> Array:

@@ -10,7 +10,13 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 
-from formulations.polytopes import BallPolytope, ball, inner_pyramid_angle, paper_ball, turn
+from formulations.problem.polytopes import (
+    BallPolytope,
+    ball,
+    inner_pyramid_angle,
+    paper_ball,
+    rotations_between,
+)
 from tests.helpers import Array, generators, random_rotation, random_unit
 
 EXACT = 1e-9
@@ -246,20 +252,20 @@ def test_turn_is_the_smallest_rotation_from_start_to_end(
 ) -> None:
     start, end = random_unit(rng), random_unit(rng, count)
     assume(np.all(end @ start > -0.999))
-    assert_smallest_rotations(turn(start, end), start, end)
+    assert_smallest_rotations(rotations_between(start, end), start, end)
 
 
 @given(generators)
 def test_turn_is_the_identity_where_nothing_is_to_turn(rng: np.random.Generator) -> None:
     start = random_unit(rng)
-    assert turn(start, start[None])[0] == pytest.approx(np.eye(3), abs=EXACT)
+    assert rotations_between(start, start[None])[0] == pytest.approx(np.eye(3), abs=EXACT)
 
 
 @given(st.sampled_from([*np.eye(3), -np.ones(3) / np.sqrt(3.0)]), generators)
 def test_turn_reverses_antiparallel_vectors(axis: Array, rng: np.random.Generator) -> None:
     for start in (axis, random_unit(rng)):
         end = -start[None]
-        assert_smallest_rotations(turn(start, end), start, end)
+        assert_smallest_rotations(rotations_between(start, end), start, end)
 
 
 @given(st.floats(-15.0, -1.0), generators)
@@ -272,4 +278,4 @@ def test_turn_is_a_rotation_however_nearly_antiparallel_the_vectors(
     start, aside = q[0], q[1]
     angle = 10.0**decade
     end = -np.cos(angle) * start[None] + np.sin(angle) * aside
-    assert_smallest_rotations(turn(start, end), start, end)
+    assert_smallest_rotations(rotations_between(start, end), start, end)

@@ -7,8 +7,15 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from formulations.problem import StateConstraint
-from formulations.regions import Ball, Cone, Halfspaces, Region, SecondOrderCone, perpendicular
+from formulations.problem.flyby import StateConstraint
+from formulations.problem.regions import (
+    Ball,
+    Cone,
+    Halfspaces,
+    Region,
+    SecondOrderCone,
+    perpendicular,
+)
 from tests.helpers import Array, generators, random_unit
 
 EXACT = 1e-12

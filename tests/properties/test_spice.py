@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon import geometry
-from scp_recon.frames import unit
-from scp_recon.geometry import Site
-from scp_recon.mission import Mission
-from scp_recon.scenario import load_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import unit
+from scp_recon.physics.geometry import Site
+from scp_recon.scenario.load import load_scenario
 from tests.helpers import generators, random_unit
 from tests.scp_recon.support import EPOCH_ET, shared
 

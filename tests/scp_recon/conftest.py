@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from scp_recon import guess
-from scp_recon.mission import Mission
-from scp_recon.planner import Plan, plan
-from scp_recon.results import make_solution
-from scp_recon.scenario import Scenario, load_scenario
-from scp_recon.solution import Solution
-from scp_recon.verification import Verification, verify
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.scenario.load import Scenario, load_scenario
+from scp_recon.solution.file import Solution
+from scp_recon.solution.from_plan import make_solution
+from scp_recon.verification.reintegration import Verification, verify
 
 from .support import CommandLine, run_solve
 
@@ -28,7 +28,7 @@ def mission(scenario: Scenario) -> Mission:
 @pytest.fixture(scope="session")
 def default_plan(mission: Mission) -> Plan:
     """Cold start, condensed, facets from P3."""
-    return plan(mission, guess.cold(mission))
+    return plan(mission, initial_guess.cold(mission))
 
 
 @pytest.fixture(scope="session")

@@ -16,9 +16,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from scp_recon import solve
-from scp_recon.forces import ForceModel, acceleration
-from scp_recon.mission import Mission
-from scp_recon.scenario import load_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.scenario.load import load_scenario
 
 Array = npt.NDArray[np.float64]
 

@@ -148,7 +148,10 @@ def test_importing_the_library_is_silent_and_changes_nothing_global() -> None:
         return seen
 
     needed = [name for name in files if not everything(name, set()) & optional]
-    assert set(needed) >= COMMANDS | {"formulations.program.subproblem", "scp_recon.planner"}
+    assert set(needed) >= COMMANDS | {
+        "formulations.program.subproblem",
+        "scp_recon.planning.planner",
+    }
     run = run_python(QUIET_IMPORT.format(modules=json.dumps(needed)))
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
 

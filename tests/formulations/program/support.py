@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from formulations.condensations import Condensation, condense
-from formulations.facets import Polytopes, choose_facets
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge, Penalty
-from formulations.polytopes import ball
+from formulations.linearisation.condensation import Condensation, condense
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import Polytopes, choose_facets
+from formulations.problem.polytopes import ball
+from formulations.problem.regions import Ball
 from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
+from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.program.subproblem import Step
-from formulations.regions import Ball
-from formulations.rows.chance import P2Rows
+from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import P3Rows
+from formulations.rows.deterministic import DeterministicRows
 from tests.helpers import Array, constrain, random_flyby
 
 PENALTIES: tuple[Penalty, ...] = get_args(Penalty)
@@ -41,20 +41,22 @@ def linearised(rng: np.random.Generator, keeps: tuple[str, ...] = ("in", "out"))
 def every_row(lin: Linearisation, name: str, facets: int = 8) -> Rows:
     """The constraints of P3, or all facets of P2 placed at the iterate."""
     if name == "P3":
-        return P3Rows(lin.problem)
+        return DeterministicRows(lin.problem)
     polytopes = Polytopes(ball(facets), max(3, facets // 2))
     chosen = choose_facets(lin.problem, polytopes, lin.iterate.mean, lin.factor)
-    return P2Rows(lin.problem, chosen, np.ones(len(chosen.node), dtype=np.bool_))
+    return ChanceRows(lin.problem, chosen, np.ones(len(chosen.node), dtype=np.bool_))
 
 
-def charge_for(penalty: Penalty, rows: Rows, lin: Linearisation, weight: float = 10.0) -> Charge:
+def charge_for(
+    penalty: Penalty, rows: Rows, lin: Linearisation, weight: float = 10.0
+) -> PenaltyParameters:
     if penalty == "augmented":
         count = 6 + 3 * lin.problem.n_burns + rows.count
-        return Charge(2.0 * weight, multipliers=np.linspace(0.0, 2.0, count))
-    return Charge(weight, prox=0.7 if penalty == "proximal" else 0.0)
+        return PenaltyParameters(2.0 * weight, multipliers=np.linspace(0.0, 2.0, count))
+    return PenaltyParameters(weight, prox=0.7 if penalty == "proximal" else 0.0)
 
 
-def minimum(step: Step, lin: Linearisation, charge: Charge) -> float:
+def minimum(step: Step, lin: Linearisation, charge: PenaltyParameters) -> float:
     """What the program minimises: a step's merit and what a proximal penalty charges for it."""
     return step.merit + 0.5 * charge.prox * float(((step.burns - lin.iterate.burns) ** 2).sum())
 
@@ -113,7 +115,7 @@ def solve_plainly(
     rows: Rows,
     radius: float,
     penalty: Penalty,
-    charge: Charge,
+    charge: PenaltyParameters,
     condensation: Condensation = condense,
 ) -> Optimum:
     """The convex subproblem from the sensitivities of mean and factor, without a reduction.
@@ -176,7 +178,7 @@ def _row_excess(
         k = where[node]
         return s.mean_constant[k, :3] + s.mean_jacobian[k, :3] @ z
 
-    if isinstance(rows, P2Rows):
+    if isinstance(rows, ChanceRows):
         carried = rows.carried
         found = []
         for a, b, q, node in zip(

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.condensations import condense
-from formulations.lifting import Linearisation
-from formulations.penalty import Penalty
+from formulations.linearisation.condensation import condense
+from formulations.linearisation.linearisation import Linearisation
 from formulations.program.compiled import CompiledProgram
 from formulations.program.condensed import (
     CondensedSubproblem,
@@ -22,6 +21,7 @@ from formulations.program.condensed import (
 )
 from formulations.program.lifted import LiftedSubproblem
 from formulations.program.model import Model, write_model
+from formulations.program.penalty import Penalty
 from tests.helpers import Array, generators
 
 from .support import PENALTIES, charge_for, every_row, linearised

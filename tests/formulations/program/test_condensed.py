@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.condensations import CONDENSATIONS, condense
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge, Penalty
+from formulations.linearisation.condensation import CONDENSATIONS, condense
+from formulations.linearisation.linearisation import Linearisation
 from formulations.program import condensed
 from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
+from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.program.subproblem import Step
-from formulations.rows.chance import P2Rows
+from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
-from scp_recon import guess
-from scp_recon.mission import Mission
-from scp_recon.planner import plan
-from scp_recon.scenario import load_scenario
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.scenario.load import load_scenario
 from tests.helpers import Array, constrain, generators, random_flyby
 
 from .support import (
@@ -329,11 +329,11 @@ def test_the_default_plan_needs_three_programs_at_the_most(
     monkeypatch.setattr(condensed, "compile_condensed", watch)
     compile_condensed.cache_clear()
     mission = Mission.from_scenario(load_scenario())
-    plan(mission, guess.cold(mission))
+    plan(mission, initial_guess.cold(mission))
     compiled = compile_condensed.cache_info().misses
     assert 2 <= len(sizes) <= 3
     assert compiled == len(sizes)
-    plan(mission, guess.cold(mission))
+    plan(mission, initial_guess.cold(mission))
     assert compile_condensed.cache_info().misses == compiled
 
 
@@ -344,7 +344,7 @@ def test_the_default_plan_needs_three_programs_at_the_most(
 def test_triangular_factors_preserve_every_facets_deviation(rng: np.random.Generator) -> None:
     lin = linearised(rng, ("in",))
     rows = every_row(lin, "P2")
-    assert isinstance(rows, P2Rows)
+    assert isinstance(rows, ChanceRows)
     s = condense(lin, rows.nodes)
     z = lin.iterate.burns.ravel() + 0.3 * rng.normal(size=12)
     carried = rows.carried
@@ -417,5 +417,5 @@ def test_a_solver_that_starts_anew_each_time_agrees(name: str, penalty: Penalty)
 def test_a_number_is_the_exact_penaltys_weight() -> None:
     lin = linearised(np.random.default_rng(4))
     subproblem = make(lin, every_row(lin, "P2"))
-    one, other = subproblem.solve(0.5, 10.0), subproblem.solve(0.5, Charge(10.0))
+    one, other = subproblem.solve(0.5, 10.0), subproblem.solve(0.5, PenaltyParameters(10.0))
     assert one.merit == pytest.approx(other.merit, rel=1e-9)

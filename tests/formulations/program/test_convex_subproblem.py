@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.condensations import condense
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge
+from formulations.linearisation.condensation import condense
+from formulations.linearisation.linearisation import Linearisation
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
+from formulations.program.penalty import PenaltyParameters
 from formulations.program.subproblem import Step
-from formulations.rows.deterministic import P3Rows
+from formulations.rows.deterministic import DeterministicRows
 from tests.helpers import Array
 
 from .support import linearised
@@ -27,13 +27,13 @@ class Scripted(CondensedSubproblem):
     def __init__(self, burns: Array, steps: list[Step], *, flown: bool = True) -> None:
         lin = linearised(np.random.default_rng(4))
         problem = replace(lin.problem, dv_max=2.0)
-        super().__init__(problem, P3Rows(problem), "exact", "CLARABEL", condense)
+        super().__init__(problem, DeterministicRows(problem), "exact", "CLARABEL", condense)
         self.update(Linearisation(problem, replace(lin.iterate, burns=burns), lin.arcs))
         self._at = Linearisation(problem, self._at.iterate, lin.arcs)
         self._at.__dict__["defects"] = np.full((problem.n_nodes, 6), 0.0 if flown else 1.0)
         self.steps, self.planes = steps, list[Array]()
 
-    def _attempt(self, radius: float, charge: Charge, planes: Array) -> Step:
+    def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
         del radius, charge
         self.planes.append(planes)
         return self.steps.pop(0)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge, augmented_value, exact_value
-from formulations.problem import Iterate
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import Iterate
 from formulations.program.merit import MeritFunction
+from formulations.program.penalty import PenaltyParameters, augmented_value, exact_value
 from formulations.registry import make_subproblem
-from formulations.rows.deterministic import P3Rows
+from formulations.rows.deterministic import DeterministicRows
 from tests.helpers import Array, constrain, generators, random_flyby
 
 some = settings(max_examples=10)
@@ -61,7 +61,7 @@ def signed(lin: Linearisation) -> dict[str, Array]:
 @given(generators)
 def test_violations_are_positive_parts_and_excess_has_their_signs(rng: np.random.Generator) -> None:
     lin = linearised(rng)
-    evaluation, amounts = MeritFunction(lin.problem, P3Rows(lin.problem)), signed(lin)
+    evaluation, amounts = MeritFunction(lin.problem, DeterministicRows(lin.problem)), signed(lin)
     violations = evaluation.violations(lin)
     assert list(violations) == ["dynamics", *amounts]
     assert violations["dynamics"] == pytest.approx(np.abs(lin.defects).ravel())
@@ -78,7 +78,7 @@ def test_violations_are_positive_parts_and_excess_has_their_signs(rng: np.random
 def test_margins_of_burns_belong_to_their_nodes(rng: np.random.Generator) -> None:
     lin = linearised(rng)
     problem, amounts = lin.problem, signed(lin)
-    margins = MeritFunction(problem, P3Rows(problem)).margins(lin)
+    margins = MeritFunction(problem, DeterministicRows(problem)).margins(lin)
     assert list(margins) == list(amounts)
     toward, away = np.split(amounts["dv_battery"], 2)
     amounts["dv_battery"] = np.maximum(toward, away)
@@ -93,7 +93,7 @@ def test_margins_of_burns_belong_to_their_nodes(rng: np.random.Generator) -> Non
 @given(generators)
 def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng: np.random.Generator) -> None:
     lin = linearised(rng)
-    evaluation, amounts = MeritFunction(lin.problem, P3Rows(lin.problem)), signed(lin)
+    evaluation, amounts = MeritFunction(lin.problem, DeterministicRows(lin.problem)), signed(lin)
     broken = np.concatenate([np.maximum(a, 0.0) for a in amounts.values()])
     cost = np.linalg.norm(lin.iterate.burns, axis=1).sum()
     exact = cost + 7.0 * (10.0 * np.abs(lin.defects).sum() + broken.sum())
@@ -101,28 +101,28 @@ def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng: np.random.Gener
     other = linearised(rng)
     for _ in range(2):
         assert evaluation(lin, 7.0) == pytest.approx(exact)
-        assert evaluation(lin, Charge(7.0)) == pytest.approx(exact)
+        assert evaluation(lin, PenaltyParameters(7.0)) == pytest.approx(exact)
         # The proximal charge is the step's, not the iterate's.
-        assert evaluation(lin, Charge(7.0, prox=3.0)) == pytest.approx(exact)
+        assert evaluation(lin, PenaltyParameters(7.0, prox=3.0)) == pytest.approx(exact)
         multipliers = rng.normal(size=6 + len(broken))
         charged = np.concatenate([lin.defects[-1], broken])
         augmented = cost + multipliers @ charged + 3.5 * sum(charged**2)
-        charge = Charge(7.0, multipliers=multipliers)
+        charge = PenaltyParameters(7.0, multipliers=multipliers)
         assert evaluation(lin, charge) == pytest.approx(augmented)
-        alone = MeritFunction(lin.problem, P3Rows(lin.problem))(other, 7.0)
+        alone = MeritFunction(lin.problem, DeterministicRows(lin.problem))(other, 7.0)
         assert evaluation(other, 7.0) == pytest.approx(alone) != pytest.approx(exact)
 
 
 def test_charges_are_their_formulas() -> None:
     assert exact_value(np.array([1.0, -2.0]), np.array([3.0, 4.0]), 5.0) == 5.0 * (30.0 + 7.0)
-    charge = Charge(4.0, multipliers=np.array([1.0, -2.0]))
+    charge = PenaltyParameters(4.0, multipliers=np.array([1.0, -2.0]))
     assert augmented_value(np.array([3.0, 5.0]), charge) == 3.0 - 10.0 + 2.0 * (9.0 + 25.0)
-    assert Charge(4.0) == Charge(4.0, prox=0.0, multipliers=None)
+    assert PenaltyParameters(4.0) == PenaltyParameters(4.0, prox=0.0, multipliers=None)
 
 
 def test_a_subproblem_costs_its_iterates_as_any_evaluation() -> None:
     lin = linearised(np.random.default_rng(6))
-    rows = P3Rows(lin.problem)
+    rows = DeterministicRows(lin.problem)
     subproblem, evaluation = make_subproblem(lin.problem, rows), MeritFunction(lin.problem, rows)
     assert subproblem.merit(lin, 3.0) == evaluation(lin, 3.0)
     moved = Linearisation(lin.problem, Iterate(2.0 * lin.iterate.burns, lin.iterate.mean), lin.arcs)

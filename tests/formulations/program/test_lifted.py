@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations.lifting import Linearisation
-from formulations.penalty import Penalty
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.regions import Ball
 from formulations.program import convex_subproblem, lifted, solvers
+from formulations.program.penalty import Penalty
 from formulations.program.solvers import SOLVERS
-from formulations.regions import Ball
 from formulations.registry import make_subproblem
 from formulations.rows.cones import Rows
 from tests.helpers import constrain, random_flyby

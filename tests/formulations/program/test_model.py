@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.lifting import Linearisation
-from formulations.penalty import DYNAMICS_WEIGHT, Charge, Penalty
+from formulations.linearisation.linearisation import Linearisation
 from formulations.program.model import penalty_values, sparse_parameter
+from formulations.program.penalty import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
 from formulations.program.subproblem import SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import P3Rows
+from formulations.rows.deterministic import DeterministicRows
 from tests.helpers import Array, constrain, random_flyby
 
 from .support import PENALTIES, charge_for, every_row, need
@@ -76,7 +76,7 @@ def test_limits_on_burns_are_broken_at_their_price(formulation: str, side: float
     arcs = replace(flyby.arcs, state=state)
     lin = Linearisation(problem, flyby.iterate, arcs)
     assert np.abs(lin.defects).max() < 1e-12
-    subproblem = make_subproblem(problem, P3Rows(problem), formulation)
+    subproblem = make_subproblem(problem, DeterministicRows(problem), formulation)
     subproblem.update(lin)
     merit, broken = subproblem.merit(lin, 10.0), subproblem.merit.violations(lin)
     assert min(broken[name].sum() for name in ("dv_max", "dv_battery")) > 0.01
@@ -105,14 +105,14 @@ def test_prices_are_those_of_the_charge_each_at_its_place() -> None:
     """Misses first, then limits of the burns, then the buffers of the rows that have one."""
     m, rows = 2, np.array([3, 0, -1, 2])
     limits = 6 + 3 * m
-    exact = penalty_values("exact", Charge(5.0), m, rows)
+    exact = penalty_values("exact", PenaltyParameters(5.0), m, rows)
     assert list(exact) == ["prices"]
     assert exact["prices"].tolist() == [DYNAMICS_WEIGHT * 5.0] * 6 + [5.0] * (3 * m + 4)
-    proximal = penalty_values("proximal", Charge(5.0, prox=3.0), m, rows)
+    proximal = penalty_values("proximal", PenaltyParameters(5.0, prox=3.0), m, rows)
     assert np.array_equal(proximal["prices"], exact["prices"])
     assert proximal["curvature"] == 1.5
     multipliers = np.arange(1.0, limits + 5.0)
-    charge = Charge(5.0, multipliers=multipliers)
+    charge = PenaltyParameters(5.0, multipliers=multipliers)
     augmented = penalty_values("augmented", charge, m, rows)
     assert augmented["curvature"] == 2.5
     own = [multipliers[limits + 3], multipliers[limits], 0.0, multipliers[limits + 2]]

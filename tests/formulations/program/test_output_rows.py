@@ -8,15 +8,15 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from formulations.facets import Polytopes, choose_facets
-from formulations.lifting import Linearisation
-from formulations.penalty import Charge, Penalty
-from formulations.polytopes import ball
-from formulations.problem import StateConstraint
-from formulations.regions import Ball, Cone
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import Polytopes, choose_facets
+from formulations.problem.flyby import StateConstraint
+from formulations.problem.polytopes import ball
+from formulations.problem.regions import Ball, Cone
+from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.chance import P2Rows
-from formulations.rows.deterministic import P3Rows
+from formulations.rows.chance import ChanceRows
+from formulations.rows.deterministic import DeterministicRows
 from tests.helpers import random_flyby, random_unit
 
 from .support import PENALTIES
@@ -54,7 +54,9 @@ def test_without_a_step_every_row_costs_its_own_violation(
     lin = on_the_wrong_side(keep, n_nodes)
     facets = choose_facets(lin.problem, Polytopes(ball(6), 4), lin.iterate.mean, lin.factor)
     every = np.ones(len(facets.node), dtype=np.bool_)
-    rows = P3Rows(lin.problem) if name == "P3" else P2Rows(lin.problem, facets, every)
+    rows = (
+        DeterministicRows(lin.problem) if name == "P3" else ChanceRows(lin.problem, facets, every)
+    )
     subproblem = make_subproblem(lin.problem, rows, formulation)
     violations = subproblem.merit.violations(lin)
     if name == "P3":
@@ -71,11 +73,11 @@ def test_without_a_row_the_flight_alone_counts(penalty: Penalty, formulation: st
     lin = on_the_wrong_side("in", 2)
     facets = choose_facets(lin.problem, Polytopes(ball(6), 4), lin.iterate.mean, lin.factor)
     bare = replace(lin.problem, constraints=())
-    none = P2Rows(lin.problem, facets, np.zeros(len(facets.node), dtype=np.bool_))
+    none = ChanceRows(lin.problem, facets, np.zeros(len(facets.node), dtype=np.bool_))
     limits = 6 + 3 * lin.problem.n_burns
     multipliers = np.linspace(0.0, 1.0, limits) if penalty == "augmented" else None
-    charge, merits = Charge(10.0, multipliers=multipliers), []
-    for rows in (P3Rows(bare), none):
+    charge, merits = PenaltyParameters(10.0, multipliers=multipliers), []
+    for rows in (DeterministicRows(bare), none):
         subproblem = make_subproblem(bare, rows, formulation, penalty=penalty)
         subproblem.update(replace(lin, problem=bare))
         merits.append(subproblem.solve(0.5, charge).merit)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.condensations import CONDENSATIONS
-from formulations.penalty import Penalty
+from formulations.linearisation.condensation import CONDENSATIONS
+from formulations.program.penalty import Penalty
 from formulations.registry import FORMULATIONS, make_subproblem
 from tests.helpers import generators
 

@@ -13,33 +13,33 @@ from cvxpy.reductions.solvers.solving_chain import SolvingChain
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from formulations.condensations import CONDENSATIONS, Condensation, condense
-from formulations.lifting import Linearisation, propagate_factor
-from formulations.penalty import DYNAMICS_WEIGHT
-from formulations.problem import FlybyProblem, Iterate
+from formulations.linearisation.condensation import CONDENSATIONS, Condensation, condense
+from formulations.linearisation.linearisation import Linearisation, propagate_factor
+from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program import condensed, lifted
 from formulations.program.certificate import ConeProgram
 from formulations.program.compiled import CompiledProgram
 from formulations.program.model import Model
+from formulations.program.penalty import DYNAMICS_WEIGHT
 from formulations.program.solvers import SOLVERS, Answer, FallbackSolver
 from formulations.program.subproblem import Subproblem, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.chance import P2Rows
+from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import P3Rows
-from scp_recon import guess
-from scp_recon.mission import Mission
-from scp_recon.planner import Plan, plan
-from scp_recon.scenario import load_scenario
-from scp_recon.scvx import TrustRegion
-from scp_recon.status import Status
+from formulations.rows.deterministic import DeterministicRows
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.status import Status
 from tests.helpers import Array, constrain, generators, random_flyby
 
 from .support import every_row, need, tighten
 
 CONDENSED = ["condensed", "frozen-stm", "frozen-covariance"]
 FROZEN = ["frozen-stm", "frozen-covariance"]
-WEIGHT = TrustRegion.weight
+WEIGHT = SCvx.weight
 
 
 @dataclass(frozen=True)
@@ -54,15 +54,15 @@ class Case:
         return self.mission.problem
 
     @property
-    def p2_rows(self) -> P2Rows:
+    def p2_rows(self) -> ChanceRows:
         rows = self.plan.final.merit.rows
-        assert isinstance(rows, P2Rows)
+        assert isinstance(rows, ChanceRows)
         return rows
 
     def rows(self, name: str) -> Rows:
         if name == "P3":
-            return P3Rows(self.problem)
-        return P2Rows(self.problem, self.p2_rows.facets, self.p2_rows.included)
+            return DeterministicRows(self.problem)
+        return ChanceRows(self.problem, self.p2_rows.facets, self.p2_rows.included)
 
     def at(self, name: str) -> Linearisation:
         """Linearised at the guess or the solution of that name."""
@@ -71,9 +71,9 @@ class Case:
         if name == "missed":
             astray = 0.003 * np.random.default_rng(0).normal(size=(4, 3))  # m/s
             burns = self.solved("P3").iterate.burns * self.mission.units.speed_m_s + astray
-            iterate = guess.from_burns(self.mission, burns)
+            iterate = initial_guess.from_burns(self.mission, burns)
         else:
-            iterate = getattr(guess, name)(self.mission)
+            iterate = getattr(initial_guess, name)(self.mission)
         start = self.problem.initial_state + np.r_[0.0, 0.0, 0.0, iterate.burns[0]]
         iterate = Iterate(iterate.burns, np.vstack([start, iterate.mean[1:]]))
         return self.mission.dynamics.linearise(self.problem, iterate)
@@ -85,7 +85,7 @@ class Case:
 @pytest.fixture(scope="module")
 def case() -> Case:
     mission = Mission.from_scenario(load_scenario())
-    found = plan(mission, guess.cold(mission))
+    found = plan(mission, initial_guess.cold(mission))
     assert [stage.result.status for stage in found.stages] == [Status.CONVERGED] * 2
     return Case(mission, found)
 
@@ -276,7 +276,7 @@ def test_lifted_and_condensed_have_the_same_solution(
     for formulation in ("condensed", "lifted"):  # built here, with the tight tolerance
         subproblem = make_subproblem(case.problem, case.rows(name), formulation)
         subproblem.update(lin)
-        steps.append(subproblem.solve(TrustRegion.initial_radius, WEIGHT))
+        steps.append(subproblem.solve(SCvx.initial_radius, WEIGHT))
     assert steps[1].merit == pytest.approx(steps[0].merit, rel=1e-6)
     assert speed * steps[1].burns == pytest.approx(speed * steps[0].burns, abs=1e-6)  # m/s
 
@@ -323,7 +323,7 @@ def test_two_burns_on_linear_arcs_are_what_the_boundary_demands(formulation: str
     # Away from the battery's cones, which would forbid the only solution.
     sun = np.cross(burns, [0.3, 0.5, -0.7])
     problem = replace(problem, sun=sun / np.linalg.norm(sun, axis=1, keepdims=True))
-    subproblem = make_subproblem(problem, P3Rows(problem), formulation)
+    subproblem = make_subproblem(problem, DeterministicRows(problem), formulation)
     lin = flyby.waves.linearise(problem, flyby.waves.rollout(problem, np.zeros((2, 3))))
     subproblem.update(lin)
     step = subproblem.solve(10.0, 100.0)
@@ -338,7 +338,10 @@ def test_p2_without_facets_near_binding_is_p3_without_constraints(
     unconstrained = replace(case.problem, constraints=())
     none = np.zeros_like(case.p2_rows.included)
     lin, merits = case.at("P3"), []
-    for rows in (P3Rows(unconstrained), P2Rows(case.problem, case.p2_rows.facets, none)):
+    for rows in (
+        DeterministicRows(unconstrained),
+        ChanceRows(case.problem, case.p2_rows.facets, none),
+    ):
         subproblem = make_subproblem(case.problem, rows, formulation)
         subproblem.update(lin)
         merits.append(subproblem.solve(1.0, WEIGHT).merit)
@@ -360,7 +363,7 @@ def test_facets_left_out_are_missed_exactly_where_the_iterate_violates_them(case
     margin = facets.margin(lin.iterate.mean, lin.factor)
     violated = margin < -1e-6
     included = np.random.default_rng(0).uniform(size=len(margin)) < 0.5
-    missed = P2Rows(case.problem, facets, included).missed(lin, 1e-6)
+    missed = ChanceRows(case.problem, facets, included).missed(lin, 1e-6)
     assert np.array_equal(missed, violated & ~included)
     assert missed.any()
 
@@ -417,14 +420,14 @@ def test_frozen_forms_model_the_mean_in_full(formulation: str, rng: np.random.Ge
 def test_the_full_model_promises_nothing_at_the_solution_of_p2(
     case: Case, build: Build, formulation: str
 ) -> None:
-    assert promised(case, build(formulation, "P2")) <= TrustRegion.stationary
+    assert promised(case, build(formulation, "P2")) <= SCvx.stationary
 
 
 @pytest.mark.parametrize("formulation", FROZEN)
 def test_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(
     case: Case, build: Build, formulation: str
 ) -> None:
-    assert promised(case, build(formulation, "P2")) >= 10.0 * TrustRegion.stationary
+    assert promised(case, build(formulation, "P2")) >= 10.0 * SCvx.stationary
 
 
 def promised(case: Case, subproblem: Subproblem) -> float:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from scp_recon.mission import Mission
-from scp_recon.solution import Solution
+from scp_recon.mission.mission import Mission
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 from tests.scp_recon.support import mission_of
@@ -31,6 +31,6 @@ def short_solution(short_mission: Mission) -> Solution:
 @pytest.fixture(scope="session")
 def perfect(short_solution: Solution, vehicle: Vehicle) -> Flight:
     """The short plan flown without errors."""
-    simulation = pytest.importorskip("scp_recon.spacecraft.simulation")
+    simulation = pytest.importorskip("scp_recon.spacecraft.basilisk.simulation")
     flight: Flight = simulation.simulate(short_solution, vehicle, sources=())
     return flight

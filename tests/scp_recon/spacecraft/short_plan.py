@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from scp_recon.mission import Mission
-from scp_recon.solution import (
+from scp_recon.mission.mission import Mission
+from scp_recon.solution.file import (
     Burn,
     Nodes,
     Solution,

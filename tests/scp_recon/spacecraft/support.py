@@ -10,7 +10,7 @@ import numpy.typing as npt
 from Basilisk.architecture import sysModel
 from Basilisk.utilities import SimulationBaseClass, macros
 
-from scp_recon.spacecraft.plant import STEP_S, Plant
+from scp_recon.spacecraft.basilisk.plant import STEP_S, Plant
 
 Array = npt.NDArray[np.float64]
 

@@ -12,25 +12,25 @@ pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
 from Basilisk.utilities import SimulationBaseClass, macros
 
-from scp_recon.frames import unit
-from scp_recon.harmonics import HarmonicField
-from scp_recon.mission import Mission
-from scp_recon.schedule import Leg, Mode
-from scp_recon.solution import Solution
-from scp_recon.spacecraft.flight import Flight
-from scp_recon.spacecraft.guidance import FlightPlan
-from scp_recon.spacecraft.outcome import pointing
-from scp_recon.spacecraft.panels import irradiance
-from scp_recon.spacecraft.plant import Start, build_plant
-from scp_recon.spacecraft.plates import Plates
-from scp_recon.spacecraft.sensors import build_sensors
-from scp_recon.spacecraft.simulation import (
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Leg, Mode
+from scp_recon.physics.frames import unit
+from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.solution.file import Solution
+from scp_recon.spacecraft.basilisk.plant import Start, build_plant
+from scp_recon.spacecraft.basilisk.sensors import build_sensors
+from scp_recon.spacecraft.basilisk.simulation import (
     Draws,
     Simulator,
     Source,
     sensor_sigmas,
     simulate,
 )
+from scp_recon.spacecraft.flight import Flight
+from scp_recon.spacecraft.guidance import FlightPlan
+from scp_recon.spacecraft.outcome import pointing
+from scp_recon.spacecraft.panels import irradiance
+from scp_recon.spacecraft.plates import Plates
 from scp_recon.spacecraft.vehicle import Vehicle
 
 PATH = frozenset({Source.INITIAL_STATE, Source.CHEMICAL_THRUSTER})

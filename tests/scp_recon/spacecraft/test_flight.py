@@ -16,9 +16,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scp_recon import simulate as command
-from scp_recon.mission import Mission
-from scp_recon.schedule import Mode
-from scp_recon.solution import Solution
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Mode
+from scp_recon.solution.file import Solution
+from scp_recon.spacecraft.basilisk.power import distribute, mode_loads
+from scp_recon.spacecraft.basilisk.simulation import (
+    Draws,
+    Simulator,
+    Source,
+    Start,
+    sensor_sigmas,
+    simulate,
+)
 from scp_recon.spacecraft.flight import Actuators, Flight
 from scp_recon.spacecraft.guidance import FlightPlan
 from scp_recon.spacecraft.outcome import (
@@ -29,16 +38,7 @@ from scp_recon.spacecraft.outcome import (
     settling_time,
     sigma_distance,
 )
-from scp_recon.spacecraft.power import distribute, mode_loads
 from scp_recon.spacecraft.record import read_record
-from scp_recon.spacecraft.simulation import (
-    Draws,
-    Simulator,
-    Source,
-    Start,
-    sensor_sigmas,
-    simulate,
-)
 from scp_recon.spacecraft.vehicle import Vehicle
 
 

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scp_recon import geometry
 from scp_recon.errors import InputError
-from scp_recon.mission import Mission
-from scp_recon.schedule import Mode
-from scp_recon.solution import Solution
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Mode
+from scp_recon.physics import geometry
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.guidance import FlightPlan
 from scp_recon.spacecraft.vehicle import Vehicle
 from tests.scp_recon.support import fly

@@ -9,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
-from scp_recon.flow import propagate
-from scp_recon.forces import ForceModel
-from scp_recon.harmonics import HarmonicField
-from scp_recon.mission import Mission
-from scp_recon.solution import Solution
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import propagate
+from scp_recon.physics.forces import ForceModel
+from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.solution.file import Solution
+from scp_recon.spacecraft.basilisk.plant import Start, build_plant
 from scp_recon.spacecraft.panels import irradiance
-from scp_recon.spacecraft.plant import Start, build_plant
 from scp_recon.spacecraft.plates import Plates
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 

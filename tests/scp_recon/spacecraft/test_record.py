@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.solution import Solution
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.record import (
     ARRAYS,

@@ -1,0 +1,1 @@
+"""Forms, algorithms, conic solvers and IPOPT compared: `python -m experiments.compare_solvers`."""

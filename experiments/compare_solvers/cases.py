@@ -1,0 +1,192 @@
+"""What is compared: methods, scenarios, starts, and which of them meet in a cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from formulations.problem.flyby import Iterate
+from formulations.program.solvers import installed
+from formulations.registry import FORMULATIONS
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.scp.algorithms import ALGORITHMS
+
+IPOPT = "IPOPT"
+NLP_VARIANTS = ("printed", "tuned", "shooting")
+"""Keys of `formulations.nlp.solve.VARIANTS`, not imported here: CasADi takes a second."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a case is solved.
+
+    Attributes:
+        formulation: of the convex subproblem, or the variant of the nonlinear program.
+        algorithm: a key of `ALGORITHMS`; for IPOPT "hard", or "elastic" with SCP's penalty.
+        solver: conic solver, or `IPOPT`.
+    """
+
+    formulation: str
+    algorithm: str
+    solver: str
+
+    @property
+    def name(self) -> str:
+        """As the tables print it."""
+        return f"{self.formulation}/{self.algorithm}/{self.solver}"
+
+
+Start = Literal["cold", "warm", "p3", "random"]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run.
+
+    Attributes:
+        group: table that it belongs to.
+        scenario: name of the scenario.
+        overrides: what makes it of the default one, as for `--set`.
+        method: how to solve it.
+        start: straight line; ballistic arc; SCP's own P3 solution and the facets there, the same for
+            every method; or a random guess.
+        seed: of the random guess.
+    """
+
+    group: Literal["matrix", "scenarios", "guesses"]
+    scenario: str
+    overrides: tuple[str, ...]
+    method: Method
+    start: Start
+    seed: int = 0
+
+    @property
+    def key(self) -> str:
+        """Unique, and the same in every run of this study."""
+        start = f"{self.start}{self.seed}" if self.start == "random" else self.start
+        return f"{self.group}|{self.scenario}|{start}|{self.method.name}"
+
+
+REFERENCE = Method("condensed", "scvx", "CLARABEL")
+"""What `python -m scp_recon.solve` does without options."""
+
+TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOPT)
+
+UNGUARDED = "unguarded"
+"""`experiments.compare_solvers.unguarded`, for P2 from a P3 solution only."""
+
+SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, installed()))
+NLP_METHODS = (*(Method(v, "hard", IPOPT) for v in NLP_VARIANTS), ELASTIC)
+FEW = (
+    REFERENCE,
+    Method("condensed", "ptr", "CLARABEL"),
+    Method("condensed", "scvx-star", "CLARABEL"),
+    Method("frozen-stm", "scvx", "CLARABEL"),
+    Method("frozen-covariance", "scvx", "CLARABEL"),
+    Method("condensed", UNGUARDED, "CLARABEL"),
+    Method("frozen-covariance", UNGUARDED, "CLARABEL"),
+    TUNED,
+    ELASTIC,
+)
+"""Those that meet in every scenario."""
+
+GUESSED = (
+    *FEW[:4],
+    Method("lifted", "scvx", "ECOS"),
+    TUNED,
+    Method("shooting", "hard", IPOPT),
+)
+"""Those that start from random guesses; lifted by ECOS, which is its fastest solver but for SCS."""
+
+
+def scenarios() -> dict[str, tuple[str, ...]]:
+    """Overrides of the default scenario by name."""
+    found: dict[str, tuple[str, ...]] = {"recon_b": ()}
+    for p in (0.6, 0.8, 0.9, 0.95):
+        found[f"p_chance={p:g}"] = (f"risk.p_chance={p:g}",)
+    for beta in (0.02, 0.04, 0.12, 0.16):
+        found[f"beta={beta:g}"] = (f"uncertainty.execution_error={beta:g}",)
+    found["bold"] = ("risk.p_chance=0.95", "uncertainty.execution_error=0.16")
+    found["tangent"] = ('polytopes.ball="tangent"', "polytopes.cone=12")
+    found["frame=j2000"] = ('boundary.frame="j2000"',)
+    found |= {f"shifted {seed}": _shifted(seed) for seed in range(1, 5)}
+    return found
+
+
+def _shifted(seed: int) -> tuple[str, ...]:
+    """Boundary states off by 20 m and 1 mm/s in every component, 1 sigma."""
+    rng = np.random.default_rng(seed)
+    printed = {
+        "initial_position_m": (70.2, -1096.3, 406.4),
+        "initial_velocity_m_s": (-0.0047, -0.0167, 0.0278),
+        "final_position_m": (19.9, 1128.7, -140.9),
+        "final_velocity_m_s": (0.0003, 0.0496, -0.0457),
+    }
+    overrides = []
+    for name, values in printed.items():
+        off = rng.normal(scale=20.0 if name.endswith("_m") else 1e-3, size=3)
+        overrides.append(f"boundary.{name}={np.round(np.add(values, off), 6).tolist()}")
+    return tuple(overrides)
+
+
+def start_of(mission: Mission, cell: Cell) -> Iterate:
+    """Where a cell starts; what starts from P3 gets there from the straight line."""
+    if cell.start == "random":
+        return initial_guess.random(mission, cell.seed)
+    return initial_guess.ballistic(mission) if cell.start == "warm" else initial_guess.cold(mission)
+
+
+def full_design(guesses: int = 50) -> tuple[Cell, ...]:
+    """Everything meets in the default scenario from the straight line, a few methods elsewhere."""
+    default: dict[str, tuple[str, ...]] = {"recon_b": ()}
+    by_clarabel = [method for method in SCP_METHODS if method.solver == "CLARABEL"]
+    return (
+        *_cells("matrix", default, (*SCP_METHODS, *NLP_METHODS), ("cold",)),
+        *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), ("warm",)),
+        *_cells("scenarios", scenarios(), FEW, ("p3",)),
+        *_guesses(GUESSED, guesses),
+    )
+
+
+def quick_design() -> tuple[Cell, ...]:
+    """A cell of every kind: two minutes on one core, and little to conclude from."""
+    matrix = (
+        *(Method("condensed", a, "CLARABEL") for a in ALGORITHMS),
+        *(Method("condensed", "scvx", s) for s in installed()[1:]),
+        *(Method(f, "scvx", "CLARABEL") for f in FORMULATIONS if f != "condensed"),
+        TUNED,
+    )
+    shooting = Method("shooting", "hard", IPOPT)
+    feasible, infeasible = ({name: scenarios()[name]} for name in ("recon_b", "beta=0.16"))
+    of_feasible = [method for method in FEW if method != ELASTIC]
+    return (
+        *_cells("matrix", {"recon_b": ()}, matrix, ("cold",)),
+        *_cells("matrix", {"recon_b": ()}, (shooting,), ("warm",)),
+        *_cells("scenarios", feasible, of_feasible, ("p3",)),
+        *_cells("scenarios", infeasible, (REFERENCE, ELASTIC), ("p3",)),
+        *_guesses((REFERENCE, TUNED), 3),
+    )
+
+
+def _cells(
+    group: Literal["matrix", "scenarios"],
+    found: dict[str, tuple[str, ...]],
+    methods: Iterable[Method],
+    starts: Sequence[Start],
+) -> list[Cell]:
+    return [
+        Cell(group, name, overrides, method, start)
+        for (name, overrides), method, start in product(found.items(), methods, starts)
+    ]
+
+
+def _guesses(methods: Iterable[Method], number: int) -> list[Cell]:
+    return [
+        Cell("guesses", "recon_b", (), method, "random", seed)
+        for seed, method in product(range(number), methods)
+    ]

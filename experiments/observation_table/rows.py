@@ -1,0 +1,151 @@
+"""The rows of the observation-time table: who designs the burns, and what the paper prints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.observation_table.as_flown import as_flown_burns
+from formulations.program.merit import MeritFunction
+from formulations.rows.deterministic import DeterministicRows
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import Plan, Provenance, Stage
+from scp_recon.scp.loop import Result, Timing
+from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution
+from scp_recon.solution.from_plan import make_solution
+
+Array = npt.NDArray[np.float64]
+Init = Literal["cold", "warm"]
+
+GUESSES = {"cold": initial_guess.cold, "warm": initial_guess.ballistic}
+VARIANT = "tuned"
+"""How the nonlinear programs are written down for IPOPT."""
+
+NOT_OPTIMISED = "none"
+"""The `algorithm` of a solution file whose burns were given and only evaluated."""
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A row of the paper's table of observation times (Echigo et al., arXiv 2412.06816)."""
+
+    name: str
+    mean_s: float
+    worst_1_sigma_s: float
+
+
+PRINTED_WINDOW_S = 3397.0
+"""Length of the window, and every row's observation time without uncertainty."""
+
+PRINTED_CLOSEST_M = 667.24
+"""Distance from the centre at the 0.003 quantile, of "the solution trajectory" of either start."""
+
+OSIRIS_REX = Printed("OSIRIS-REx", 2930.0, 2785.0)
+WARM = Printed("Proposed Method with Warm Start", 3043.0, 3017.0)
+COLD = Printed("Proposed Method with Cold Start", 3271.0, 3397.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row.
+
+    Attributes:
+        key: name of its folder.
+        label: what it is.
+        role: "reference" stands for the practice that the planner is compared with.
+        printed: what the paper prints in this place.
+        design: finds the burns.
+        anew: whether to find them in every run, because a file of the user's may have changed.
+    """
+
+    key: str
+    label: str
+    role: Literal["reference", "planned"]
+    printed: Printed
+    design: Callable[[Mission], Solution]
+    anew: bool = False
+
+
+def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tuple[Row, ...]:
+    """The table's rows in its order.
+
+    Args:
+        ipopt: whether to plan by IPOPT too.
+        as_flown: the flight's kernel and where to write the states read from it.
+    """
+    found = [
+        Row(
+            "ballistic",
+            "OSIRIS-REx surrogate: ballistic two-impulse arc",
+            "reference",
+            OSIRIS_REX,
+            _ballistic,
+        ),
+        Row(
+            "p3",
+            "OSIRIS-REx surrogate: P3 design, no uncertainty",
+            "reference",
+            OSIRIS_REX,
+            partial(_scp, "cold", "P3"),
+        ),
+        Row("scp_warm", "SCP, warm start", "planned", WARM, partial(_scp, "warm", "P2")),
+        Row("scp_cold", "SCP, cold start", "planned", COLD, partial(_scp, "cold", "P2")),
+    ]
+    if ipopt:
+        found += [
+            Row("ipopt_warm", "IPOPT, warm start", "planned", WARM, partial(_ipopt, "warm")),
+            Row("ipopt_cold", "IPOPT, cold start", "planned", COLD, partial(_ipopt, "cold")),
+        ]
+    if as_flown:
+        design = partial(_as_flown, *as_flown)
+        label = "OSIRIS-REx as flown (SPK)"
+        found.append(Row("as_flown", label, "reference", OSIRIS_REX, design, anew=True))
+    return tuple(found)
+
+
+def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> Solution:
+    """Given burns in the form of a solution: rolled out, with P3's margins, nothing optimised."""
+    lin = mission.dynamics.linearise(mission.problem, initial_guess.from_burns(mission, burns_m_s))
+    merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
+    # No iteration was allowed, which is what the status says of a plan that is none.
+    result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
+    stage = Stage(init, result, merit, None, SCvx().feasible)
+    provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, init)
+    solution = make_solution(Plan(mission, provenance, (stage,), stage, Timing(), 0.0))
+    return solution.model_copy(update={"message": message})
+
+
+def _ballistic(mission: Mission) -> Solution:
+    burns = initial_guess.ballistic(mission).burns * mission.units.speed_m_s
+    message = "Not a plan: the ballistic arc between the boundary positions, evaluated as it is."
+    return evaluated(mission, burns, "ballistic", message)
+
+
+def _as_flown(kernel: Path, table: Path, mission: Mission) -> Solution:
+    burns, distance_m = as_flown_burns(mission, kernel, table)
+    message = (
+        f"Not a plan: impulses fitted to {kernel.name}, "
+        f"which they follow within {distance_m:.1f} m in the observation window."
+    )
+    return evaluated(mission, burns, "as_flown", message)
+
+
+def _scp(init: Init, problem: Literal["P3", "P2"], mission: Mission) -> Solution:
+    return make_solution(plan(mission, GUESSES[init](mission), problem=problem, init=init))
+
+
+def _ipopt(init: Init, mission: Mission) -> Solution:
+    """The one place that knows the reference solver."""
+    from scp_recon.planning import ipopt  # by CasADi, which takes a second to import
+
+    return make_solution(ipopt.plan(mission, GUESSES[init](mission), variant=VARIANT, init=init))

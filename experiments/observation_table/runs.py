@@ -1,0 +1,211 @@
+"""A row of the observation-time table from its folder, or computed and left there."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from experiments.observation_table.rows import NOT_OPTIMISED, Row
+from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import Estimate
+from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
+from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.montecarlo import FILE_NAME, ONE_SIGMA, SCHEMA, summarise
+from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
+from scp_recon.solution.file import Solution, read_solution
+from scp_recon.verification.reintegration import verify
+
+Array = npt.NDArray[np.float64]
+
+UNIFORM_STEP_S = 232.0
+"""The paper's time step, on a grid that need not contain the window's edges."""
+
+COUNTED_MAX = 10_000
+"""Flights counted there; more would not fit memory and the difference is clear from these."""
+
+COUNTED = "counted_on_uniform_grid"
+"""What this study adds to a campaign's report."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A row with what its flights showed.
+
+    Attributes:
+        row: which.
+        solution: its burns and nodes.
+        report: `scp_recon.montecarlo.summarise` and `COUNTED`.
+        window_s: length of the window.
+        without_uncertainty_s: observation time of the plan itself.
+        reused: whether nothing had to be computed.
+    """
+
+    row: Row
+    solution: Solution
+    report: dict[str, Any]
+    window_s: float
+    without_uncertainty_s: float
+    reused: bool = False
+
+    @property
+    def mean(self) -> Estimate:
+        """Mean observation time, s."""
+        return estimate(self.report["held_s"][ALL]["mean"])
+
+    @property
+    def worst_1_sigma(self) -> Estimate:
+        """Observation time that all but the worst 15.9 % of flights reach, s."""
+        return estimate(self.report["held_s"][ALL]["worst_1_sigma"])
+
+    @property
+    def full_at_1_sigma(self) -> bool:
+        """Whether surely no more than 15.9 % of flights lose any of the window."""
+        return estimate(self.report["held_s"][ALL]["throughout"]).low >= 1.0 - ONE_SIGMA
+
+    @property
+    def closest(self) -> Estimate:
+        """Distance from the body's centre at the 0.3 % quantile, m."""
+        return estimate(self.report["closest_m"]["worst"])
+
+    @property
+    def lowest_joint(self) -> tuple[str, Estimate]:
+        """The least probable joint constraint at its least probable time."""
+        found = {k: estimate(v) for k, v in self.report["probability"].items() if k != ALL}
+        name = min(found, key=lambda k: found[k].value)
+        return name, found[name]
+
+    @property
+    def all_at_once(self) -> Estimate:
+        """Probability that all observation constraints hold where it is smallest."""
+        return estimate(self.report["probability"][ALL])
+
+    @property
+    def status(self) -> str:
+        """How the design ended, and whether it was verified."""
+        if self.solution.algorithm == NOT_OPTIMISED:
+            return "given, not optimised"
+        v = self.solution.verification
+        words = "" if v is None else ", verified" if v.ok else f", not verified: {v.failed}"
+        return f"{self.solution.problem} {self.solution.status}{words}"
+
+
+@dataclass(frozen=True)
+class Failed:
+    """A row that could not be computed, and why."""
+
+    row: Row
+    reason: str
+
+
+def estimate(entry: dict[str, float | None]) -> Estimate:
+    """From JSON, where an open end is null."""
+    low, high = entry["low"], entry["high"]
+    value = entry["value"]
+    return Estimate(
+        float(value) if value is not None else np.nan,
+        -np.inf if low is None else low,
+        np.inf if high is None else high,
+    )
+
+
+def run_row(
+    row: Row, mission: Mission, folder: Path, *, samples: int, check: bool, fresh: bool = False
+) -> Measured:
+    """Design the row's burns and fly them, as far as the folder does not hold that already.
+
+    Args:
+        row: what to fly.
+        mission: in which.
+        folder: of the row's solution.json and montecarlo.json.
+        samples: flights.
+        check: whether to verify a plan independently of its solver.
+        fresh: forget what is there.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if fresh:  # a row that then fails leaves nothing that looks like its result
+        for name in (SOLUTION_FILE, FILE_NAME):
+            (folder / name).unlink(missing_ok=True)
+    solution = None if row.anew else _stored_solution(folder, mission, check)
+    designed = solution is None
+    if solution is None:
+        solution = row.design(mission)
+        if check and solution.algorithm != NOT_OPTIMISED:
+            found = verify(mission, solution)
+            solution = solution.model_copy(update={"verification": found})
+        solution.write(folder)
+    report = _stored_report(folder, solution, samples)
+    flown = report is None
+    if report is None:
+        campaign = fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=samples)
+        report = summarise(campaign, solution) | {
+            COUNTED: _counted(mission, solution, min(samples, COUNTED_MAX))
+        }
+        write_atomically(folder / FILE_NAME, json.dumps(report) + "\n")
+    first, last = mission.schedule.window_s
+    return Measured(
+        row,
+        solution,
+        report,
+        window_s=last - first,
+        without_uncertainty_s=_nominal_time(mission, solution),
+        reused=not (designed or flown),
+    )
+
+
+def _stored_solution(folder: Path, mission: Mission, check: bool) -> Solution | None:
+    try:
+        solution = read_solution(folder)
+    except InputError:
+        return None
+    planned = solution.algorithm != NOT_OPTIMISED
+    if solution.scenario != mission.scenario or (check and planned and not solution.verification):
+        return None
+    return solution
+
+
+def _stored_report(folder: Path, solution: Solution, samples: int) -> dict[str, Any] | None:
+    try:
+        report: dict[str, Any] = json.loads((folder / FILE_NAME).read_text("utf-8"))
+        wanted = {
+            "schema": SCHEMA,
+            "samples": samples,
+            "seed": 0,
+            "truth": "planner",
+            "errors": "componentwise",
+            "planned_dv_m_s": solution.total_dv_m_s,
+        }
+        complete = COUNTED in report and all(report[key] == value for key, value in wanted.items())
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return report if complete else None
+
+
+def _nominal_time(mission: Mission, solution: Solution) -> float:
+    """Time in which the mean itself holds all observation constraints, s."""
+    window = mission.window_nodes
+    states = np.array(solution.nodes.state)[window, None]
+    return float(time_held(mission, mission.times_s[window], states)[ALL].duration[0])
+
+
+def _counted(mission: Mission, solution: Solution, samples: int) -> dict[str, float]:
+    """Observation time as the share of the paper's uniform nodes at which all constraints hold."""
+    end, (first, last) = mission.times_s[-1], mission.schedule.window_s
+    grid = np.linspace(0.0, end, int(end // UNIFORM_STEP_S) + 1)
+    nodes = grid[(grid >= first) & (grid <= last)]
+    positions = sample_positions(mission, solution.burns_m_s, nodes, samples)
+    joint = joint_margins(mission, nodes, positions)
+    holds = np.logical_and.reduce([joint[name] >= 0.0 for name in SCIENCE])
+    seconds = holds.mean(axis=0) * (last - first)
+    return {
+        "nodes": len(nodes),
+        "mean_s": float(seconds.mean()),
+        "worst_1_sigma_s": float(np.quantile(seconds, ONE_SIGMA)),
+    }

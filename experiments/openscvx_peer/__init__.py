@@ -1,0 +1,1 @@
+"""OpenSCvx on the same problem: `python -m experiments.openscvx_peer`."""

@@ -1,0 +1,166 @@
+"""P3 in OpenSCvx's words; needs the extra [peer].
+
+Posed as its users would: symbolic dynamics with impulsive controls, the turning site as a function of
+the time state, constraints at the nodes. Dynamics and limits are the planner's.
+
+What its release 0.5.2 does not express, or not as the planner does:
+
+- Chance constraints. There is no covariance state that a constraint could look at without writing its
+  36 differential equations with second derivatives by hand, so that only P3 is compared.
+- The size of an impulse: its derivative at the nodes without a burn, where the impulse is zero, is not
+  a number. A second control bounds it from above, in the cost and in the battery's cone.
+- The straight line as a guess: it leads through the body's centre, where the adaptive integration
+  gives no number. Both sides start from the ballistic arc.
+- The Sun's motion of 0.02 deg in the window is left out, and both phase limits are one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.problem.flyby import Iterate
+from scp_recon.mission.mission import Mission
+from scp_recon.physics import geometry
+from scp_recon.physics.forces import acceleration
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """P3 in its words, all but the algorithm.
+
+    Attributes:
+        arguments: of `openscvx.Problem`.
+        burn_nodes: among its nodes.
+    """
+
+    arguments: dict[str, Any]
+    burn_nodes: npt.NDArray[np.intp]
+
+
+def pose(mission: Mission, start: Iterate, stride: int) -> Problem:
+    """P3 of a mission, nondimensional; of the nodes outside the window every `stride`-th is kept."""
+    import openscvx as ox
+
+    p, units = mission.problem, mission.units
+    nodes = np.union1d(mission.window_nodes, mission.burn_nodes)
+    nodes = np.union1d(nodes, np.arange(0, len(mission.times_s), stride))
+    times = mission.times_s[nodes]
+    t, count = times / units.time_s, len(nodes)
+    window = np.searchsorted(nodes, mission.window_nodes)
+    burn_nodes = np.searchsorted(nodes, mission.burn_nodes)
+    at = burn_nodes.tolist()
+
+    position, velocity = ox.State("position", shape=(3,)), ox.State("velocity", shape=(3,))
+    spent = ox.State("spent", shape=(1,))
+    for state, part in ((position, slice(0, 3)), (velocity, slice(3, 6))):
+        state.min, state.max = [-3.0] * 3, [3.0] * 3
+        state.initial, state.final = p.initial_state[part], p.final_state[part]
+        state.guess = start.mean[nodes, part]
+    size_max = p.dv_max * p.n_burns
+    spent.min, spent.max, spent.initial = [0.0], [size_max], [0.0]
+    spent.final = [ox.Minimize(start.total_dv)]
+    spent.guess = np.linspace(0.0, start.total_dv, count)[:, None]
+    burn = ox.Control("burn", shape=(3,), parameterization="impulsive", nodes=at)
+    size = ox.Control("size", shape=(1,), parameterization="impulsive", nodes=at)
+    burn.min, burn.max = [-p.dv_max] * 3, [p.dv_max] * 3
+    size.min, size.max = [0.0], [p.dv_max]
+    burn.guess, size.guess = np.zeros((count, 3)), np.zeros((count, 1))
+    burn.guess[at] = start.burns
+    size.guess[at] = np.linalg.norm(start.burns, axis=1, keepdims=True)
+    end = float(t[-1])
+    # Its default asks arcs of at least three tenths of the mean, which the window's are not.
+    shortest = 0.5 * float(np.diff(t).min()) * (count - 1)
+    time = ox.Time(
+        initial=0.0,
+        final=end,
+        min=0.0,
+        max=end,
+        guess=t,
+        time_dilation_min=min(shortest, 0.3 * end),
+    )
+
+    constraints = [
+        *((time[0] == float(t[k])).convex().at([k]) for k in range(1, count - 1)),
+        *((ox.linalg.Norm(burn) <= size[0]).convex().at([k]) for k in at),
+        *_burn_cones(ox, mission, burn, size, at),
+        *_state_constraints(ox, mission, position, time, times, window.tolist()),
+    ]
+    forces = mission.forces.in_units(units.length_m, units.time_s)
+    pull = acceleration(position[0], position[1], position[2], forces)
+    return Problem(
+        {
+            "dynamics": {
+                "position": velocity,
+                "velocity": ox.Concat(*pull),
+                "spent": ox.Constant(np.zeros(1)),
+            },
+            "dynamics_discrete": {
+                "position": position,
+                "velocity": velocity + burn,
+                "spent": spent + size,
+            },
+            "states": [position, velocity, spent],
+            "controls": [burn, size],
+            "time": time,
+            "constraints": constraints,
+            "N": count,
+            "float_dtype": "float64",
+        },
+        burn_nodes,
+    )
+
+
+def _burn_cones(ox: Any, mission: Mission, burn: Any, size: Any, at: list[int]) -> list[Any]:
+    """Burns outside the battery's double cone: their part along the Sun line below its cosine."""
+    p = mission.problem
+    limit = float(np.cos(p.dv_cone))
+    return [
+        (sign * ox.Sum(burn * sun) <= limit * size[0]).convex().at([k])
+        for k, sun in zip(at, p.sun, strict=True)
+        for sign in (1.0, -1.0)
+    ]
+
+
+def _state_constraints(
+    ox: Any, mission: Mission, position: Any, time: Any, times_s: Array, window: list[int]
+) -> list[Any]:
+    """Safety at every node, the observation in the window; the site turns with the time state."""
+    limits, length = mission.scenario.observation, mission.units.length_m
+    track = geometry.track(mission.site, mission.rotation, times_s)
+    site = _turning(ox, mission, track.position / length, time, times_s)
+    normal = _turning(ox, mission, track.normal, time, times_s)
+    sun = mission.sun_direction(times_s[window]).mean(axis=0)
+    offset = position - site
+    distance = ox.linalg.Norm(offset)
+    emission, phase = ox.Sum(offset * normal) / distance, ox.Sum(offset * sun) / distance
+    widest = max(limits.phase_min_deg, mission.scenario.battery.observation_cone_deg)
+
+    def cosine(angle_deg: float) -> float:
+        return float(np.cos(np.deg2rad(angle_deg)))
+
+    everywhere = list(range(len(times_s)))
+    safe = mission.scenario.safety.radius_min_m / length
+    return [
+        (ox.linalg.Norm(position) >= safe).at(everywhere),
+        (distance >= limits.site_distance_min_m / length).at(window),
+        (distance <= limits.site_distance_max_m / length).at(window),
+        (emission <= cosine(limits.emission_min_deg)).at(window),
+        (emission >= cosine(limits.emission_max_deg)).at(window),
+        (phase <= cosine(widest)).at(window),
+    ]
+
+
+def _turning(ox: Any, mission: Mission, values: Array, time: Any, times_s: Array) -> Any:
+    """A vector fixed in the body, (n, 3) at given times, as an expression of the time state."""
+    unit = mission.units.time_s
+    rate = mission.rotation.rate * unit
+    angle = rate * times_s / unit
+    basis = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
+    fixed, cosine, sine = np.linalg.lstsq(basis, values)[0]
+    return fixed + ox.Cos(rate * time[0]) * cosine + ox.Sin(rate * time[0]) * sine

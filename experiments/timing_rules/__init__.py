@@ -1,0 +1,1 @@
+"""How long the attitude modes have to be: `python -m experiments.timing_rules`."""

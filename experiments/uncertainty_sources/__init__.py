@@ -1,0 +1,1 @@
+"""What each source of error contributes: `python -m experiments.uncertainty_sources`."""

@@ -1,0 +1,1 @@
+"""Mean and covariance factor around an iterate, as affine functions of the burns."""

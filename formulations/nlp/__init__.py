@@ -1,0 +1,1 @@
+"""The same problems as CasADi programs for IPOPT: printed, tuned, single shooting."""

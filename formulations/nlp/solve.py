@@ -1,0 +1,250 @@
+"""P3 and P2 as nonlinear programs, solved by IPOPT: the reference of the sequential convex programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from time import perf_counter
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from formulations.nlp.covariance import Covariance, initial_deviation
+from formulations.nlp.interrupts import noticing_interrupts
+from formulations.nlp.multiple_shooting import MultipleShooting
+from formulations.nlp.program import Arcs, Assembled, Start, Transcription, assemble
+from formulations.nlp.single_shooting import SingleShooting
+from formulations.problem.facets import Facets
+from formulations.problem.flyby import FlybyProblem, Iterate
+
+
+@dataclass(frozen=True)
+class Settings:
+    """IPOPT's options that matter here; its defaults otherwise.
+
+    Attributes:
+        hessian: exact second derivatives, or a limited-memory BFGS approximation.
+        linear_solver: "mumps" or "spral" with CasADi's wheels. SPRAL needs the environment variables
+            OMP_CANCELLATION=TRUE and OMP_PROC_BIND=TRUE.
+        barrier: strategy for the barrier parameter.
+        tolerance: of the scaled optimality conditions.
+        max_iterations: limit.
+        max_seconds: limit, wall clock.
+    """
+
+    hessian: Literal["exact", "limited-memory"] = "exact"
+    linear_solver: str = "mumps"
+    barrier: Literal["monotone", "adaptive"] = "monotone"
+    tolerance: float = 1e-8
+    max_iterations: int = 1000
+    max_seconds: float = 600.0
+
+    def options(self) -> dict[str, Any]:
+        """As CasADi wants them; nothing is printed."""
+        return {
+            "ipopt.hessian_approximation": self.hessian,
+            "ipopt.linear_solver": self.linear_solver,
+            "ipopt.mu_strategy": self.barrier,
+            "ipopt.tol": self.tolerance,
+            # Of the rows unscaled; by default 1e-4, a decimetre.
+            "ipopt.constr_viol_tol": CONSTRAINT_TOLERANCE,
+            "ipopt.acceptable_constr_viol_tol": CONSTRAINT_TOLERANCE,
+            "ipopt.max_iter": self.max_iterations,
+            "ipopt.max_wall_time": self.max_seconds,
+            "ipopt.print_level": 0,
+            "ipopt.sb": "yes",
+            "print_time": False,
+            "show_eval_warnings": False,
+        }
+
+
+CONSTRAINT_TOLERANCE = 1e-7
+
+EXACT = Settings(barrier="adaptive")
+QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A transcription and the settings that serve it.
+
+    Attributes:
+        transcription: how the program is written down.
+        p3: settings for P3, and for P2 without a facet. There a burn may vanish, where the cost has a
+            kink that a quasi-Newton Hessian does not get over.
+        p2: settings for P2.
+        screened: whether facets far from binding may be left out, to be checked afterwards.
+    """
+
+    transcription: Transcription
+    p3: Settings
+    p2: Settings
+    screened: bool = True
+
+
+def paper_covariance(problem: FlybyProblem) -> Covariance:
+    """All 36 entries, in the problem's units."""
+    return Covariance(problem, unique=False)
+
+
+def scaled_covariance(problem: FlybyProblem) -> Covariance:
+    """The 21 unique entries, in units of the initial variance."""
+    return Covariance(problem, unique=True, unit=initial_deviation(problem))
+
+
+VARIANTS: dict[str, Variant] = {
+    "printed": Variant(
+        MultipleShooting(paper_covariance, arcs="called", printed=True, whole=True),
+        p3=Settings(),
+        p2=Settings(),
+        screened=False,
+    ),
+    "tuned": Variant(
+        MultipleShooting(scaled_covariance, arcs="differentiated"), p3=EXACT, p2=EXACT
+    ),
+    "shooting": Variant(SingleShooting(), p3=EXACT, p2=QUASI_NEWTON),
+}
+"""As the paper prints the problems; as an expert would pose them; with twelve unknowns."""
+
+
+class NlpOutcome(Enum):
+    """How IPOPT ended."""
+
+    SOLVED = "solved"
+    ACCEPTABLE = "solved to the acceptable tolerance"
+    INFEASIBLE = "a stationary point of the violation"
+    LIMIT = "a limit came first"
+    INTERRUPTED = "interrupted"
+    FAILED = "failed"
+
+
+OUTCOMES = {
+    "Solve_Succeeded": NlpOutcome.SOLVED,
+    "Solved_To_Acceptable_Level": NlpOutcome.ACCEPTABLE,
+    "Infeasible_Problem_Detected": NlpOutcome.INFEASIBLE,
+    "Maximum_Iterations_Exceeded": NlpOutcome.LIMIT,
+    "Maximum_CpuTime_Exceeded": NlpOutcome.LIMIT,
+    "Maximum_WallTime_Exceeded": NlpOutcome.LIMIT,
+    "User_Requested_Stop": NlpOutcome.INTERRUPTED,
+}
+
+
+@dataclass(frozen=True)
+class NlpIteration:
+    """One line of IPOPT's log: objective, largest scaled violation, largest step of an unknown."""
+
+    objective: float
+    violation: float
+    step: float
+
+
+@dataclass(frozen=True)
+class NlpResult:
+    """Where IPOPT ended, and what it took.
+
+    Attributes:
+        iterate: burns and means; single shooting's have no defects but at the end.
+        outcome: what the status means.
+        status: IPOPT's own word.
+        objective: total delta-v, plus the penalty if there is one.
+        iterations: log, the start included.
+        unknowns: their number.
+        rows: number of constraints.
+        build_s: seconds to write the program down and differentiate it.
+        solve_s: seconds in IPOPT, evaluations included.
+        evaluate_s: of which in evaluations.
+    """
+
+    iterate: Iterate
+    outcome: NlpOutcome
+    status: str
+    objective: float
+    iterations: tuple[NlpIteration, ...]
+    unknowns: int
+    rows: int
+    build_s: float
+    solve_s: float
+    evaluate_s: float
+
+    @property
+    def total_s(self) -> float:
+        """Seconds from problem to answer."""
+        return self.build_s + self.solve_s
+
+
+def solve_nlp(
+    problem: FlybyProblem,
+    arcs: Arcs,
+    facets: Facets | None,
+    start: Start,
+    variant: Variant,
+    penalty: float | None = None,
+) -> NlpResult:
+    """Solve P2 on fixed facets, or P3 without.
+
+    Args:
+        problem: the flyby problem.
+        arcs: its dynamics.
+        facets: of P2; None for P3.
+        start: initial guess.
+        variant: how to write it down and solve it.
+        penalty: of the exact L1 penalty on violations as `Subproblem.merit` weighs them, the arcs
+            alone staying hard; None for hard constraints.
+
+    Raises:
+        ValueError: if P2 is to start without a factor.
+    """
+    begin = perf_counter()
+    elastic = penalty is not None
+    program = variant.transcription(problem, arcs, facets, start, elastic)
+    nlp = assemble(program, penalty)
+    uncertain = facets is not None and len(facets.node) > 0
+    solver = _solver(nlp, variant.p2 if uncertain else variant.p3)
+    build_s = perf_counter() - begin
+    begin = perf_counter()
+    with noticing_interrupts() as interrupted:
+        answer = solver(x0=nlp.start, lbx=nlp.lower, lbg=0.0, ubg=nlp.rows_upper)
+        seen = interrupted()
+    solve_s = perf_counter() - begin
+    stats = solver.stats()
+    point = np.array(answer["x"]).ravel()[: program.unknowns.numel()]
+    log = stats.get("iterations", {})
+    lines = zip(*(log.get(key, ()) for key in ("obj", "inf_pr", "d_norm")), strict=True)
+    return NlpResult(
+        iterate=program.iterate(point),
+        outcome=_outcome(stats["return_status"], interrupted=seen),
+        status=stats["return_status"],
+        objective=float(answer["f"]),
+        iterations=tuple(NlpIteration(*line) for line in lines),
+        unknowns=nlp.unknowns.numel(),
+        rows=nlp.rows.numel(),
+        build_s=build_s,
+        solve_s=solve_s,
+        evaluate_s=sum(s for name, s in stats.items() if name.startswith("t_wall_nlp_")),
+    )
+
+
+def _outcome(status: str, *, interrupted: bool) -> NlpOutcome:
+    """What IPOPT's status means; Ctrl-C ends as an exception in it, as others may."""
+    if status == "NonIpopt_Exception_Thrown" and interrupted:
+        return NlpOutcome.INTERRUPTED
+    return OUTCOMES.get(status, NlpOutcome.FAILED)
+
+
+def _solver(nlp: Assembled, settings: Settings) -> ca.Function:
+    """IPOPT with the derivatives that the program brings along."""
+    options = settings.options()
+    if np.isfinite(nlp.lower).any():
+        # IPOPT relaxes bounds by 1e-8. A slack below zero is paid for, and there are hundreds.
+        options["ipopt.bound_relax_factor"] = 0.0
+    x, nothing = nlp.unknowns, ca.MX.sym("parameters", 0, 1)
+    if nlp.jacobian is not None:
+        outputs = [nlp.rows, nlp.jacobian]
+        options["jac_g"] = ca.Function("nlp_jac_g", [x, nothing], outputs)
+    if nlp.hessian is not None and settings.hessian == "exact":
+        factor, factors = ca.MX.sym("factor"), ca.MX.sym("factors", nlp.rows.numel())
+        hessian = nlp.hessian(factor, factors)
+        options["hess_lag"] = ca.Function("nlp_hess_l", [x, nothing, factor, factors], [hessian])
+    program = {"x": x, "p": nothing, "f": nlp.objective, "g": nlp.rows}
+    return ca.nlpsol("nlp", "ipopt", program, options)

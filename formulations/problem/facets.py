@@ -1,0 +1,179 @@
+"""Facets of the chance constraints: placed at a guess, chosen by largest probability, then fixed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.problem.flyby import FlybyProblem, Nodes, StateConstraint
+from formulations.problem.polytopes import BallPolytope, inner_pyramid_angle, rotations_between
+from formulations.problem.regions import Array, Ball, Cone, Halfspaces, Region
+from formulations.risk.uniform import quantile, split_risk
+
+
+@dataclass(frozen=True)
+class Polytopes:
+    """How regions become polytopes.
+
+    Attributes:
+        ball: polytope about the unit ball, or None for a single facet through the sphere's point on
+            the line of sight. That tangent facet is an outer approximation of a keep-in ball: a
+            first-order condition, good while the spread is small against the radius, and to be
+            backed by a Monte Carlo check. For a keep-out ball it is exact.
+        cone_facets: facets of the pyramids about and inside cones.
+    """
+
+    ball: BallPolytope | None
+    cone_facets: int
+
+
+@dataclass(frozen=True)
+class Facets:
+    """Affine chance constraints a'r_k + q ||S_k'a|| <= b on positions, m of them.
+
+    Attributes:
+        constraint: index into the problem's constraints, shape (m,).
+        node: node index, shape (m,).
+        normal: unit vectors a, shape (m, 3).
+        offset: b, shape (m,).
+        quantile: q = Psi^-1 of the facet's share of the probability, shape (m,).
+    """
+
+    constraint: Nodes
+    node: Nodes
+    normal: Array
+    offset: Array
+    quantile: Array
+
+    def chosen(self, which: npt.NDArray[np.bool_]) -> Facets:
+        """Those of a mask, shape (m,)."""
+        return Facets(*(getattr(self, name)[which] for name in Facets.__annotations__))
+
+    def deviation(self, factor: Array) -> Array:
+        """Standard deviation ||S_k'a|| along each facet's normal, (m,)."""
+        return np.linalg.norm(np.einsum("mi,mic->mc", self.normal, factor[self.node, :3]), axis=1)
+
+    def margin(self, mean: Array, factor: Array) -> Array:
+        """B - a'r_k - q ||S_k'a||, >= 0 where satisfied, (m,)."""
+        distance = self.offset - np.einsum("mi,mi->m", self.normal, mean[self.node, :3])
+        return distance - self.quantile * self.deviation(factor)
+
+
+def choose_facets(
+    problem: FlybyProblem, polytopes: Polytopes, mean: Array, factor: Array
+) -> Facets:
+    """All facets of keep-in polytopes, and of each keep-out polytope the most probable one.
+
+    Args:
+        problem: gives the constraints and their probabilities.
+        polytopes: what stands for balls and cones.
+        mean: node means of the guess, shape (n_nodes, 6); its lines of sight turn the polytopes.
+        factor: covariance factor of the guess, shape (n_nodes, 6, c).
+    """
+    parts = [
+        _constraint_facets(index, constraint, polytopes, mean, factor)
+        for index, constraint in enumerate(problem.constraints)
+    ]
+    return Facets(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in Facets.__annotations__
+        )
+    )
+
+
+def _constraint_facets(
+    index: int, constraint: StateConstraint, polytopes: Polytopes, mean: Array, factor: Array
+) -> Facets:
+    point = mean[constraint.nodes, :3]
+    if constraint.keep == "in":
+        candidates = inner_facets(constraint.region, polytopes, point)
+        # A tangent facet stands alone, so Boole's split leaves it the whole probability.
+        share = split_risk(constraint.probability, len(candidates))
+    else:
+        outside = [
+            plane.complement() for plane in outer_facets(constraint.region, polytopes, point)
+        ]
+        candidates = [_most_probable(outside, point, factor[constraint.nodes, :3])]
+        share = constraint.probability
+    count = len(candidates) * len(constraint.nodes)
+    return Facets(
+        constraint=np.full(count, index),
+        node=np.tile(constraint.nodes, len(candidates)),
+        normal=np.concatenate([plane.normal for plane in candidates]),
+        offset=np.concatenate([plane.offset for plane in candidates]),
+        quantile=np.full(count, quantile(share)),
+    )
+
+
+def inner_facets(region: Region, polytopes: Polytopes, point: Array) -> list[Halfspaces]:
+    """Facets of a polytope inside the region, a vertex or an edge of it turned towards `point`.
+
+    With a facet turned that way instead, the polytope is thinnest just where the spacecraft flies.
+    """
+    if isinstance(region, Ball):
+        if polytopes.ball is None:
+            return [region.supporting(point)]
+        return _turned_ball(
+            region, polytopes.ball, polytopes.ball.vertex, point, polytopes.ball.reach
+        )
+    n = polytopes.cone_facets
+    return _pyramid(region, inner_pyramid_angle(region.half_angle, n), n, np.pi / n, point)
+
+
+def outer_facets(region: Region, polytopes: Polytopes, point: Array) -> list[Halfspaces]:
+    """Facets of a polytope around the region, one of them turned towards `point`."""
+    if isinstance(region, Ball):
+        if polytopes.ball is None:
+            return [region.supporting(point)]
+        return _turned_ball(region, polytopes.ball, polytopes.ball.normals[0], point, 1.0)
+    return _pyramid(region, region.half_angle, polytopes.cone_facets, 0.0, point)
+
+
+def _turned_ball(
+    region: Ball, polytope: BallPolytope, facing: Array, point: Array, shrink: float
+) -> list[Halfspaces]:
+    sight = region.supporting(point).normal
+    normals = np.einsum("nij,mj->mni", rotations_between(facing, sight), polytope.normals)
+    radius = region.radius / shrink
+    return [Halfspaces(a, np.einsum("ni,ni->n", a, region.center) + radius) for a in normals]
+
+
+def _pyramid(
+    region: Cone, angle: float, facets: int, first_azimuth: float, point: Array
+) -> list[Halfspaces]:
+    across = region.across(point)
+    side = np.cross(region.axis, across)
+    azimuths = first_azimuth + 2.0 * np.pi * np.arange(facets) / facets
+    return [region.facets(np.cos(phi) * across + np.sin(phi) * side, angle) for phi in azimuths]
+
+
+def _most_probable(candidates: list[Halfspaces], point: Array, factor: Array) -> Halfspaces:
+    """At each node the half-space with the largest probability: argmax (b - a'mu) / ||S'a||."""
+    normal = np.stack([plane.normal for plane in candidates])  # (m, n, 3)
+    offset = np.stack([plane.offset for plane in candidates])
+    slack = offset - np.einsum("mni,ni->mn", normal, point)
+    deviation = np.linalg.norm(np.einsum("mni,nic->mnc", normal, factor), axis=2)
+    # Without spread the quotient is a very large number of the slack's sign and order.
+    best = np.argmax(slack / np.maximum(deviation, 1e-150), axis=0)
+    nodes = np.arange(len(point))
+    return Halfspaces(normal[best, nodes], offset[best, nodes])
+
+
+def included_rows(
+    facets: Facets, margin: Array, clearance: float, nodes_max: int
+) -> npt.NDArray[np.bool_]:
+    """Facets that the convex program needs to know: those within `clearance` of binding.
+
+    Of more than `nodes_max` nodes that have any, those nearest to binding. The others are checked
+    after the solve and restored if one of them turned out to matter.
+    """
+    near = np.asarray(margin < clearance)
+    nodes = np.unique(facets.node[near])
+    if len(nodes) <= nodes_max:
+        return near
+    nearest = np.array([margin[near & (facets.node == node)].min() for node in nodes])
+    kept = nodes[np.argsort(nearest)[:nodes_max]]
+    return near & np.isin(facets.node, kept)

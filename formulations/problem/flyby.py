@@ -1,0 +1,150 @@
+"""The flyby problem as data, and what an iterate costs and violates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol
+
+import numpy as np
+
+from formulations.problem.legs import Legs
+from formulations.problem.legs import Nodes as Nodes
+from formulations.problem.regions import Array, Cone, Region
+
+
+class ArcDerivatives(Protocol):
+    """End states (n, 6), STMs (n, 6, 6) and second-order tensors (n, 6, 6, 6) of all arcs."""
+
+    @property
+    def state(self) -> Array:
+        """End states."""
+        ...
+
+    @property
+    def stm(self) -> Array:
+        """A[k, i, j] = dF_i/dx_j."""
+        ...
+
+    @property
+    def tensor(self) -> Array:
+        """T[k, i, j, l] = d2F_i/dx_j dx_l."""
+        ...
+
+
+@dataclass(frozen=True)
+class StateConstraint:
+    """The position at `nodes` stays in, or out of, a region with the given probability.
+
+    Attributes:
+        name: unique among the problem's constraints.
+        nodes: node indices, shape (n,).
+        region: one region per node.
+        keep: "in" or "out".
+        probability: what P2 asks of this constraint alone, joint risk already split.
+    """
+
+    name: str
+    nodes: Nodes
+    region: Region
+    keep: Literal["in", "out"]
+    probability: float
+
+    def margin(self, mean: Array) -> Array:
+        """Signed distance to the region's surface at each node, >= 0 where satisfied, (n,)."""
+        inside = self.region.inside(mean[self.nodes, :3])
+        return inside if self.keep == "in" else -inside
+
+
+@dataclass(frozen=True)
+class FlybyProblem:
+    """Boundary states, burns, uncertainty and constraints on a grid of `n_nodes`; nondimensional.
+
+    Node states are those after the burn where one falls on the node, so that
+    mu_0 = x_0 + B dv_0 and mu_{k+1} = F_k(mu_k) + B dv_i where burn i is at node k + 1.
+
+    Attributes:
+        n_nodes: nodes of the grid, arcs plus one.
+        burn_nodes: node of each burn, the first 0 and the last n_nodes - 1, shape (m,).
+        initial_state: mean before the first burn, shape (6,).
+        final_state: mean after the last burn, shape (6,).
+        initial_factor: S with S S' the covariance before the first burn, shape (6, c).
+        execution_error: beta, 1-sigma of each burn component as a fraction of it.
+        dv_max: largest burn.
+        sun: unit vectors to the Sun at each burn, shape (m, 3).
+        dv_cone: half-angle of the double cone about the Sun line that burns stay out of.
+        constraints: on the position.
+    """
+
+    n_nodes: int
+    burn_nodes: Nodes
+    initial_state: Array
+    final_state: Array
+    initial_factor: Array
+    execution_error: float
+    dv_max: float
+    sun: Array
+    dv_cone: float
+    constraints: tuple[StateConstraint, ...]
+
+    @property
+    def n_burns(self) -> int:
+        """Number of burns."""
+        return len(self.burn_nodes)
+
+    @cached_property
+    def legs(self) -> Legs:
+        """The arcs between the burns."""
+        return Legs(self.n_nodes, self.burn_nodes)
+
+    @property
+    def factor_columns(self) -> int:
+        """Columns of the covariance factor: the initial ones and three per burn."""
+        return self.initial_factor.shape[1] + 3 * self.n_burns
+
+    def columns_of_burn(self, burn: int) -> slice:
+        """The factor's columns that the execution error of one burn fills."""
+        first = self.initial_factor.shape[1] + 3 * burn
+        return slice(first, first + 3)
+
+    def defects(self, iterate: Iterate, arcs: Array) -> Array:
+        """F_k(mu_k) + B dv - mu_{k+1} per arc, and last mu_N - x_f; shape (n_nodes, 6)."""
+        defect = arcs - iterate.mean[1:]
+        defect[self.burn_nodes[1:] - 1, 3:] += iterate.burns[1:]
+        return np.vstack([defect, iterate.mean[-1] - self.final_state])
+
+    @cached_property
+    def burn_cones(self) -> tuple[Cone, Cone]:
+        """The two nappes of the cone that burns stay out of, apex at zero."""
+        apex = np.zeros((self.n_burns, 3))
+        return Cone(apex, self.sun, self.dv_cone), Cone(apex, -self.sun, self.dv_cone)
+
+    def burn_margins(self, burns: Array) -> dict[str, Array]:
+        """Margins of the limits on the burns, >= 0 where satisfied, (m,) each."""
+        toward, away = (-cone.inside(burns) for cone in self.burn_cones)
+        return {
+            "dv_max": self.dv_max - np.linalg.norm(burns, axis=1),
+            "dv_battery": np.minimum(toward, away),
+        }
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """Burns (m, 3) and node means (n_nodes, 6), which may have defects."""
+
+    burns: Array
+    mean: Array
+
+    @property
+    def total_dv(self) -> float:
+        """Sum of the burns' sizes: the cost."""
+        return float(np.linalg.norm(self.burns, axis=1).sum())
+
+
+def factor_columns_used(problem: FlybyProblem, nodes: Nodes) -> int:
+    """Factor columns that can be non-zero in the position at any of the ascending `nodes`.
+
+    A burn's error shifts positions only after its node, so later burns' columns stay zero.
+    """
+    burns_before = int(np.searchsorted(problem.burn_nodes, nodes[-1])) if len(nodes) else 0
+    return problem.initial_factor.shape[1] + 3 * burns_before

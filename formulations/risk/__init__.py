@@ -1,0 +1,1 @@
+"""How the risk that was asked for is shared out."""

@@ -1,0 +1,91 @@
+"""The burns over time and their angle to the Sun line: `python -m paper_figs.paper.control_history`."""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import sys
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs.drawing import STYLE, WIDTH_IN, command
+from paper_figs.inputs import Runs
+from scp_recon.physics import geometry
+
+Array = npt.NDArray[np.float64]
+
+
+def draw(runs: Runs) -> Figure:
+    """Burn sizes with their limit above, angles to the Sun with the keep-out band below."""
+    mission, burns = runs.plan.mission, runs.plan.solution.burns_m_s
+    times = np.array(mission.scenario.burns.times_s)
+    sizes = 1000.0 * np.linalg.norm(burns, axis=1)
+    angles = np.rad2deg(geometry.angle(burns, mission.sun_direction(times)))
+    cone = mission.scenario.battery.delta_v_cone_deg
+    limit = 1000.0 * mission.scenario.burns.dv_max_m_s
+    with style.context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 4.2), layout="constrained")
+        top, bottom = figure.subplots(2, 1, sharex=True)
+        top.vlines(times, 0.0, sizes, color="k", lw=2)
+        top.plot(times, sizes, "ko", ms=5)
+        top.axhline(limit, color="k", ls="--", lw=1)
+        top.annotate(
+            f"limit {limit:g} mm/s", (times[-1], limit), (0, -4), ha="right", va="top",
+            textcoords="offset points",
+        )  # fmt: skip
+        top.set(ylabel="burn size (mm/s)", ylim=(0.0, 1.12 * limit))
+        for low, high in ((0.0, cone), (180.0 - cone, 180.0)):
+            bottom.axhspan(low, high, facecolor="0.88", edgecolor="0.55", hatch="///", lw=0)
+        bottom.plot(times, angles, "ko", ms=5)
+        for angle, way in ((0.5 * cone, "the Sun"), (180.0 - 0.5 * cone, "the anti-Sun")):
+            box = {"facecolor": "w", "edgecolor": "none", "pad": 1.5}
+            middle = 0.5 * times[-1]
+            text = f"keep-out: within {cone:g} deg of {way}"
+            bottom.text(middle, angle, text, ha="center", va="center", bbox=box)
+        bottom.set(ylabel="angle to the Sun (deg)", xlabel="time (s)", ylim=(0.0, 180.0))
+        bottom.set_yticks(np.arange(0, 181, 30))
+        _mark(top, runs, times, sizes)
+        _mark(bottom, runs, times, angles)
+        window = np.mean(mission.schedule.window_s)
+        top.text(
+            float(window), 0.5 * limit, "observation\nwindow", ha="center", va="center", size=8
+        )
+    return figure
+
+
+def _mark(axes: Axes, runs: Runs, times: Array, values: Array) -> None:
+    """The value at each burn, and the observation window."""
+    first, last = runs.plan.mission.schedule.window_s
+    axes.axvspan(first, last, facecolor="0.92", edgecolor="none", zorder=0)
+    for time, value in zip(times, values, strict=True):
+        right = time < times[-1]
+        axes.annotate(
+            f"{value:.1f}", (time, value), (7 if right else -7, 0), va="center",
+            textcoords="offset points", ha="left" if right else "right",
+        )  # fmt: skip
+    axes.set_xlim(-0.02 * times[-1], 1.02 * times[-1])
+
+
+def caption(runs: Runs) -> str:
+    """What the figure shows."""
+    scenario, solution = runs.plan.mission.scenario, runs.plan.solution
+    first, last = runs.plan.mission.schedule.window_s
+    return (
+        f"Control history of the plan ({solution.problem}, {solution.init} start, "
+        f"{solution.total_dv_m_s:.5f} m/s in {len(solution.burns)} burns). Above: size of each "
+        f"impulse, and the limit of {1000 * scenario.burns.dv_max_m_s:g} mm/s. Below: angle between "
+        "each impulse and the direction from Bennu to the Sun; hatched are the two cones of "
+        f"{scenario.battery.delta_v_cone_deg:g} deg about the Sun line that the battery keeps "
+        f"burns out of. Lightly shaded: the observation window, {first:.0f} to {last:.0f} s."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(command(draw, __doc__))

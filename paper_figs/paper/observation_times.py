@@ -1,0 +1,89 @@
+"""How long emission and site distance are held: `python -m paper_figs.paper.observation_times`."""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import sys
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command
+from paper_figs.inputs import Flown, Runs
+
+Array = npt.NDArray[np.float64]
+
+BINS = 34
+"""Of the window's length: a hundred seconds each."""
+
+CONSTRAINTS = (("emission", "emission limits held"), ("site_distance", "site distance limits held"))
+
+
+def draw(runs: Runs) -> Figure:
+    """A panel per constraint, the plan's flights filled and the reference's in outline."""
+    first, last = runs.plan.mission.schedule.window_s
+    edges = np.linspace(0.0, last - first, BINS + 1)
+    with style.context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
+        panels = figure.subplots(2, 1, sharex=True, sharey=True)
+        for axes, (name, title) in zip(panels, CONSTRAINTS, strict=True):
+            _panel(axes, runs, name, edges)
+            axes.set_title(title, loc="left")
+            axes.set(ylabel="share of flights (%)", yscale="log", xlim=(edges[0], edges[-1]))
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.set_axisbelow(True)
+        panels[-1].set_xlabel("time held in the observation window (s)")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=LEGEND_PT)
+    return figure
+
+
+def _panel(axes: Axes, runs: Runs, name: str, edges: Array) -> None:
+    least = 100.0 / max(runs.plan.report["samples"], runs.reference.report["samples"])
+    looks: tuple[tuple[Flown, dict[str, Any]], ...] = (
+        (runs.plan, {"fill": True, "facecolor": "0.75", "edgecolor": "k", "lw": 0.6}),
+        (runs.reference, {"fill": False, "edgecolor": "k", "ls": "--", "lw": 1.2}),
+    )
+    words = []
+    for flown, look in looks:
+        shares = 100.0 * rebinned(flown.report, name, edges) / flown.report["samples"]
+        axes.stairs(shares, edges, label=flown.label, baseline=0.5 * least, **look)
+        whole = flown.report["held_s"][name]["throughout"]["value"]
+        words.append(f"{flown.label}: {100 * whole:.1f} % throughout the window")
+    axes.set_ylim(0.5 * least, 200.0)
+    box = {"facecolor": "w", "edgecolor": "none", "alpha": 0.9, "pad": 1.0}
+    axes.text(
+        0.5, 0.96, "\n".join(words), transform=axes.transAxes, ha="center", va="top", bbox=box
+    )
+
+
+def rebinned(report: dict[str, Any], name: str, edges: Array) -> Array:
+    """Flights by time held, in coarser bins than the report's, shape (len(edges) - 1,)."""
+    histogram = report["held_s"][name]["histogram"]
+    middles = np.array(histogram["start"]) + 0.5 * histogram["bin"]
+    inside = np.clip(middles, edges[0], edges[-1])
+    return np.histogram(inside, edges, weights=histogram["count"])[0]
+
+
+def caption(runs: Runs) -> str:
+    """What the figure shows."""
+    first, last = runs.plan.mission.schedule.window_s
+    return (
+        "Distribution of the time in which the emission limits (above) and the site distance limits "
+        f"(below) are held, of {runs.plan.report['samples']} flights of the plan (filled) and "
+        f"{runs.reference.report['samples']} of the {runs.reference.label} (dashed outline); bins of "
+        f"{(last - first) / BINS:.0f} s, logarithmic scale. The last bin ends at the window's "
+        f"{last - first:.0f} s and contains the flights that hold the limits throughout."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(command(draw, __doc__))

@@ -1,0 +1,201 @@
+"""The flight projected on the three J2000 planes: `python -m paper_figs.paper.trajectories`."""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+from matplotlib.ticker import MultipleLocator
+
+from paper_figs.drawing import HALO, LEGEND_PT, STYLE, WIDTH_IN, command
+from paper_figs.inputs import Flown, Runs
+from paper_figs.paper.observed import SEED, planned_positions
+from scp_recon.monte_carlo.sampling import sample_positions
+
+Array = npt.NDArray[np.float64]
+
+PATHS, TIMES = 60, 600
+SIGMAS = ((2.0, "0.87", "2 sigma"), (1.0, "0.7", "1 sigma"))
+ARROW_KM = 0.3
+"""Of the largest burn."""
+
+X_KM, Y_KM, Z_KM = (-0.55, 0.55), (-1.0, 1.55), (-1.15, 1.0)
+AXES = ("x", "y", "z")
+PLANES = ((1, 2), (0, 2), (1, 0))
+"""Horizontal and vertical axis of each panel, placed so that neighbours share one."""
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Positions, J2000, km.
+
+    Attributes:
+        times_s: of the plan and the reference, shape (n,).
+        plan, reference: without errors, shape (n, 3).
+        sampled: of sampled flights, shape (flights, nodes, 3).
+        window: of the plan at the window's edges, shape (2, 3).
+    """
+
+    times_s: Array
+    plan: Array
+    reference: Array
+    sampled: Array
+    window: Array
+
+
+def paths(runs: Runs) -> Paths:
+    """Fly what is drawn."""
+    mission, burns = runs.plan.mission, runs.plan.solution.burns_m_s
+    times = np.linspace(0.0, mission.times_s[-1], TIMES)
+    edges = np.array(mission.schedule.window_s)
+    sampled = sample_positions(mission, burns, mission.times_s, PATHS, SEED)
+    return Paths(
+        times,
+        planned_positions(mission, burns, times) / 1000.0,
+        planned_positions(mission, runs.reference.solution.burns_m_s, times) / 1000.0,
+        sampled.transpose(1, 0, 2) / 1000.0,
+        planned_positions(mission, burns, edges) / 1000.0,
+    )
+
+
+def draw(runs: Runs) -> Figure:
+    """Front, side and top view as in a technical drawing, the legend in the free corner."""
+    limits = (X_KM, Y_KM, Z_KM)
+    spans = [high - low for low, high in limits]
+    flown = paths(runs)
+    with style.context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 5.95), layout="constrained")
+        panels = figure.subplots(
+            2, 2, width_ratios=(spans[1], spans[0]), height_ratios=(spans[2], spans[0])
+        )
+        corner = panels[1, 1]
+        for axes, plane in zip((panels[0, 0], panels[0, 1], panels[1, 0]), PLANES, strict=True):
+            _panel(axes, runs, flown, list(plane))
+            across, up = plane
+            axes.set(
+                xlabel=f"J2000 {AXES[across]} (km)",
+                ylabel=f"J2000 {AXES[up]} (km)",
+                xlim=limits[across],
+                ylim=limits[up],
+                aspect="equal",
+            )
+            axes.xaxis.set_major_locator(MultipleLocator(0.5))
+            axes.yaxis.set_major_locator(MultipleLocator(0.5))
+            axes.set_axisbelow(True)
+        corner.axis("off")
+        handles, labels = panels[0, 0].get_legend_handles_labels()
+        corner.legend(handles, labels, loc="center", borderaxespad=0.0, fontsize=LEGEND_PT)
+    return figure
+
+
+def _panel(axes: Axes, runs: Runs, flown: Paths, pair: list[int]) -> None:
+    _dispersions(axes, runs.plan, flown.times_s, flown.plan[:, pair], pair)
+    lines = LineCollection(
+        list(flown.sampled[..., pair]), colors="0.35", linewidths=0.3, alpha=0.6, zorder=2
+    )
+    axes.add_collection(lines)
+    axes.plot([], [], color="0.35", lw=0.6, label=f"{PATHS} sampled flights")
+    axes.plot(*flown.plan[:, pair].T, "k-", lw=1.4, label="plan", zorder=4)
+    label = runs.reference.label.replace(" (", "\n(")
+    axes.plot(*flown.reference[:, pair].T, "k:", lw=1.4, label=label, zorder=4)
+    _bodies(axes, runs)
+    _burns(axes, runs.plan, pair)
+    edges = flown.window[:, pair].T
+    axes.plot(*edges, "s", mfc="w", mec="k", ms=5, zorder=6, label="window opens, closes")
+
+
+def _dispersions(axes: Axes, flown: Flown, times: Array, path: Array, pair: list[int]) -> None:
+    """Ellipses of the planned covariance along the path, so many that they make a band."""
+    nodes, stored = flown.mission.times_s, np.array(flown.solution.nodes.covariance)
+    covariance = np.empty((len(times), 2, 2))
+    for i in range(2):
+        for j in range(2):
+            covariance[:, i, j] = np.interp(times, nodes, stored[:, pair[i], pair[j]])
+    variance, direction = np.linalg.eigh(covariance)
+    deviation = np.sqrt(np.maximum(variance, 0.0)) / 1000.0
+    angles = np.rad2deg(np.arctan2(direction[:, 1, 1], direction[:, 0, 1]))
+    for sigmas, shade, name in SIGMAS:
+        ellipses = EllipseCollection(
+            2.0 * sigmas * deviation[:, 1],
+            2.0 * sigmas * deviation[:, 0],
+            angles,
+            units="xy",
+            offsets=path,
+            offset_transform=axes.transData,
+            facecolors=shade,
+            edgecolors="none",
+            zorder=1,
+        )
+        axes.add_collection(ellipses)
+        axes.fill([], [], color=shade, label=name)
+
+
+def _bodies(axes: Axes, runs: Runs) -> None:
+    """A sphere through the site, and the one that the spacecraft stays out of."""
+    mission = runs.plan.mission
+    radius = float(np.linalg.norm(mission.site.position_body)) / 1000.0
+    safe = mission.scenario.safety.radius_min_m / 1000.0
+    name = mission.scenario.body.name
+    body = Circle(
+        (0.0, 0.0), radius, facecolor="0.93", edgecolor="k", lw=0.8, hatch="....", zorder=0.6,
+        label=f"{name}, sphere through the site",
+    )  # fmt: skip
+    ring = Circle(
+        (0.0, 0.0), safe, fill=False, edgecolor="k", ls="--", lw=0.8, zorder=0.6,
+        label=f"closest allowed, {safe:g} km",
+    )  # fmt: skip
+    axes.add_patch(body)
+    axes.add_patch(ring)
+
+
+def _burns(axes: Axes, flown: Flown, pair: list[int]) -> None:
+    """Numbered dots and arrows in proportion to the impulses."""
+    burns = flown.solution.burns_m_s
+    arrows = ARROW_KM * burns[:, pair] / np.linalg.norm(burns, axis=1).max()
+    starts = np.array(flown.solution.nodes.state)[flown.mission.burn_nodes][:, pair] / 1000.0
+    for number, (start, arrow) in enumerate(zip(starts, arrows, strict=True), start=1):
+        axes.annotate(
+            "", start + arrow, start, zorder=7,
+            arrowprops={"arrowstyle": "-|>", "color": "C3", "lw": 1.8, "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+        axes.annotate(
+            str(number), start + arrow, 6.0 * arrow / max(np.hypot(*arrow), 1e-9), zorder=7,
+            textcoords="offset points", ha="center", va="center", color="C3", fontweight="bold",
+            path_effects=HALO,
+        )  # fmt: skip
+    axes.plot(*starts.T, "o", color="C3", ms=4.5, zorder=7, label="burns 1 to 4, arrows to scale")
+
+
+def caption(runs: Runs) -> str:
+    """What the figure shows."""
+    solution, mission = runs.plan.solution, runs.plan.mission
+    sizes = 1000.0 * np.linalg.norm(solution.burns_m_s, axis=1)
+    listed = ", ".join(f"{size:.1f}" for size in sizes)
+    return (
+        "The plan (solid) and the "
+        f"{runs.reference.label} (dotted) projected on the y-z, x-z and x-y planes of the "
+        f"{mission.scenario.body.name}-centred J2000 frame. Shaded: union of the ellipses of one "
+        "(dark) and two (light) standard deviations of the plan's position covariance at all times; "
+        "by that covariance 68.3 % and 95.4 % of the flights lie within them across the path. Thin "
+        f"lines: {PATHS} flights with sampled errors, nonlinear dynamics. Squares: the observation "
+        f"window opens and closes. Arrows: the burns of {listed} mm/s, lengths in proportion. "
+        "The dotted disc is the sphere through the site, "
+        f"{np.linalg.norm(mission.site.position_body):.0f} m; the dashed circle the closest allowed "
+        f"distance from the centre, {mission.scenario.safety.radius_min_m:g} m."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(command(draw, __doc__))

@@ -1,0 +1,103 @@
+"""Attitude, actuators and modes: `python -m paper_figs.studies.attitude_and_actuators RUNS FILE`.
+
+Drawn from what `python -m scp_recon.simulate SOLUTION --out RUNS` wrote.
+"""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import sys
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from paper_figs.drawing import ABOVE, STYLE, WIDTH_IN, command_from
+from paper_figs.studies.flight_record import COMMAND, FOLDER, HOUR_S, bands, mark_burns, read
+from scp_recon.spacecraft.flight import Actuators
+from scp_recon.spacecraft.record import Record
+
+__all__ = ["COMMAND", "FOLDER", "caption", "draw", "read"]
+
+Array = npt.NDArray[np.float64]
+COLOURS = ("k", "tab:blue", "tab:orange", "tab:green")
+NAMES = ("scalar", "x", "y", "z")
+IN_USE = {
+    Actuators.THRUSTERS: "micro-thrusters",
+    Actuators.WHEELS: "wheels",
+    Actuators.BOTH: "both, dumping",
+}
+
+
+def draw(record: Record) -> Figure:
+    """Quaternion and command, the angle between them, actuators in use, mode."""
+    time = record.arrays["t_s"] / HOUR_S
+    with style.context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 6.2), layout="constrained")
+        rows = figure.subplots(4, 1, sharex=True, height_ratios=(3, 1.6, 1.1, 1.1))
+        _attitude(rows[0], record, time)
+        error = np.rad2deg(record.arrays["pointing_error_rad"])
+        rows[1].semilogy(np.arange(len(error)) / HOUR_S, error, color="k", lw=0.5)
+        rows[1].set(ylabel="error (deg)", ylim=(1e-3, 300.0))
+        rows[1].set_yticks([1e-2, 1.0, 1e2])
+        _bands(rows[2], record, "actuators", {int(k): name for k, name in IN_USE.items()})
+        _bands(rows[3], record, "mode", dict(enumerate(record.summary["modes"])))
+        for axes in rows:
+            mark_burns(axes, record)
+        rows[3].set(xlabel="time (h)", xlim=(0.0, float(time[-1])))
+    return figure
+
+
+def _attitude(axes: Axes, record: Record, time: Array) -> None:
+    command = _continuous(record.arrays["command"])
+    true = record.arrays["attitude"]
+    true = true * np.where(np.einsum("ni,ni->n", true, command) < 0.0, -1.0, 1.0)[:, None]
+    for i, (name, colour) in enumerate(zip(NAMES, COLOURS, strict=True)):
+        axes.plot(time, true[:, i], color=colour, lw=1.2, label=name)
+        axes.plot(time, command[:, i], color=colour, lw=0.9, ls="--")
+    axes.plot([], [], color="0.5", lw=0.9, ls="--", label="command")
+    axes.set(ylabel="quaternion (body to J2000)", ylim=(-1.05, 1.05))
+    axes.legend(**ABOVE, ncols=5)
+
+
+def _continuous(quaternions: Array) -> Array:
+    """The same attitudes with signs that keep neighbours close, shape (n, 4)."""
+    turned = np.einsum("ni,ni->n", quaternions[1:], quaternions[:-1]) < 0.0
+    signs = np.cumprod(np.where(turned, -1.0, 1.0))
+    return quaternions * np.concatenate([[1.0], signs])[:, None]
+
+
+def _bands(axes: Axes, record: Record, name: str, labels: dict[int, str]) -> None:
+    values, times = record.arrays[name], record.arrays["t_s"]
+    for row, value in enumerate(labels):
+        axes.broken_barh(
+            list(bands(values, times, value)), (row - 0.36, 0.72), facecolor="0.35", lw=0
+        )
+    axes.set_yticks(range(len(labels)), list(labels.values()))
+    axes.set_ylim(len(labels) - 0.4, -0.6)
+    axes.grid(visible=False)
+
+
+def caption(record: Record) -> str:
+    """What the figure shows."""
+    summary = record.summary
+    camera = summary["window_pointing_deg"]["camera"]
+    worst = max(burn["pointing_deg"] for burn in summary["burns"])
+    return (
+        f"Attitude of the simulated flight, seed {summary['seed']}. From above: quaternion of the body "
+        "(solid) and its command (dashed); angle between the two; what controls the attitude; the "
+        "mode. Dotted: burns. The camera is within "
+        f"{camera['q100']:.3f} deg of its command throughout the window, the thrust within "
+        f"{worst:.3f} deg of the planned burn when it starts; momentum is dumped "
+        f"{summary['dumps']} times."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(command_from(read, draw, __doc__))

@@ -1,0 +1,202 @@
+"""Solvers compared: `python -m paper_figs.studies.solver_comparison COMPARISON.CSV FOLDER`."""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import argparse
+import csv
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, save
+from scp_recon.monte_carlo.estimates import proportion
+
+Row = dict[str, str]
+
+COLOURS = {"scvx": "C0", "ptr": "C1", "scvx-star": "C2", "hard": "C3", "elastic": "C4"}
+MARKERS = {"CLARABEL": "o", "ECOS": "s", "QOCO": "^", "SCS": "D", "IPOPT": "*"}
+OTHER = "X"
+SAME = 1e-4
+"""Relative difference of total delta-v within which two ends are the same optimum."""
+
+
+def read(path: Path) -> list[Row]:
+    """Rows of `experiments.compare_solvers`."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def solved(row: Row) -> bool:
+    """Whether P2 converged."""
+    return row["status"] == "converged" and row["problem"] == "P2"
+
+
+def draw_times(rows: Sequence[Row]) -> Figure:
+    """Seconds of the processor from the straight line to the end of P2."""
+    chosen = [row for row in rows if row["group"] == "matrix" and row["start"] == "cold"]
+    forms = list(dict.fromkeys(row["formulation"] for row in chosen))
+    with style.context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 0.55 * len(forms) + 1.6), layout="constrained")
+        axes = figure.subplots()
+        for row in chosen:
+            y = float(len(forms) - 1 - forms.index(row["formulation"]))
+            y += 0.14 * (1 - list(COLOURS).index(row["algorithm"]) % 3)
+            colour = COLOURS[row["algorithm"]]
+            axes.plot(
+                float(row["cpu_s"]),
+                y,
+                MARKERS.get(row["solver"], OTHER),
+                color=colour,
+                markerfacecolor=colour if solved(row) else "none",
+                markersize=6,
+            )
+        axes.set(xscale="log", xlabel="seconds of the processor from the straight line, P3 and P2")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.set_yticks(range(len(forms)), forms[::-1])
+        _keys(axes, chosen)
+    return figure
+
+
+def _keys(axes: Axes, rows: Sequence[Row]) -> None:
+    """Colours are algorithms, markers solvers, hollow what was not solved."""
+    for name in dict.fromkeys(row["algorithm"] for row in rows):
+        axes.plot([], [], "o", color=COLOURS[name], label=name)
+    for name in dict.fromkeys(row["solver"] for row in rows):
+        axes.plot([], [], MARKERS.get(name, OTHER), color="0.3", label=name)
+    axes.plot([], [], "o", color="0.3", markerfacecolor="none", label="not solved")
+    axes.legend(fontsize=LEGEND_PT, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def draw_guesses(rows: Sequence[Row]) -> Figure:
+    """Random guesses: shares solved with intervals, at the first try below, and where they end."""
+    chosen = [row for row in rows if row["group"] == "guesses"]
+    methods = list(dict.fromkeys(row["method"] for row in chosen))[::-1]
+    best = min((float(row["total_dv_m_s"]) for row in chosen if solved(row)), default=np.nan)
+    with style.context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 0.42 * len(methods) + 1.5), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        for y, method in enumerate(methods):
+            tries = [row for row in chosen if row["method"] == method]
+            ends = np.array([float(row["total_dv_m_s"]) for row in tries if solved(row)])
+            at_once = sum(solved(row) and not row["first_status"] for row in tries)
+            for count, level, colour in ((len(ends), y, "C0"), (at_once, y - 0.2, "C1")):
+                share, height = proportion(count, len(tries)), [level, level]
+                left.plot(
+                    [share.low, share.high], height, color=colour, solid_capstyle="butt", lw=4
+                )
+                left.plot(share.value, level, "o", color="k", markersize=4, clip_on=False)
+            at_best = int((ends <= best * (1.0 + SAME)).sum())
+            right.plot(ends / best - 1.0, np.full(len(ends), y), "|", color="C0", markersize=12)
+            right.annotate(
+                f"{at_best} of {len(tries)} at the best",
+                (1.0, y),
+                xycoords=("axes fraction", "data"),
+                ha="right",
+                va="bottom",
+                fontsize=LEGEND_PT,
+            )
+        left.set(xlim=(0.0, 1.0), xlabel="share solved, 95 % interval")
+        left.set_yticks(range(len(methods)), methods)
+        left.set_ylim(-0.5, len(methods) - 0.2)
+        for name, colour in (("solved", "C0"), ("at the first try", "C1")):
+            left.plot([], [], color=colour, lw=4, label=name)
+        left.legend(fontsize=LEGEND_PT, loc="upper left")
+        right.set(xlabel="total delta-v over the best, less one")
+        span = max(1e-3, right.get_xlim()[1])
+        right.set_xlim(-0.1 * span, 1.1 * span)
+        right.xaxis.set_major_locator(MaxNLocator(4))
+    return figure
+
+
+def draw_scenarios(rows: Sequence[Row]) -> Figure:
+    """Delta-v against the probability asked and against the execution error, frozen forms beside."""
+    chosen = [
+        row for row in rows if row["group"] == "scenarios" and row["algorithm"] != "unguarded"
+    ]
+    methods = list(dict.fromkeys(row["method"] for row in chosen))
+    panels = (("p_chance", 0.7, "p_chance"), ("beta", 0.08, "execution error, 1 sigma"))
+    with style.context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
+        both = figure.subplots(1, 2, sharey=True)
+        for axes, (name, default, label) in zip(both, panels, strict=True):
+            for number, method in enumerate(methods):
+                points = [
+                    (
+                        _value(row["scenario"], name, default),
+                        float(row["total_dv_m_s"]),
+                        solved(row),
+                    )
+                    for row in chosen
+                    if row["method"] == method and row["scenario"].startswith((f"{name}=", "recon"))
+                ]
+                _line(axes, sorted(points), method, f"C{number}", 11.0 - 1.4 * number)
+            axes.set_xlabel(label)
+        both[0].set_ylabel("total delta-v (m/s)")
+        both[0].plot([], [], "x", color="0.3", label="not solved")
+        handles, labels = both[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=LEGEND_PT)
+    return figure
+
+
+def _value(scenario: str, name: str, default: float) -> float:
+    return float(scenario.removeprefix(f"{name}=")) if "=" in scenario else default
+
+
+def _line(
+    axes: Axes, points: list[tuple[float, float, bool]], label: str, colour: str, size: float
+) -> None:
+    """Markers of falling size, so that methods that agree show through each other."""
+    if not points:
+        return
+    x, y, done = map(np.array, zip(*points, strict=True))
+    axes.plot(x[done], y[done], "o", color=colour, markersize=size, markerfacecolor="none")
+    axes.plot(x[~done], y[~done], "x", color=colour, markersize=6)
+    axes.plot([], [], "o", color=colour, markerfacecolor="none", label=label)
+
+
+FIGURES: dict[str, Callable[[Sequence[Row]], Figure]] = {
+    "times": draw_times,
+    "guesses": draw_guesses,
+    "scenarios": draw_scenarios,
+}
+
+
+def save_all(table: Path, folder: Path) -> list[Path]:
+    """All figures of a table, as PNG."""
+    rows = read(table)
+    groups = {row["group"] for row in rows}
+    needs = {"times": "matrix", "guesses": "guesses", "scenarios": "scenarios"}
+    return [
+        save(draw(rows), folder / f"comparison_{name}.png")
+        for name, draw in FIGURES.items()
+        if needs[name] in groups
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line."""
+    p = argparse.ArgumentParser(description=__doc__)
+    p.add_argument("table", type=Path, help="comparison.csv of experiments.compare_solvers")
+    p.add_argument("folder", type=Path, help="for the figures")
+    options = p.parse_args(arguments)
+    try:
+        save_all(options.table, options.folder)
+    except (OSError, KeyError, ValueError) as error:
+        print(f"error: {options.table}: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

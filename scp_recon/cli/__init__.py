@@ -1,0 +1,1 @@
+"""What the commands share: how they end, their options, and the tables that they print."""

@@ -1,0 +1,25 @@
+"""Types of command-line options that several commands have."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+LONGEST = 20
+"""Digits: longer numbers are beyond every bound, and slow to read."""
+
+
+def int_between(low: int, high: int, words: str = "") -> Callable[[str], int]:
+    """A type of option: whole numbers within bounds, which are told in `words` if these are shorter."""
+
+    def parse(text: str) -> int:
+        if not text.isdecimal() or len(text) > LONGEST or not low <= int(text) <= high:
+            allowed = words or f"{low} to {high}"
+            raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from {allowed}")
+        return int(text)
+
+    return parse
+
+
+SEED = int_between(0, 2**63 - 1, "0 to 2^63 - 1")
+"""Of random numbers."""

@@ -1,0 +1,206 @@
+"""What the terminal shows: the case, the iterations as they come, the plan and its verification."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.stages import Observer
+from scp_recon.scp.loop import Record
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution, Verification
+from scp_recon.solution.from_plan import iteration_record
+
+
+def show_mission(console: Console, mission: Mission) -> None:
+    """Scenario, window, schedule and grid."""
+    scenario, schedule = mission.scenario, mission.schedule
+    first, last = schedule.window_s
+    origin = "given" if scenario.observation.window_s else "from incidence and local solar time"
+    console.print(
+        Text(scenario.name, style="bold")
+        + Text(
+            f": {scenario.body.name}, site {scenario.site.name}, "
+            f"boundary states in {scenario.boundary.frame}, p_chance {scenario.risk.p_chance:g}, "
+            f"execution error {scenario.uncertainty.execution_error:g}",
+            style="not bold",
+        )
+    )
+    console.print(
+        f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})", highlight=False
+    )
+    legs = ", ".join(f"{leg.mode} {leg.start_s:.0f}-{leg.end_s:.0f}" for leg in schedule.legs)
+    console.print(Text(f"schedule  {legs} s"))
+    burns = "; ".join(
+        f"{time:g} ({_interval(*interval)})"
+        for time, interval in zip(
+            scenario.burns.times_s[1:], schedule.firing_intervals_s[1:], strict=True
+        )
+    )
+    console.print(Text(f"burns     0; {burns} s, in brackets where each may be moved"))
+    arcs = np.diff(mission.times_s)
+    console.print(
+        f"grid      {len(mission.times_s)} nodes, {len(mission.window_nodes)} of them in the "
+        f"window, arcs of {arcs.min():.0f} to {arcs.max():.0f} s",
+        highlight=False,
+    )
+
+
+def _interval(early: float, late: float) -> str:
+    return f"{early:.0f} to {late:.0f}" if np.isfinite(late) else f"from {early:.0f}"
+
+
+@contextmanager
+def live_iterations(console: Console, mission: Mission) -> Iterator[Observer]:
+    """A table that grows by a row per iteration; yields the planner's observer."""
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for heading in (
+        "stage",
+        "k",
+        "merit\nm/s",
+        "predicted\nm/s",
+        "actual\nm/s",
+        "radius\nm/s",
+        "violation\nm",
+        "defect\nm",
+        "solver\ns",
+    ):
+        table.add_column(heading, justify="left" if heading == "stage" else "right", no_wrap=True)
+    # Redrawn on every row and never from a thread, so that a captured log holds the table once.
+    with Live(table, console=console, auto_refresh=False) as live:
+
+        def observe(stage: str, record: Record) -> None:
+            r = iteration_record(mission, stage, record)
+            if record.failure:
+                table.add_row(stage, str(r.k), Text("solver failed", style="yellow"))
+            else:
+                table.add_row(
+                    stage,
+                    str(r.k),
+                    f"{r.merit:.6f}",
+                    f"{r.predicted:.2e}",
+                    f"{r.actual:.2e}" if r.accepted else f"({r.actual:.2e})",
+                    f"{r.trust_radius:.1e}",
+                    f"{r.max_violation:.1e}",
+                    f"{r.max_defect:.1e}",
+                    f"{r.solver_s:.3f}",
+                )
+            live.refresh()
+
+        yield observe
+    console.print(
+        "\nmerit: total delta-v plus penalties; in brackets: step rejected; violation and defect: "
+        "velocities count as metres per unit of time",
+        style="dim",
+    )
+
+
+def show_solution(console: Console, solution: Solution) -> None:
+    """Verdict, burns, constraints."""
+    status = Status.named(solution.status)
+    colour = "green" if status is Status.CONVERGED else "red"
+    iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
+    console.print(
+        Text(f"\n{solution.problem}: ", style=f"bold {colour}")
+        + Text(solution.message, style="not bold")
+    )
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for heading in ("burn", "time s", "x m/s", "y m/s", "z m/s", "size m/s"):
+        table.add_column(heading, justify="right")
+    for number, burn in enumerate(solution.burns, start=1):
+        size = float(np.linalg.norm(burn.dv_m_s))
+        cells = [f"{component:+.6f}" for component in burn.dv_m_s]
+        table.add_row(str(number), f"{burn.t_s:g}", *cells, f"{size:.6f}")
+    console.print(table)
+    console.print(
+        Text.assemble(
+            "total delta-v ",
+            (f"{solution.total_dv_m_s:.6f} m/s", "bold"),
+            f"; iterations: {iterations}; {solution.timing_s.total:.2f} s, of which "
+            f"{solution.timing_s.conic_solver:.2f} s in the conic solver\n",
+        )
+    )
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    chance = solution.problem == "P2"
+    table.add_column("constraint")
+    for heading in (
+        "worst chance margin" if chance else "worst margin",
+        "at s",
+        "facets",
+        "violated by",
+    ):
+        table.add_column(heading, justify="right")
+    for c in solution.constraints:
+        amount = solution.violation.by_constraint.get(c.name)
+        table.add_row(
+            Text(c.name),
+            f"{round(c.worst_margin_m_or_rad, 4) + 0.0:+.4f} {c.unit}",
+            f"{c.worst_t_s:.0f}",
+            str(c.facets or ""),
+            Text(f"{amount.max:.4g} {amount.unit}", style="red") if amount else "",
+        )
+    listed = {c.name for c in solution.constraints}
+    for name, amount in solution.violation.by_constraint.items():
+        if name not in listed:
+            table.add_row(
+                Text(name), "", "", "", Text(f"{amount.max:.4g} {amount.unit}", style="red")
+            )
+    console.print(table)
+
+
+def show_verification(console: Console, mission: Mission, verification: Verification) -> None:
+    """Re-integration, mean margins between the nodes, joint probabilities."""
+    v = verification
+    console.print(
+        f"\nre-integrated: final state {v.terminal_position_error_m:.1e} m and "
+        f"{v.terminal_velocity_error_m_s:.1e} m/s off, nodes {v.max_defect:.1e} m off, covariance "
+        f"{v.covariance_error:.1e} off (relative)",
+        highlight=False,
+    )
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("original constraint on the mean")
+    for heading in ("worst margin", "at s"):
+        table.add_column(heading, justify="right")
+    for m in v.mean_margins:
+        margin = {
+            "m": f"{m.worst_margin:+.1f} m",
+            "m/s": f"{m.worst_margin:+.4f} m/s",
+            "rad": f"{np.rad2deg(m.worst_margin):+.2f} deg",
+        }[m.unit]
+        table.add_row(m.name, margin, f"{m.worst_t_s:.0f}")
+    console.print(table)
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column(f"Monte Carlo, {v.samples} flights")
+    for heading in ("lowest probability", f"{100 * v.confidence:.0f} % interval", "at s", "asked"):
+        table.add_column(heading, justify="right")
+    for p in v.probabilities:
+        table.add_row(
+            p.name,
+            f"{p.estimate:.4f}",
+            f"{p.low:.4f} to {p.high:.4f}",
+            f"{p.worst_t_s:.0f}",
+            f"{mission.scenario.risk.p_chance:g}",
+        )
+    console.print(table)
+    if v.ok:
+        console.print("[bold green]verified[/bold green]")
+    else:
+        console.print(f"[bold red]not verified[/bold red]: {', '.join(v.failed)}")
+        if "status" not in v.failed and _between_nodes(mission, v):
+            console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
+
+
+def _between_nodes(mission: Mission, v: Verification) -> bool:
+    """Whether a constraint on the mean, or a probability, fails at its worst where no node is."""
+    worst = {m.name: m.worst_t_s for m in v.mean_margins}
+    worst |= {f"P({p.name})": p.worst_t_s for p in v.probabilities}
+    return any(
+        np.abs(mission.times_s - worst[name]).min() > 1.0 for name in v.failed if name in worst
+    )

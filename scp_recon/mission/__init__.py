@@ -1,0 +1,1 @@
+"""A scenario resolved: window, schedule, grid, and the nondimensional problem."""

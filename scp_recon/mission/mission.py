@@ -1,0 +1,292 @@
+"""From a scenario to everything the planner works with: window, schedule, grid and problem.
+
+The border of `formulations`: SI and J2000 on this side, nondimensional on the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.problem.facets import Polytopes
+from formulations.problem.flyby import FlybyProblem, StateConstraint
+from formulations.problem.polytopes import ball, paper_ball
+from formulations.problem.regions import Ball, Cone
+from formulations.risk.uniform import split_risk
+from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
+from scp_recon.mission.plausibility import check_plausible
+from scp_recon.mission.schedule import Schedule, find_window, make_schedule
+from scp_recon.physics import geometry
+from scp_recon.physics.dynamics import Dynamics
+from scp_recon.physics.forces import ForceModel, cannonball_srp
+from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
+from scp_recon.scenario.schema import Scenario
+
+Array = npt.NDArray[np.float64]
+
+AU_KM = 149_597_870.7
+"""IAU 2012 resolution B2."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """Units of the nondimensional problem: an initial radius, and the time that makes GM one."""
+
+    length_m: float
+    time_s: float
+
+    @classmethod
+    def of_orbit(cls, state: Array, gm: float) -> Units:
+        """For a flight that starts at a state, shape (6,)."""
+        length = float(np.linalg.norm(state[:3]))
+        return cls(length, float(np.sqrt(length**3 / gm)))
+
+    @property
+    def speed_m_s(self) -> float:
+        """Unit of velocity."""
+        return self.length_m / self.time_s
+
+    @property
+    def state(self) -> Array:
+        """Units of a state's six components."""
+        return np.repeat([self.length_m, self.speed_m_s], 3)
+
+
+@dataclass(frozen=True)
+class Mission:
+    """A scenario with its geometry resolved. States J2000, body-centred, SI.
+
+    Attributes:
+        scenario: what it came from.
+        rotation: attitude of the body.
+        site: body-fixed.
+        initial_state: mean before the first burn, shape (6,).
+        final_state: mean after the last burn, shape (6,).
+        schedule: window and attitude modes.
+        times_s: nodes of the grid, shape (n,).
+        units: of the nondimensional problem.
+    """
+
+    scenario: Scenario
+    rotation: Rotation
+    site: geometry.Site
+    initial_state: Array
+    final_state: Array
+    schedule: Schedule
+    times_s: Array
+    units: Units
+
+    @classmethod
+    def from_scenario(cls, scenario: Scenario) -> Mission:
+        """Resolve a scenario.
+
+        Raises:
+            InputError: if there is no window, a firing time breaks a rule of the schedule, or
+                entries do not make sense together (`plausibility`).
+        """
+        check_plausible(scenario)
+        body = scenario.body
+        rotation = Rotation.from_iau(
+            body.pole_ra_deg,
+            body.pole_dec_deg,
+            (
+                body.prime_meridian_deg,
+                body.prime_meridian_rate_deg_day,
+                body.prime_meridian_acceleration_deg_day2,
+            ),
+            scenario.epoch.tdb,
+        )
+        site = geometry.Site(
+            np.array(scenario.site.position_body_m), unit(scenario.site.normal_body)
+        )
+
+        def incidence(time: Array) -> Array:
+            track = geometry.track(site, rotation, time)
+            return geometry.incidence(track, sun_direction(scenario, time))
+
+        def solar_time(time: Array) -> Array:
+            return geometry.local_solar_time(site, rotation, sun_direction(scenario, time), time)
+
+        window = find_window(scenario, incidence, solar_time)
+        schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
+        initial = _boundary_state(scenario, rotation, "initial")
+        return cls(
+            scenario=scenario,
+            rotation=rotation,
+            site=site,
+            initial_state=initial,
+            final_state=_boundary_state(scenario, rotation, "final"),
+            schedule=schedule,
+            times_s=make_grid((*scenario.burns.times_s, *window), scenario.grid.step_max_s),
+            units=Units.of_orbit(initial, body.gm_m3_s2),
+        )
+
+    def with_initial_state(self, state: Array) -> Mission:
+        """The same mission from another state before the first burn, shape (6,), in the same units.
+
+        Raises:
+            ValueError: if it is not a finite state outside the body's reference radius.
+        """
+        state = np.asarray(state, dtype=float)
+        radius = self.scenario.body.reference_radius_m
+        if state.shape != (6,) or not np.isfinite(state).all():
+            raise ValueError(f"an initial state has six finite components, not {state}")
+        if np.linalg.norm(state[:3]) <= radius:
+            raise ValueError(f"an initial state is outside the body, whose radius is {radius:g} m")
+        matrix = _boundary_axes(self.scenario, self.rotation)
+        given = {
+            "initial_position_m": tuple((matrix.T @ state[:3]).tolist()),
+            "initial_velocity_m_s": tuple((matrix.T @ state[3:]).tolist()),
+        }
+        boundary = self.scenario.boundary.model_copy(update=given)
+        scenario = self.scenario.model_copy(update={"boundary": boundary})
+        return replace(self, scenario=scenario, initial_state=state.copy())
+
+    def sun_direction(self, time_s: npt.ArrayLike) -> Array:
+        """Unit vectors from the body to the Sun, J2000, shape (..., 3)."""
+        return sun_direction(self.scenario, time_s)
+
+    @cached_property
+    def forces(self) -> ForceModel:
+        """Forces in SI, J2000."""
+        body, craft = self.scenario.body, self.scenario.spacecraft
+        distance = np.linalg.norm(self.scenario.sun.body_position_km)
+        return ForceModel(
+            gm=body.gm_m3_s2,
+            j2_strength=1.5 * body.gm_m3_s2 * body.j2 * body.reference_radius_m**2,
+            pole=self.rotation.pole,
+            srp=cannonball_srp(
+                self.sun_direction(0.0),
+                craft.srp_area_m2,
+                craft.reflectivity_coefficient,
+                craft.mass_kg,
+                float(distance) / AU_KM,
+                self.scenario.sun.solar_constant_w_m2,
+            ),
+        )
+
+    @cached_property
+    def initial_sigma(self) -> Array:
+        """1-sigma of each component before the first burn, shape (6,)."""
+        return self.scenario.uncertainty.initial_sigma_fraction * np.abs(self.initial_state)
+
+    @property
+    def burn_nodes(self) -> npt.NDArray[np.intp]:
+        """Node of each burn."""
+        return np.searchsorted(self.times_s, self.scenario.burns.times_s)
+
+    @property
+    def window_nodes(self) -> npt.NDArray[np.intp]:
+        """Nodes of the observation window, its edges included."""
+        first, last = self.schedule.window_s
+        return np.flatnonzero((self.times_s >= first) & (self.times_s <= last))
+
+    @cached_property
+    def problem(self) -> FlybyProblem:
+        """The nondimensional problem on this mission's grid."""
+        units, scenario = self.units, self.scenario
+        return FlybyProblem(
+            n_nodes=len(self.times_s),
+            burn_nodes=self.burn_nodes,
+            initial_state=self.initial_state / units.state,
+            final_state=self.final_state / units.state,
+            initial_factor=np.diag(self.initial_sigma / units.state),
+            execution_error=scenario.uncertainty.execution_error,
+            dv_max=scenario.burns.dv_max_m_s / units.speed_m_s,
+            sun=self.sun_direction(np.array(scenario.burns.times_s)),
+            dv_cone=float(np.deg2rad(scenario.battery.delta_v_cone_deg)),
+            constraints=tuple(self._constraints()),
+        )
+
+    def _constraints(self) -> list[StateConstraint]:
+        """Safety at every node, the observation and its battery cone throughout the window."""
+        p = self.scenario.risk.p_chance
+        limits, length = self.scenario.observation, self.units.length_m
+        both = split_risk(p, 2)
+        one_sided = p if limits.phase_max_deg is None else both
+        window = self.window_nodes
+        track = geometry.track(self.site, self.rotation, self.times_s[window])
+        at, sun = track.position / length, self.sun_direction(self.times_s[window])
+
+        def cone(axis: Array, angle_deg: float) -> Cone:
+            return Cone(at, axis, float(np.deg2rad(angle_deg)))
+
+        everywhere = np.arange(len(self.times_s))
+        centre = np.zeros((len(everywhere), 3))
+        low, high = limits.site_distance_min_m / length, limits.site_distance_max_m / length
+        battery = cone(sun, self.scenario.battery.observation_cone_deg)
+        constraints = [
+            StateConstraint(
+                "safety_radius",
+                everywhere,
+                Ball(centre, self.scenario.safety.radius_min_m / length),
+                "out",
+                p,
+            ),
+            StateConstraint("site_distance_min", window, Ball(at, low), "out", both),
+            StateConstraint("site_distance_max", window, Ball(at, high), "in", both),
+            StateConstraint(
+                "emission_min", window, cone(track.normal, limits.emission_min_deg), "out", both
+            ),
+            StateConstraint(
+                "emission_max", window, cone(track.normal, limits.emission_max_deg), "in", both
+            ),
+            StateConstraint("phase_min", window, cone(sun, limits.phase_min_deg), "out", one_sided),
+            StateConstraint("battery_observation", window, battery, "out", p),
+        ]
+        if limits.phase_max_deg is not None:
+            constraints.append(
+                StateConstraint("phase_max", window, cone(sun, limits.phase_max_deg), "in", both)
+            )
+        return constraints
+
+    @cached_property
+    def polytopes(self) -> Polytopes:
+        """What stands for balls and cones in P2."""
+        choice = self.scenario.polytopes
+        if choice.ball == "tangent":
+            shape = None
+        else:
+            shape = paper_ball() if choice.ball == "paper" else ball(choice.ball)
+        return Polytopes(shape, 4 if choice.cone == "paper" else choice.cone)
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """Nondimensional flow map of the grid's arcs."""
+        forces = self.forces.in_units(self.units.length_m, self.units.time_s)
+        return Dynamics(
+            forces, np.diff(self.times_s) / self.units.time_s, self.arc_substeps, self.burn_nodes
+        )
+
+    @property
+    def arc_substeps(self) -> int:
+        """Runge-Kutta steps per arc, so that none is longer than `RK4_STEP_MAX_S`."""
+        return max(1, int(np.ceil(np.max(np.diff(self.times_s)) / RK4_STEP_MAX_S)))
+
+
+def sun_direction(scenario: Scenario, time_s: npt.ArrayLike) -> Array:
+    """Unit vectors from the body to the Sun, J2000, shape (..., 3).
+
+    The body moves on a straight line: over ten hours the curvature of its orbit is 2e-5 rad of
+    mostly radial displacement.
+    """
+    position = np.array(scenario.sun.body_position_km)
+    velocity = np.array(scenario.sun.body_velocity_km_s)
+    return unit(-(position + np.multiply.outer(np.asarray(time_s, dtype=float), velocity)))
+
+
+def _boundary_axes(scenario: Scenario, rotation: Rotation) -> Array:
+    """From the frame of the boundary states to J2000, shape (3, 3)."""
+    if scenario.boundary.frame == "j2000":
+        return np.eye(3)
+    return sun_north_to_j2000(sun_direction(scenario, 0.0), rotation.pole)
+
+
+def _boundary_state(scenario: Scenario, rotation: Rotation, which: str) -> Array:
+    boundary, matrix = scenario.boundary, _boundary_axes(scenario, rotation)
+    position = matrix @ np.array(getattr(boundary, f"{which}_position_m"))
+    velocity = matrix @ np.array(getattr(boundary, f"{which}_velocity_m_s"))
+    return np.concatenate([position, velocity])

@@ -1,0 +1,52 @@
+"""Whether the entries of a scenario, each within its own bounds, make sense together."""
+
+from __future__ import annotations
+
+import math
+
+from scp_recon.errors import InputError
+from scp_recon.mission.grid import RK4_STEP_MAX_S
+from scp_recon.scenario.schema import Scenario
+
+NODES_MAX = 3000
+"""Beyond it a plan would take minutes and gigabytes."""
+
+
+def check_plausible(scenario: Scenario) -> None:
+    """Refuse what would never end, or end in figures that are not finite.
+
+    Raises:
+        InputError: if the grid has too many nodes, the body's straight line could lead to the Sun, or
+            the flight begins or ends inside the body or turns about it faster than the planner's steps.
+    """
+    duration, step = scenario.duration_s, scenario.grid.step_max_s
+    if duration / step > NODES_MAX:
+        raise InputError(
+            "grid.step_max_s",
+            f"{step:g} s",
+            f"must leave at most {NODES_MAX} nodes in the flight of {duration:g} s",
+        )
+    away = math.hypot(*scenario.sun.body_position_km)
+    speed = math.hypot(*scenario.sun.body_velocity_km_s)
+    if speed * duration > 0.5 * away:
+        raise InputError(
+            "sun.body_velocity_km_s",
+            f"{speed:g} km/s",
+            f"must carry the body less than half its {away:g} km from the Sun in the flight",
+        )
+    radius, gm = scenario.body.reference_radius_m, scenario.body.gm_m3_s2
+    for which in ("initial", "final"):
+        distance = math.hypot(*getattr(scenario.boundary, f"{which}_position_m"))
+        if distance <= radius:
+            raise InputError(
+                f"boundary.{which}_position_m",
+                f"{distance:g} m from the centre",
+                f"must be outside the body, whose reference radius is {radius:g} m",
+            )
+        if gm * RK4_STEP_MAX_S**2 > distance**3:
+            raise InputError(
+                "body.gm_m3_s2",
+                f"{gm:g}",
+                f"must be below {distance**3 / RK4_STEP_MAX_S**2:g}: the {which} position is "
+                f"{distance:g} m from the centre, and the planner's steps are {RK4_STEP_MAX_S:g} s",
+            )

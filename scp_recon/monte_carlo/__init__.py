@@ -1,0 +1,1 @@
+"""Many flights with errors: sampled, tallied and summarised."""

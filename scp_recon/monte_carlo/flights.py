@@ -1,0 +1,212 @@
+"""A Monte Carlo campaign: flights tallied block by block, in memory that does not grow with them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
+from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, TruthModel, fly_block
+
+Array = npt.NDArray[np.float64]
+
+LOOK_STEP_S = 60.0
+"""Longest spacing of the times at which the window is looked at; crossings are then bisected."""
+
+TIME_BIN_S, DISTANCE_BIN_M = 0.5, 0.1
+TERMINAL_KEPT = 5000
+"""Final states kept for the normality test, whose distribution is tabulated up to there."""
+
+
+@dataclass(frozen=True)
+class CampaignConfig:
+    """What is flown.
+
+    Attributes:
+        mission: dynamics and uncertainty.
+        burns_m_s: planned burns, shape (m, 3).
+        seed: of all draws.
+        truth: dynamics flown.
+        errors: of the burns.
+    """
+
+    mission: Mission
+    burns_m_s: Array
+    seed: int = 0
+    truth: TruthModel = "planner"
+    errors: ErrorModel = "componentwise"
+
+    @property
+    def looks_s(self) -> Array:
+        """Times in the window, its edges and the grid's nodes included."""
+        first, last = self.mission.schedule.window_s
+        even = np.linspace(first, last, int(np.ceil((last - first) / LOOK_STEP_S)) + 1)
+        return np.union1d(even, self.mission.times_s[self.mission.window_nodes])
+
+
+@dataclass(frozen=True)
+class FlightBlock:
+    """What one block of flights contributes."""
+
+    held: dict[str, Array]
+    entry: Array
+    exit: Array
+    node_counts: dict[str, npt.NDArray[np.int64]]
+    closest_m: Array
+    executed_dv_m_s: Array
+    terminal: Array
+
+
+def run_block(setting: CampaignConfig, job: tuple[int, int]) -> FlightBlock:
+    """Fly a block: (its number, its flights)."""
+    number, flights = job
+    mission, looks = setting.mission, setting.looks_s
+    times = np.append(looks, mission.times_s[-1])
+    flown = fly_block(
+        mission,
+        setting.burns_m_s,
+        times,
+        number,
+        flights=flights,
+        seed=setting.seed,
+        truth=setting.truth,
+        errors=setting.errors,
+    )
+    seen = flown.states[:-1]
+    held = time_held(mission, looks, seen)
+    joint = joint_margins(mission, looks, seen[..., :3])
+    holds = {name: margin >= 0.0 for name, margin in joint.items()}
+    holds[ALL] = np.logical_and.reduce([holds[name] for name in SCIENCE])
+    return FlightBlock(
+        held={name: h.duration for name, h in held.items()},
+        entry=held[ALL].entry,
+        exit=held[ALL].exit,
+        node_counts={name: h.sum(axis=1) for name, h in holds.items()},
+        closest_m=flown.closest_m,
+        executed_dv_m_s=np.linalg.norm(flown.burns_m_s, axis=2).sum(axis=1),
+        terminal=flown.states[-1],
+    )
+
+
+@dataclass
+class Campaign:
+    """Running totals of a setting's flights.
+
+    Attributes:
+        held: seconds in which each observation constraint holds, and all at once.
+        full: flights in which it holds throughout the window.
+        entry, exit: first and last time at which all hold, of the flights in which they ever do.
+        node_counts: flights in which each joint constraint holds, by time.
+        closest, executed_dv: smallest distance from the body's centre, total delta-v.
+        terminal: final states of the first flights.
+    """
+
+    setting: CampaignConfig
+    samples: int = 0
+    held: dict[str, Tally] = field(default_factory=dict)
+    full: dict[str, int] = field(default_factory=dict)
+    entry: Tally = field(init=False)
+    exit: Tally = field(init=False)
+    node_counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
+    closest: Tally = field(init=False)
+    executed_dv: Tally = field(init=False)
+    terminal: Array = field(default_factory=lambda: np.empty((0, 6)))
+    terminal_sum: Array = field(default_factory=lambda: np.zeros(6))
+    terminal_outer: Array = field(default_factory=lambda: np.zeros((6, 6)))
+
+    def __post_init__(self) -> None:
+        """Empty tallies that span what can occur."""
+        first, last = self.setting.mission.schedule.window_s
+        planned = float(np.linalg.norm(self.setting.burns_m_s, axis=1).sum())
+        far = 20.0 * float(np.linalg.norm(self.setting.mission.initial_state[:3]))
+        self.held = {name: Tally.empty(0.0, last - first, TIME_BIN_S) for name in (*SCIENCE, ALL)}
+        self.full = dict.fromkeys(self.held, 0)
+        self.entry = self.exit = Tally.empty(first, last, TIME_BIN_S)
+        self.closest = Tally.empty(0.0, far, DISTANCE_BIN_M)
+        self.executed_dv = Tally.empty(0.0, 3.0 * max(planned, 1e-9), planned / 1e4 or 1e-9)
+
+    def add(self, block: FlightBlock) -> None:
+        """Count a block in; blocks come in order, so that sums round the same way every time."""
+        first, last = self.setting.mission.schedule.window_s
+        for name, seconds in block.held.items():
+            self.held[name] = self.held[name].add(seconds)
+            self.full[name] += int((seconds >= last - first - 1e-6).sum())
+        ever = np.isfinite(block.entry)
+        if ever.any():
+            self.entry = self.entry.add(block.entry[ever])
+            self.exit = self.exit.add(block.exit[ever])
+        for name, counts in block.node_counts.items():
+            self.node_counts[name] = self.node_counts.get(name, np.zeros_like(counts)) + counts
+        self.closest = self.closest.add(block.closest_m)
+        self.executed_dv = self.executed_dv.add(block.executed_dv_m_s)
+        room = TERMINAL_KEPT - len(self.terminal)
+        self.terminal = np.vstack([self.terminal, block.terminal[: max(room, 0)]])
+        deviation = block.terminal - self.setting.mission.final_state
+        self.terminal_sum += deviation.sum(axis=0)
+        self.terminal_outer += deviation.T @ deviation
+        self.samples += len(block.terminal)
+
+    def worst_probability(self, name: str) -> tuple[float, Estimate]:
+        """Time at which a joint constraint holds in the fewest flights, and its probability there."""
+        counts = self.node_counts[name]
+        at = int(np.argmin(counts))
+        return float(self.setting.looks_s[at]), proportion(int(counts[at]), self.samples)
+
+    def widest_interval(self) -> float:
+        """Width of the widest confidence interval among the joint probabilities."""
+        estimates = [self.worst_probability(name)[1] for name in self.node_counts]
+        return max(e.high - e.low for e in estimates)
+
+    def terminal_covariance(self) -> Array:
+        """Sample covariance of the final state, shape (6, 6)."""
+        mean = self.terminal_sum / self.samples
+        scatter = self.terminal_outer - self.samples * np.outer(mean, mean)
+        return scatter / max(self.samples - 1, 1)
+
+
+def fly_campaign(
+    setting: CampaignConfig,
+    *,
+    samples: int,
+    until: float | None = None,
+    workers: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> Campaign:
+    """Fly `samples`, or at most that many until every probability's interval is `until` wide.
+
+    The result does not depend on the number of workers.
+    """
+    campaign = Campaign(setting)
+    for block in _blocks(setting, samples, workers):
+        campaign.add(block)
+        if progress:
+            progress(campaign.samples)
+        if until is not None and campaign.widest_interval() <= until:
+            break
+    return campaign
+
+
+def _blocks(setting: CampaignConfig, samples: int, workers: int) -> Iterator[FlightBlock]:
+    jobs = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(-(-samples // BLOCK)))
+    work = partial(run_block, setting)
+    if workers == 1:
+        yield from map(work, jobs)
+        return
+    with ProcessPoolExecutor(workers) as pool:
+        # A few blocks ahead, not all of them: memory stays bounded.
+        pending = [pool.submit(work, job) for job in islice(jobs, 2 * workers)]
+        try:
+            while pending:
+                yield pending.pop(0).result()
+                pending += [pool.submit(work, job) for job in islice(jobs, 1)]
+        finally:
+            for future in pending:
+                future.cancel()

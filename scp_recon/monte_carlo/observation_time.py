@@ -1,0 +1,181 @@
+"""When a flight observes: margins of the observation constraints and how long each of them holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.mission.mission import Mission
+from scp_recon.physics import geometry
+from scp_recon.physics.flow import interpolate
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+Margins = dict[str, tuple[Literal["m", "rad"], Array]]
+
+JOINT = {
+    "site_distance": ("site_distance_min", "site_distance_max"),
+    "emission": ("emission_min", "emission_max"),
+    "phase": ("phase_min", "phase_max"),
+    "battery_observation": ("battery_observation",),
+}
+"""Margins that make up each joint chance constraint: Echigo et al., eqs. (12) to (16)."""
+
+SCIENCE = ("site_distance", "emission", "phase")
+"""The observation constraints proper, whose time is counted; the battery's is not one of them."""
+
+ALL = "all"
+BISECTIONS = 12
+
+
+def observation_margins(mission: Mission, times_s: Array, position: Array) -> Margins:
+    """Margins of the original observation constraints, >= 0 where satisfied.
+
+    Args:
+        mission: site, Sun and limits.
+        times_s: shape (n,).
+        position: J2000, m, shape (n, ..., 3).
+    """
+    limits = mission.scenario.observation
+    track = geometry.track(mission.site, mission.rotation, times_s)
+    wide = (slice(None),) + (None,) * (position.ndim - 2)
+    site = geometry.SiteTrack(track.position[wide], track.normal[wide])
+    distance = geometry.distance(position, site)
+    emission = geometry.emission(position, site)
+    phase = geometry.phase(position, site, mission.sun_direction(times_s)[wide])
+    margins: Margins = {
+        "site_distance_min": ("m", distance - limits.site_distance_min_m),
+        "site_distance_max": ("m", limits.site_distance_max_m - distance),
+        "emission_min": ("rad", emission - np.deg2rad(limits.emission_min_deg)),
+        "emission_max": ("rad", np.deg2rad(limits.emission_max_deg) - emission),
+        "phase_min": ("rad", phase - np.deg2rad(limits.phase_min_deg)),
+        "battery_observation": (
+            "rad",
+            phase - np.deg2rad(mission.scenario.battery.observation_cone_deg),
+        ),
+    }
+    if limits.phase_max_deg is not None:
+        margins["phase_max"] = ("rad", np.deg2rad(limits.phase_max_deg) - phase)
+    return margins
+
+
+def joint_margins(mission: Mission, times_s: Array, position: Array) -> dict[str, Array]:
+    """Smallest margin of each joint constraint, shape of `position` without its last axis."""
+    margins = observation_margins(mission, times_s, position)
+    return {
+        joint: np.minimum.reduce([margins[name][1] for name in names if name in margins])
+        for joint, names in JOINT.items()
+    }
+
+
+@dataclass(frozen=True)
+class Held:
+    """How long a constraint holds in the window, by flight; all of shape (flights,), s.
+
+    `entry` and `exit` are the first and the last time at which it holds, NaN where it never does.
+    """
+
+    duration: Array
+    entry: Array
+    exit: Array
+
+
+def time_held(mission: Mission, times_s: Array, states: Array) -> dict[str, Held]:
+    """Time in which each observation constraint holds, and all of them at once.
+
+    Crossings between the given times are bisected on a cubic Hermite interpolation of the states to
+    1/4096 of the spacing. Dips and peaks that begin and end between two times are found as the vertex
+    of a parabola through three margins.
+
+    Args:
+        mission: site, Sun and limits.
+        times_s: ascending, spanning the window, shape (n,).
+        states: J2000, m and m/s, shape (n, flights, 6).
+    """
+    margins = _counted(joint_margins(mission, times_s, states[..., :3]))
+    holds = np.stack(list(margins.values())) >= 0.0
+    which, k, flight = np.nonzero(holds[:, 1:] != holds[:, :-1])
+    crossing = _bisect(mission, times_s, states, (which, k, flight), holds[which, k, flight])
+    held = {}
+    for i, (name, margin) in enumerate(margins.items()):
+        mine = which == i
+        held[name] = _held(times_s, margin, k[mine], flight[mine], crossing[mine])
+    return held
+
+
+def _counted(joint: dict[str, Array]) -> dict[str, Array]:
+    """Margins of the science constraints, and a function with the sign of the smallest of them."""
+    science = {name: joint[name] for name in SCIENCE}
+    signs = [science["site_distance"] / 100.0, science["emission"], science["phase"]]
+    return science | {ALL: np.minimum.reduce(signs)}
+
+
+def _held(times: Array, margin: Array, k: Indices, flight: Indices, crossing: Array) -> Held:
+    """From one constraint's margins (n, flights) and its crossings in the arcs after times k."""
+    holds = margin >= 0.0
+    steps = np.diff(times)
+    duration = (steps[:, None] * (holds[1:] & holds[:-1])).sum(axis=0)
+    duration += _vertices(steps, margin)
+    any_held = holds.any(axis=0)
+    first, last = np.argmax(holds, axis=0), len(times) - 1 - np.argmax(holds[::-1], axis=0)
+    entry = np.where(any_held, times[first], np.nan)
+    exit_ = np.where(any_held, times[last], np.nan)
+
+    rises = holds[k + 1, flight]
+    share = np.where(rises, times[k + 1] - crossing, crossing - times[k])
+    np.add.at(duration, flight, share)
+    opens = rises & (k + 1 == first[flight])
+    closes = ~rises & (k == last[flight])
+    entry[flight[opens]] = crossing[opens]
+    exit_[flight[closes]] = crossing[closes]
+    return Held(duration, entry, exit_)
+
+
+def _bisect(
+    mission: Mission,
+    times: Array,
+    states: Array,
+    events: tuple[Indices, Indices, Indices],
+    holds_before: npt.NDArray[np.bool_],
+) -> Array:
+    """Times at which margins change sign, all events at once, shape (events,).
+
+    An event is the number of a constraint, the time k before it, and a flight.
+    """
+    which, k, flight = events
+    low, high = times[k].copy(), times[k + 1].copy()
+    if not len(k):
+        return low
+    start, step = low.copy(), (high - low)[:, None]
+    before, after = ((s[:, :3], s[:, 3:]) for s in (states[k, flight], states[k + 1, flight]))
+    event = np.arange(len(k))
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        position, _ = interpolate(before, after, step, (middle - start)[:, None] / step)
+        margins = np.stack(list(_counted(joint_margins(mission, middle, position)).values()))
+        same = (margins[which, event] >= 0.0) == holds_before
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    return 0.5 * (low + high)
+
+
+def _vertices(steps: Array, margin: Array) -> Array:
+    """Time to add for peaks above and dips below zero that no given time sees, (flights,).
+
+    Through three equally spaced margins with second difference c and first difference d, the vertex
+    is v = m - d^2 / (8 c), and the parabola lies beyond zero for sqrt(-8 v / c) spacings. Spacings
+    that differ by a per cent or two change that by as much.
+    """
+    m, before, after = margin[1:-1], margin[:-2], margin[2:]
+    c, d = before - 2.0 * m + after, after - before
+    with np.errstate(divide="ignore", invalid="ignore"):
+        vertex = m - d**2 / (8.0 * c)
+        width = np.sqrt(np.maximum(-8.0 * vertex / c, 0.0)) * steps[1:, None]
+    all_hold = np.minimum(m, np.minimum(before, after)) >= 0.0
+    none_holds = np.maximum(m, np.maximum(before, after)) < 0.0
+    near = np.abs(d) <= np.abs(c)  # the vertex belongs to the middle time
+    dips = all_hold & near & (c > 0.0) & (vertex < 0.0)
+    peaks = none_holds & near & (c < 0.0) & (vertex > 0.0)
+    return np.where(peaks, width, 0.0).sum(axis=0) - np.where(dips, width, 0.0).sum(axis=0)

@@ -1,0 +1,158 @@
+"""Flights drawn from the initial-state and execution errors, in blocks that nothing else changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import advance, interpolate
+from scp_recon.physics.forces import accelerations
+from scp_recon.physics.harmonics import HarmonicField
+
+Array = npt.NDArray[np.float64]
+TruthModel = Literal["planner", "harmonics"]
+ErrorModel = Literal["componentwise", "gates"]
+Flow = Callable[[Array, Array, float, float], tuple[Array, Array]]
+
+BLOCK = 1000
+"""Flights drawn from one seed: a flight is the same however many others are flown, and where."""
+
+HARMONICS_DEGREE = 8
+"""The paper's ground truth."""
+
+
+@dataclass(frozen=True)
+class Flights:
+    """Sampled flights.
+
+    Attributes:
+        times_s: when they were looked at, shape (n,).
+        states: J2000, m and m/s, after the burns, shape (n, flights, 6).
+        burns_m_s: as executed, shape (flights, m, 3).
+        closest_m: smallest distance from the body's centre where a step ended, shape (flights,).
+    """
+
+    times_s: Array
+    states: Array
+    burns_m_s: Array
+    closest_m: Array
+
+
+def fly_block(
+    mission: Mission,
+    burns_m_s: Array,
+    times_s: Array,
+    block: int,
+    *,
+    flights: int = BLOCK,
+    seed: int = 0,
+    truth: TruthModel = "planner",
+    errors: ErrorModel = "componentwise",
+) -> Flights:
+    """Fly the first `flights` of a block of draws.
+
+    The initial state is Gaussian about the mission's. A burn is executed as dv (1 + beta w) by
+    component with w standard normal (Echigo et al., eq. 3), or by Gates' model with a proportional
+    error of the magnitude, beta, and of the pointing, beta rad about each axis across: the isotropic
+    counterpart of the same size. A flight is integrated from burn to burn in steps that nothing else
+    decides, and interpolated where it is looked at.
+
+    Args:
+        mission: dynamics and uncertainty.
+        burns_m_s: planned burns, shape (m, 3).
+        times_s: ascending times within the flight at which to look.
+        block: which draws.
+        flights: at most `BLOCK`.
+        seed: of all blocks.
+        truth: point mass with J2, or the degree-8 field turning with the body.
+        errors: of the burns.
+    """
+    draws = np.random.default_rng([seed, block]).standard_normal((BLOCK, 6 + burns_m_s.size))
+    draws = draws[:flights]
+    state = mission.initial_state + draws[:, :6] * mission.initial_sigma
+    executed = _execute(mission, burns_m_s, draws[:, 6:].reshape(-1, *burns_m_s.shape), errors)
+    fly = _flow(mission, truth)
+    burn_at = dict(zip(mission.scenario.burns.times_s, range(len(burns_m_s)), strict=True))
+    stops = make_grid(mission.scenario.burns.times_s, RK4_STEP_MAX_S)
+    looks = np.searchsorted(times_s, stops, side="right")
+    # Components first, so that an operation runs along the flights.
+    states = np.empty((len(times_s), 6, flights))
+    r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
+    closest2 = np.full(flights, np.inf)
+    for k, stop in enumerate(stops.tolist()):
+        if stop in burn_at:
+            v = v + executed[:, burn_at[stop]].T
+        states[times_s == stop] = np.concatenate([r, v])
+        closest2 = np.minimum(closest2, np.einsum("in,in->n", r, r))
+        if stop < stops[-1]:
+            duration = stops[k + 1] - stop
+            end = fly(r, v, stop, duration)
+            for row in range(looks[k], np.searchsorted(times_s, stops[k + 1])):
+                share = (times_s[row] - stop) / duration
+                states[row, :3], states[row, 3:] = interpolate((r, v), end, duration, share)
+            r, v = end
+    return Flights(times_s, np.moveaxis(states, 1, 2), executed, np.sqrt(closest2))
+
+
+def sample_positions(
+    mission: Mission, burns_m_s: Array, times_s: Array, samples: int, seed: int = 0
+) -> Array:
+    """Positions of flights with the planner's dynamics, J2000, m, shape (times, samples, 3)."""
+    blocks = [
+        fly_block(
+            mission,
+            burns_m_s,
+            times_s,
+            first // BLOCK,
+            flights=min(BLOCK, samples - first),
+            seed=seed,
+        ).states[..., :3]
+        for first in range(0, samples, BLOCK)
+    ]
+    return np.concatenate(blocks, axis=1)
+
+
+def _execute(mission: Mission, planned: Array, draws: Array, errors: ErrorModel) -> Array:
+    """Executed burns, shape (flights, m, 3)."""
+    beta = mission.scenario.uncertainty.execution_error
+    if errors == "componentwise":
+        return planned * (1.0 + beta * draws)
+    size = np.linalg.norm(planned, axis=1, keepdims=True)
+    along = np.divide(planned, size, out=np.zeros_like(planned), where=size > 0.0)
+    # Rows of a frame with the burn first; the draws are its magnitude and its two pointing errors.
+    first = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)])
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.finfo(float).tiny)
+    frame = np.stack([along, first, np.cross(along, first)], axis=1)
+    return planned + beta * size * np.einsum("fmi,mij->fmj", draws, frame)
+
+
+def _flow(mission: Mission, truth: TruthModel) -> Flow:
+    """Carries positions and velocities (3, flights) from a time over a duration."""
+    forces = mission.forces
+
+    def planner(r: Array, v: Array, _: float, duration: float) -> tuple[Array, Array]:
+        def rate(at: Array, _: float) -> Array:
+            return accelerations(at, forces)
+
+        return advance(r, v, duration, rate, 1)
+
+    if truth == "planner":
+        return planner
+    field = HarmonicField.bennu(mission.scenario.body.gm_m3_s2, HARMONICS_DEGREE)
+    srp = forces.srp[:, None]
+
+    def harmonics(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
+        def rate(at: Array, elapsed: float) -> Array:
+            to_j2000 = mission.rotation.body_to_j2000(start + elapsed)
+            body = to_j2000.T @ at
+            return to_j2000 @ np.stack(field.acceleration(*body)) + srp
+
+        return advance(r, v, duration, rate, 1)
+
+    return harmonics

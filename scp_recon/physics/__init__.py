@@ -1,0 +1,1 @@
+"""Forces, frames, geometry and the flow of states and their derivatives."""

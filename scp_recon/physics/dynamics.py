@@ -1,0 +1,96 @@
+"""The mean over a grid of arcs with impulsive burns at some nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
+from formulations.problem.flyby import FlybyProblem, Iterate
+from scp_recon.physics.flow import FlowDerivatives, differentiate, propagate
+from scp_recon.physics.forces import ForceModel
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Flow map of a grid, in the units of `forces`.
+
+    Attributes:
+        forces: constants of the equations of motion.
+        durations: of the arcs, shape (n,).
+        substeps: Runge-Kutta steps per arc.
+        burn_nodes: node of each burn.
+    """
+
+    forces: ForceModel
+    durations: Array
+    substeps: int
+    burn_nodes: npt.NDArray[np.intp]
+
+    def rollout(self, initial_state: Array, burns: Array) -> Array:
+        """Node states after the burns: initial (..., 6), burns (..., m, 3) to (n + 1, ..., 6)."""
+        burn_at = dict(zip(self.burn_nodes.tolist(), range(len(self.burn_nodes)), strict=True))
+        states = np.empty((len(self.durations) + 1, *initial_state.shape))
+        states[0] = initial_state
+        for k in range(len(states)):
+            if k > 0:
+                duration = self.durations[k - 1]
+                states[k] = propagate(states[k - 1], duration, self.forces, self.substeps)
+            if k in burn_at:
+                states[k, ..., 3:] += burns[..., burn_at[k], :]
+        return states
+
+    def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
+        """An iterate with the derivatives of all its arcs."""
+        return Linearisation(problem, iterate, self._arcs(iterate))
+
+    def _arcs(self, iterate: Iterate) -> FlowDerivatives:
+        return differentiate(iterate.mean[:-1], self.durations, self.forces, self.substeps)
+
+    def close_defects(self, lin: Linearisation, burns: Array) -> Linearisation:
+        """Make a step of the linear model dynamically exact.
+
+        Multiple-shooting Newton from the node means that the model at `lin` predicts: every
+        iteration closes the defects of all arcs at once and corrects all burns, as little as
+        possible, so that the final state stays the one that the model promised. Without the
+        correction the final state's curvature, weighed by the penalty, rejects good steps (the
+        Maratos effect; Nocedal & Wright, Numerical Optimization, section 15.5). Where Newton's
+        method does not converge the burns are rolled out as they are.
+
+        Args:
+            lin: where the step starts.
+            burns: where it leads, shape (m, 3).
+        """
+        problem = lin.problem
+        iterate = Iterate(burns, step_mean(lin, burns))
+        goal = iterate.mean[-1]
+        # What the conic solver leaves of a miss is its tolerance, not the model's promise.
+        if np.abs(goal - problem.final_state).max() < SOLVER_MISS:
+            goal = problem.final_state
+        for _ in range(NEWTON_MAX):
+            arcs = self._arcs(iterate)
+            trial = Linearisation(problem, iterate, arcs)
+            defect = np.abs(trial.defects[:-1]).max()
+            if defect < NEWTON_TOLERANCE:
+                return trial
+            if not defect < NEWTON_DIVERGED:
+                break
+            constant, jacobian = final_state_map(trial)
+            miss = goal - constant - jacobian @ iterate.burns.ravel()
+            correction = np.linalg.lstsq(jacobian, miss)[0].reshape(-1, 3)
+            corrected = iterate.burns + correction
+            before, iterate = iterate, Iterate(corrected, step_mean(trial, corrected))
+            if defect < NEWTON_LAST:
+                moved = arcs.moved(iterate.mean[:-1] - before.mean[:-1])
+                return Linearisation(problem, iterate, moved)
+        return self.linearise(problem, Iterate(burns, self.rollout(problem.initial_state, burns)))
+
+
+SOLVER_MISS = 1e-6
+NEWTON_MAX, NEWTON_TOLERANCE, NEWTON_DIVERGED = 12, 1e-12, 1e3
+NEWTON_LAST = 1e-8
+"""Defect whose correction is the last: its square is rounding, and the derivatives stay as they are."""

@@ -1,0 +1,219 @@
+"""Flow map of all arcs at once, with its first- and second-order sensitivities.
+
+Fourth-order Runge-Kutta with a fixed number of substeps. Differentiating the scheme and applying
+the scheme to the variational equations are the same thing, so the sensitivities returned here are
+the exact derivatives of the discrete map, not approximations of those of the continuous one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.physics.forces import ForceModel, accelerations, gravity_curvature, gravity_gradient
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class FlowDerivatives:
+    """Arc-wise end states and sensitivities.
+
+    Attributes:
+        state: F(x), shape (n, 6).
+        stm: A[n, i, j] = dF_i/dx_j, shape (n, 6, 6).
+    """
+
+    state: Array
+    stm: Array
+    _steps: tuple[_Stages, ...] = field(repr=False)
+    _forces: ForceModel = field(repr=False)
+
+    @cached_property
+    def tensor(self) -> Array:
+        """T[n, i, j, k] = d2F_i/dx_j dx_k, shape (n, 6, 6, 6), symmetric in j and k.
+
+        Made when first asked for: P3 and Newton's method need no second derivatives.
+        """
+        n = len(self.state)
+        tensor = np.empty((n, 6, 6, 6))
+        for first in range(0, n, ARCS_AT_ONCE):
+            arcs = slice(first, first + ARCS_AT_ONCE)
+            part = np.zeros((len(tensor[arcs]), 2, 3, 36))
+            for step in self._steps:
+                part = _second_order(part, step.of(arcs), self._forces)
+            tensor[arcs] = part.reshape(-1, 6, 6, 6)
+        return tensor
+
+    def moved(self, deviation: Array) -> FlowDerivatives:
+        """For starts off by so little, (n, 6), that first order gives their end states to rounding."""
+        return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])
+
+
+ARCS_AT_ONCE = 32
+"""In the second-order sensitivities, so that what they work on stays in the processor's cache."""
+
+
+class _Stages(NamedTuple):
+    """Of one Runge-Kutta step.
+
+    Length (n,), then for its four stages positions (4, n, 3), gravity
+    gradients (4, n, 3, 3) and the positions' first derivatives (4, n, 3, 6).
+    """
+
+    h: Array
+    position: Array
+    gradient: Array
+    first: Array
+
+    def of(self, arcs: slice) -> _Stages:
+        """The same of some arcs only."""
+        return _Stages(self.h[arcs], *(part[:, arcs] for part in self[1:]))
+
+
+def propagate(
+    state: Array, duration: Array | float, forces: ForceModel, substeps: int = 1
+) -> Array:
+    """Carry states over their arcs; `state` (..., 6), `duration` broadcast against (...)."""
+    return rk4(state, duration, lambda r, _: _anywhere(r, forces), substeps)
+
+
+def _anywhere(r: Array, forces: ForceModel) -> Array:
+    """Accelerations at positions of any shape (3, ...)."""
+    return accelerations(r.reshape(3, -1), forces).reshape(r.shape)
+
+
+def rk4(
+    state: Array,
+    duration: Array | float,
+    rate: Callable[[Array, Any], Array],
+    substeps: int,
+) -> Array:
+    """Fourth-order Runge-Kutta for an acceleration of the position (3, ...) and the elapsed time.
+
+    `state` has shape (..., 6) and `duration` broadcasts against (...). With a_i the accelerations
+    at the stages, the classical scheme for r'' = a(r, t) is
+
+        r_1 = r,  r_2 = r + h/2 v,  r_3 = r_2 + h^2/4 a_1,  r_4 = r + h v + h^2/2 a_2
+        r+ = r + h v + h^2/6 (a_1 + a_2 + a_3),  v+ = v + h/6 (a_1 + 2 a_2 + 2 a_3 + a_4).
+    """
+    r = np.moveaxis(np.asarray(state)[..., :3], -1, 0)
+    v = np.moveaxis(np.asarray(state)[..., 3:], -1, 0)
+    return np.moveaxis(np.concatenate(advance(r, v, duration, rate, substeps)), 0, -1)
+
+
+def advance(
+    r: Array, v: Array, duration: Array | float, rate: Callable[[Array, Any], Array], substeps: int
+) -> tuple[Array, Array]:
+    """The scheme of `rk4` for positions and velocities of shape (3, ...)."""
+    h = np.asarray(duration) / substeps
+    for k in range(substeps):
+        t = k * h
+        half, full = r + (0.5 * h) * v, r + h * v
+        a1 = rate(r, t)
+        a2 = rate(half, t + 0.5 * h)
+        a3 = rate(half + (0.25 * h * h) * a1, t + 0.5 * h)
+        a4 = rate(full + (0.5 * h * h) * a2, t + h)
+        middle = a2 + a3
+        r = full + (h * h / 6.0) * (a1 + middle)
+        v = v + (h / 6.0) * (a1 + a4 + 2.0 * middle)
+    return r, v
+
+
+def interpolate(
+    start: tuple[Array, Array], end: tuple[Array, Array], h: Array | float, u: Array | float
+) -> tuple[Array, Array]:
+    """Cubic Hermite position and velocity at the share u of an arc of length h.
+
+    Over an arc of Runge-Kutta's length the position is as good as the scheme: its error is
+    h^4 / 384 times the fourth derivative. Shapes need only broadcast.
+    """
+    (r0, v0), (r1, v1) = start, end
+    chord = (r1 - r0) / h
+    bend, twist = 3.0 * chord - 2.0 * v0 - v1, v0 + v1 - 2.0 * chord
+    position = r0 + (h * u) * (v0 + u * (bend + u * twist))
+    return position, v0 + u * (2.0 * bend + (3.0 * u) * twist)
+
+
+def differentiate(
+    state: Array, duration: Array, forces: ForceModel, substeps: int = 1
+) -> FlowDerivatives:
+    """Flow map and state-transition matrix of every arc in one call, its second-order tensor later.
+
+    The stages' positions come first, so that the gradients are evaluated at all of them at once.
+
+    Args:
+        state: initial states, shape (n, 6).
+        duration: arc lengths, shape (n,).
+        forces: constants in the same units.
+        substeps: Runge-Kutta steps per arc.
+    """
+    n, h = len(state), np.asarray(duration, dtype=float) / substeps
+    r, v = np.asarray(state)[:, :3].T, np.asarray(state)[:, 3:].T
+    stm = np.broadcast_to(np.eye(6).reshape(2, 3, 6), (n, 2, 3, 6))
+    steps = []
+    for _ in range(substeps):
+        position, r, v = _stage_positions(r, v, h, forces)
+        gradient = gravity_gradient(position.reshape(-1, 3), forces).reshape(4, n, 3, 3)
+        first, stm = _first_order(stm, gradient, h)
+        steps.append(_Stages(h, position, gradient, first))
+    return FlowDerivatives(
+        np.concatenate([r, v]).T.copy(), stm.reshape(n, 6, 6), tuple(steps), forces
+    )
+
+
+def _stage_positions(
+    r: Array, v: Array, h: Array, forces: ForceModel
+) -> tuple[Array, Array, Array]:
+    """Positions of the four stages (4, n, 3), and the step's end, for r and v of shape (3, n)."""
+    half, full = r + (0.5 * h) * v, r + h * v
+    a1 = accelerations(r, forces)
+    a2 = accelerations(half, forces)
+    third = half + (0.25 * h * h) * a1
+    a3 = accelerations(third, forces)
+    fourth = full + (0.5 * h * h) * a2
+    a4 = accelerations(fourth, forces)
+    middle = a2 + a3
+    position = np.stack([r, half, third, fourth]).transpose(0, 2, 1)
+    end = full + (h * h / 6.0) * (a1 + middle)
+    return position, end, v + (h / 6.0) * (a1 + a4 + 2.0 * middle)
+
+
+def _first_order(stm: Array, gradient: Array, h: Array) -> tuple[Array, Array]:
+    """First derivatives of the stages' positions (4, n, 3, 6) and of the step's end (n, 2, 3, 6)."""
+    w = h[:, None, None]
+    r, v = stm[:, 0], stm[:, 1]
+    half, full = r + (0.5 * w) * v, r + w * v
+    a1, a2 = gradient[0] @ r, gradient[1] @ half
+    third, fourth = half + (0.25 * w * w) * a1, full + (0.5 * w * w) * a2
+    a3, a4 = gradient[2] @ third, gradient[3] @ fourth
+    middle = a2 + a3
+    end = full + (w * w / 6.0) * (a1 + middle), v + (w / 6.0) * (a1 + a4 + 2.0 * middle)
+    return np.stack([r, half, third, fourth]), np.stack(end, axis=1)
+
+
+def _second_order(tensor: Array, stages: _Stages, forces: ForceModel) -> Array:
+    """Second derivatives (n, 2, 3, 36) of the step's end from those of its start.
+
+    The stages' accelerations have a_i'' = H_i (r_i', r_i') + G_i r_i''.
+    """
+    n, w, g = len(tensor), stages.h[:, None, None], stages.gradient
+    first = stages.first.reshape(4 * n, 3, 6)
+    curvature = gravity_curvature(stages.position.reshape(-1, 3), forces)
+    # Columns (i, k) of H_lim r_mk and then of r_lj H_lim r_mk, as H is symmetric.
+    along = (curvature.reshape(-1, 9, 3) @ first).reshape(-1, 3, 18)
+    both = (first.transpose(0, 2, 1) @ along).reshape(4, n, 6, 3, 6)
+    bend = both.transpose(0, 1, 3, 2, 4).reshape(4, n, 3, 36)
+    r, v = tensor[:, 0], tensor[:, 1]
+    half, full = r + (0.5 * w) * v, r + w * v
+    a1, a2 = bend[0] + g[0] @ r, bend[1] + g[1] @ half
+    a3 = bend[2] + g[2] @ (half + (0.25 * w * w) * a1)
+    a4 = bend[3] + g[3] @ (full + (0.5 * w * w) * a2)
+    middle = a2 + a3
+    end = full + (w * w / 6.0) * (a1 + middle), v + (w / 6.0) * (a1 + a4 + 2.0 * middle)
+    return np.stack(end, axis=1)

@@ -1,0 +1,1 @@
+"""From a mission to a plan: guesses, stages, and who solves them."""

@@ -1,0 +1,236 @@
+"""Initial guesses: the paper's cold start, the ballistic surrogate, and the user's own trajectory."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import solve_bvp
+from scipy.interpolate import CubicHermiteSpline
+
+from formulations.problem.flyby import Iterate
+from scp_recon.errors import InputError
+from scp_recon.files import read_text
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import propagate
+from scp_recon.physics.forces import acceleration
+
+Array = npt.NDArray[np.float64]
+
+COLD_BURN_M_S = 1e-10
+"""Every component of every burn: Echigo et al., section VI."""
+
+COLUMNS = {
+    "t": "t_s",
+    "x": "x_m",
+    "y": "y_m",
+    "z": "z_m",
+    "vx": "vx_m_s",
+    "vy": "vy_m_s",
+    "vz": "vz_m_s",
+}
+"""Header of a table of states, short and with units; either is accepted."""
+
+
+def cold(mission: Mission) -> Iterate:
+    """States on the straight line from the initial to the final one, burns next to nothing."""
+    fraction = (mission.times_s / mission.times_s[-1])[:, None]
+    states = mission.initial_state + fraction * (mission.final_state - mission.initial_state)
+    burns = np.full((len(mission.burn_nodes), 3), COLD_BURN_M_S)
+    return _scaled(mission, burns, states)
+
+
+def ballistic(mission: Mission) -> Iterate:
+    """Two impulses, at the first and the last burn, joined by the arc of least total delta-v.
+
+    Both ways round the body are tried; each is a boundary-value problem for the planner's forces,
+    started from a circular sweep of the direction. A surrogate for a flown trajectory.
+
+    Raises:
+        InputError: if neither boundary-value problem can be solved.
+    """
+    candidates = [iterate for way in (1.0, -1.0) if (iterate := _two_impulses(mission, way))]
+    if not candidates:
+        raise InputError(
+            "--init", "warm", "no ballistic arc joins the boundary positions; use cold"
+        )
+    return min(candidates, key=lambda iterate: iterate.total_dv)
+
+
+def circular(mission: Mission, way: float) -> Iterate:
+    """A steady turn from the initial to the final position, burns next to nothing.
+
+    It never comes nearer to the body than its ends, as a straight line may.
+
+    Args:
+        mission: gives the boundary states.
+        way: 1 for the shorter way round the body, -1 for the longer.
+    """
+    position = _circular_positions(mission, way, mission.times_s / mission.times_s[-1]).T
+    velocity = np.gradient(position, mission.times_s, axis=0)
+    burns = np.full((len(mission.burn_nodes), 3), COLD_BURN_M_S)
+    return _scaled(mission, burns, np.hstack([position, velocity]))
+
+
+def _circular_positions(mission: Mission, way: float, fraction: Array) -> Array:
+    """A steady turn about the body and change of radius, shape (3, n), at fractions of it (n,)."""
+    ends = mission.initial_state[:3], mission.final_state[:3]
+    radii = [float(np.linalg.norm(position)) for position in ends]
+    first, last = (position / radius for position, radius in zip(ends, radii, strict=True))
+    normal = way * np.cross(first, last)
+    if np.linalg.norm(normal) < 1e-9:  # (anti)parallel: any plane will do, take one with the pole
+        normal = way * np.cross(first, mission.forces.pole)
+    across = np.cross(normal / np.linalg.norm(normal), first)
+    sweep = np.arctan2(last @ across, last @ first) % (2.0 * np.pi)
+    turned = np.outer(first, np.cos(sweep * fraction)) + np.outer(across, np.sin(sweep * fraction))
+    return np.interp(fraction, [0, 1], radii) * turned
+
+
+def _two_impulses(mission: Mission, way: float) -> Iterate | None:
+    start, end = mission.initial_state, mission.final_state
+    duration, forces = mission.times_s[-1], mission.forces
+    mesh = np.linspace(0.0, 1.0, 41)
+    position = _circular_positions(mission, way, mesh)
+    length, time = mission.units.length_m, duration
+    scaled = forces.in_units(length, time)
+    guess = np.vstack([position / length, np.gradient(position / length, mesh, axis=1)])
+
+    def rate(_: Array, y: Array) -> Array:
+        return np.vstack([y[3:], np.stack(acceleration(y[0], y[1], y[2], scaled))])
+
+    def boundary(ya: Array, yb: Array) -> Array:
+        return np.concatenate([ya[:3] - start[:3] / length, yb[:3] - end[:3] / length])
+
+    solution = solve_bvp(rate, boundary, mesh, guess, tol=1e-8, max_nodes=20_000)
+    if not solution.success:
+        return None
+    states = solution.sol(mission.times_s / duration).T * np.repeat([length, length / time], 3)
+    burns = np.zeros((len(mission.burn_nodes), 3))
+    burns[0] = states[0, 3:] - start[3:]
+    burns[-1] = end[3:] - states[-1, 3:]
+    burns[1:-1] = COLD_BURN_M_S
+    states[-1, 3:] = end[3:]
+    return _scaled(mission, burns, states)
+
+
+def random(mission: Mission, seed: int) -> Iterate:
+    """A path that obeys nothing: the straight line bent by three random sines, and random burns.
+
+    Amplitudes of 600 m, 300 m and 200 m and burns of 5 cm/s in every component, 1 sigma: the path may
+    lead through the body, and its velocities are those of the bent line.
+    """
+    rng = np.random.default_rng(seed)
+    end = mission.times_s[-1]
+    phase = np.pi * mission.times_s[:, None] / end * np.arange(1, 4)
+    bend = rng.normal(scale=600.0, size=(3, 3)) / np.arange(1, 4)[:, None]
+    position = mission.initial_state[:3] + np.outer(
+        mission.times_s / end, mission.final_state[:3] - mission.initial_state[:3]
+    )
+    position += np.sin(phase) @ bend
+    velocity = np.gradient(position, mission.times_s, axis=0)
+    velocity[-1] = mission.final_state[3:]
+    burns = rng.normal(scale=0.05, size=(len(mission.burn_nodes), 3))
+    return _scaled(mission, burns, np.hstack([position, velocity]))
+
+
+def from_burns(mission: Mission, burns_m_s: Array) -> Iterate:
+    """Roll given burns out, shape (m, 3) in m/s.
+
+    Raises:
+        InputError: if there are not as many as the scenario has firing times.
+    """
+    if burns_m_s.shape != (len(mission.burn_nodes), 3):
+        raise InputError(
+            "--init",
+            f"{len(burns_m_s)} burns",
+            f"must have {len(mission.burn_nodes)} as the scenario",
+        )
+    burns = burns_m_s / mission.units.speed_m_s
+    return Iterate(burns, mission.dynamics.rollout(mission.problem.initial_state, burns))
+
+
+def from_table(mission: Mission, path: Path) -> Iterate:
+    """A table of states: CSV with columns t, x, y, z, vx, vy, vz in SI, J2000, body-centred.
+
+    Burns are what the planner's arcs miss at the firing times, those of the boundary included.
+
+    Raises:
+        InputError: if the table cannot be read, is not ascending, does not cover the flight or is
+            plainly not in metres and seconds.
+    """
+    table = _read_table(path)
+    time, states = table[:, 0], table[:, 1:]
+    end = mission.times_s[-1]
+    if len(time) < 2 or np.any(np.diff(time) <= 0.0):
+        raise InputError(f"--init {path}", f"{len(time)} rows", "times must be strictly ascending")
+    if time[0] > 0.0 or time[-1] < end:
+        raise InputError(
+            f"--init {path}",
+            f"{time[0]:g} to {time[-1]:g} s",
+            f"must cover the flight, 0 to {end:g} s",
+        )
+    _check_units(mission, path, time, states)
+    position = CubicHermiteSpline(time, states[:, :3], states[:, 3:])
+    nodes = np.concatenate(
+        [position(mission.times_s), position.derivative()(mission.times_s)], axis=1
+    )
+    durations = np.diff(mission.times_s)
+    arrivals = propagate(nodes[:-1], durations, mission.forces, mission.arc_substeps)
+    before = np.vstack([mission.initial_state, arrivals[mission.burn_nodes[1:] - 1]])
+    after = nodes[mission.burn_nodes]
+    after[-1] = mission.final_state
+    nodes[-1] = mission.final_state
+    return _scaled(mission, after[:, 3:] - before[:, 3:], nodes)
+
+
+UNITS_RATIO_MAX = 30.0
+"""Kilometres are a thousand metres; trajectories of one flight differ by far less than its root."""
+
+
+def _check_units(mission: Mission, path: Path, time: Array, states: Array) -> None:
+    """Refuse a table whose magnitudes cannot be those of the flight in metres and seconds.
+
+    Its distances are held against the flight's, and its velocities against its own positions.
+    """
+    distance = np.median(np.linalg.norm(states[:, :3], axis=1))
+    ends = np.linalg.norm([mission.initial_state[:3], mission.final_state[:3]], axis=1)
+    if not ends.min() / UNITS_RATIO_MAX <= distance <= ends.max() * UNITS_RATIO_MAX:
+        raise InputError(
+            f"--init {path}",
+            f"positions about {distance:.3g} from the centre",
+            f"must be in metres: the flight is {ends.min():.3g} to {ends.max():.3g} m from it",
+        )
+    path_speed = np.linalg.norm(np.diff(states[:, :3], axis=0), axis=1) / np.diff(time)
+    speed, moved = np.median(np.linalg.norm(states[:, 3:], axis=1)), np.median(path_speed)
+    if not moved / UNITS_RATIO_MAX <= speed <= moved * UNITS_RATIO_MAX:
+        raise InputError(
+            f"--init {path}",
+            f"velocities about {speed:.3g}",
+            f"must be in metres per second: the positions move at {moved:.3g} m/s",
+        )
+
+
+def _read_table(path: Path) -> Array:
+    text = read_text(path, f"--init {path}", "file")
+    try:
+        lines = [line for line in text.splitlines() if not line.startswith("#")]
+        reader = csv.DictReader(lines)
+        given = list(reader.fieldnames or [])
+        names = [name for pair in COLUMNS.items() for name in pair if name in given]
+        missing = [long for short, long in COLUMNS.items() if (short in given) == (long in given)]
+        table = np.array([[float(row[name]) for name in names] for row in reader])
+    except (ValueError, TypeError, csv.Error) as error:
+        raise InputError(f"--init {path}", str(error), "must be a table of numbers") from None
+    if missing or not len(table) or not np.all(np.isfinite(table)):
+        raise InputError(
+            f"--init {path}",
+            f"columns {', '.join(names) or 'none that is known'}",
+            f"must be a solution file or a CSV of finite numbers with {', '.join(COLUMNS.values())}",
+        )
+    return table
+
+
+def _scaled(mission: Mission, burns_m_s: Array, states: Array) -> Iterate:
+    return Iterate(burns_m_s / mission.units.speed_m_s, states / mission.units.state)

@@ -1,0 +1,210 @@
+"""The paper's three stages by CasADi and IPOPT: the reference of the sequential convex programs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from formulations.linearisation.linearisation import Linearisation
+from formulations.nlp.program import Arcs, Start
+from formulations.nlp.solve import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
+from formulations.problem.facets import Facets, included_rows
+from formulations.problem.flyby import Iterate
+from formulations.program.merit import MeritFunction
+from formulations.rows.chance import ChanceRows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import DeterministicRows
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.dynamics import Dynamics
+from scp_recon.physics.forces import acceleration
+from scp_recon.planning.planner import CLEARANCE_M
+from scp_recon.planning.stages import Observer, Plan, Provenance, Stage, StageRunner
+from scp_recon.scp.loop import Record, Result, Timing
+from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.status import Status
+
+
+@dataclass(frozen=True)
+class NlpStage(Stage):
+    """A stage that IPOPT solved.
+
+    Attributes:
+        runs: IPOPT's results, the last one that of the stage; two where the penalty had to be
+            raised.
+    """
+
+    runs: tuple[NlpResult, ...]
+
+
+def casadi_arcs(dynamics: Dynamics) -> Arcs:
+    """The flow map of `flow.propagate` over CasADi symbols: same forces, scheme and substeps."""
+    state, duration = ca.SX.sym("x", 6), ca.SX.sym("h")
+    h = duration / dynamics.substeps
+
+    def rate(y: ca.SX) -> ca.SX:
+        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], dynamics.forces))
+
+    y = state
+    for _ in range(dynamics.substeps):
+        k1 = rate(y)
+        k2 = rate(y + 0.5 * h * k1)
+        k3 = rate(y + 0.5 * h * k2)
+        k4 = rate(y + h * k3)
+        y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return Arcs(ca.Function("flow", [state, duration], [y]), dynamics.durations)
+
+
+def plan(
+    mission: Mission,
+    guess: Iterate,
+    *,
+    problem: Literal["P3", "P2"] = "P2",
+    variant: str = "tuned",
+    elastic: bool = False,
+    init: str = "given",
+    observe: Observer | None = None,
+) -> Plan:
+    """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
+
+    What does not converge begins again elsewhere, as in `Planner.plan`.
+
+    Args:
+        mission: what to plan.
+        guess: initial iterate, which may have defects.
+        problem: "P3" stops after the first stage.
+        variant: a key of `formulations.nlp.solve.VARIANTS`.
+        elastic: weigh violations as the sequential convex programs do, instead of forbidding them.
+        init: what the guess is called in the solution file.
+        observe: called with each line of IPOPT's log once a run is over.
+
+    Returns:
+        A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
+    """
+    arcs = casadi_arcs(mission.dynamics)
+    runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
+    provenance = Provenance(variant, "interior point", "IPOPT", init)
+    return runner.run(lambda: runner.plan(guess, problem), provenance)
+
+
+@dataclass(frozen=True)
+class IpoptStages:
+    """One stage by IPOPT: what the planner does by sequential convex programming.
+
+    Attributes:
+        mission: what to plan.
+        arcs: its dynamics over CasADi symbols.
+        variant: how the programs are posed.
+        elastic: weigh violations instead of forbidding them.
+    """
+
+    mission: Mission
+    arcs: Arcs
+    variant: Variant
+    elastic: bool = False
+
+    def deterministic_rows(self) -> DeterministicRows:
+        """P3's constraints."""
+        return DeterministicRows(self.mission.problem)
+
+    def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
+        """P2's constraints on given facets, screened as the planner screens them."""
+        mission = self.mission
+        margin = facets.margin(lin.iterate.mean, lin.factor)
+        clearance = CLEARANCE_M / mission.units.length_m if self.variant.screened else np.inf
+        return ChanceRows(
+            mission.problem,
+            facets,
+            included_rows(facets, margin, clearance, mission.problem.n_nodes),
+        )
+
+    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> NlpStage:
+        """Solve P3 or, on the included facets of its rows, P2.
+
+        An elastic problem that stays violated is weighed once more with the largest penalty, as
+        `SCvx` does.
+        """
+        begin = perf_counter()
+        algorithm = SCvx()
+        merit = MeritFunction(self.mission.problem, rows)
+        setup = perf_counter() - begin
+        weights = (algorithm.weight, algorithm.weight_max) if self.elastic else (None,)
+        runs: list[NlpResult] = []
+        lin, status = start, Status.SOLVER_FAILED
+        for weight in weights:
+            lin, run = self._run(rows, lin, weight)
+            runs.append(run)
+            violated = merit.worst_violation(lin) > algorithm.feasible
+            status = _status(run.outcome, violated=violated, elastic=self.elastic)
+            if not violated or status is Status.INTERRUPTED:
+                break
+        result = Result(status, lin, _records(runs), _timing(runs, setup))
+        for record in result.records:
+            observe(name, record)
+        facets = rows.facets if isinstance(rows, ChanceRows) else None
+        return NlpStage(name, result, merit, facets, algorithm.feasible, tuple(runs))
+
+    def _run(
+        self, rows: Rows, lin: Linearisation, penalty: float | None
+    ) -> tuple[Linearisation, NlpResult]:
+        mission = self.mission
+        facets = _included(rows) if isinstance(rows, ChanceRows) else None
+        start = Start(lin.iterate, lin.factor)
+        run = solve_nlp(mission.problem, self.arcs, facets, start, self.variant, penalty)
+        if not (np.isfinite(run.iterate.burns).all() and np.isfinite(run.iterate.mean).all()):
+            return lin, replace(run, outcome=NlpOutcome.FAILED)
+        return mission.dynamics.linearise(mission.problem, run.iterate), run
+
+
+def _included(rows: ChanceRows) -> Facets:
+    names = Facets.__annotations__
+    return Facets(*(getattr(rows.facets, name)[rows.included] for name in names))
+
+
+def _status(outcome: NlpOutcome, *, violated: bool, elastic: bool) -> Status:
+    """IPOPT's word, but for what is violated in spite of it."""
+    if outcome in (NlpOutcome.SOLVED, NlpOutcome.ACCEPTABLE):
+        if not violated:
+            return Status.CONVERGED
+        return Status.INFEASIBLE if elastic else Status.SOLVER_FAILED
+    return {
+        NlpOutcome.INFEASIBLE: Status.INFEASIBLE,
+        NlpOutcome.LIMIT: Status.MAX_ITERATIONS,
+        NlpOutcome.INTERRUPTED: Status.INTERRUPTED,
+    }.get(outcome, Status.SOLVER_FAILED)
+
+
+def _records(runs: list[NlpResult]) -> tuple[Record, ...]:
+    """IPOPT's log as iterations without trust region; its violation is one over all rows."""
+    records: list[Record] = []
+    for run in runs:
+        seconds = run.solve_s / max(len(run.iterations) - 1, 1)
+        for before, line in zip(run.iterations, run.iterations[1:], strict=False):
+            record = Record(
+                k=len(records) + 1,
+                merit=line.objective,
+                predicted=0.0,
+                actual=before.objective - line.objective,
+                accepted=True,
+                trust_radius=0.0,
+                total_dv=line.objective,
+                max_violation=line.violation,
+                max_defect=line.violation,
+                step=line.step,
+                solver_s=seconds,
+            )
+            records.append(record)
+    return tuple(records)
+
+
+def _timing(runs: list[NlpResult], setup: float) -> Timing:
+    """Evaluations of functions and derivatives count as linearisation, the rest of IPOPT as solver."""
+    evaluate = sum(run.evaluate_s for run in runs)
+    return Timing(
+        setup=setup + sum(run.build_s for run in runs),
+        linearise=evaluate,
+        conic_solver=sum(run.solve_s for run in runs) - evaluate,
+    )

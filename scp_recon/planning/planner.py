@@ -1,0 +1,206 @@
+"""The three-stage planner: P3, facets at its solution, P2; and more facet rounds on request."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from time import perf_counter
+from typing import Final, Literal
+
+import numpy as np
+
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import Facets, included_rows
+from formulations.problem.flyby import Iterate
+from formulations.problem.regions import Array
+from formulations.program.subproblem import Subproblem
+from formulations.registry import make_subproblem
+from formulations.rows.chance import ChanceRows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import DeterministicRows
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.stages import Observer, Plan, Provenance, Stage, StageRunner
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.loop import Algorithm, Record, run
+
+PROGRAM_NODES_MAX = 48
+"""Nodes in CVXPY's program of P2 to begin with: its memory grows with them times the factor."""
+
+CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
+"""Facets farther than this from binding stay out of the convex program, and are checked after it.
+
+The second figure is for starting at a solution of P2, which moves less than one of P3.
+"""
+
+
+def plan(
+    mission: Mission,
+    guess: Iterate,
+    *,
+    problem: Literal["P3", "P2"] = "P2",
+    formulation: str = "condensed",
+    algorithm: str = "scvx",
+    solver: str = "CLARABEL",
+    facet_rounds: int = 0,
+    init: str = "given",
+    observe: Observer | None = None,
+) -> Plan:
+    """Plan a mission once: `Planner.plan` with its arguments and those of `Planner`."""
+    planner = Planner(mission, formulation=formulation, algorithm=algorithm, solver=solver)
+    return planner.plan(
+        guess, problem=problem, facet_rounds=facet_rounds, init=init, observe=observe
+    )
+
+
+class Planner:
+    """Plans a mission, and plans it again from other initial states.
+
+    Keeps its convex subproblems: their sparsity, and what a solver or CVXPY made of it.
+
+    Args:
+        mission: what to plan.
+        formulation: one of `formulations.registry.FORMULATIONS`.
+        algorithm: a key of `algorithms.ALGORITHMS`.
+        solver: one of `formulations.program.solvers.installed()`.
+    """
+
+    def __init__(
+        self,
+        mission: Mission,
+        *,
+        formulation: str = "condensed",
+        algorithm: str = "scvx",
+        solver: str = "CLARABEL",
+    ) -> None:
+        self.mission: Final = mission
+        self.formulation: Final = formulation
+        self.solver: Final = solver
+        self.algorithm_name: Final = algorithm
+        self.algorithm: Final = ALGORITHMS[algorithm]()
+        self._p2_rows: ChanceRows | None = None
+        self._kept: dict[type[Rows], Subproblem] = {}
+
+    def plan(
+        self,
+        guess: Iterate,
+        *,
+        problem: Literal["P3", "P2"] = "P2",
+        facet_rounds: int = 0,
+        init: str = "given",
+        observe: Observer | None = None,
+    ) -> Plan:
+        """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
+
+        What does not converge begins again elsewhere: see `StageRunner.plan`.
+
+        Args:
+            guess: initial iterate, which may have defects.
+            problem: "P3" stops after the first stage.
+            facet_rounds: how often to choose the facets again at the solution and solve again. A
+                round is kept only while it lowers the merit, so that facets cannot cycle.
+            init: what the guess is called in the solution file.
+            observe: called after each iteration with the stage's name and the record.
+        """
+        stages = ScpStages(self, self.mission, self.algorithm)
+        runner = StageRunner(self.mission, stages, observe, facet_rounds)
+        return runner.run(lambda: runner.plan(guess, problem), self._provenance(init))
+
+    def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
+        """Solve P2 again for another initial state, from the last plan and with its facets.
+
+        Args:
+            last: a plan of P2 by this planner.
+            initial_state: before the first burn, J2000, SI, shape (6,). Its covariance is as large a
+                fraction of it as the mission says.
+            observe: called after each iteration with the stage's name and the record.
+
+        Returns:
+            A plan whose `mission` is the one from that state.
+
+        Raises:
+            ValueError: if the plan is not one of P2, or of a mission that differs in more than the
+                initial state; or if the state is none outside the body.
+        """
+        facets = last.final.facets
+        if facets is None:
+            raise ValueError("only a plan of P2 can be planned again")
+        if last.mission.with_initial_state(initial_state).scenario != (
+            self.mission.with_initial_state(initial_state).scenario
+        ):
+            raise ValueError("the plan is of another mission")
+        mission = self.mission.with_initial_state(initial_state)
+        runner = StageRunner(mission, ScpStages(self, mission, self.algorithm), observe)
+
+        def again() -> Stage:
+            # The last plan's iterate knows its factor; the facets are screened there.
+            rows = self.p2_rows(facets, last.final.result.lin, CLEARANCE_AGAIN_M)
+            return runner.restore("P2", rows, runner.start(last.final.result.lin.iterate))
+
+        return runner.run(again, self._provenance("plan"))
+
+    def _provenance(self, init: str) -> Provenance:
+        return Provenance(self.formulation, self.algorithm_name, self.solver, init)
+
+    @cached_property
+    def p3_rows(self) -> DeterministicRows:
+        """P3's constraints."""
+        return DeterministicRows(self.mission.problem)
+
+    def p2_rows(self, facets: Facets, lin: Linearisation, clearance_m: float) -> ChanceRows:
+        """P2's constraints, those in the program that an iterate comes near; the last are kept."""
+        margin = facets.margin(lin.iterate.mean, lin.factor)
+        clearance = clearance_m / self.mission.units.length_m
+        lifted = self.formulation == "lifted"
+        nodes_max = PROGRAM_NODES_MAX if lifted else self.mission.problem.n_nodes
+        included = included_rows(facets, margin, clearance, nodes_max)
+        kept = self._p2_rows
+        if kept is None or kept.facets is not facets or np.any(kept.included != included):
+            self._p2_rows = kept = ChanceRows(self.mission.problem, facets, included)
+        return kept
+
+    def subproblem(self, rows: Rows) -> Subproblem:
+        """The convex subproblem with some rows; of P3 and of P2 the one made last is kept."""
+        kept = self._kept.get(type(rows))
+        if kept is None or kept.merit.rows is not rows:
+            kept = make_subproblem(
+                self.mission.problem, rows, self.formulation, self.solver, self.algorithm.penalty
+            )
+            self._kept[type(rows)] = kept
+        return kept
+
+
+@dataclass(frozen=True)
+class ScpStages:
+    """A `RowsSolver` by SCP, with a planner's subproblems.
+
+    Attributes:
+        planner: keeps the subproblems and screens the facets.
+        mission: the planner's, or the same from another initial state.
+        algorithm: with the penalty of the planner's.
+    """
+
+    planner: Planner
+    mission: Mission
+    algorithm: Algorithm
+
+    def deterministic_rows(self) -> DeterministicRows:
+        """See `RowsSolver`."""
+        return self.planner.p3_rows
+
+    def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
+        """See `RowsSolver`."""
+        return self.planner.p2_rows(facets, lin, CLEARANCE_M)
+
+    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
+        """See `RowsSolver`."""
+        begin = perf_counter()
+        subproblem = self.planner.subproblem(rows)
+        setup = perf_counter() - begin
+
+        def seen(record: Record) -> None:
+            observe(name, record)
+
+        result = run(subproblem, self.mission.dynamics, start, self.algorithm, seen)
+        result.timing.setup += setup
+        facets = rows.facets if isinstance(rows, ChanceRows) else None
+        return Stage(name, result, subproblem.merit, facets, self.algorithm.feasible)

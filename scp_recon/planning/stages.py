@@ -1,0 +1,284 @@
+"""How the stages of a plan follow each other, whatever solves them: P3, P2, and both begun again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Literal, Protocol
+
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import Facets, choose_facets
+from formulations.problem.flyby import Iterate
+from formulations.program.merit import MeritFunction
+from formulations.rows.chance import ChanceRows
+from formulations.rows.cones import Rows
+from formulations.rows.deterministic import DeterministicRows
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.initial_guess import ballistic, circular
+from scp_recon.scp.loop import Record, Result, Timing
+from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.status import Status
+
+Observer = Callable[[str, Record], None]
+
+OTHER_OPTIMUM = 0.999
+"""Share of a merit below which another run has found another optimum."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A run of the SCP, or of IPOPT, on one problem.
+
+    Attributes:
+        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
+            that began again at the ballistic arc, c and d at a turn about the body.
+        result: how it ended and where.
+        merit: what it minimised; it knows the constraints' margins.
+        facets: of P2, None for P3.
+        tolerance: violation that counted as none.
+    """
+
+    name: str
+    result: Result
+    merit: MeritFunction
+    facets: Facets | None
+    tolerance: float
+
+    @property
+    def begun_again(self) -> bool:
+        """Whether it began elsewhere because the guess led nowhere."""
+        return self.name[2:3] in ("b", "c", "d")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a plan was made, in the words of the solution file.
+
+    Attributes:
+        formulation: of the convex subproblem, or the variant of the nonlinear program.
+        algorithm: around it.
+        solver: conic solver, or IPOPT.
+        init: where it began: "cold", "warm", a file.
+    """
+
+    formulation: str
+    algorithm: str
+    solver: str
+    init: str
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
+
+    A plan is data: it pickles and copies, and it equals another one of the same scenario and provenance
+    that went through the same stages to the same flight. Timings do not count.
+    """
+
+    mission: Mission
+    provenance: Provenance
+    stages: tuple[Stage, ...]
+    final: Stage
+    timing: Timing
+    total_s: float
+
+    def __eq__(self, other: object) -> bool:
+        """Whether another plan is the same but for the time it took."""
+        if not isinstance(other, Plan):
+            return NotImplemented
+        return self._identity == other._identity
+
+    def __hash__(self) -> int:
+        """Of the burns."""
+        return hash(self.final.result.lin.iterate.burns.tobytes())
+
+    @property
+    def _identity(self) -> tuple[object, ...]:
+        runs = [(s.name, s.result.status, len(s.result.records)) for s in self.stages]
+        flown = [
+            (s.result.lin.iterate.burns.tobytes(), s.result.lin.iterate.mean.tobytes())
+            for s in (*self.stages, self.final)
+        ]
+        return self.mission.scenario, self.provenance, runs, flown
+
+
+class RowsSolver(Protocol):
+    """What solves P3 or P2 on one set of rows; all that distinguishes SCP's plans from IPOPT's."""
+
+    def deterministic_rows(self) -> DeterministicRows:
+        """P3's constraints."""
+        ...
+
+    def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
+        """P2's constraints on given facets, those in the program that an iterate comes near."""
+        ...
+
+    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
+        """A stage, from a start; an interrupted one says so in its status."""
+        ...
+
+
+@dataclass
+class StageRunner:
+    """State of one planning run: stages and timings so far.
+
+    Attributes:
+        mission: what is planned.
+        solver: of the stages.
+        observe: called after each iteration with the stage's name and the record.
+        facet_rounds: see `Planner.plan`.
+    """
+
+    mission: Mission
+    solver: RowsSolver
+    observe: Observer | None = None
+    facet_rounds: int = 0
+    stages: list[Stage] = field(default_factory=list)
+    timing: Timing = field(default_factory=Timing)
+
+    def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
+        """Do it; an interrupted plan ends with the best stage so far, if there is one."""
+        started = perf_counter()
+        try:
+            final = work()
+        except KeyboardInterrupt:
+            if not self.stages:
+                raise
+            final = _interrupted(self.stages)
+        seconds = perf_counter() - started
+        return Plan(self.mission, provenance, tuple(self.stages), final, self.timing, seconds)
+
+    def plan(self, guess: Iterate, problem: Literal["P3", "P2"]) -> Stage:
+        """P3 from a guess and P2 from there.
+
+        Where P3 does not converge from the guess it is tried again from other starts; and so it is
+        where P2 does not converge: P3 may have stopped at a local optimum from which there is no way.
+        The best of the tries counts. Facets that leave even it nothing feasible are chosen again, where
+        it ended.
+        """
+        firsts: list[Stage] = []
+        finals: list[Stage] = []
+        for letter, start in _starts(self.mission, guess):
+            p3 = self._solve(f"P3{letter}", self.solver.deterministic_rows(), self.start(start))
+            known = any(_same_optimum(p3, other) for other in firsts)
+            firsts.append(p3)
+            if p3.result.status is not Status.CONVERGED or known:
+                continue
+            finals.append(p3 if problem == "P3" else self._solve_p2(f"P2{letter}", p3))
+            if finals[-1].result.status is Status.CONVERGED:
+                break
+        if not finals:
+            p3 = _best(firsts)
+            lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
+            finals.append(p3 if lost else self._solve_p2(p3.name.replace("P3", "P2"), p3))
+        best = _best(finals)
+        if best.facets is None or best.result.status is not Status.INFEASIBLE:
+            return best
+        return _best([best, self._solve_p2(f"{best.name}.2", best)])
+
+    def start(self, guess: Iterate) -> Linearisation:
+        """Linearised at a guess; whatever it says, the flight starts where the problem does."""
+        problem, mean = self.mission.problem, guess.mean.copy()
+        mean[0] = problem.initial_state
+        mean[0, 3:] += guess.burns[0]
+        return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
+
+    def _solve_p2(self, name: str, start: Stage) -> Stage:
+        """P2 from where a stage ended, and again with new facets as long as that helps."""
+        final = self._with_facets(name, start.result.lin)
+        for round_ in range(2, self.facet_rounds + 2):
+            again = self._with_facets(f"{name}.{round_}", final.result.lin)
+            if not better(again, final):
+                break
+            final = again
+        return final
+
+    def _with_facets(self, name: str, lin: Linearisation) -> Stage:
+        """P2 with the facets chosen at the start."""
+        mission = self.mission
+        facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
+        return self.restore(name, self.solver.chance_rows(facets, lin), lin)
+
+    def restore(self, name: str, rows: ChanceRows, lin: Linearisation) -> Stage:
+        """P2, again with the facets that were left out of the program where they turn out missed."""
+        while True:
+            stage = self._solve(name, rows, lin)
+            lin = stage.result.lin
+            missed = rows.missed(lin, stage.tolerance)
+            if not missed.any():
+                return stage
+            rows = ChanceRows(self.mission.problem, rows.facets, rows.included | missed)
+
+    def _solve(self, name: str, rows: Rows, start: Linearisation) -> Stage:
+        """One stage; an interrupted one ends the run."""
+
+        def seen(stage: str, record: Record) -> None:
+            if self.observe:
+                self.observe(stage, record)
+
+        stage = self.solver.solve(name, rows, start, seen)
+        self.stages.append(stage)
+        self.timing.add(stage.result.timing)
+        if stage.result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return stage
+
+
+def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
+    """The guess, the ballistic arc if there is one, and a turn about the body either way.
+
+    A straight line may pass through the body's centre, where nothing can be linearised.
+    """
+    yield "", guess
+    try:
+        arc = ballistic(mission)
+    except InputError:
+        pass
+    else:
+        yield "b", arc
+    yield "c", circular(mission, 1.0)
+    yield "d", circular(mission, -1.0)
+
+
+def _same_optimum(one: Stage, other: Stage) -> bool:
+    """Whether two runs of P3 ended alike."""
+    low, high = sorted((_merit(one), _merit(other)))
+    return one.result.status is other.result.status and low > OTHER_OPTIMUM * high
+
+
+def _best(stages: list[Stage]) -> Stage:
+    best = stages[0]
+    for stage in stages[1:]:
+        best = stage if better(stage, best) else best
+    return best
+
+
+def _interrupted(stages: list[Stage]) -> Stage:
+    """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
+    solved = [s for s in stages if s.facets and s.result.status is Status.CONVERGED]
+    best = (solved or stages)[-1]
+    if best.facets is None:
+        best = min(stages, key=_merit)
+    return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
+
+
+def better(new: Stage, old: Stage) -> bool:
+    """Whether a run is worth keeping instead: first by how it ended, then cheaper."""
+    if _rank(new) != _rank(old):
+        return _rank(new) > _rank(old)
+    return _merit(new) < _merit(old)
+
+
+def _rank(stage: Stage) -> int:
+    """How much a run's end says: a solution, a point that violates nothing, any other, nothing."""
+    if stage.result.status is Status.CONVERGED:
+        return 3
+    if stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
+        return 2
+    return 0 if stage.result.status is Status.SOLVER_FAILED else 1
+
+
+def _merit(stage: Stage) -> float:
+    return stage.merit(stage.result.lin, SCvx().weight)

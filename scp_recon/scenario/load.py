@@ -1,0 +1,116 @@
+"""Reading scenarios: a complete TOML file, or one that names a `base` and holds what differs."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from scp_recon.errors import InputError
+from scp_recon.files import read_text
+from scp_recon.scenario.messages import input_error
+from scp_recon.scenario.schema import Scenario
+
+BYTES_MAX = 1_000_000
+"""Three hundred times the packaged scenario; TOML of many keys takes its time to read."""
+DOTS_MAX = 200
+"""In a line: a list of 64 firing times has a third, and what has more nests without end."""
+PARTS_MAX = 3
+"""Of a dotted entry: section.entry.item."""
+
+
+def load_scenario(path: Path | None = None, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario file (the packaged `recon_b` without one) and apply `path=value` overrides.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    data = _packaged("recon_b") if path is None else _read(path)
+    return validate_scenario(data, overrides)
+
+
+def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Scenario:
+    """Validate a scenario given as nested tables, after merging its base and the overrides."""
+    if not {"base", *Scenario.model_fields} & set(data):
+        raise InputError(
+            "scenario", "none of its entries", 'must be complete or have base = "recon_b"'
+        )
+    merged = _with_base(data)
+    for override in overrides:
+        merged = _merge(merged, _parse_override(override))
+    try:
+        return Scenario.model_validate_json(json.dumps(merged, default=str))
+    except ValidationError as error:
+        raise input_error(error) from None
+    except (ValueError, RecursionError) as error:  # a number or a nesting beyond all bounds
+        raise InputError("scenario", "values that cannot be read", _short(error)) from None
+
+
+def base_names() -> list[str]:
+    """Names of the scenarios in the package."""
+    folder = files("scp_recon") / "data"
+    return sorted(
+        f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")
+    )
+
+
+def _packaged(name: str) -> dict[str, Any]:
+    return tomllib.loads((files("scp_recon") / "data" / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    text = read_text(path, f"scenario {path}", "scenario file in TOML", BYTES_MAX)
+    if any(line.count(".") > DOTS_MAX for line in text.splitlines()):
+        raise InputError(f"scenario {path}", "a line of many dots", f"must have at most {DOTS_MAX}")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"scenario {path}", f"no TOML ({_short(error)})", "must be a scenario file"
+        ) from None
+
+
+def _with_base(data: Mapping[str, Any]) -> dict[str, Any]:
+    own = {key: value for key, value in data.items() if key != "base"}
+    if "base" not in data:
+        return own
+    if data["base"] not in base_names():
+        raise InputError("base", repr(data["base"]), f"must be one of {', '.join(base_names())}")
+    return _merge(_packaged(data["base"]), own)
+
+
+def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in changes.items():
+        old = merged.get(key)
+        merged[key] = (
+            _merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+        )
+    return merged
+
+
+def _parse_override(override: str) -> dict[str, Any]:
+    path, separator, text = override.partition("=")
+    keys = path.strip().split(".")
+    if not separator or not all(keys) or len(keys) > PARTS_MAX or not override.isprintable():
+        raise InputError("--set", repr(override)[:80], "must read section.entry=value, on one line")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text  # a bare word is a string: boundary.frame=j2000
+    except (ValueError, RecursionError) as error:
+        raise InputError("--set", repr(override)[:80], _short(error)) from None
+    first, *rest = keys
+    for key in reversed(rest):
+        value = {key: value}
+    return {first: value}
+
+
+def _short(error: Exception) -> str:
+    """An error's own words, but not at any length."""
+    return str(error)[:120]

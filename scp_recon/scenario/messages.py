@@ -1,0 +1,175 @@
+"""What is wrong with a scenario, in the user's words."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from typing import Any, get_args
+
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
+
+from scp_recon.errors import InputError
+from scp_recon.scenario.schema import Scenario
+
+MAX_PROBLEMS_SHOWN, SHOWN = 5, 80
+INTEGER_BRANCHES = ("int", "constrained-int")
+"""What Pydantic calls the whole-number alternative of an entry."""
+
+
+def input_error(error: ValidationError) -> InputError:
+    """One message for everything that is wrong, the first problem giving the entry."""
+    allowed: dict[tuple[str, str], list[str]] = {}
+    found = [dict(problem) for problem in error.errors(include_url=False)]
+    problems = [problem for problem in found if not _follows_from_another(problem, found)]
+    entries = {tuple(_location(problem)) for problem in problems}
+    for problem in problems:
+        entry, given, rule = _describe(problem)
+        rules = allowed.setdefault((entry, given), [])
+        if rule not in rules:
+            rules.append(rule)
+        if len(allowed) > MAX_PROBLEMS_SHOWN:  # the others are only counted
+            break
+    (entry, given), *others = allowed
+    more = [f"{e}: got {g}; {', or '.join(allowed[e, g])}" for e, g in others]
+    if len(more) >= MAX_PROBLEMS_SHOWN:
+        more[MAX_PROBLEMS_SHOWN - 1 :] = [f"... and {len(entries) - MAX_PROBLEMS_SHOWN} more"]
+    return InputError(entry, given, "\n".join([", or ".join(allowed[entry, given]), *more]))
+
+
+def _describe(problem: dict[str, Any]) -> tuple[str, str, str]:
+    """Entry, what was given and what is allowed, from one of Pydantic's errors."""
+    kind = problem["type"]
+    if kind == "extra_forbidden":
+        location = list(problem["loc"])
+        return ".".join(map(str, location)) or "scenario", "an unknown entry", _suggestion(location)
+    location = _location(problem)
+    if kind == "missing" and isinstance(location[-1], int):  # of a list of fixed length
+        location = location[:-1]
+    entry = ".".join(map(str, location)) or "scenario"
+    if kind == "missing" and not isinstance(problem["loc"][-1], int):
+        return entry, "nothing", "this entry is required (or name a base)"
+    given = "these values" if isinstance(problem["input"], dict) else _shown(problem["input"])
+    message = _rule(problem, location)
+    return entry, given, message if "must" in message else f"must be {message}"
+
+
+def _location(problem: dict[str, Any]) -> list[str | int]:
+    return [part for part in problem["loc"] if not _is_union_branch(part)]
+
+
+def _follows_from_another(problem: dict[str, Any], problems: list[dict[str, Any]]) -> bool:
+    """Whether a list is only too short because of an item that is wrong itself."""
+    depth = len(problem["loc"])
+    return problem["type"] == "too_short" and any(
+        len(other["loc"]) > depth and other["loc"][:depth] == problem["loc"] for other in problems
+    )
+
+
+WORDS = {
+    "string_type": "text",
+    "string_too_short": "text that is not empty",
+    "string_too_long": "text of at most 200 characters",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "model_type": "a table",
+    "json_invalid": "nested a few levels deep",
+    "tuple_type": "a list",
+    "datetime_type": "a date and time such as 2020-01-21T20:33:17.184",
+    "datetime_parsing": "a date and time such as 2020-01-21T20:33:17.184",
+    "datetime_from_date_parsing": "a date and time such as 2020-01-21T20:33:17.184",
+}
+"""What is allowed, by the type of Pydantic's error."""
+
+
+def _rule(problem: dict[str, Any], location: list[str | int]) -> str:
+    """What is allowed at a location."""
+    kind, context = problem["type"], problem.get("ctx", {})
+    if kind == "too_short":
+        return f"must have at least {context['min_length']} items"
+    if kind in ("too_long", "missing"):
+        length = _fixed_length(location)
+        return f"must have {length or 'at most ' + str(context['max_length'])} items"
+    if set(problem["loc"][-1:]) & set(INTEGER_BRANCHES):
+        return f"a whole number, {_bounds(location)}"
+    if kind.startswith(("greater_than", "less_than")):
+        return _bounds(location)
+    message: str = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return WORDS.get(kind, message)
+
+
+def _is_union_branch(part: str | int) -> bool:
+    """Pydantic names the branch of a union in the location; the user did not write it."""
+    return isinstance(part, str) and (part.startswith("literal[") or part in INTEGER_BRANCHES)
+
+
+def _field(location: list[str | int]) -> FieldInfo | None:
+    """The scenario's field at a location, or that of the list which the location is in."""
+    model: Any = Scenario
+    field = None
+    for part in location:
+        if isinstance(part, str):
+            field = getattr(model, "model_fields", {}).get(part)
+            model = field.annotation if field else None
+    return field
+
+
+def _declared(annotation: object) -> Iterator[object]:
+    """Everything that a type is annotated with, in its items and its alternatives too."""
+    for part in getattr(annotation, "__metadata__", ()):
+        yield from getattr(part, "metadata", ())
+    for inner in get_args(annotation):
+        yield from _declared(inner)
+
+
+def _bounds(location: list[str | int]) -> str:
+    """Both ends of an entry's range, where one end alone was broken."""
+    words = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at most"}
+    field = _field(location)
+    declared = [*field.metadata, *_declared(field.annotation)] if field else []
+    rules = [
+        f"{words[name]} {_number(getattr(rule, name))}"
+        for rule in declared
+        for name in words
+        if hasattr(rule, name)
+    ]
+    return " and ".join(dict.fromkeys(rules))  # the same for every item of a list
+
+
+def _number(value: float) -> str:
+    """As short as its value allows: 1e+07, and 0.999999999."""
+    return short if float(short := f"{value:g}") == value else f"{value:.15g}"
+
+
+def _fixed_length(location: list[str | int]) -> int | None:
+    """Items of a list whose number is fixed."""
+    field = _field(location)
+    for kind in (field.annotation, *get_args(field.annotation)) if field else ():
+        items = get_args(kind) if getattr(kind, "__origin__", None) is tuple else ()
+        if items and items[-1] is not Ellipsis:
+            return len(items)
+    return None
+
+
+def _suggestion(location: list[str | int]) -> str:
+    """The entry that an unknown one may have been meant for, else those beside it."""
+    tables = {name: field.annotation for name, field in Scenario.model_fields.items()}
+    paths = [
+        f"{table}.{key}"
+        for table, model in tables.items()
+        for key in getattr(model, "model_fields", {})
+    ]
+    written = ".".join(str(part) for part in location)
+    by_key = {path.split(".")[1]: path for path in paths}
+    near = difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
+    near = near or difflib.get_close_matches(str(location[-1]), by_key, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean {by_key.get(near[0], near[0])}? (units are part of the key)"
+    beside = getattr(tables.get(str(location[0])), "model_fields", None) if location[1:] else tables
+    return f"must be one of {', '.join(beside or tables)}"
+
+
+def _shown(value: object) -> str:
+    """A value as the user may know it, but not at any length."""
+    text = repr(value)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."

@@ -1,0 +1,1 @@
+"""Sequential convex programming: the loop, and the algorithms that globalise it."""

@@ -1,0 +1,271 @@
+"""Sequential convex programming: linearise, solve, fly, compare, and globalise.
+
+Each iterate is flown: what a subproblem answers is made to obey the nonlinear dynamics, so that the
+only defect that can remain is at the final state. The guess alone may have defects everywhere; there
+is nothing in it to go back to, so the step from it is always taken. What comes after a step, the
+algorithm decides: `scvx`, `ptr` or `scvx_star`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import NamedTuple, Protocol
+
+from formulations.linearisation.linearisation import Linearisation
+from formulations.program.penalty import Penalty, PenaltyParameters
+from formulations.program.subproblem import Step, Subproblem, SubproblemError
+from scp_recon.physics.dynamics import Dynamics
+from scp_recon.scp.status import Status
+
+
+@dataclass(frozen=True)
+class Record:
+    """One iteration, nondimensional.
+
+    Attributes:
+        k: number, from 1.
+        merit: of the iterate that the iteration ends with.
+        predicted: reduction of the merit by the convex model.
+        actual: reduction of the merit by the nonlinear dynamics.
+        accepted: whether the step was taken.
+        trust_radius: bound on each burn component's change, in this iteration.
+        total_dv: of the iterate that the iteration ends with.
+        max_violation: largest violation of a constraint there.
+        max_defect: largest defect of the dynamics and the final state there.
+        step: largest change of a burn component proposed.
+        solver_s: time in the conic solver.
+        failure: the conic solver's words where it gave no answer, else empty.
+    """
+
+    k: int
+    merit: float
+    predicted: float
+    actual: float
+    accepted: bool
+    trust_radius: float
+    total_dv: float
+    max_violation: float
+    max_defect: float
+    step: float
+    solver_s: float
+    failure: str = ""
+
+    @property
+    def violated(self) -> float:
+        """Largest violation of anything."""
+        return max(self.max_violation, self.max_defect)
+
+
+@dataclass
+class Timing:
+    """Seconds by what they were spent on.
+
+    Attributes:
+        setup: building subproblems, once each.
+        linearise: flying steps, differentiating every arc, and the constraints from that.
+        canonicalise: from the constraints to the conic solver's numbers, and back.
+        conic_solver: inside the solver's library: taking in the numbers, and solving.
+    """
+
+    setup: float = 0.0
+    linearise: float = 0.0
+    canonicalise: float = 0.0
+    conic_solver: float = 0.0
+
+    def add(self, other: Timing) -> None:
+        """Add another run's seconds."""
+        for name, seconds in vars(other).items():
+            setattr(self, name, getattr(self, name) + seconds)
+
+
+@dataclass(frozen=True)
+class State:
+    """What the algorithm carries from one iteration to the next.
+
+    Attributes:
+        lin: the iterate.
+        merit: its merit under `charge`.
+        radius: of the trust region.
+        charge: weights and multipliers.
+        failures: of the conic solver, in a row.
+        stationary: whether no step promises a reduction that is worth one.
+        worthless: whether the last step was refused, and promised no more than what is not worth one.
+        change: SCvx*'s bound on the merit's change at which the multipliers are next updated.
+        violated: largest violation when they were updated last.
+    """
+
+    lin: Linearisation
+    merit: float
+    radius: float
+    charge: PenaltyParameters
+    failures: int = 0
+    stationary: bool = False
+    worthless: bool = False
+    change: float = float("inf")
+    violated: float = float("inf")
+
+
+class Algorithm(Protocol):
+    """A way to globalise: the loop in `run` is the same for all."""
+
+    @property
+    def penalty(self) -> Penalty:
+        """How its subproblems charge violations and steps."""
+        ...
+
+    @property
+    def feasible(self) -> float:
+        """Largest violation that counts as none."""
+        ...
+
+    @property
+    def max_iterations(self) -> int:
+        """Limit of the loop."""
+        ...
+
+    def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
+        """The state before the first iteration."""
+        ...
+
+    def step(
+        self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
+    ) -> tuple[State, Record]:
+        """One iteration."""
+        ...
+
+    def terminate(self, state: State, record: Record) -> Status | None:
+        """How to stop, or None to go on."""
+        ...
+
+
+class Trial(NamedTuple):
+    """Where a subproblem's answer leads.
+
+    Attributes:
+        answer: the subproblem's.
+        lin: the flown iterate.
+        merit: its merit.
+        predicted: reduction of the merit that the model promised.
+        actual: reduction that the flight gave.
+        step: largest change of a burn's component.
+    """
+
+    answer: Step
+    lin: Linearisation
+    merit: float
+    predicted: float
+    actual: float
+    step: float
+
+
+def trial_step(
+    subproblem: Subproblem,
+    dynamics: Dynamics,
+    state: State,
+    radius: float,
+    timing: Timing,
+    slack: float,
+) -> Trial:
+    """Linearise, solve within a radius, and fly the answer.
+
+    Standing still is always possible: an answer that is worse by its own model is none.
+
+    Args:
+        subproblem: to solve.
+        dynamics: to fly.
+        state: where from, and the charge.
+        radius: of the trust region.
+        timing: to add to.
+        slack: by how much of the merit an answer may be worse than no step.
+
+    Raises:
+        SubproblemError: if there is no answer.
+    """
+    start = perf_counter()
+    subproblem.update(state.lin)
+    timing.linearise += perf_counter() - start
+    answer = subproblem.solve(radius, state.charge)
+    timing.canonicalise += answer.canonicalise_s
+    timing.conic_solver += answer.solver_s
+    worst = state.merit + slack * max(1.0, abs(state.merit))
+    if state.lin.is_dynamically_feasible and answer.merit > worst:
+        raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
+    start = perf_counter()
+    lin = dynamics.close_defects(state.lin, answer.burns)
+    timing.linearise += perf_counter() - start
+    merit = subproblem.merit(lin, state.charge)
+    step = float(abs(answer.burns - state.lin.iterate.burns).max())
+    return Trial(answer, lin, merit, state.merit - answer.merit, state.merit - merit, step)
+
+
+def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:
+    """The record of an iteration that went nowhere: what it ends with is what it began with."""
+    violations = dict(subproblem.merit.violations(state.lin))
+    defect = float(violations.pop("dynamics").max())
+    return Record(
+        k=k,
+        merit=state.merit,
+        predicted=0.0,
+        actual=0.0,
+        accepted=False,
+        trust_radius=state.radius,
+        total_dv=state.lin.iterate.total_dv,
+        max_violation=max(float(v.max(initial=0.0)) for v in violations.values()),
+        max_defect=defect,
+        step=0.0,
+        solver_s=0.0,
+        failure=failure,
+    )
+
+
+def record_of_trial(
+    subproblem: Subproblem, before: State, after: State, k: int, trial: Trial
+) -> Record:
+    """The record of an iteration that led from a state to another, accepted if it moved."""
+    return replace(
+        record_of(subproblem, after, k),
+        predicted=trial.predicted,
+        actual=trial.actual,
+        accepted=after.lin is trial.lin,
+        trust_radius=before.radius,
+        step=trial.step,
+        solver_s=trial.answer.solver_s,
+    )
+
+
+@dataclass(frozen=True)
+class Result:
+    """How a run ended and where."""
+
+    status: Status
+    lin: Linearisation
+    records: tuple[Record, ...]
+    timing: Timing = field(compare=False)
+
+
+def run(
+    subproblem: Subproblem,
+    dynamics: Dynamics,
+    start: Linearisation,
+    algorithm: Algorithm,
+    observe: Callable[[Record], None],
+) -> Result:
+    """Iterate until the algorithm says how to stop. Ctrl-C ends with the best iterate so far."""
+    records: list[Record] = []
+    timing = Timing()
+    state = algorithm.init(subproblem, start)
+    status = Status.MAX_ITERATIONS
+    try:
+        for k in range(1, algorithm.max_iterations + 1):
+            state, record = algorithm.step(subproblem, dynamics, state, k, timing)
+            records.append(record)
+            observe(record)
+            stop = algorithm.terminate(state, record)
+            if stop is not None:
+                status = stop
+                break
+    except KeyboardInterrupt:
+        status = Status.INTERRUPTED
+    return Result(status, state.lin, tuple(records), timing)

@@ -1,0 +1,1 @@
+"""The solution file, and how a plan becomes one."""

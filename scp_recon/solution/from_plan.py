@@ -1,0 +1,177 @@
+"""From a plan to a solution: back to SI, margins by constraint, what the buffers hold."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from formulations.rows.cones import Margins
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.stages import Plan, Stage
+from scp_recon.scp.loop import Record
+from scp_recon.solution.file import (
+    Burn,
+    ConstraintResult,
+    FacetTable,
+    IterationRecord,
+    Nodes,
+    Solution,
+    StageSummary,
+    TimingSummary,
+    UnitScales,
+    Violation,
+    ViolationAmount,
+)
+
+FINAL_STATE = "final_state"
+
+
+def make_solution(plan: Plan) -> Solution:
+    """Collect a plan into the solution file's form, not yet verified."""
+    mission, made = plan.mission, plan.provenance
+    lin, units = plan.final.result.lin, mission.units
+    burns = lin.iterate.burns * units.speed_m_s
+    factor = lin.factor * units.state[:, None]
+    outcome = plan.final.result.status.value
+    return Solution(
+        status=outcome.name,
+        message=f"{outcome.message} {outcome.remedy}".strip(),
+        problem="P3" if plan.final.facets is None else "P2",
+        init=made.init,
+        formulation=made.formulation,
+        algorithm=made.algorithm,
+        solver=made.solver,
+        total_dv_m_s=float(np.linalg.norm(burns, axis=1).sum()),
+        burns=[
+            Burn(t_s=time, dv_m_s=tuple(burn.tolist()))
+            for time, burn in zip(mission.scenario.burns.times_s, burns, strict=True)
+        ],
+        nodes=Nodes(
+            t_s=mission.times_s.tolist(),
+            state=(lin.iterate.mean * units.state).tolist(),
+            covariance=(factor @ factor.transpose(0, 2, 1)).tolist(),
+        ),
+        stages=[_summary(mission, stage) for stage in plan.stages],
+        constraints=constraint_results(mission, plan.final),
+        facets=_facet_table(mission, plan.final),
+        violation=_violation(mission, plan.final),
+        iterations=[
+            iteration_record(mission, stage.name, record)
+            for stage in plan.stages
+            for record in stage.result.records
+        ],
+        timing_s=_timing(plan),
+        units=UnitScales(length_m=units.length_m, time_s=units.time_s),
+        verification=None,
+        scenario=mission.scenario,
+    )
+
+
+def iteration_record(mission: Mission, stage: str, record: Record) -> IterationRecord:
+    """One iteration in SI."""
+    speed, length = mission.units.speed_m_s, mission.units.length_m
+    return IterationRecord(
+        stage=stage,
+        k=record.k,
+        merit=_finite(record.merit * speed),
+        predicted=_finite(record.predicted * speed),
+        actual=_finite(record.actual * speed),
+        accepted=record.accepted,
+        trust_radius=record.trust_radius * speed,
+        max_violation=_finite(record.max_violation * length),
+        max_defect=_finite(record.max_defect * length),
+        solver_s=record.solver_s,
+    )
+
+
+def _finite(value: float) -> float:
+    """A diverged figure as the largest number there is: JSON knows no infinity."""
+    return float(np.nan_to_num(value, nan=np.finfo(float).max))
+
+
+def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]:
+    """Worst margin of every constraint, those left out of the convex program included."""
+    kinds: dict[str, Literal["keep_in", "keep_out"]] = {
+        c.name: "keep_in" if c.keep == "in" else "keep_out" for c in mission.problem.constraints
+    }
+    results = []
+    for name, margins in _all_margins(mission, stage).items():
+        unit = _unit(name)
+        worst = int(np.argmin(margins.margin))
+        at_worst = int((margins.nodes == margins.nodes[worst]).sum())
+        results.append(
+            ConstraintResult(
+                name=name,
+                kind=kinds.get(name, "burn"),
+                worst_margin_m_or_rad=float(margins.margin[worst]) * _scale(mission, unit),
+                unit=unit,
+                worst_t_s=float(mission.times_s[margins.nodes[worst]]),
+                facets=at_worst if stage.facets is not None and name in kinds else 0,
+            )
+        )
+    return results
+
+
+def _all_margins(mission: Mission, stage: Stage) -> dict[str, Margins]:
+    lin = stage.result.lin
+    margins = stage.merit.margins(lin)
+    if stage.facets is not None:
+        facets, margin = stage.facets, stage.facets.margin(lin.iterate.mean, lin.factor)
+        for index, constraint in enumerate(mission.problem.constraints):
+            rows = facets.constraint == index
+            margins[constraint.name] = Margins(facets.node[rows], margin[rows])
+    return margins
+
+
+def _facet_table(mission: Mission, stage: Stage) -> FacetTable | None:
+    facets = stage.facets
+    if facets is None:
+        return None
+    names = [c.name for c in mission.problem.constraints]
+    return FacetTable(
+        constraint=[names[i] for i in facets.constraint],
+        node=facets.node.tolist(),
+        normal=facets.normal.tolist(),
+        offset_m=(facets.offset * mission.units.length_m).tolist(),
+        quantile=facets.quantile.tolist(),
+    )
+
+
+def _violation(mission: Mission, stage: Stage) -> Violation:
+    """Amounts above the tolerance at which a constraint counts as satisfied."""
+    length = mission.units.length_m
+    by_constraint = {}
+    scaled = [np.zeros(1)]
+    for name, amounts in stage.merit.violations(stage.result.lin).items():
+        used = amounts[amounts > stage.tolerance]
+        if len(used):
+            scaled.append(used)
+            unit = _unit(name)
+            si = used * _scale(mission, unit)
+            label = FINAL_STATE if name == "dynamics" else name
+            by_constraint[label] = ViolationAmount(max=si.max(), total=si.sum(), unit=unit)
+    everything = np.concatenate(scaled) * length
+    return Violation(max=everything.max(), total=everything.sum(), by_constraint=by_constraint)
+
+
+def _unit(name: str) -> Literal["m", "m/s"]:
+    return "m/s" if name.startswith("dv_") else "m"
+
+
+def _scale(mission: Mission, unit: str) -> float:
+    return mission.units.speed_m_s if unit == "m/s" else mission.units.length_m
+
+
+def _summary(mission: Mission, stage: Stage) -> StageSummary:
+    return StageSummary(
+        name=stage.name,
+        status=stage.result.status.value.name,
+        total_dv_m_s=stage.result.lin.iterate.total_dv * mission.units.speed_m_s,
+        iterations=len(stage.result.records),
+    )
+
+
+def _timing(plan: Plan) -> TimingSummary:
+    parts = vars(plan.timing)
+    return TimingSummary(total=plan.total_s, other=plan.total_s - sum(parts.values()), **parts)

@@ -1,0 +1,1 @@
+"""The spacecraft on Basilisk, the extra [sim]."""

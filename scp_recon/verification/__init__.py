@@ -1,0 +1,1 @@
+"""What a solution says, checked without the solver."""

@@ -1,0 +1,145 @@
+"""Whether what a solution says of its constraints follows from its own burns, nodes and facets.
+
+Distances and quantiles are worked out here from the regions' centres, radii, apices, axes and angles,
+in SI, and share no code with the planner's rows. What is not checked is that a polytope's facets
+together lie within a keep-in region; the Monte Carlo estimate stands behind that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr
+
+from formulations.problem.flyby import StateConstraint
+from formulations.problem.regions import Ball
+from scp_recon.mission.mission import Mission
+from scp_recon.solution.file import FacetTable, Solution
+
+Array = npt.NDArray[np.float64]
+
+MARGIN_ERROR = {"m": 1e-3, "m/s": 1e-8}
+"""Of a stored margin: the variance along a facet is a difference of large numbers."""
+TOLERANCE = 1e-6
+"""In units of length or speed, below which a buffer holds nothing; see `docs/solution_file.md`."""
+FACET_ERROR = 1e-9
+FINAL_STATE = "final_state"
+
+
+def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
+    """Parts of a solution that contradict its scenario or each other."""
+    contradictions = {
+        "burns.t_s": [b.t_s for b in solution.burns] != list(mission.scenario.burns.times_s),
+        "nodes.t_s": not np.array_equal(solution.nodes.t_s, mission.times_s),
+        "total_dv_m_s": not np.isclose(
+            np.linalg.norm(solution.burns_m_s, axis=1).sum(), solution.total_dv_m_s, atol=1e-12
+        ),
+    }
+    found = [name for name, contradicts in contradictions.items() if contradicts]
+    if "nodes.t_s" in found:  # nothing else can be told without them
+        return found
+    if solution.problem == "P2" and not _are_sound(mission, solution.facets):
+        return [*found, "facets"]
+    margins = _margins(mission, solution)
+    stored = {c.name: c for c in solution.constraints}
+    if stored.keys() != margins.keys() or any(
+        abs(stored[name].worst_margin_m_or_rad - margin.min()) > MARGIN_ERROR[_unit(name)]
+        for name, margin in margins.items()
+    ):
+        found.append("constraints")
+    if not _is_violation(mission, solution, margins):
+        found.append("violation")
+    return found
+
+
+def _unit(name: str) -> str:
+    return "m/s" if name.startswith("dv_") else "m"
+
+
+def _margins(mission: Mission, solution: Solution) -> dict[str, Array]:
+    """Margins of every constraint's rows, >= 0 where satisfied; m, and m/s of the burns."""
+    burns, problem = solution.burns_m_s, mission.problem
+    size = np.linalg.norm(burns, axis=1)
+    along = np.abs(np.einsum("bi,bi->b", burns, problem.sun))
+    across = np.linalg.norm(np.cross(burns, problem.sun), axis=1)
+    margins = {
+        "dv_max": mission.scenario.burns.dv_max_m_s - size,
+        "dv_battery": np.cos(problem.dv_cone) * across - np.sin(problem.dv_cone) * along,
+    }
+    position = np.array(solution.nodes.state)[:, :3]
+    if solution.problem == "P3" or solution.facets is None:
+        inside = {c.name: _inside(c, position, mission.units.length_m) for c in problem.constraints}
+        return margins | {
+            c.name: inside[c.name] if c.keep == "in" else -inside[c.name]
+            for c in problem.constraints
+        }
+    facets = solution.facets
+    normal, node = np.array(facets.normal), np.array(facets.node, dtype=np.intp)
+    covariance = np.array(solution.nodes.covariance)[node, :3, :3]
+    variance = np.einsum("mi,mij,mj->m", normal, covariance, normal)
+    room = np.array(facets.offset_m) - np.einsum("mi,mi->m", normal, position[node])
+    room -= np.array(facets.quantile) * np.sqrt(np.maximum(variance, 0.0))
+    name = np.array(facets.constraint)
+    return margins | {c.name: room[name == c.name] for c in problem.constraints}
+
+
+def _inside(constraint: StateConstraint, position: Array, length: float) -> Array:
+    """Distance of the mean to the surface of the region, positive inside, m."""
+    region, at = constraint.region, position[constraint.nodes]
+    if isinstance(region, Ball):
+        return length * region.radius - np.linalg.norm(at - length * region.center, axis=1)
+    off = at - length * region.apex
+    along = np.einsum("ni,ni->n", off, region.axis)
+    across = np.linalg.norm(np.cross(off, region.axis), axis=1)
+    return np.sin(region.half_angle) * along - np.cos(region.half_angle) * across
+
+
+def _are_sound(mission: Mission, facets: FacetTable | None) -> bool:
+    """Whether the facets leave no more risk than was asked, and keep-out planes touch no region."""
+    if facets is None:
+        return False
+    normal, offset = np.array(facets.normal).reshape(-1, 3), np.array(facets.offset_m)
+    if not np.allclose(np.linalg.norm(normal, axis=1), 1.0, atol=FACET_ERROR):
+        return False
+    name, node = np.array(facets.constraint), np.array(facets.node, dtype=np.intp)
+    risk = ndtr(-np.array(facets.quantile))
+    for c in mission.problem.constraints:
+        rows = np.flatnonzero(name == c.name)
+        if not np.array_equal(np.unique(node[rows]), c.nodes):
+            return False
+        taken = np.bincount(node[rows], risk[rows], mission.problem.n_nodes)
+        if np.any(taken[c.nodes] > 1.0 - c.probability + FACET_ERROR):
+            return False
+        if c.keep == "out":
+            at = np.searchsorted(c.nodes, node[rows])
+            beyond = _least(c, at, normal[rows], mission.units.length_m) - offset[rows]
+            if np.any(beyond < -FACET_ERROR * mission.units.length_m):
+                return False
+    return len(name) == np.isin(name, [c.name for c in mission.problem.constraints]).sum()
+
+
+def _least(constraint: StateConstraint, at: npt.NDArray[np.intp], normal: Array, m: float) -> Array:
+    """Smallest n'y over each region, m; -inf where a cone reaches through the plane."""
+    region = constraint.region
+    if isinstance(region, Ball):
+        return m * (np.einsum("ri,ri->r", normal, region.center[at]) - region.radius)
+    leans = (
+        np.einsum("ri,ri->r", normal, region.axis[at]) >= np.sin(region.half_angle) - FACET_ERROR
+    )
+    return np.where(leans, m * np.einsum("ri,ri->r", normal, region.apex[at]), -np.inf)
+
+
+def _is_violation(mission: Mission, solution: Solution, margins: dict[str, Array]) -> bool:
+    """Whether the stored violation is what the margins and the final state leave."""
+    miss = np.array(solution.nodes.state[-1]) - mission.final_state
+    scaled = np.abs(miss) / mission.units.state * mission.units.length_m
+    amounts = {FINAL_STATE: scaled, **{name: -margin for name, margin in margins.items()}}
+    scale = {"m": mission.units.length_m, "m/s": mission.units.speed_m_s}
+    worst = {name: float(amount.max()) for name, amount in amounts.items()}
+    stored = solution.violation.by_constraint
+    for name, most in worst.items():
+        unit = _unit(name)
+        told = stored[name].max if name in stored else 0.0
+        if abs(max(most, 0.0) - told) > TOLERANCE * scale[unit] + MARGIN_ERROR[unit]:
+            return False
+    return stored.keys() <= worst.keys() and (solution.violation.max > 0.0) == bool(stored)

@@ -1,0 +1,272 @@
+"""Verification that shares no code path with the solver.
+
+The plan's burns are flown with an adaptive eighth-order integrator at tight tolerance, the STM by
+the variational equations with a complex-step gravity gradient; every original constraint (not its
+polytope) is evaluated between the nodes too, and every joint probability is estimated by Monte
+Carlo of the nonlinear dynamics. The samples fly with the planner's fixed-step integrator for speed;
+some of them are flown again with the adaptive one. Common ground is what defines the problem: the
+acceleration, the body's rotation, the Sun's direction and the boundary states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.integrate import solve_ivp
+
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import CONFIDENCE, proportion
+from scp_recon.monte_carlo.observation_time import joint_margins, observation_margins
+from scp_recon.monte_carlo.sampling import fly_block, sample_positions
+from scp_recon.physics import geometry
+from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import JointProbability, MeanMargin, Solution, Verification
+from scp_recon.verification.consistency import inconsistencies
+
+Array = npt.NDArray[np.float64]
+
+SAMPLES, SEED, FLIGHTS_CHECKED = 10_000, 0, 3
+MARGIN_STEP_S = 10.0
+POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
+COVARIANCE_LIMIT = 1e-6
+MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
+"""Between nodes a constraint that binds at them may dip below by this much."""
+NO_BURN_M_S = 1e-6
+SMALLEST = 1e-30
+"""Scaled covariance that counts as none."""
+DIVERGED = 1e100
+"""Stands for what is not finite: the file knows no infinity, and no limit allows it."""
+SAMPLED_PARTS_PER_ARC = 4
+
+
+def verify(mission: Mission, solution: Solution) -> Verification:
+    """Check a solution against its mission; the answer holds figures and what failed."""
+    burns, times = solution.burns_m_s, np.array(solution.nodes.t_s)
+    states = np.array(solution.nodes.state)
+    fine = np.arange(0.0, mission.times_s[-1], MARGIN_STEP_S)
+    flown = _fly(mission, burns, np.union1d(times, fine), mission.initial_state)
+    at_nodes = np.searchsorted(flown.times, times)
+    stored = np.array(solution.nodes.covariance)
+    defects = np.abs(flown.states[at_nodes] - states) / mission.units.state * mission.units.length_m
+    final = np.abs(flown.states[-1] - mission.final_state)
+    margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
+    probabilities = _joint_probabilities(mission, burns)
+    figures = {
+        "terminal_position_error_m": _finite(np.linalg.norm(final[:3])),
+        "terminal_velocity_error_m_s": _finite(np.linalg.norm(final[3:])),
+        "max_defect": _finite(defects.max()),
+        "sample_error_m": _sample_error(mission, burns),
+        "covariance_error": _covariance_error(mission, stored, flown.covariances[at_nodes]),
+    }
+    limits = (
+        POSITION_LIMIT_M,
+        VELOCITY_LIMIT_M_S,
+        DEFECT_LIMIT_M,
+        DEFECT_LIMIT_M,
+        COVARIANCE_LIMIT,
+    )
+    failed = [
+        name for (name, value), most in zip(figures.items(), limits, strict=True) if value > most
+    ]
+    failed += inconsistencies(mission, solution)
+    if solution.status != Status.CONVERGED.value.name:
+        failed.append("status")
+    failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
+    if solution.problem == "P2":
+        asked = mission.scenario.risk.p_chance
+        failed += [f"P({p.name})" for p in probabilities if p.estimate < asked]
+    return Verification(
+        **figures,
+        mean_margins=margins,
+        samples=SAMPLES,
+        confidence=CONFIDENCE,
+        probabilities=probabilities,
+        failed=failed,
+        ok=not failed,
+    )
+
+
+@dataclass(frozen=True)
+class _Flown:
+    """A re-integrated flight, after the burns: times (n,), states (n, 6), covariances (n, 6, 6)."""
+
+    times: Array
+    states: Array
+    covariances: Array
+
+
+def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown:
+    """Burn to burn, so that the integrator never steps over a jump; from a state before them."""
+    firing = mission.scenario.burns.times_s
+    beta = mission.scenario.uncertainty.execution_error
+    scale = np.concatenate([mission.units.state, np.ones(36)])
+    times = np.union1d(times, firing)
+    states = np.full((len(times), 6), DIVERGED)  # for what the integrator does not reach
+    covariances = np.full((len(times), 6, 6), DIVERGED)
+    state, covariance = initial.copy(), np.diag(mission.initial_sigma**2)
+    for i, begin in enumerate(firing):
+        state[3:] += burns[i]
+        covariance[3:, 3:] += np.diag((beta * burns[i]) ** 2)
+        if i + 1 == len(firing):
+            break
+        # The leg's last time is overwritten by the next leg's first, after the burn.
+        leg = (times >= begin) & (times <= firing[i + 1])
+        answer = solve_ivp(
+            lambda _, y: variational_rate(y, mission.forces),
+            (begin, firing[i + 1]),
+            np.concatenate([state, np.eye(6).ravel()]),
+            method="DOP853",
+            t_eval=times[leg],
+            rtol=1e-12,
+            atol=1e-13 * scale,
+        )
+        if not answer.success:
+            return _Flown(times, states, covariances)
+        stm = answer.y[6:].T.reshape(-1, 6, 6)
+        states[leg] = answer.y[:6].T
+        covariances[leg] = stm @ covariance @ stm.transpose(0, 2, 1)
+        state, covariance = states[leg][-1].copy(), covariances[leg][-1].copy()
+    states[-1], covariances[-1] = state, covariance
+    return _Flown(times, states, covariances)
+
+
+def variational_rate(y: Array, forces: ForceModel) -> Array:
+    """d/dt of the state and the flattened STM, shape (42,).
+
+    The gravity gradient is a complex step of the acceleration: exact to roundoff and independent of
+    the closed forms that the planner uses.
+    """
+    step = 1e-20
+    r = y[:3, None] + 1j * step * np.eye(3)
+    columns = np.stack(acceleration(r[0], r[1], r[2], forces))
+    stm = y[6:].reshape(6, 6)
+    stm_rate = np.concatenate([stm[3:], columns.imag / step @ stm[:3]])
+    return np.concatenate([y[3:6], columns.real[:, 0], stm_rate.ravel()])
+
+
+def _sample_error(mission: Mission, burns: Array) -> float:
+    """Largest difference of some sampled flights from the adaptive integration of the same, m."""
+    times = mission.times_s[[0, *mission.window_nodes, -1]]
+    sampled = fly_block(mission, burns, times, 0, flights=FLIGHTS_CHECKED, seed=SEED)
+    errors = []
+    for i, executed in enumerate(sampled.burns_m_s):
+        initial = sampled.states[0, i].copy()
+        initial[3:] -= executed[0]
+        again = _fly(mission, executed, times, initial)
+        looked = np.searchsorted(again.times, times)
+        errors.append(np.abs(again.states[looked] - sampled.states[:, i]) / mission.units.state)
+    return _finite(np.max(errors) * mission.units.length_m)
+
+
+def _finite(figure: np.floating) -> float:
+    return float(np.nan_to_num(figure, nan=DIVERGED, posinf=DIVERGED))
+
+
+def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
+    """Largest error of a node's covariance relative to its largest entry, in scaled units."""
+    units = np.outer(mission.units.state, mission.units.state)
+    size = np.abs(flown / units).max(axis=(1, 2))
+    error = np.abs((stored - flown) / units).max(axis=(1, 2))
+    return _finite((error / np.maximum(size, SMALLEST)).max())
+
+
+def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
+    first, last = mission.schedule.window_s
+    window = (flown.times >= first) & (flown.times <= last)
+    times = flown.times[window]
+    found = [
+        MeanMargin(
+            name=name,
+            unit=unit,
+            worst_margin=float(margin.min()),
+            worst_t_s=float(times[np.argmin(margin)]),
+        )
+        for name, (unit, margin) in observation_margins(
+            mission, times, flown.states[window, :3]
+        ).items()
+    ]
+    radius = np.linalg.norm(flown.states[:, :3], axis=1) - mission.scenario.safety.radius_min_m
+    safety = MeanMargin(
+        name="safety_radius",
+        unit="m",
+        worst_margin=float(radius.min()),
+        worst_t_s=float(flown.times[np.argmin(radius)]),
+    )
+    return [safety, *found]
+
+
+def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:
+    """Size of the planned burns and their angle from the Sun line, either way."""
+    times = np.array(mission.scenario.burns.times_s)
+    size = mission.scenario.burns.dv_max_m_s - np.linalg.norm(burns, axis=1)
+    angle = geometry.angle(burns, mission.sun_direction(times))
+    cone = np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
+    # A burn of next to nothing needs no attitude.
+    burning = np.linalg.norm(burns, axis=1) > NO_BURN_M_S
+    off_sun = np.where(burning, np.minimum(angle, np.pi - angle) - cone, np.inf)
+    at = int(np.argmin(off_sun))
+    margins = [
+        MeanMargin(
+            name="dv_max",
+            unit="m/s",
+            worst_margin=float(size.min()),
+            worst_t_s=float(times[np.argmin(size)]),
+        )
+    ]
+    if np.isfinite(off_sun[at]):
+        margins.append(
+            MeanMargin(
+                name="dv_battery",
+                unit="rad",
+                worst_margin=float(off_sun[at]),
+                worst_t_s=float(times[at]),
+            )
+        )
+    return margins
+
+
+def _joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability]:
+    """By Monte Carlo at the window's nodes and between them, and for safety at every node."""
+    window = mission.times_s[mission.window_nodes]
+    step = np.diff(window)[:, None] / SAMPLED_PARTS_PER_ARC
+    between = (window[:-1, None] + step * np.arange(1, SAMPLED_PARTS_PER_ARC)).ravel()
+    observed = np.union1d(window, between)
+    times = np.union1d(observed, mission.times_s)
+    positions = sample_positions(mission, burns, times, SAMPLES, SEED)
+    seen = np.searchsorted(times, observed)
+    joint = joint_margins(mission, observed, positions[seen])
+    radius = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
+    return [
+        _worst("safety_radius", times, holds(radius, "m")),
+        *(
+            _worst(name, observed, holds(margin, "m" if name == "site_distance" else "rad"))
+            for name, margin in joint.items()
+        ),
+    ]
+
+
+def holds(margin: Array, unit: str) -> npt.NDArray[np.bool_]:
+    """Which flights hold a constraint, margins (times, flights).
+
+    Where they spread by less than a binding mean may dip between nodes they are judged as the mean is:
+    without uncertainty every flight is the mean.
+    """
+    limit = MARGIN_LIMIT[unit]
+    allowed = np.where(margin.std(axis=1) < -limit, limit, 0.0)
+    return np.asarray(margin >= allowed[:, None])
+
+
+def _worst(name: str, times: Array, holds: npt.NDArray[np.bool_]) -> JointProbability:
+    counts = holds.sum(axis=1)
+    at = int(np.argmin(counts))
+    estimate = proportion(int(counts[at]), holds.shape[1])
+    return JointProbability(
+        name=name,
+        worst_t_s=float(times[at]),
+        estimate=estimate.value,
+        low=estimate.low,
+        high=estimate.high,
+    )

@@ -1,0 +1,38 @@
+"""Every way to eliminate mean and factor has the same shapes and the same mean."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+
+from formulations.linearisation.condensation import CONDENSATIONS, condense
+from tests.helpers import generators, random_flyby
+
+
+@pytest.mark.parametrize("name", CONDENSATIONS)
+@settings(max_examples=10)
+@given(generators)
+def test_a_factor_that_is_not_wanted_is_not_there(name: str, rng: np.random.Generator) -> None:
+    lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
+    nodes, columns = np.array([1, 4, 8]), lin.problem.factor_columns
+    z, full = lin.iterate.burns.size, condense(lin, nodes)
+    for factor, c in ((True, columns), (False, 0)):
+        s = CONDENSATIONS[name](lin, nodes, factor=factor)
+        assert np.array_equal(s.mean_constant, full.mean_constant)
+        assert np.array_equal(s.mean_jacobian, full.mean_jacobian)
+        assert s.factor_constant.shape == (3, 6, c)
+        assert s.factor_jacobian.shape == (3, 6, c, z)
+
+
+@pytest.mark.parametrize("name", CONDENSATIONS)
+@settings(max_examples=10)
+@given(generators)
+def test_every_model_is_exact_at_its_iterate(name: str, rng: np.random.Generator) -> None:
+    lin = random_flyby(rng).perturbed(rng, 0.2, 0.0)
+    nodes, z = np.array([0, 3, 8]), lin.iterate.burns.ravel()
+    s = CONDENSATIONS[name](lin, nodes, factor=True)
+    mean = s.mean_constant + s.mean_jacobian @ z
+    factor = s.factor_constant + s.factor_jacobian @ z
+    assert mean == pytest.approx(lin.iterate.mean[nodes], rel=1e-9, abs=1e-11)
+    assert factor == pytest.approx(lin.factor[nodes], rel=1e-9, abs=1e-11)

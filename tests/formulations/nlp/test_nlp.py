@@ -1,0 +1,435 @@
+"""The nonlinear programs say what the convex ones say, and IPOPT finds what SCP finds."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from formulations.linearisation.linearisation import Linearisation
+from formulations.nlp.covariance import Covariance, Factor, Spread, initial_deviation
+from formulations.nlp.multiple_shooting import ArcStyle, MultipleShooting
+from formulations.nlp.program import Arcs, Program, Start, Transcription, assemble
+from formulations.nlp.single_shooting import SingleShooting
+from formulations.nlp.solve import (
+    EXACT,
+    QUASI_NEWTON,
+    VARIANTS,
+    NlpOutcome,
+    Settings,
+    Variant,
+    paper_covariance,
+    scaled_covariance,
+    solve,
+    solve_nlp,
+)
+from formulations.problem.facets import Facets
+from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.problem.regions import Ball, Cone
+from formulations.program.penalty import DYNAMICS_WEIGHT
+from formulations.rows.chance import ChanceRows
+from formulations.rows.deterministic import DeterministicRows
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import propagate
+from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning.planner import Plan, Stage, plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+from scp_recon.solution.from_plan import make_solution
+
+Array = npt.NDArray[np.float64]
+
+
+def factor_form(problem: FlybyProblem) -> Factor:
+    return Factor(problem, unit=initial_deviation(problem))
+
+
+def unscaled_covariance(problem: FlybyProblem) -> Covariance:
+    return Covariance(problem, unique=True)
+
+
+SPREADS: dict[str, Callable[[FlybyProblem], Spread]] = {
+    "36 entries": paper_covariance,
+    "21 entries": unscaled_covariance,
+    "21 entries scaled": scaled_covariance,
+    "factor": factor_form,
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A mission planned by SCP, and the same arcs for CasADi."""
+
+    mission: Mission
+    plan: Plan
+    arcs: Arcs
+
+    @classmethod
+    @cache
+    def of(cls, *overrides: str) -> Case:
+        mission = Mission.from_scenario(load_scenario(None, overrides))
+        return cls(
+            mission, plan(mission, initial_guess.cold(mission)), ipopt.casadi_arcs(mission.dynamics)
+        )
+
+    @property
+    def problem(self) -> FlybyProblem:
+        return self.mission.problem
+
+    @property
+    def p3(self) -> Stage:
+        return self.plan.stages[0]
+
+    @property
+    def p2(self) -> Stage:
+        return self.plan.final
+
+    @property
+    def facets(self) -> Facets:
+        """Those of P2 that its convex program carries."""
+        facets, rows = self.p2.facets, self.p2.merit.rows
+        assert facets is not None
+        assert isinstance(rows, ChanceRows)
+        return Facets(*(getattr(facets, name)[rows.included] for name in Facets.__annotations__))
+
+    def start(self, stage: Stage) -> Start:
+        return Start(stage.result.lin.iterate, stage.result.lin.factor)
+
+    def near(self, seed: int, *, flown: bool = False) -> Linearisation:
+        """A random iterate near the solution, with defects everywhere unless it is flown."""
+        rng, best = np.random.default_rng(seed), self.p2.result.lin.iterate
+        burns = best.burns + 0.1 * rng.normal(size=best.burns.shape)
+        mean = best.mean + 0.1 * rng.normal(size=best.mean.shape)
+        if flown:
+            mean = self.mission.dynamics.rollout(self.problem.initial_state, burns)
+        return self.mission.dynamics.linearise(self.problem, Iterate(burns, mean))
+
+    def program(
+        self,
+        transcription: Transcription,
+        facets: Facets | None,
+        lin: Linearisation,
+        *,
+        elastic: bool = True,
+    ) -> Program:
+        start = Start(lin.iterate, lin.factor)
+        return transcription(self.problem, self.arcs, facets, start, elastic)
+
+
+@pytest.fixture(scope="module")
+def default() -> Case:
+    return Case.of()
+
+
+@pytest.fixture(scope="module")
+def coarse() -> Case:
+    """Arcs of several Runge-Kutta steps, and few enough of them to differentiate the whole."""
+    return Case.of("grid.step_max_s=450")
+
+
+@pytest.fixture(scope="module")
+def infeasible() -> Case:
+    return Case.of("risk.p_chance=0.95")
+
+
+def within(value: Array) -> Any:
+    """What the two sides have to agree to."""
+    return pytest.approx(value, rel=0.0, abs=1e-9)
+
+
+def test_casadi_flies_the_planners_arcs(coarse: Case) -> None:
+    lin, dynamics = coarse.near(1), coarse.mission.dynamics
+    assert dynamics.substeps > 1
+    start = lin.iterate.mean[:-1]
+    durations = dynamics.durations[None]
+    end = np.array(coarse.arcs.flow.map(len(start))(start.T, durations)).T
+    expected = propagate(start, dynamics.durations, dynamics.forces, dynamics.substeps)
+    assert end == pytest.approx(expected, rel=1e-12, abs=1e-13)
+    stm = ca.Function("stm", *_stm(coarse.arcs)).map(len(start))(start.T, durations)
+    blocks = np.hsplit(np.array(stm), len(start))
+    assert blocks == pytest.approx(lin.arcs.stm, rel=1e-9, abs=1e-11)
+
+
+def _stm(arcs: Arcs) -> tuple[list[ca.SX], list[ca.SX]]:
+    x, h = ca.SX.sym("x", 6), ca.SX.sym("h")
+    return [x, h], [ca.jacobian(arcs.flow(x, h), x)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("style", ["called", "mapped", "differentiated"])
+def test_p3_has_the_rows_of_the_convex_side(default: Case, style: ArcStyle, seed: int) -> None:
+    lin, problem = default.near(seed), default.problem
+    program = default.program(MultipleShooting(scaled_covariance, style), None, lin)
+    rows = program.residuals(program.start)
+    arcs = rows.pop("arcs").reshape(-1, 6)
+    assert arcs[1:] == within(lin.defects[:-1])
+    assert rows.pop("final_state") == within(lin.defects[-1])
+    _check_burn_rows(problem, lin, rows)
+    margins = {name: m.margin for name, m in DeterministicRows(problem).margins(lin).items()}
+    assert rows.keys() == margins.keys()
+    for name, margin in margins.items():
+        assert rows[name] == within(margin), name
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("spread", SPREADS)
+def test_p2_has_the_rows_of_the_convex_side(default: Case, spread: str, seed: int) -> None:
+    lin, problem, facets = default.near(seed), default.problem, default.p2.facets
+    assert facets is not None
+    transcription = MultipleShooting(SPREADS[spread], "mapped", whole=True)
+    program = default.program(transcription, facets, lin)
+    rows = program.residuals(program.start)
+    # Row by row the mean's defects; the spread that goes with the iterate has none.
+    form, expected = SPREADS[spread](problem), []
+    burns = np.searchsorted(problem.burn_nodes, np.arange(problem.n_nodes), side="right")
+    first = np.r_[problem.initial_state - lin.iterate.mean[0]]
+    first[3:] += lin.iterate.burns[0]
+    for defect, count in zip([first, *lin.defects[:-1]], burns, strict=True):
+        expected += [defect, np.zeros(form.size(int(count)))]
+    assert rows.pop("arcs") == within(np.concatenate(expected))
+    assert rows.pop("final_state") == within(lin.defects[-1])
+    _check_burn_rows(problem, lin, rows)
+    _check_facet_rows(problem, facets, lin, rows)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_single_shooting_has_the_rows_of_the_convex_side(default: Case, seed: int) -> None:
+    lin, problem, facets = default.near(seed, flown=True), default.problem, default.p2.facets
+    assert facets is not None
+    program = default.program(SingleShooting(), facets, lin)
+    rows = program.residuals(program.start)
+    assert program.iterate(program.start).mean == within(lin.iterate.mean)
+    assert rows.pop("final_state") == within(lin.defects[-1])
+    _check_burn_rows(problem, lin, rows)
+    _check_facet_rows(problem, facets, lin, rows)
+
+
+def _check_burn_rows(problem: FlybyProblem, lin: Linearisation, rows: dict[str, Array]) -> None:
+    margins = problem.burn_margins(lin.iterate.burns)
+    assert rows.pop("dv_max") == within(margins["dv_max"])
+    nappes = rows.pop("dv_battery").reshape(2, -1)
+    assert nappes.min(axis=0) == within(margins["dv_battery"])
+
+
+def _check_facet_rows(
+    problem: FlybyProblem, facets: Facets, lin: Linearisation, rows: dict[str, Array]
+) -> None:
+    everything = np.ones(len(facets.node), dtype=bool)
+    margins = ChanceRows(problem, facets, everything).margins(lin)
+    assert rows.keys() == margins.keys()
+    for name, expected in margins.items():
+        assert rows[name] == within(expected.margin), name
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_p3_as_printed_bounds_the_same_sets(default: Case, seed: int) -> None:
+    """The paper's ratios, turned into distances from the apex, are the convex side's margins."""
+    lin, problem = default.near(seed), default.problem
+    transcription = VARIANTS["printed"].transcription
+    program = default.program(transcription, None, lin, elastic=False)
+    rows = program.residuals(program.start)
+
+    def distance(cone: Cone, point: Array, cosine: Array) -> Array:
+        reach = np.linalg.norm(point - cone.apex, axis=1)
+        angle = np.arccos(cosine + np.cos(cone.half_angle))
+        inside: Array = reach * np.sin(cone.half_angle - angle)
+        return inside
+
+    for constraint in problem.constraints:
+        value, margin = rows[constraint.name], constraint.margin(lin.iterate.mean)
+        if isinstance(constraint.region, Ball):
+            assert value == within(margin), constraint.name
+            continue
+        sign = 1.0 if constraint.keep == "in" else -1.0
+        point = lin.iterate.mean[constraint.nodes, :3]
+        inside = sign * distance(constraint.region, point, sign * value)
+        assert inside == within(margin), constraint.name
+    toward, away = np.split(rows["dv_battery"], 2)
+    for cone, value in zip(problem.burn_cones, (toward, away), strict=True):
+        burns = lin.iterate.burns
+        assert distance(cone, burns, -value) == within(cone.inside(burns))
+
+
+@pytest.mark.parametrize("spread", ["36 entries", "21 entries scaled", "factor"])
+def test_derivatives_formed_arc_by_arc_are_those_of_the_whole(coarse: Case, spread: str) -> None:
+    lin = coarse.near(5)
+    by_arc, whole = (
+        assemble(coarse.program(MultipleShooting(SPREADS[spread], style), coarse.facets, lin), 10.0)
+        for style in ("differentiated", "mapped")
+    )
+    assert by_arc.jacobian is not None
+    assert by_arc.hessian is not None
+    x, rng = whole.unknowns, np.random.default_rng(5)
+    factors = rng.normal(size=whole.rows.numel())
+    lagrangian = 0.7 * whole.objective + ca.dot(factors, whole.rows)
+    own = ca.Function(
+        "own",
+        [by_arc.unknowns],
+        [by_arc.rows, by_arc.jacobian, by_arc.hessian(ca.MX(0.7), ca.MX(factors))],
+    )
+    reference = ca.Function(
+        "reference",
+        [x],
+        [whole.rows, ca.jacobian(whole.rows, x), ca.triu(ca.hessian(lagrangian, x)[0])],
+    )
+    for mine, theirs in zip(own(by_arc.start), reference(whole.start), strict=True):
+        scale = float(ca.norm_inf(ca.vec(theirs)))
+        assert float(ca.norm_inf(ca.vec(mine - theirs))) < 1e-11 * scale
+
+
+@pytest.mark.parametrize("name", ["tuned", "shooting"])
+def test_ipopt_and_scp_find_the_same_p3(default: Case, name: str) -> None:
+    start = Start(initial_guess.cold(default.mission))
+    result = solve_nlp(default.problem, default.arcs, None, start, VARIANTS[name])
+    assert result.outcome is NlpOutcome.SOLVED, result.status
+    expected = default.p3.result.lin.iterate.total_dv
+    assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "variant",
+    [VARIANTS["tuned"], VARIANTS["shooting"]],
+    ids=["tuned", "shooting"],
+)
+def test_ipopt_and_scp_find_the_same_p2_from_the_same_p3(default: Case, variant: Variant) -> None:
+    start = default.start(default.p3)
+    result = solve_nlp(default.problem, default.arcs, default.facets, start, variant)
+    assert result.outcome is NlpOutcome.SOLVED, result.status
+    expected = default.p2.result.lin.iterate.total_dv
+    assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_quasi_newton_hessian_finds_the_same_p2(default: Case) -> None:
+    variant = replace(VARIANTS["tuned"], p2=QUASI_NEWTON)
+    start = default.start(default.p3)
+    result = solve_nlp(default.problem, default.arcs, default.facets, start, variant)
+    expected = default.p2.result.lin.iterate.total_dv
+    assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
+
+
+def test_ipopt_and_scp_agree_on_the_merit_of_an_infeasible_case(infeasible: Case) -> None:
+    stage, start, weight = infeasible.p2, infeasible.start(infeasible.p3), 1_000.0
+    assert stage.result.status is Status.INFEASIBLE
+    problem, variant = infeasible.problem, VARIANTS["shooting"]
+    result = solve_nlp(problem, infeasible.arcs, infeasible.facets, start, variant, weight)
+    assert result.outcome is NlpOutcome.SOLVED, result.status
+    merit = stage.merit(stage.result.lin, weight)
+    assert result.objective == pytest.approx(merit, rel=1e-4)
+    lin = infeasible.mission.dynamics.linearise(problem, result.iterate)
+    assert stage.merit(lin, weight) == pytest.approx(result.objective, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["tuned", "shooting"])
+def test_the_penalty_weighs_as_the_merit_does(default: Case, name: str) -> None:
+    """At an iterate with every kind of violation, slacks that just fill it cost the merit."""
+    lin, stage = default.near(7, flown=True), default.p2
+    nlp = assemble(default.program(VARIANTS[name].transcription, default.facets, lin), 10.0)
+    objective, rows = ca.Function("f", [nlp.unknowns], [nlp.objective, nlp.rows])(nlp.start)
+    assert np.array(rows).min() >= -1e-9
+    defect = np.abs(lin.defects[:-1]).sum()
+    merit = stage.merit(lin, 10.0) - 10.0 * DYNAMICS_WEIGHT * defect
+    assert float(objective) == pytest.approx(merit, rel=1e-7)
+
+
+@pytest.mark.parametrize("variant", ["tuned", "shooting"])
+def test_the_three_stages_give_a_solution(
+    default: Case, variant: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    mission = default.mission
+    lines: list[tuple[str, int]] = []
+    result = ipopt.plan(
+        mission,
+        initial_guess.cold(mission),
+        variant=variant,
+        observe=lambda stage, record: lines.append((stage, record.k)),
+    )
+    assert capfd.readouterr() == ("", "")
+    solution = make_solution(result)
+    assert solution.status == "converged"
+    assert [stage.name for stage in solution.stages] == ["P3", "P2"]
+    assert len(lines) == len(solution.iterations) == sum(s.iterations for s in solution.stages)
+    expected = default.p2.result.lin.iterate.total_dv * mission.units.speed_m_s
+    assert solution.total_dv_m_s == pytest.approx(expected, rel=1e-4)
+    assert not solution.violation.by_constraint
+
+
+def test_what_does_not_converge_begins_again_at_the_ballistic_arc(
+    default: Case, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the planner has it; here P3 is given too few iterations, so that no try converges."""
+    brief = replace(VARIANTS["shooting"], p3=replace(EXACT, max_iterations=3))
+    monkeypatch.setitem(VARIANTS, "shooting", brief)
+    result = ipopt.plan(default.mission, initial_guess.cold(default.mission), variant="shooting")
+    names = [stage.name for stage in result.stages]
+    assert names[:4] == ["P3", "P3b", "P3c", "P3d"]
+    assert all(name.startswith("P2") for name in names[4:])
+    first, again = result.stages[0].result.lin, result.stages[1].result.lin
+    assert np.abs(first.iterate.burns - again.iterate.burns).max() > 0.0
+
+
+def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
+    mission, start = infeasible.mission, infeasible.start(infeasible.p3)
+    variant = replace(VARIANTS["shooting"], p2=replace(QUASI_NEWTON, max_iterations=60))
+    hard = solve_nlp(infeasible.problem, infeasible.arcs, infeasible.facets, start, variant)
+    assert hard.outcome in (NlpOutcome.INFEASIBLE, NlpOutcome.LIMIT), hard.status
+    stages = ipopt.IpoptStages(mission, infeasible.arcs, VARIANTS["shooting"], elastic=True)
+    elastic = stages.solve(
+        "P2", infeasible.p2.merit.rows, infeasible.p3.result.lin, lambda *_: None
+    )
+    assert elastic.result.status is Status.INFEASIBLE
+    violations = elastic.merit.violations(elastic.result.lin)
+    assert max(violations["site_distance_max"]) > elastic.tolerance
+
+
+@pytest.mark.parametrize("by_hand", [True, False], ids=["ctrl-c", "another exception"])
+def test_only_ctrl_c_is_called_an_interrupt(
+    default: Case, by_hand: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both end as an exception in IPOPT."""
+
+    class Thrown:
+        def __init__(self, *_: object) -> None: ...
+
+        def __call__(self, x0: object, **_: object) -> dict[str, object]:
+            if by_hand:
+                with contextlib.suppress(KeyboardInterrupt):  # as IPOPT does
+                    signal.raise_signal(signal.SIGINT)
+            return {"x": x0, "f": 0.0}
+
+        def stats(self) -> dict[str, object]:
+            return {"return_status": "NonIpopt_Exception_Thrown"}
+
+    monkeypatch.setattr(solve, "_solver", Thrown)
+    start = Start(initial_guess.cold(default.mission))
+    result = solve_nlp(default.problem, default.arcs, None, start, VARIANTS["shooting"])
+    assert result.outcome is (NlpOutcome.INTERRUPTED if by_hand else NlpOutcome.FAILED)
+
+
+def test_a_limit_is_said(default: Case) -> None:
+    brief = Variant(SingleShooting(), p3=replace(EXACT, max_iterations=2), p2=Settings())
+    start = Start(initial_guess.cold(default.mission))
+    result = solve_nlp(default.problem, default.arcs, None, start, brief)
+    assert result.outcome is NlpOutcome.LIMIT
+
+
+def test_p2_needs_a_factor_to_start_from(default: Case) -> None:
+    start = Start(default.p3.result.lin.iterate)
+    with pytest.raises(ValueError, match="factor"):
+        solve_nlp(default.problem, default.arcs, default.facets, start, VARIANTS["tuned"])
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_without_a_facet_p2_only_flies(default: Case, name: str) -> None:
+    none = Facets(*(getattr(default.facets, field)[:0] for field in Facets.__annotations__))
+    start = default.start(default.p3)
+    result = solve_nlp(default.problem, default.arcs, none, start, VARIANTS[name])
+    assert result.outcome is NlpOutcome.SOLVED, result.status
+    assert result.iterate.total_dv < default.p3.result.lin.iterate.total_dv

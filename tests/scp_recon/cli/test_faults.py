@@ -1,0 +1,507 @@
+"""What breaks around the planner: conic solvers, disks, the terminal, and being killed."""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout
+from functools import cache
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import clarabel
+import numpy as np
+import pytest
+
+from formulations.program import solvers
+from formulations.program.certificate import ConeProgram
+from formulations.program.solvers import SOLVERS, Answer, Clarabel
+from scp_recon import files, montecarlo, simulate, solve, verify
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution, Verification, read_solution
+from scp_recon.solution.file import file as solution_module
+from tests import reliability
+from tests.scenarios import COARSE
+from tests.scp_recon.support import run_solve
+
+PROJECT = Path(__file__).parents[3]
+
+# --- the conic solver ---------------------------------------------------------------------------
+
+
+class PanicError(BaseException):
+    """As a panic in Rust arrives in Python: no Exception."""
+
+
+Fault = Callable[[ConeProgram, Answer], Answer]
+
+
+def raises(error: BaseException) -> Fault:
+    def fault(_: ConeProgram, __: Answer) -> Answer:
+        raise error
+
+    return fault
+
+
+def inaccurate(_: ConeProgram, answer: Answer) -> Answer:
+    """Far from its tolerances, and it says so."""
+    noise = np.random.default_rng(0).normal(scale=1e-3, size=answer.x.shape)
+    return Answer(answer.x + noise, "AlmostSolved", False, answer.solver_s)
+
+
+def not_finite(_: ConeProgram, answer: Answer) -> Answer:
+    return answer._replace(x=np.full_like(answer.x, np.nan))
+
+
+def huge(_: ConeProgram, answer: Answer) -> Answer:
+    return answer._replace(x=np.full_like(answer.x, 1e300))
+
+
+def nonsense(_: ConeProgram, answer: Answer) -> Answer:
+    """Numbers of the right size that solve nothing, called solved."""
+    return answer._replace(x=np.random.default_rng(1).permutation(answer.x))
+
+
+FAULTS: dict[str, Fault] = {
+    "error": raises(ValueError("the factorisation failed")),
+    "foreign error": raises(RuntimeError("an assertion in the solver")),
+    "arithmetic": raises(ZeroDivisionError("division by zero")),
+    "panic": raises(PanicError("called `Option::unwrap()` on a `None` value")),
+    "not finite": not_finite,
+    "huge": huge,
+    "inaccurate": inaccurate,
+    "nonsense": nonsense,
+}
+
+
+class Faulty:
+    """Clarabel, some of whose answers are spoilt."""
+
+    def __init__(self, fault: Fault, spoilt: Callable[[], bool]) -> None:
+        self._solver, self._fault, self._spoilt = Clarabel({}), fault, spoilt
+
+    def solve(self, program: ConeProgram) -> Answer:
+        answer = self._solver.solve(program)
+        return self._fault(program, answer) if self._spoilt() else answer
+
+
+def inject(
+    monkeypatch: pytest.MonkeyPatch, fault: Fault, spoilt: Callable[[], bool], *, others: bool
+) -> None:
+    monkeypatch.setitem(SOLVERS, "CLARABEL", lambda _: Faulty(fault, spoilt))
+    if not others:
+        monkeypatch.delitem(SOLVERS, "QOCO")
+
+
+@cache
+def coarse() -> tuple[Mission, Plan]:
+    mission = Mission.from_scenario(load_scenario(None, [COARSE]))
+    return mission, plan(mission, initial_guess.cold(mission))
+
+
+def assert_honest(mission: Mission, found: Plan) -> None:
+    """Nothing is called converged that is not the optimum, and nothing infeasible at all."""
+    status, best = found.final.result.status, coarse()[1].final.result.lin.iterate.total_dv
+    assert status is not Status.INFEASIBLE
+    if status is Status.CONVERGED:
+        assert found.final.result.lin.iterate.total_dv == pytest.approx(best, rel=2e-3)
+        misses = found.final.merit.violations(found.final.result.lin).values()
+        assert max(float(miss.max(initial=0.0)) for miss in misses) <= 1e-6
+    assert np.isfinite(found.final.result.lin.iterate.mean).all()
+    assert mission is coarse()[0]
+    reliability.count(reliability.FAULTS)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_solver_that_fails_now_and_then_is_asked_again(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission, _ = coarse()
+    calls: Iterator[int] = iter(range(10_000))
+    inject(monkeypatch, FAULTS[name], lambda: next(calls) % 3 == 1, others=False)
+    found = plan(mission, initial_guess.cold(mission))
+    assert found.final.result.status is Status.CONVERGED
+    assert_honest(mission, found)
+
+
+@pytest.mark.parametrize("name", ["error", "foreign error", "arithmetic", "panic", "not finite"])
+def test_where_a_solver_always_fails_another_one_is_asked(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("qoco", reason="there is no other solver")
+    mission, _ = coarse()
+    inject(monkeypatch, FAULTS[name], lambda: True, others=True)
+    found = plan(mission, initial_guess.cold(mission))
+    assert found.final.result.status is Status.CONVERGED
+    assert_honest(mission, found)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_where_every_solver_fails_the_plan_ends_in_a_status(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mission, _ = coarse()
+    inject(monkeypatch, FAULTS[name], lambda: True, others=False)
+    found = plan(mission, initial_guess.cold(mission))
+    assert found.final.result.status in (
+        Status.SOLVER_FAILED,
+        Status.STALLED,
+        Status.MAX_ITERATIONS,
+    )
+    assert_honest(mission, found)
+
+
+class Liar:
+    """Clarabel, whose answers are not what it says they are."""
+
+    def __init__(self, p: Any, q: Any, a: Any, b: Any, cones: Any, settings: Any) -> None:
+        self._solver = clarabel.DefaultSolver(p, q, a, self.asked(b), cones, settings)
+
+    def update(self, b: Any, **data: Any) -> None:
+        self._solver.update(b=self.asked(b), **data)
+
+    def asked(self, b: Any) -> Any:
+        return b
+
+    def solve(self) -> Any:
+        return self.told(self._solver.solve())
+
+    def told(self, found: Any) -> Any:
+        return found
+
+
+class Stale(Liar):
+    """The first answer again and again."""
+
+    first: Any = None
+
+    def told(self, found: Any) -> Any:
+        self.first = self.first or found
+        return self.first
+
+
+class Zero(Liar):
+    def told(self, found: Any) -> Any:
+        nothing = np.zeros(len(found.x))
+        return SimpleNamespace(x=nothing, z=found.z, status="Solved", solve_time=0.0)
+
+
+class Timid(Liar):
+    """Feasible, and far from optimal: the best next to where it stands, called solved."""
+
+    def asked(self, b: Any) -> Any:
+        n = 3 * coarse()[0].problem.n_burns
+        middle = 0.5 * (b[:n] - b[n : 2 * n])  # of the trust region's rows, radius +- burns
+        assert np.ptp(b[:n] + b[n : 2 * n]) < 1e-9
+        return np.concatenate([1e-7 + middle, 1e-7 - middle, b[2 * n :]])
+
+
+class Mislabelled(Liar):
+    status = "PrimalInfeasible"
+
+    def told(self, found: Any) -> Any:
+        return SimpleNamespace(x=found.x, z=found.z, status=self.status, solve_time=0.0)
+
+
+class Unbounded(Mislabelled):
+    status = "DualInfeasible"
+
+
+class Unnamed(Mislabelled):
+    status = "SomethingNew"
+
+
+@pytest.mark.parametrize("liar", [Stale, Zero, Timid, Mislabelled, Unbounded, Unnamed])
+def test_a_wrong_status_is_found_out(liar: type[Liar], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A verdict needs a closed duality gap, whatever the solver calls its answer."""
+    mission, _ = coarse()
+    names = {name: getattr(clarabel, name) for name in dir(clarabel)}
+    lying = SimpleNamespace(**{**names, "DefaultSolver": liar})
+    monkeypatch.setattr(solvers, "clarabel", lying)
+    monkeypatch.delitem(SOLVERS, "QOCO")
+    found = plan(mission, initial_guess.cold(mission))
+    # Asked again from nothing, one that repeats itself tells the truth.
+    assert (found.final.result.status is Status.CONVERGED) == (liar is Stale)
+    assert_honest(mission, found)
+
+
+def test_a_failing_solver_ends_the_command_with_a_status(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inject(monkeypatch, FAULTS["panic"], lambda: True, others=False)
+    run = run_solve(tmp_path, "--set", COARSE)
+    assert run.exit_code == 4
+    assert read_solution(tmp_path).status == "solver_failed"
+    assert "Traceback" not in run.output + run.errors
+    reliability.count(reliability.FAULTS)
+
+
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+def test_a_solver_behind_cvxpy_that_raises_ends_in_a_status(
+    formulation: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("ecos", reason="there is no solver behind CVXPY")
+    from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
+
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError("an assertion in the solver")
+
+    mission, _ = coarse()
+    monkeypatch.setattr(SOLVER_MAP_CONIC["ECOS"], "solve_via_data", broken)
+    start = initial_guess.cold(mission)
+    found = plan(mission, start, formulation=formulation, solver="ECOS", problem="P3")
+    assert found.final.result.status is Status.SOLVER_FAILED
+    words = {record.failure for record in found.final.result.records}
+    assert words == {"an assertion in the solver"}
+    reliability.count(reliability.FAULTS)
+
+
+# --- the disk and the terminal ------------------------------------------------------------------
+
+
+@pytest.fixture
+def instant(
+    monkeypatch: pytest.MonkeyPatch,
+    default_plan: Plan,
+    verification: Verification,
+) -> None:
+    """The planning and the verification of the default scenario, done already."""
+    monkeypatch.setattr(solve, "plan", lambda *_, **__: default_plan)
+    monkeypatch.setattr(solve, "verify", lambda *_: verification)
+
+
+def full(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def barred(*_: object, **__: object) -> None:
+    raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+
+WRITING: list[tuple[object, str]] = [
+    (os, "fsync"),
+    (Path, "replace"),
+    (Path, "mkdir"),
+    (files, "TemporaryFile"),
+]
+
+
+@pytest.mark.usefixtures("instant")
+@pytest.mark.parametrize("trouble", [full, barred])
+@pytest.mark.parametrize(("place", "name"), WRITING, ids=[name for _, name in WRITING])
+def test_a_disk_that_cannot_be_written_ends_with_a_message_and_the_old_file(
+    place: object,
+    name: str,
+    trouble: Callable[..., None],
+    tmp_path: Path,
+    solution: Solution,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = solution.write(tmp_path).read_bytes()
+    monkeypatch.setattr(place, name, trouble)
+    run = run_solve(tmp_path)
+    monkeypatch.undo()
+    assert run.exit_code == 2
+    assert run.errors.count("error: ") == 1
+    assert "Traceback" not in run.errors
+    assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
+    assert (tmp_path / "solution.json").read_bytes() == before
+    reliability.count(reliability.FAULTS)
+
+
+@pytest.mark.parametrize("command", [solve, montecarlo, simulate])
+@pytest.mark.parametrize("fault", ["a folder in the file's place", "a barred folder"])
+def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
+    command: ModuleType,
+    fault: str,
+    tmp_path: Path,
+    solution: Solution,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solution.write(tmp_path)
+    out = tmp_path / "out" if command is not montecarlo else tmp_path
+    if fault == "a barred folder":
+        monkeypatch.setattr(files, "TemporaryFile", barred)
+    else:
+        (out / command.FILE_NAME).mkdir(parents=True)
+    for work in ("plan", "fly_campaign", "make_record"):
+        monkeypatch.setattr(command, work, None, raising=False)  # calling it is a TypeError
+    given = [] if command is solve else [str(tmp_path)]
+    assert command.main([*given, *([] if out == tmp_path else ["--out", str(out)])]) == 2
+    assert capsys.readouterr().err.count("error: ") == 1
+    reliability.count(reliability.FAULTS)
+
+
+@pytest.mark.usefixtures("instant")
+@pytest.mark.parametrize("place", ["/proc/nowhere", "/dev/null", "/dev/null/below"])
+def test_a_place_that_holds_no_files_is_refused(place: str) -> None:
+    if not Path(place).parent.exists():
+        pytest.skip(f"{place} is of another system")
+    run = run_solve(Path(place))
+    assert run.exit_code == 2
+    assert run.errors.count("error: ") == 1
+    reliability.count(reliability.FAULTS)
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
+@pytest.mark.usefixtures("instant")
+def test_a_folder_without_permission_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    run = run_solve(tmp_path / "below")
+    tmp_path.chmod(0o700)
+    assert run.exit_code == 2
+    reliability.count(reliability.FAULTS)
+
+
+class FullDevice(io.BytesIO):
+    """As /dev/full, but that it can be closed."""
+
+    def write(self, _: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.usefixtures("instant")
+@pytest.mark.parametrize("command", ["solve", "verify", "montecarlo"])
+def test_a_full_device_behind_the_terminal_ends_with_a_message(
+    command: str,
+    tmp_path: Path,
+    solution: Solution,
+    monkeypatch: pytest.MonkeyPatch,
+    verification: Verification,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solution.write(tmp_path)
+    monkeypatch.setattr(verify, "verify", lambda *_: verification)
+    run = {
+        "solve": lambda: solve.main(["--out", str(tmp_path)]),
+        "verify": lambda: verify.main([str(tmp_path)]),
+        "montecarlo": lambda: montecarlo.main([str(tmp_path), "--samples", "20"]),
+    }[command]
+    device = io.TextIOWrapper(FullDevice(), encoding="utf-8", line_buffering=True)
+    with redirect_stdout(device):
+        assert run() == 2
+    assert capsys.readouterr().err.count("error: ") == 1
+    assert read_solution(tmp_path).problem == "P2"
+    reliability.count(reliability.FAULTS)
+
+
+@pytest.mark.usefixtures("instant")
+def test_a_full_disk_ends_the_monte_carlo_command_with_a_message(
+    tmp_path: Path,
+    solution: Solution,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    solution.write(tmp_path)
+    monkeypatch.setattr(os, "fsync", full)
+    assert montecarlo.main([str(tmp_path), "--samples", "20"]) == 2
+    assert capsys.readouterr().err.count("error: ") == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
+    reliability.count(reliability.FAULTS)
+
+
+def test_running_out_of_memory_ends_with_a_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def greedy(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(solve, "plan", greedy)
+    run = run_solve(tmp_path)
+    assert run.exit_code == 2
+    assert "memory" in run.errors
+    reliability.count(reliability.FAULTS)
+
+
+# --- killed while writing -----------------------------------------------------------------------
+
+KILLED = """
+    import json, os, signal, sys, time
+    from pathlib import Path
+    from scp_recon.solution.file import file as module
+
+    folder = Path(sys.argv[1])
+    solution = module.read_solution(folder)
+    new = solution.model_copy(update={"message": "the new one"})
+
+    def die(*_, **__):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    class Cut:  # a file that takes half of the text and then no more
+        def __init__(self, file):
+            self.file = file
+        def __enter__(self):
+            return self
+        def __exit__(self, *_):
+            pass
+        def write(self, text):
+            self.file.write(text[: len(text) // 2])
+            self.file.flush()
+            die()
+
+    opened, replaced = Path.open, Path.replace
+    points = {
+        "before writing": lambda: setattr(Path, "open", die),
+        "half written": lambda: setattr(Path, "open", lambda *a, **k: Cut(opened(*a, **k))),
+        "before flushing": lambda: setattr(os, "fsync", die),
+        "before replacing": lambda: setattr(Path, "replace", die),
+        "after replacing": lambda: setattr(Path, "replace", lambda *a: (replaced(*a), die())),
+        **{f"after {ms} ms": lambda ms=ms: signal.setitimer(signal.ITIMER_REAL, ms / 1e3)
+           for ms in (1, 2, 3, 5, 8, 12, 20, 30)},
+    }
+    signal.signal(signal.SIGALRM, die)
+    for point, arrange in points.items():
+        child = os.fork()
+        if child == 0:
+            arrange()
+            while True:
+                new.write(folder)
+        _, status = os.waitpid(child, 0)
+        found = module.read_solution(folder).message
+        print(json.dumps([point, os.WTERMSIG(status), found]), flush=True)
+        solution.write(folder)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no SIGKILL here")
+def test_killed_at_any_moment_of_writing_the_file_is_the_old_or_the_new_one(
+    tmp_path: Path, solution: Solution
+) -> None:
+    solution.model_copy(update={"message": "the old one"}).write(tmp_path)
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(KILLED), str(tmp_path)],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    seen = {point: (end, found) for point, end, found in map(json.loads, done.stdout.splitlines())}
+    assert len(seen) == 13
+    for point, (end, found) in seen.items():
+        assert end == 9, point
+        assert found in ("the old one", "the new one"), point
+        reliability.count(reliability.FAULTS)
+    for point in ("before writing", "half written", "before flushing", "before replacing"):
+        assert seen[point][1] == "the old one"
+    assert seen["after replacing"][1] == "the new one"
+
+
+def test_the_folder_of_a_killed_run_can_be_used_again(tmp_path: Path, solution: Solution) -> None:
+    """What a kill leaves behind is a hidden file beside the result, in nobody's way."""
+    solution.write(tmp_path)
+    (tmp_path / f".{solution_module.FILE_NAME}.left").write_text("{", "utf-8")
+    assert read_solution(tmp_path) == solution
+    assert read_solution(solution.write(tmp_path)) == solution

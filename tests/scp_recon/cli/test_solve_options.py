@@ -1,0 +1,50 @@
+"""The command's choice of algorithm and conic solver: kept in the file, refused where it cannot be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from formulations.program import solvers
+from scp_recon.solution.file import read_solution
+from tests.scp_recon.support import run_solve
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "solver"), [("ptr", "clarabel"), ("scvx-star", "CLARABEL"), ("scvx", "ecos")]
+)
+def test_algorithm_and_solver_are_recorded(tmp_path: Path, algorithm: str, solver: str) -> None:
+    if solver == "ecos":
+        pytest.importorskip("ecos")
+    run = run_solve(tmp_path, "--algorithm", algorithm, "--solver", solver, "--problem", "P3")
+    solution = read_solution(tmp_path)
+    assert (solution.algorithm, solution.solver) == (algorithm, solver.upper())
+    assert solution.status == "converged"
+    assert run.exit_code == 0
+    assert solution.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--algorithm", "sqp"), "--algorithm: got 'sqp'; must be one of scvx, ptr, scvx-star"),
+        (("--solver", "simplex"), "--solver: got 'SIMPLEX'; must be one of CLARABEL"),
+        (("--method", "ipopt", "--solver", "ECOS"), "--solver: got ECOS; goes with --method scp"),
+        (("--method", "ipopt", "--algorithm", "ptr"), "--algorithm: got ptr; goes with"),
+    ],
+)
+def test_what_cannot_be_chosen_is_refused(
+    tmp_path: Path, arguments: tuple[str, ...], words: str
+) -> None:
+    run = run_solve(tmp_path, *arguments)
+    assert run.exit_code == 2
+    assert words in " ".join(run.errors.split())
+
+
+def test_every_conic_solver_of_the_extra_is_found() -> None:
+    for name in ("ecos", "qoco", "scs"):
+        pytest.importorskip(name)
+    found = solvers.installed()
+    assert found[0] == "CLARABEL"
+    assert {"ECOS", "QOCO", "SCS"} <= set(found)

@@ -1,0 +1,51 @@
+"""Ctrl-C while a command is still importing ends in one line and its exit status."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from tests import reliability
+
+PROJECT = Path(__file__).parents[3]
+COMMANDS = [f"scp_recon.{name}" for name in ("solve", "verify", "montecarlo", "simulate")]
+COMMANDS += ["paper_figs", "paper_figs.flyby", "benchmarks"]
+
+AS_CTRL_C = """
+    import os, runpy, signal, sys
+    module, late = sys.argv[1:]
+    def hook(event, arguments):
+        if event == "import" and arguments[0] == late:
+            os.kill(os.getpid(), signal.SIGINT)
+    sys.addaudithook(hook)
+    sys.argv[1:] = []
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
+"""
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("late", ["argparse", "numpy", "rich.console"])
+def test_ctrl_c_during_an_import_ends_in_one_line(command: str, late: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(AS_CTRL_C), command, late],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "\ninterrupted\n")
+    reliability.count(reliability.FAULTS)
+
+
+def test_what_stands_before_the_first_line_of_a_command_is_light() -> None:
+    """Until `starting` has run, Ctrl-C ends as Python ends it."""
+    code = "import scp_recon.cli.command, sys; print(*{'numpy', 'rich', 'pydantic'} & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == ""

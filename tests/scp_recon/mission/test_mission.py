@@ -1,0 +1,221 @@
+"""The grid, the units, and the nondimensional problem that stands for the scenario."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from formulations.problem.flyby import StateConstraint
+from scp_recon.mission.grid import make_grid
+from scp_recon.mission.mission import Mission
+from scp_recon.physics import geometry
+from tests.scp_recon.support import Array, mission_of
+
+# --- the grid -----------------------------------------------------------------------------------
+
+
+@given(
+    fixed=st.lists(st.floats(0.0, 1e5), min_size=2, max_size=8, unique=True),
+    step=st.floats(1.0, 5e4),
+)
+def test_grid_is_ascending_fine_enough_and_holds_the_fixed_times(
+    fixed: list[float], step: float
+) -> None:
+    assume(np.diff(np.sort(fixed)).min() > 1e-3)
+    assume(np.ptp(fixed) / step < 1e4)
+    grid = make_grid(tuple(fixed), step)
+    spacing = np.diff(grid)
+    assert np.all(spacing > 0.0)
+    assert spacing.max() <= step * (1.0 + 1e-8)
+    assert set(fixed) <= set(grid.tolist())
+    assert grid[0] == min(fixed)
+    assert grid[-1] == max(fixed)
+
+
+@given(length=st.floats(1.0, 1e5), step=st.floats(1.0, 1e4))
+def test_grid_has_no_more_nodes_than_it_needs(length: float, step: float) -> None:
+    arcs = len(make_grid((0.0, length), step)) - 1
+    assert arcs == 1 or length / (arcs - 1) > step * (1.0 - 1e-8)
+
+
+def test_default_grid(mission: Mission) -> None:
+    scenario, times = mission.scenario, mission.times_s
+    assert len(times) - 1 == 153  # mission.md section 5
+    assert np.diff(times).max() <= scenario.grid.step_max_s
+    np.testing.assert_array_equal(times[mission.burn_nodes], scenario.burns.times_s)
+    window = times[mission.window_nodes]
+    assert (window[0], window[-1]) == mission.schedule.window_s
+    first, last = mission.schedule.window_s
+    np.testing.assert_array_equal(window, times[(times >= first) & (times <= last)])
+
+
+def test_a_finer_grid_keeps_burns_and_window(mission: Mission) -> None:
+    fine = mission_of("grid.step_max_s=50")
+    assert np.diff(fine.times_s).max() <= 50.0
+    assert fine.schedule.window_s == mission.schedule.window_s
+    np.testing.assert_array_equal(fine.times_s[fine.burn_nodes], fine.scenario.burns.times_s)
+    np.testing.assert_array_equal(fine.times_s[fine.window_nodes[[0, -1]]], fine.schedule.window_s)
+
+
+# --- units --------------------------------------------------------------------------------------
+
+
+def test_units_make_gm_and_the_initial_radius_one(mission: Mission) -> None:
+    units = mission.units
+    assert mission.forces.in_units(units.length_m, units.time_s).gm == pytest.approx(1.0)
+    assert np.linalg.norm(mission.problem.initial_state[:3]) == pytest.approx(1.0)
+    assert units.speed_m_s == pytest.approx(units.length_m / units.time_s)
+
+
+def test_problem_is_the_scenario_in_units(mission: Mission) -> None:
+    problem, units, scenario = mission.problem, mission.units, mission.scenario
+    np.testing.assert_allclose(problem.initial_state * units.state, mission.initial_state)
+    np.testing.assert_allclose(problem.final_state * units.state, mission.final_state)
+    assert problem.dv_max * units.speed_m_s == pytest.approx(scenario.burns.dv_max_m_s)
+    assert np.rad2deg(problem.dv_cone) == pytest.approx(23.3)
+    assert problem.execution_error == 0.08
+    np.testing.assert_allclose(problem.sun, mission.sun_direction(scenario.burns.times_s))
+    np.testing.assert_allclose(
+        mission.dynamics.durations * units.time_s, np.diff(mission.times_s), rtol=1e-12
+    )
+
+
+def test_initial_covariance_is_the_papers(mission: Mission) -> None:
+    # Sigma_t0 = 1e-4 diag(x0 o x0), x0 in J2000.
+    factor = mission.problem.initial_factor * mission.units.state[:, None]
+    x0 = mission.initial_state
+    np.testing.assert_allclose(factor @ factor.T, 1e-4 * np.diag(x0 * x0), rtol=1e-12)
+
+
+# --- constraints --------------------------------------------------------------------------------
+
+
+def constraint(mission: Mission, name: str) -> StateConstraint:
+    return next(c for c in mission.problem.constraints if c.name == name)
+
+
+def test_joint_risk_is_split_by_boole(mission: Mission) -> None:
+    two_sided = 1.0 - 0.30 / 2
+    assert {c.name: c.probability for c in mission.problem.constraints} == pytest.approx(
+        {
+            "safety_radius": 0.70,
+            "site_distance_min": two_sided,
+            "site_distance_max": two_sided,
+            "emission_min": two_sided,
+            "emission_max": two_sided,
+            "phase_min": 0.70,  # the paper gives the phase no upper limit
+            "battery_observation": 0.70,
+        }
+    )
+
+
+def test_an_upper_phase_limit_shares_the_risk_of_the_lower_one() -> None:
+    limited = mission_of("observation.phase_max_deg=80")
+    assert constraint(limited, "phase_min").probability == pytest.approx(0.85)
+    assert constraint(limited, "phase_max").probability == pytest.approx(0.85)
+    assert constraint(limited, "phase_max").keep == "in"
+
+
+def test_safety_holds_at_every_node_and_observation_throughout_the_window(
+    mission: Mission,
+) -> None:
+    for c in mission.problem.constraints:
+        everywhere = np.arange(len(mission.times_s))
+        expected = everywhere if c.name == "safety_radius" else mission.window_nodes
+        np.testing.assert_array_equal(c.nodes, expected)
+
+
+@st.composite
+def offsets(draw: st.DrawFn) -> Array:
+    """From the site, m."""
+    z, azimuth = draw(st.floats(-1.0, 1.0)), draw(st.floats(-np.pi, np.pi))
+    across = np.sqrt(1.0 - z * z)
+    direction = np.array([across * np.cos(azimuth), across * np.sin(azimuth), z])
+    return draw(st.floats(300.0, 1000.0)) * direction
+
+
+@pytest.fixture(scope="module")
+def fully_limited() -> Mission:
+    return mission_of("observation.phase_max_deg=80")
+
+
+@given(offset=offsets(), index=st.integers(0, 15))
+def test_constraints_of_the_problem_are_the_limits_on_the_geometry(
+    offset: Array, index: int, fully_limited: Mission
+) -> None:
+    """The regions' signed distances have the signs of the angles' and the range's margins."""
+    m = fully_limited
+    node = m.window_nodes[index]
+    time = m.times_s[[node]]
+    site, sun = geometry.track(m.site, m.rotation, time), m.sun_direction(time)
+    position = site.position + offset
+    emission = np.rad2deg(geometry.emission(position, site)[0])
+    phase = np.rad2deg(geometry.phase(position, site, sun)[0])
+    site_range = np.linalg.norm(offset)
+    margins = {
+        "safety_radius": np.linalg.norm(position) - 500.0,
+        "site_distance_min": site_range - 500.0,
+        "site_distance_max": 740.0 - site_range,
+        "emission_min": emission - 20.0,
+        "emission_max": 45.0 - emission,
+        "phase_min": phase - 10.0,
+        "phase_max": 80.0 - phase,
+        "battery_observation": phase - 18.2,
+    }
+    mean = np.full((len(m.times_s), 6), np.nan)
+    mean[:, :3] = position / m.units.length_m
+    for name, margin in margins.items():
+        assume(abs(margin) > 1e-6)
+        c = constraint(m, name)
+        ours = c.margin(mean)[np.flatnonzero(c.nodes == node)[0]] * m.units.length_m
+        assert np.sign(ours) == np.sign(margin), name
+        if name in ("safety_radius", "site_distance_min", "site_distance_max"):
+            assert ours == pytest.approx(margin)
+        else:
+            # Distance to the cone's surface along the shortest way: range times the sine.
+            assert ours == pytest.approx(site_range * np.sin(np.deg2rad(margin)), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "ball_facets", "cone_facets"),
+    [
+        ([], 24, 4),
+        (["polytopes.ball=tangent", "polytopes.cone=12"], None, 12),
+        (["polytopes.ball=40", "polytopes.cone=paper"], 40, 4),
+    ],
+)
+def test_polytopes_are_those_chosen(
+    overrides: list[str], ball_facets: int | None, cone_facets: int
+) -> None:
+    polytopes = mission_of(*overrides).polytopes
+    assert (None if polytopes.ball is None else len(polytopes.ball.normals)) == ball_facets
+    assert polytopes.cone_facets == cone_facets
+
+
+def test_the_sun_stays_a_unit_vector_and_moves_as_the_body_does(mission: Mission) -> None:
+    times = np.array([0.0, 1e4, 3.4e4])
+    suns = mission.sun_direction(times)
+    np.testing.assert_allclose(np.linalg.norm(suns, axis=1), 1.0, atol=1e-14)
+    # Half a degree of true anomaly in 9.7 hours: 2 pi over 436 days at perihelion-ish speed.
+    travelled = np.rad2deg(np.arccos(suns[0] @ suns[-1]))
+    assert 0.3 < travelled < 0.6
+    np.testing.assert_allclose(mission.sun_direction(1e4), suns[1])
+
+
+# --- other initial states -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frame", ["sun_north", "j2000"])
+def test_a_mission_from_another_initial_state_is_that_of_its_scenario(frame: str) -> None:
+    mission = mission_of(f'boundary.frame="{frame}"')
+    state = mission.initial_state * np.array([1.01, 0.99, 1.02, 0.95, 1.1, 0.9])
+    moved = mission.with_initial_state(state)
+    again = Mission.from_scenario(moved.scenario)
+    assert moved.initial_state == pytest.approx(state, rel=1e-15)
+    assert again.initial_state == pytest.approx(state, rel=1e-12)
+    assert moved.initial_sigma == pytest.approx(again.initial_sigma, rel=1e-12)
+    assert np.array_equal(moved.final_state, mission.final_state)
+    assert moved.units == mission.units != again.units
+    assert moved.problem.initial_state * moved.units.state == pytest.approx(state, rel=1e-12)

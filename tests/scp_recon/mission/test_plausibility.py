@@ -1,0 +1,32 @@
+"""Entries that are each within their bounds and make no sense together."""
+
+from __future__ import annotations
+
+import pytest
+
+from scp_recon.errors import InputError
+from tests import reliability
+from tests.scp_recon.support import mission_of
+
+
+@pytest.mark.parametrize(
+    ("override", "entry", "words"),
+    [
+        ("grid.step_max_s=1.0", "grid.step_max_s", "at most 3000 nodes"),
+        ("sun.body_position_km=[1.0, 0.0, 0.0]", "sun.body_velocity_km_s", "half its 1 km"),
+        ("body.reference_radius_m=1140.0", "boundary.final_position_m", "outside the body"),
+        # kilometres in the place of metres, and km^3/s^2 converted the wrong way round
+        (
+            "boundary.initial_position_m=[0.0702, -1.0963, 0.4064]",
+            "boundary.initial_position_m",
+            "1.17131 m from the centre; must be outside",
+        ),
+        ("body.gm_m3_s2=4.89e9", "body.gm_m3_s2", "the planner's steps are 240 s"),
+    ],
+)
+def test_it_is_refused_by_name(override: str, entry: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        mission_of(override)
+    assert caught.value.entry == entry
+    assert words in str(caught.value)
+    reliability.count(reliability.BAD_INPUTS)

@@ -1,0 +1,288 @@
+"""The observation window and the attitude-mode schedule."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation as SciPyRotation
+
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Mode, Schedule, find_window, make_schedule
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario, ScheduleRules
+from tests.scp_recon.support import Array, mission_of
+
+WINDOW = (13_140.0, 16_537.0)
+RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
+FIRING = (0.0, 8000.0, 25_000.0, 34_842.0)
+RULE = "sun-pointing leg lasts at least one slew and one recharge"
+
+
+# --- the window ---------------------------------------------------------------------------------
+
+
+def test_window_is_the_papers(mission: Mission) -> None:
+    first, last = mission.schedule.window_s
+    assert first == pytest.approx(13_140.0, abs=1.0)
+    assert last - first == pytest.approx(3397.3, abs=0.5)
+
+
+def independent_incidence(scenario: Scenario, times: Array) -> Array:
+    """Degrees between the site's normal and the Sun, from the scenario's numbers alone."""
+    body, sun = scenario.body, scenario.sun
+    days = (times + (scenario.epoch.tdb - scenario.epoch.tdb.replace(2000, 1, 1, 12, 0, 0, 0))
+            .total_seconds()) / 86_400.0  # fmt: skip
+    w = body.prime_meridian_deg + body.prime_meridian_rate_deg_day * days
+    w += body.prime_meridian_acceleration_deg_day2 * days**2
+    angles = np.stack(
+        [np.full_like(w, 90.0 + body.pole_ra_deg), np.full_like(w, 90.0 - body.pole_dec_deg), w], 1
+    )
+    normal = SciPyRotation.from_euler("ZXZ", angles, degrees=True).apply(scenario.site.normal_body)
+    to_sun = -np.array(sun.body_position_km) - np.outer(times, sun.body_velocity_km_s)
+    cosine = np.sum(normal * to_sun, axis=1)
+    cosine /= np.linalg.norm(normal, axis=1) * np.linalg.norm(to_sun, axis=1)
+    return np.rad2deg(np.arccos(cosine))
+
+
+def test_incidence_is_at_its_limit_at_the_edges_and_below_between(mission: Mission) -> None:
+    first, last = mission.schedule.window_s
+    times = np.linspace(first, last, 400)
+    incidence = independent_incidence(mission.scenario, times)
+    np.testing.assert_allclose(incidence[[0, -1]], 60.0, rtol=0.0, atol=1e-5)
+    assert np.all(incidence[1:-1] < 60.0)
+    outside = np.array([first - 1.0, last + 1.0])
+    assert np.all(independent_incidence(mission.scenario, outside) > 60.0)
+
+
+def test_no_window_opens_before_the_one_found(mission: Mission) -> None:
+    before = np.arange(0.0, mission.schedule.window_s[0] - 1.0, 5.0)
+    lit = independent_incidence(mission.scenario, before) <= 60.0
+    # The flight begins in the light of the rotation before; that window is not whole.
+    starts = np.flatnonzero(lit[1:] & ~lit[:-1])
+    assert len(starts) == 0
+
+
+def test_local_solar_time_may_close_the_window_instead() -> None:
+    whole, short = mission_of(), mission_of("observation.local_solar_time_max_h=11.0")
+    assert short.schedule.window_s[0] == whole.schedule.window_s[0]
+    assert short.schedule.window_s[1] < whole.schedule.window_s[1] - 60.0
+    late = mission_of("observation.local_solar_time_min_h=10.0")
+    assert late.schedule.window_s[0] > whole.schedule.window_s[0] + 60.0
+    assert late.schedule.window_s[1] == pytest.approx(whole.schedule.window_s[1], abs=1e-4)
+
+
+def test_the_users_window_replaces_the_computed_one() -> None:
+    given = mission_of("observation.window_s=[13500.0, 15000.5]")
+    assert given.schedule.window_s == (13_500.0, 15_000.5)
+
+
+@pytest.mark.parametrize(
+    "window", [(-10.0, 1000.0), (30_000.0, 40_000.0), (15_000.0, 14_000.0), (9e3, 9e3), (0.0, 9e3)]
+)
+def test_a_window_outside_the_flight_is_refused(window: tuple[float, float]) -> None:
+    with pytest.raises(InputError) as caught:
+        mission_of(f"observation.window_s={list(window)}")
+    error = caught.value
+    assert error.entry == "observation.window_s"
+    assert all(f"{edge:g}" in error.given for edge in window)
+    assert "34842" in error.allowed
+
+
+def test_a_flight_without_a_whole_window_is_refused() -> None:
+    with pytest.raises(InputError) as caught:
+        mission_of("observation.incidence_max_deg=10")
+    assert caught.value.entry.startswith("observation")
+    assert "10 deg" in str(caught.value)
+    assert "34842" in str(caught.value)
+
+
+def window_of(lit: list[tuple[float, float]], end: float) -> tuple[float, float]:
+    """The window found where the site is lit during the given intervals only."""
+    scenario = load_scenario(None, [f"burns.times_s=[0, {end}]"])
+
+    def incidence(time: Array) -> Array:
+        # 60 deg at each edge, falling towards the middle of an interval, rising outside.
+        depth = [np.minimum(time - a, b - time) for a, b in lit]
+        return np.deg2rad(60.0 - 0.001 * np.max(depth, axis=0))
+
+    return find_window(scenario, incidence, lambda time: np.full_like(time, 12.0, dtype=float))
+
+
+def test_the_first_whole_window_is_taken() -> None:
+    lit = [(-500.0, 300.0), (2000.0, 3000.0), (7000.0, 8000.0)]
+    # The one before it has begun before the flight.
+    assert window_of(lit, 10_000.0) == pytest.approx((2000.0, 3000.0), abs=1e-4)
+
+
+def test_a_window_that_outlasts_the_flight_is_none() -> None:
+    with pytest.raises(InputError, match="whole window"):
+        window_of([(-500.0, 300.0), (9000.0, 12_000.0)], 10_000.0)
+
+
+@given(
+    start=st.floats(100.0, 5000.0),
+    length=st.floats(60.0, 4000.0),
+    end=st.floats(9100.0, 20_000.0),
+)
+def test_window_edges_are_found_to_a_millisecond(start: float, length: float, end: float) -> None:
+    assert window_of([(start, start + length)], end) == pytest.approx(
+        (start, start + length), abs=1e-3
+    )
+
+
+# --- the schedule -------------------------------------------------------------------------------
+
+
+def test_timeline_is_that_of_the_spacecraft_specification(mission: Mission) -> None:
+    # spacecraft.md section 9.7, to the second.
+    expected = [
+        (Mode.SUN_POINTING, 0, 4400),
+        (Mode.DELTA_V, 4400, 8000),
+        (Mode.SUN_POINTING, 8000, 11_340),
+        (Mode.OBSERVATION, 11_340, 16_537),
+        (Mode.SUN_POINTING, 16_537, 21_400),
+        (Mode.DELTA_V, 21_400, 25_000),
+        (Mode.SUN_POINTING, 25_000, 31_242),
+        (Mode.DELTA_V, 31_242, 34_842),
+    ]
+    legs = mission.schedule.legs
+    assert [leg.mode for leg in legs] == [mode for mode, *_ in expected]
+    for leg, (_, start, end) in zip(legs, expected, strict=True):
+        assert (leg.start_s, leg.end_s) == pytest.approx((start, end), abs=0.6)
+
+
+def is_allowed(times: tuple[float, ...], window: tuple[float, float]) -> tuple[bool, float]:
+    """Whether the rules of Echigo et al., section V.A, hold, and by how many seconds."""
+    busy = [(0.0, 0.0), (window[0] - 1800.0, window[1]), *((t - 3600.0, t) for t in times[1:])]
+    busy.sort()
+    gaps = [after[0] - before[1] for before, after in itertools.pairwise(busy)]
+    return min(gaps) >= 3000.0, abs(min(gaps) - 3000.0)
+
+
+ascending = st.lists(st.floats(1.0, 60_000.0), min_size=1, max_size=5, unique=True).map(sorted)
+
+
+@given(times=ascending, window=st.tuples(st.floats(0.01, 0.98), st.floats(0.01, 0.98)))
+@example(times=list(FIRING[1:]), window=(WINDOW[0] / FIRING[-1], WINDOW[1] / FIRING[-1]))
+@example(times=[30_000.0], window=(0.3, 0.4))
+@example(times=[8000.0, 30_000.0], window=(0.5, 0.6))
+def test_firing_times_are_accepted_exactly_when_the_rules_hold(
+    times: list[float], window: tuple[float, float]
+) -> None:
+    firing = (0.0, *times)
+    first, last = sorted(edge * firing[-1] for edge in window)
+    assume(first < last)
+    allowed, clear_by = is_allowed(firing, (first, last))
+    assume(clear_by > 1e-3)
+    if allowed:
+        assert_is_sound(make_schedule(firing, (first, last), RULES), firing, (first, last))
+    else:
+        with pytest.raises(InputError, match=RULE):
+            make_schedule(firing, (first, last), RULES)
+
+
+def assert_is_sound(
+    schedule: Schedule, firing: tuple[float, ...], window: tuple[float, float]
+) -> None:
+    """The paper's rules, leg by leg."""
+    legs = schedule.legs
+    assert legs[0].start_s == 0.0
+    assert legs[-1].end_s == firing[-1]
+    assert all(a.end_s == b.start_s for a, b in itertools.pairwise(legs))
+    lasting = {mode: [leg for leg in legs if leg.mode is mode] for mode in Mode}
+    assert [leg.end_s for leg in lasting[Mode.DELTA_V]] == list(firing[1:])
+    assert all(leg.end_s - leg.start_s == 3600.0 for leg in lasting[Mode.DELTA_V])
+    (observation,) = lasting[Mode.OBSERVATION]
+    assert (observation.start_s, observation.end_s) == (window[0] - 1800.0, window[1])
+    assert all(leg.end_s - leg.start_s >= 3000.0 - 1e-6 for leg in lasting[Mode.SUN_POINTING])
+
+
+@given(
+    shifts=st.tuples(st.floats(-1200.0, 300.0), st.floats(-1500.0, 1500.0), st.floats(-500.0, 5e3))
+)
+def test_any_allowed_schedule_is_sound(shifts: tuple[float, float, float]) -> None:
+    firing = (0.0, *(time + shift for time, shift in zip(FIRING[1:], shifts, strict=True)))
+    assert is_allowed(firing, WINDOW)[0]
+    assert_is_sound(make_schedule(firing, WINDOW, RULES), firing, WINDOW)
+
+
+def moved(burn: int, time: float) -> tuple[float, ...]:
+    return (*FIRING[:burn], time, *FIRING[burn + 1 :])
+
+
+EDGES = [
+    (burn, side, edge)
+    for burn, interval in enumerate(make_schedule(FIRING, WINDOW, RULES).firing_intervals_s)
+    for side, edge in zip((-1.0, 1.0), interval, strict=True)
+    if burn > 0 and np.isfinite(edge)
+]
+
+
+def test_firing_intervals_are_those_of_the_rules() -> None:
+    intervals = make_schedule(FIRING, WINDOW, RULES).firing_intervals_s
+    # 0 + 3000 + 3600; 11340 - 3000; 16537 + 3000 + 3600; 31242 - 3000; 25000 + 3000 + 3600.
+    assert intervals == (
+        (0.0, 0.0),
+        (6600.0, 8340.0),
+        (23_137.0, 28_242.0),
+        (31_600.0, np.inf),
+    )
+
+
+@pytest.mark.parametrize(("burn", "side", "edge"), EDGES)
+def test_a_burn_may_move_to_the_edge_of_its_interval(burn: int, side: float, edge: float) -> None:
+    for time in (edge, edge - side):
+        firing = moved(burn, time)
+        assert_is_sound(make_schedule(firing, WINDOW, RULES), firing, WINDOW)
+
+
+@pytest.mark.parametrize(("burn", "side", "edge"), EDGES)
+def test_beyond_the_edge_the_burn_and_the_rule_are_named(
+    burn: int, side: float, edge: float
+) -> None:
+    time = edge + side
+    with pytest.raises(InputError) as caught:
+        make_schedule(moved(burn, time), WINDOW, RULES)
+    message = str(caught.value)
+    assert RULE in message
+    # Two burns may bound the short leg and either could give way; both times are told.
+    assert caught.value.entry.startswith("burns.times_s.")
+    assert abs(int(caught.value.entry.rsplit(".", 1)[1]) - burn) <= 1
+    assert f"{time:g} s" in message
+
+
+def test_what_the_message_offers_is_allowed() -> None:
+    with pytest.raises(InputError, match=r"between 6600 s and 8340 s"):
+        make_schedule(moved(1, 6000.0), WINDOW, RULES)
+    with pytest.raises(InputError, match=r"from 34900 s on"):
+        make_schedule(moved(2, 28_300.0), WINDOW, RULES)
+    make_schedule((0.0, 8000.0, 28_300.0, 34_900.0), WINDOW, RULES)
+
+
+def test_a_window_too_early_for_any_burn_is_blamed_on_the_window() -> None:
+    # The first burn is at zero in every scenario: it cannot be what the user has to change.
+    with pytest.raises(InputError) as caught:
+        mission_of("observation.window_s=[1000.0, 2000.0]")
+    assert caught.value.entry == "observation.window_s"
+
+
+def test_longer_slews_shrink_the_intervals() -> None:
+    slow = ScheduleRules(attitude_s=1900.0, heating_s=1800.0, recharge_s=1200.0)
+    ours = make_schedule(FIRING, WINDOW, RULES).firing_intervals_s[1:]
+    theirs = make_schedule(FIRING, WINDOW, slow).firing_intervals_s[1:]
+    for (early, late), (slow_early, slow_late) in zip(ours, theirs, strict=True):
+        assert slow_early == early + 200.0
+        assert slow_late <= late
+
+
+def test_without_durations_any_ascending_times_off_the_window_will_do() -> None:
+    free = ScheduleRules(attitude_s=0.0, heating_s=0.0, recharge_s=0.0)
+    schedule = make_schedule((0.0, 1.0, 13_139.0, 16_538.0, 16_539.0), WINDOW, free)
+    assert schedule.legs[-1].end_s == 16_539.0
+    with pytest.raises(InputError):
+        make_schedule((0.0, 14_000.0, 20_000.0), WINDOW, free)

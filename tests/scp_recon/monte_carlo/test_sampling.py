@@ -1,0 +1,148 @@
+"""Sampled flights: the right distribution, the right dynamics, and no dependence on how many."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import kstest, norm
+
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo import sampling
+from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.monte_carlo.sampling import BLOCK, fly_block, sample_positions
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.solution.file import Solution
+from tests.scp_recon.support import Array, fly, integrate, mission_of
+
+LOOK = np.array([0.0, 8000.0, 13_140.5, 25_000.0, 34_842.0])
+
+
+@pytest.fixture(scope="module")
+def burns(solution: Solution) -> Array:
+    return solution.burns_m_s
+
+
+def test_flights_do_not_depend_on_how_many_are_flown(mission: Mission, burns: Array) -> None:
+    few = sample_positions(mission, burns, LOOK, 500, 0)
+    many = sample_positions(mission, burns, LOOK, 1500, 0)
+    assert few.shape == (len(LOOK), 500, 3)
+    assert many.shape == (len(LOOK), 1500, 3)
+    np.testing.assert_array_equal(few, many[:, :500])
+
+
+def test_no_two_flights_are_the_same(mission: Mission, burns: Array) -> None:
+    # Blocks and seeds draw different numbers.
+    positions = sample_positions(mission, burns, LOOK[:1], BLOCK + 500, 0)[0]
+    other = sample_positions(mission, burns, LOOK[:1], 500, 1)[0]
+    assert len(np.unique(np.vstack([positions, other]), axis=0)) == BLOCK + 1000
+
+
+def test_looking_more_often_does_not_change_the_flights(mission: Mission, burns: Array) -> None:
+    rarely = sample_positions(mission, burns, LOOK[-1:], 50, 0)[-1]
+    often = sample_positions(mission, burns, np.linspace(0.0, LOOK[-1], 700), 50, 0)[-1]
+    np.testing.assert_allclose(rarely, often, rtol=0.0, atol=1e-2)
+
+
+def test_sampling_leaves_numpys_global_state_alone(mission: Mission, burns: Array) -> None:
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    sample_positions(mission, burns, LOOK[:1], 10, 0)
+    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+def test_without_uncertainty_every_flight_is_the_planned_one(burns: Array) -> None:
+    certain = mission_of("uncertainty.initial_sigma_fraction=0", "uncertainty.execution_error=0")
+    positions = sample_positions(certain, burns, LOOK, 3, 0)
+    look = np.union1d(LOOK, certain.scenario.burns.times_s)
+    planned = fly(certain, burns, look)[np.searchsorted(look, LOOK), :3]
+    for flight in range(3):
+        np.testing.assert_allclose(positions[:, flight], planned, rtol=0.0, atol=1e-3)
+
+
+def test_each_flight_is_that_of_an_adaptive_integration(mission: Mission, burns: Array) -> None:
+    times = np.array(mission.scenario.burns.times_s)
+    flights = fly_block(mission, burns, times, 0, flights=4)
+    for flight in range(4):
+        for leg in range(len(times) - 1):
+            end = integrate(mission.forces, flights.states[leg, flight], times[leg : leg + 2])[-1]
+            end[3:] += flights.burns_m_s[flight, leg + 1]
+            arrived = flights.states[leg + 1, flight]
+            np.testing.assert_allclose(arrived[:3], end[:3], rtol=0.0, atol=5e-3)
+            np.testing.assert_allclose(arrived[3:], end[3:], rtol=0.0, atol=1e-6)
+
+
+def test_the_time_step_is_fine_enough(
+    mission: Mission, burns: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    coarse = sample_positions(mission, burns, LOOK, 200, 0)
+    monkeypatch.setattr(sampling, "RK4_STEP_MAX_S", 30.0)
+    fine = sample_positions(mission, burns, LOOK, 200, 0)
+    assert np.linalg.norm(coarse - fine, axis=2).max() < 1e-2
+
+
+def test_initial_states_are_gaussian_as_specified(mission: Mission) -> None:
+    nothing = np.zeros((4, 3))
+    flights = fly_block(mission, nothing, LOOK[:1], 0)
+    x0 = mission.initial_state
+    standard = (flights.states[0] - x0) / (0.01 * np.abs(x0))
+    for component in standard.T:
+        assert kstest(component, "norm").pvalue > 1e-4
+    correlation = np.corrcoef(standard.T) - np.eye(6)
+    assert np.abs(correlation).max() < 5.0 / np.sqrt(BLOCK)
+
+
+def test_burns_are_executed_with_an_error_in_proportion_to_each_component(
+    mission: Mission, burns: Array
+) -> None:
+    executed = fly_block(mission, burns, LOOK[:1], 0).burns_m_s
+    standard = (executed / burns - 1.0) / 0.08
+    for component in standard.reshape(BLOCK, 12).T:
+        assert kstest(component, "norm").pvalue > 1e-4
+    correlation = np.corrcoef(standard.reshape(BLOCK, 12).T) - np.eye(12)
+    assert np.abs(correlation).max() < 5.0 / np.sqrt(BLOCK)
+
+
+@pytest.mark.parametrize("sigmas", [-1.0, 0.0, 0.5, 1.5])
+def test_a_known_probability_is_in_the_interval(
+    mission: Mission, burns: Array, sigmas: float
+) -> None:
+    """At t = 0 a plane is on one side of the flights with a probability that is known exactly."""
+    positions = sample_positions(mission, burns, LOOK[:1], 4000, 0)[0]
+    normal = np.array([2.0, -1.0, 2.0]) / 3.0
+    mean = normal @ mission.initial_state[:3]
+    sigma = np.linalg.norm(normal * mission.initial_sigma[:3])
+    estimate = proportion(int((positions @ normal <= mean + sigmas * sigma).sum()), 4000)
+    assert estimate.low < norm.cdf(sigmas) < estimate.high
+
+
+def test_sampled_covariance_is_the_predicted_one_where_errors_are_small(burns: Array) -> None:
+    """With a hundredth of the uncertainty the spread is linear, and its covariance exact."""
+    small = mission_of(
+        "uncertainty.initial_sigma_fraction=0.0001", "uncertainty.execution_error=0.0008"
+    )
+    lin = small.dynamics.linearise(small.problem, from_burns(small, burns))
+    factor = lin.factor * small.units.state[:, None]
+    samples = 4 * BLOCK
+    for node in (int(small.window_nodes[-1]), len(small.times_s) - 1):
+        look = small.times_s[[node]]
+        states = np.concatenate(
+            [fly_block(small, burns, look, block).states[0] for block in range(4)]
+        )
+        predicted = factor[node] @ factor[node].T
+        whiten = np.linalg.inv(np.linalg.cholesky(predicted))
+        white = (states - lin.iterate.mean[node] * small.units.state) @ whiten.T
+        # Entries of a sampled covariance of N white samples scatter by sqrt(2 / N) at most.
+        error = white.T @ white / samples - np.eye(6)
+        assert np.abs(error).max() < 5.0 * np.sqrt(2.0 / samples)
+        assert np.abs(white.mean(axis=0)).max() < 5.0 / np.sqrt(samples)
+
+
+def test_sampled_spread_is_near_the_predicted_one_at_the_real_uncertainty(
+    mission: Mission, burns: Array, solution: Solution
+) -> None:
+    node = int(mission.window_nodes[-1])
+    positions = sample_positions(mission, burns, mission.times_s[[node]], 4 * BLOCK, 0)[0]
+    predicted = np.array(solution.nodes.covariance[node])[:3, :3]
+    sampled = np.cov(positions.T)
+    np.testing.assert_allclose(
+        np.sqrt(np.linalg.eigvalsh(sampled)), np.sqrt(np.linalg.eigvalsh(predicted)), rtol=0.1
+    )

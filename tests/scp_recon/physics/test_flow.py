@@ -1,0 +1,317 @@
+"""The flow map and its sensitivities, against SciPy, automatic differentiation and invariants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import reduce
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from scp_recon.mission.grid import RK4_STEP_MAX_S
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import differentiate, interpolate, propagate
+from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.planning.planner import Plan
+from tests.scp_recon.support import Array, burns_of, fly, integrate
+
+ARC_S = 232.0
+SUBSTEPS = 2
+
+
+@pytest.fixture(scope="module")
+def forces(mission: Mission) -> ForceModel:
+    """Nondimensional, so that positions and velocities are of one size."""
+    return mission.forces.in_units(mission.units.length_m, mission.units.time_s)
+
+
+@pytest.fixture(scope="module")
+def arc(mission: Mission) -> float:
+    return ARC_S / mission.units.time_s
+
+
+@st.composite
+def states(draw: st.DrawFn) -> Array:
+    """Bound and unbound states between half and twice the orbit's radius, nondimensional."""
+    radius, speed = draw(st.floats(0.5, 2.0)), draw(st.floats(0.2, 1.8))
+    angles = st.floats(-np.pi, np.pi)
+    heights = st.floats(-1.0, 1.0)
+
+    def direction() -> Array:
+        z, azimuth = draw(heights), draw(angles)
+        across = np.sqrt(1.0 - z * z)
+        return np.array([across * np.cos(azimuth), across * np.sin(azimuth), z])
+
+    return np.concatenate([radius * direction(), speed * direction()])
+
+
+@pytest.fixture(scope="module")
+def differentiated(forces: ForceModel) -> Callable[[Array, float], list[Array]]:
+    """State, STM and tensor of a Runge-Kutta scheme written here, by CasADi."""
+
+    def rate(y: ca.SX) -> ca.SX:
+        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], forces))
+
+    def step(y: ca.SX, h: ca.SX) -> ca.SX:
+        k1 = rate(y)
+        k2 = rate(y + h / 2 * k1)
+        k3 = rate(y + h / 2 * k2)
+        k4 = rate(y + h * k3)
+        return y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+    y0, duration = ca.SX.sym("y", 6), ca.SX.sym("t")
+    end = reduce(lambda y, _: step(y, duration / SUBSTEPS), range(SUBSTEPS), y0)
+    stm = ca.jacobian(end, y0)
+    tensor = [ca.jacobian(stm[i, :].T, y0) for i in range(6)]
+    function = ca.Function("f", [y0, duration], [end, stm, *tensor], {"cse": True})
+
+    def evaluate(state: Array, duration_: float) -> list[Array]:
+        end_, stm_, *tensor_ = (np.array(x) for x in function(state, duration_))
+        return [end_[:, 0], stm_, np.stack(tensor_)]
+
+    return evaluate
+
+
+@settings(max_examples=30)
+@given(state=states())
+def test_sensitivities_are_the_derivatives_of_the_scheme(
+    state: Array,
+    forces: ForceModel,
+    arc: float,
+    differentiated: Callable[[Array, float], list[Array]],
+) -> None:
+    ours = differentiate(state[None], np.array([arc]), forces, SUBSTEPS)
+    expected = differentiated(state, arc)
+    for name, truth in zip(("state", "stm", "tensor"), expected, strict=True):
+        assert np.abs(getattr(ours, name)[0] - truth).max() < 1e-12 * np.abs(truth).max(), name
+
+
+@settings(max_examples=30)
+@given(state=states())
+def test_sensitivities_are_finite_differences(state: Array, forces: ForceModel, arc: float) -> None:
+    h = 1e-5
+    duration = np.full(12, arc)
+    moved = np.concatenate([state + h * np.eye(6), state - h * np.eye(6)])
+    at = differentiate(state[None], np.array([arc]), forces)
+    around = differentiate(moved, duration, forces)
+    stm = (around.state[:6] - around.state[6:]).T / (2 * h)
+    tensor = np.moveaxis(around.stm[:6] - around.stm[6:], 0, -1) / (2 * h)
+    np.testing.assert_allclose(at.stm[0], stm, rtol=0.0, atol=1e-7 * np.abs(stm).max())
+    # The third derivative that the difference leaves behind is large next to a small tensor.
+    np.testing.assert_allclose(at.tensor[0], tensor, rtol=0.0, atol=1e-6)
+
+
+@given(state=states())
+def test_tensor_is_symmetric_in_the_two_directions(
+    state: Array, forces: ForceModel, arc: float
+) -> None:
+    tensor = differentiate(state[None], np.array([arc]), forces).tensor[0]
+    assert np.abs(tensor - tensor.transpose(0, 2, 1)).max() < 1e-13 * np.abs(tensor).max()
+
+
+@given(state=states())
+def test_arcs_compose_by_the_chain_rule(state: Array, forces: ForceModel, arc: float) -> None:
+    half = np.array([arc / 2])
+    first = differentiate(state[None], half, forces)
+    second = differentiate(first.state, half, forces)
+    whole = differentiate(state[None], np.array([arc]), forces, substeps=2)
+    a, b = first.stm[0], second.stm[0]
+    tensor = np.einsum("il,ljk->ijk", b, first.tensor[0])
+    tensor += np.einsum("ilm,lj,mk->ijk", second.tensor[0], a, a)
+    np.testing.assert_allclose(whole.state[0], second.state[0], rtol=1e-13)
+    np.testing.assert_allclose(whole.stm[0], b @ a, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(whole.tensor[0], tensor, rtol=0.0, atol=1e-13 * 10)
+
+
+@given(state=states())
+def test_propagation_and_differentiation_see_the_same_flow(
+    state: Array, forces: ForceModel, arc: float
+) -> None:
+    end = differentiate(state[None], np.array([arc]), forces, 3).state[0]
+    np.testing.assert_allclose(propagate(state, arc, forces, 3), end, rtol=1e-13, atol=1e-14)
+
+
+def test_all_arcs_in_one_call_are_the_arcs_one_by_one(forces: ForceModel, arc: float) -> None:
+    rng = np.random.default_rng(3)
+    many = rng.normal(size=(9, 6)) + np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    durations = rng.uniform(0.1, 2.0, size=9) * arc
+    together = differentiate(many, durations, forces)
+    for n in range(9):
+        alone = differentiate(many[n : n + 1], durations[n : n + 1], forces)
+        for name in ("state", "stm", "tensor"):
+            np.testing.assert_allclose(
+                getattr(together, name)[n], getattr(alone, name)[0], rtol=1e-13, atol=1e-15
+            )
+
+
+@given(state=states(), seed=st.integers(0, 2**32 - 1))
+def test_a_small_move_needs_no_new_derivatives(
+    state: Array, forces: ForceModel, arc: float, seed: int
+) -> None:
+    deviation = 1e-8 * np.random.default_rng(seed).standard_normal((1, 6))
+    there = differentiate(state[None] + deviation, np.array([arc]), forces, SUBSTEPS)
+    here = differentiate(state[None], np.array([arc]), forces, SUBSTEPS).moved(deviation)
+    np.testing.assert_allclose(here.state, there.state, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(here.stm, there.stm, rtol=0.0, atol=1e-6)
+
+
+def test_propagation_broadcasts_durations(forces: ForceModel, arc: float) -> None:
+    state = np.array([1.0, 0.1, 0.0, 0.0, 0.9, 0.2])
+    durations = arc * np.array([[0.5, 1.0, 1.5], [-1.0, 0.0, 2.0]])
+    together = propagate(np.broadcast_to(state, (2, 3, 6)), durations, forces)
+    for index in np.ndindex(2, 3):
+        alone = propagate(state, durations[index], forces)
+        np.testing.assert_allclose(together[index], alone, rtol=1e-14)
+    np.testing.assert_array_equal(together[1, 1], state)
+
+
+def errors_of_order(error: Callable[[int], float]) -> Array:
+    """Errors with 2, 4, 8 and 16 substeps over the same time."""
+    return np.array([error(substeps) for substeps in (2, 4, 8, 16)])
+
+
+def assert_fourth_order(errors: Array) -> None:
+    """Each halving of the step divides the error by about 2^4, down to roundoff."""
+    above_roundoff = errors[:-1] > 1e-11
+    assert above_roundoff.any()
+    assert np.all((errors[:-1] / errors[1:])[above_roundoff] > 10.0)
+
+
+QUICK_ORBIT = np.array([0.6, 0.1, -0.2, -0.3, 1.0, 0.5])
+"""Low and fast, so that the scheme's error stands far above roundoff; nondimensional."""
+
+
+@pytest.fixture(scope="module")
+def long_arc(arc: float) -> float:
+    return 6.0 * arc
+
+
+def test_flow_converges_to_an_adaptive_integration_with_the_fourth_power(
+    forces: ForceModel, long_arc: float
+) -> None:
+    truth = integrate(forces, QUICK_ORBIT, [0.0, long_arc], rtol=1e-13)[-1]
+    assert_fourth_order(
+        errors_of_order(
+            lambda n: float(np.abs(propagate(QUICK_ORBIT, long_arc, forces, n) - truth).max())
+        )
+    )
+
+
+def test_energy_is_conserved_with_the_fourth_power(forces: ForceModel, long_arc: float) -> None:
+    def energy(state: Array) -> float:
+        r = np.linalg.norm(state[:3])
+        u = state[:3] @ forces.pole
+        potential = forces.gm / r - forces.j2_strength / 3.0 * (3.0 * u**2 / r**5 - 1.0 / r**3)
+        return float(0.5 * state[3:] @ state[3:] - potential - forces.srp @ state[:3])
+
+    before = energy(QUICK_ORBIT)
+    assert_fourth_order(
+        errors_of_order(lambda n: abs(energy(propagate(QUICK_ORBIT, long_arc, forces, n)) - before))
+    )
+
+
+def test_stm_is_symplectic_with_the_fourth_power(forces: ForceModel, long_arc: float) -> None:
+    # A constant force has a potential too, so radiation pressure does not spoil it.
+    for model in (forces, replace(forces, srp=np.zeros(3))):
+        symplectic = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.eye(3), np.zeros((3, 3))]])
+
+        def error(n: int, model: ForceModel = model, form: Array = symplectic) -> float:
+            stm = differentiate(QUICK_ORBIT[None], np.array([long_arc]), model, n).stm[0]
+            return float(np.abs(stm.T @ form @ stm - form).max())
+
+        assert_fourth_order(errors_of_order(error))
+
+
+def test_flow_back_in_time_undoes_the_flow_with_the_fourth_power(
+    forces: ForceModel, long_arc: float
+) -> None:
+    def error(n: int) -> float:
+        there = propagate(QUICK_ORBIT, long_arc, forces, n)
+        return float(np.abs(propagate(there, -long_arc, forces, n) - QUICK_ORBIT).max())
+
+    assert_fourth_order(errors_of_order(error))
+
+
+def test_stm_back_in_time_is_the_inverse(forces: ForceModel, arc: float) -> None:
+    there = differentiate(QUICK_ORBIT[None], np.array([arc]), forces, 8)
+    back = differentiate(there.state, np.array([-arc]), forces, 8)
+    np.testing.assert_allclose(back.stm[0] @ there.stm[0], np.eye(6), rtol=0.0, atol=1e-9)
+
+
+def test_without_forces_the_flight_is_straight() -> None:
+    nothing = ForceModel(0.0, 0.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    state = np.array([[1.0, 2.0, 3.0, 0.1, 0.2, 0.3]])
+    flown = differentiate(state, np.array([10.0]), nothing)
+    np.testing.assert_allclose(flown.state[0], [2.0, 4.0, 6.0, 0.1, 0.2, 0.3], rtol=1e-14)
+    expected = np.block([[np.eye(3), 10.0 * np.eye(3)], [np.zeros((3, 3)), np.eye(3)]])
+    np.testing.assert_allclose(flown.stm[0], expected, rtol=1e-14, atol=1e-14)
+    np.testing.assert_array_equal(flown.tensor, 0.0)
+
+
+def test_a_circular_orbit_comes_back_after_kepler_s_period() -> None:
+    point_mass = ForceModel(1.0, 0.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    state = np.array([0.0, 2.0, 0.0, 0.0, 0.0, np.sqrt(0.5)])
+    period = 2.0 * np.pi * np.sqrt(2.0**3)
+    np.testing.assert_allclose(propagate(state, period, point_mass, 2000), state, atol=1e-10)
+
+
+def test_every_arc_of_the_plan_is_that_of_an_adaptive_integration(
+    mission: Mission, default_plan: Plan
+) -> None:
+    nodes = default_plan.final.result.lin.iterate.mean * mission.units.state
+    arrivals = propagate(nodes[:-1], np.diff(mission.times_s), mission.forces, mission.arc_substeps)
+    for k in range(0, len(nodes) - 1, 9):
+        truth = integrate(mission.forces, nodes[k], mission.times_s[k : k + 2])[-1]
+        np.testing.assert_allclose(arrivals[k, :3], truth[:3], rtol=0.0, atol=1e-5)
+        np.testing.assert_allclose(arrivals[k, 3:], truth[3:], rtol=0.0, atol=1e-8)
+
+
+def test_the_planner_stays_within_a_millimetre_over_the_whole_flight(
+    mission: Mission, default_plan: Plan
+) -> None:
+    lin = default_plan.final.result.lin
+    flown = fly(mission, burns_of(mission, lin.iterate.burns), mission.times_s)
+    planned = lin.iterate.mean * mission.units.state
+    assert np.linalg.norm(planned[:, :3] - flown[:, :3], axis=1).max() < 1e-3
+    assert np.linalg.norm(planned[:, 3:] - flown[:, 3:], axis=1).max() < 1e-6
+
+
+def test_no_runge_kutta_step_is_longer_than_the_limit(mission: Mission) -> None:
+    assert np.diff(mission.times_s).max() / mission.arc_substeps <= RK4_STEP_MAX_S
+
+
+# --- between the steps --------------------------------------------------------------------------
+
+
+@given(
+    coefficients=st.lists(st.floats(-2.0, 2.0), min_size=4, max_size=4),
+    h=st.floats(0.1, 5.0),
+    u=st.floats(0.0, 1.0),
+)
+def test_interpolation_is_exact_for_cubics(coefficients: list[float], h: float, u: float) -> None:
+    path = np.polynomial.Polynomial(coefficients)
+    speed = path.deriv()
+
+    def at(t: float) -> tuple[Array, Array]:
+        return np.array([path(t)]), np.array([speed(t)])
+
+    position, velocity = interpolate(at(0.0), at(h), h, u)
+    assert position == pytest.approx(path(u * h), rel=1e-9, abs=1e-9)
+    assert velocity == pytest.approx(speed(u * h), rel=1e-9, abs=1e-9)
+
+
+@given(state=states(), u=st.floats(0.0, 1.0))
+def test_between_the_steps_a_flight_is_known_as_well_as_at_them(
+    state: Array, u: float, forces: ForceModel, arc: float
+) -> None:
+    end = propagate(state, arc, forces)
+    position, velocity = interpolate((state[:3], state[3:]), (end[:3], end[3:]), arc, u)
+    inside = propagate(state, u * arc, forces, 8)
+    # Half a unit from the centre the fourth derivative is below 300: h^4 / 384 of it is missed,
+    # and h^3 / 60 in velocities.
+    assert position == pytest.approx(inside[:3], abs=300.0 * arc**4 / 384.0)
+    assert velocity == pytest.approx(inside[3:], abs=300.0 * arc**3 / 60.0)

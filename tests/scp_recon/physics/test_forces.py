@@ -1,0 +1,224 @@
+"""The acceleration and its closed-form derivatives, against automatic differentiation."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.forces import (
+    ForceModel,
+    acceleration,
+    accelerations,
+    gravity_curvature,
+    gravity_gradient,
+)
+from tests.scp_recon.support import Array, constants, mission_of, shared
+
+Derivatives = Callable[[Array], list[Array]]
+
+
+@st.composite
+def positions(draw: st.DrawFn) -> Array:
+    """From inside the body to three times the orbit's radius, m."""
+    radius = draw(st.floats(200.0, 3000.0))
+    z, azimuth = draw(st.floats(-1.0, 1.0)), draw(st.floats(-np.pi, np.pi))
+    across = np.sqrt(1.0 - z * z)
+    return radius * np.array([across * np.cos(azimuth), across * np.sin(azimuth), z])
+
+
+def at(position: Array, forces: ForceModel) -> Array:
+    return np.array(acceleration(*position, forces))
+
+
+def gravity(forces: ForceModel) -> ForceModel:
+    return replace(forces, srp=np.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def differentiated(mission: Mission) -> Derivatives:
+    """CasADi's acceleration, gradient and second derivative of the library's `acceleration`."""
+    r = ca.SX.sym("r", 3)
+    value = ca.vertcat(*acceleration(r[0], r[1], r[2], mission.forces))
+    gradient = ca.jacobian(value, r)
+    second = [ca.jacobian(gradient[i, :].T, r) for i in range(3)]
+    function = ca.Function("f", [r], [value, gradient, *second])
+
+    def evaluate(position: Array) -> list[Array]:
+        value, gradient, *second = (np.array(x) for x in function(position))
+        return [value[:, 0], gradient, np.stack(second)]
+
+    return evaluate
+
+
+@pytest.fixture(scope="module")
+def gradient_of_potential(mission: Mission) -> Callable[[Array], Array]:
+    """CasADi's gradient of the textbook potential, with none of the library's arithmetic.
+
+    U = GM/r [1 - J2 (R/r)^2 (3 sin^2 latitude - 1) / 2] + a_srp . r
+    """
+    body = mission.scenario.body
+    p = ca.SX.sym("p", 3)
+    radius = ca.norm_2(p)
+    sine = ca.dot(p, ca.DM(mission.rotation.pole)) / radius
+    oblate = body.j2 * (body.reference_radius_m / radius) ** 2 * (3 * sine**2 - 1) / 2
+    potential = body.gm_m3_s2 / radius * (1 - oblate) + ca.dot(p, ca.DM(mission.forces.srp))
+    function = ca.Function("g", [p], [ca.gradient(potential, p)])
+    return lambda position: np.array(function(position))[:, 0]
+
+
+@given(position=positions())
+def test_acceleration_is_the_gradient_of_the_potential(
+    position: Array, mission: Mission, gradient_of_potential: Callable[[Array], Array]
+) -> None:
+    expected = gradient_of_potential(position)
+    error = np.abs(at(position, mission.forces) - expected).max()
+    assert error < 1e-12 * np.linalg.norm(expected)
+
+
+@given(position=positions())
+def test_closed_form_derivatives_are_those_of_the_acceleration(
+    position: Array, mission: Mission, differentiated: Derivatives
+) -> None:
+    value, gradient, curvature = differentiated(position)
+    closed_forms = (
+        (at(position, mission.forces), value),
+        (gravity_gradient(position[None], mission.forces)[0], gradient),
+        (gravity_curvature(position[None], mission.forces)[0], curvature),
+    )
+    for closed_form, expected in closed_forms:
+        assert np.abs(closed_form - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+@given(position=positions())
+def test_gravity_gradient_is_symmetric_and_trace_free(position: Array, mission: Mission) -> None:
+    gradient = gravity_gradient(position[None], mission.forces)
+    size = np.abs(gradient).max()
+    assert np.abs(gradient[0] - gradient[0].T).max() < 1e-13 * size
+    assert abs(np.trace(gradient[0])) < 1e-13 * size  # Laplace's equation outside the body
+
+
+@given(position=positions())
+def test_second_derivative_is_symmetric_in_all_indices_and_trace_free(
+    position: Array, mission: Mission
+) -> None:
+    second = gravity_curvature(position[None], mission.forces)[0]
+    size = np.abs(second).max()
+    for order in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
+        assert np.abs(second - second.transpose(order)).max() < 1e-12 * size
+    assert np.abs(np.einsum("iik->k", second)).max() < 1e-12 * size
+
+
+def test_derivatives_of_many_positions_are_those_one_by_one(mission: Mission) -> None:
+    position = np.random.default_rng(1).normal(scale=800.0, size=(7, 3))
+    for derivative in (gravity_gradient, gravity_curvature):
+        together = derivative(position, mission.forces)
+        for n in range(len(position)):
+            alone = derivative(position[n : n + 1], mission.forces)
+            np.testing.assert_allclose(together[n], alone[0], rtol=1e-13)
+
+
+def test_acceleration_broadcasts_over_arrays_of_any_shape(mission: Mission) -> None:
+    r = np.random.default_rng(2).normal(scale=800.0, size=(3, 4, 5))
+    together = np.stack(acceleration(r[0], r[1], r[2], mission.forces))
+    for index in np.ndindex(4, 5):
+        alone = at(r[(slice(None), *index)], mission.forces)
+        np.testing.assert_allclose(together[(slice(None), *index)], alone, rtol=1e-14)
+
+
+def test_accelerations_are_the_acceleration_at_every_position(mission: Mission) -> None:
+    r = np.random.default_rng(2).normal(scale=800.0, size=(3, 20))
+    expected = np.stack(acceleration(r[0], r[1], r[2], mission.forces))
+    np.testing.assert_allclose(accelerations(r, mission.forces), expected, rtol=1e-13)
+
+
+def test_complex_steps_give_the_gradient(mission: Mission) -> None:
+    position = np.array([300.0, -900.0, 400.0])
+    gradient = gravity_gradient(position[None], mission.forces)
+    stepped = [at(position + 1e-30j * axis, mission.forces).imag / 1e-30 for axis in np.eye(3)]
+    np.testing.assert_allclose(np.transpose(stepped), gradient[0], rtol=1e-12)
+
+
+@given(position=positions(), length=st.floats(1.0, 1e4), time=st.floats(1.0, 1e5))
+def test_a_change_of_units_changes_only_the_numbers(
+    position: Array, length: float, time: float, mission: Mission
+) -> None:
+    scaled = at(position / length, mission.forces.in_units(length, time))
+    np.testing.assert_allclose(scaled * length / time**2, at(position, mission.forces), rtol=1e-12)
+
+
+def flight_field() -> tuple[float, float, dict[tuple[int, int], float]]:
+    """GM, reference radius and normalised cosine coefficients of the flight gravity field."""
+    lines = shared("bennu_gravity_jpl_particles_10x10.csv").read_text("utf-8").splitlines()
+    header = next(line for line in lines if line.startswith("# GM"))
+    gm, radius = (float(part.split("=")[1].split()[0]) for part in header.split(";"))
+    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
+    return gm, radius, {(int(r["n"]), int(r["m"])): float(r["Cbar"]) for r in rows}
+
+
+def test_gravity_constants_are_those_of_the_flight_field(mission: Mission) -> None:
+    gm, radius, cosine = flight_field()
+    body = mission.scenario.body
+    assert body.gm_m3_s2 == pytest.approx(gm, rel=1e-12)
+    assert body.reference_radius_m == radius
+    assert body.j2 == pytest.approx(-np.sqrt(5.0) * cosine[2, 0], rel=1e-12)
+
+
+@given(position=positions())
+def test_oblateness_is_the_degree_two_zonal_in_the_body_frame(
+    position: Array, mission: Mission
+) -> None:
+    gm, reference, cosine = flight_field()
+    r = ca.SX.sym("r", 3)
+    radius = ca.norm_2(r)
+    legendre = np.sqrt(5.0) * (3 * (r[2] / radius) ** 2 - 1) / 2  # fully normalised P_20
+    potential = gm / radius * (1 + (reference / radius) ** 2 * cosine[2, 0] * legendre)
+    function = ca.Function("g", [r], [ca.gradient(potential, r)])
+    to_j2000 = mission.rotation.body_to_j2000(5000.0)
+    expected = to_j2000 @ np.array(function(to_j2000.T @ position))[:, 0]
+    ours = at(position, gravity(mission.forces))
+    assert np.abs(ours - expected).max() < 1e-9 * np.linalg.norm(expected)
+
+
+def test_radiation_pressure_pushes_away_from_the_sun(mission: Mission) -> None:
+    srp = mission.forces.srp
+    # 1361 W/m^2 at 1.0108 au on 0.85 m^2 x 1.127 of 178 kg (PROVENANCE.md section 9).
+    assert np.linalg.norm(srp) == pytest.approx(2.39e-8, rel=2e-3)
+    np.testing.assert_allclose(srp / np.linalg.norm(srp), -mission.sun_direction(0.0), atol=1e-14)
+
+
+def test_sun_distance_is_the_recorded_one(mission: Mission) -> None:
+    au = constants()["bennu_heliocentric"]["sun_distance_t0_au"]
+    pressure_at_one_au = mission_of(
+        "sun.body_position_km=[149597870.7, 0.0, 0.0]", "boundary.frame=j2000", *WINDOW_GIVEN
+    ).forces.srp
+    ratio = np.linalg.norm(pressure_at_one_au) / np.linalg.norm(mission.forces.srp)
+    assert ratio == pytest.approx(au**2, rel=1e-7)
+
+
+WINDOW_GIVEN = ("observation.window_s=[13140.0, 16537.0]",)
+"""For missions whose Sun stands elsewhere."""
+
+
+@pytest.mark.parametrize(
+    ("doubled", "effect"),
+    [
+        ("spacecraft.srp_area_m2=1.7", 2.0),
+        ("spacecraft.mass_kg=356", 0.5),
+        ("spacecraft.reflectivity_coefficient=2.254", 2.0),
+        ("sun.solar_constant_w_m2=2722", 2.0),
+    ],
+)
+def test_radiation_pressure_scales_as_the_cannonball_law(
+    mission: Mission, doubled: str, effect: float
+) -> None:
+    np.testing.assert_allclose(
+        mission_of(doubled).forces.srp, effect * mission.forces.srp, rtol=1e-9
+    )

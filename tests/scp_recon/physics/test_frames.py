@@ -1,0 +1,173 @@
+"""Orientation of the body and the frames of the boundary states."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from datetime import datetime
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation as SciPyRotation
+
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
+from tests.scp_recon.support import EPOCH_ET, Array, constants, mission_of, shared
+
+BENNU = 2101955
+FLIGHT_S = 34_842.0
+
+angles = st.floats(-np.pi, np.pi)
+rotations = st.builds(
+    Rotation,
+    pole_ra=angles,
+    pole_dec=st.floats(-1.5, 1.5),
+    meridian=angles,
+    rate=st.floats(-1e-3, 1e-3),
+    acceleration=st.floats(-1e-12, 1e-12),
+)
+times = st.floats(-1e5, 1e5)
+
+
+@st.composite
+def directions(draw: st.DrawFn) -> Array:
+    z, azimuth = draw(st.floats(-1.0, 1.0)), draw(angles)
+    across = np.sqrt(1.0 - z * z)
+    return np.array([across * np.cos(azimuth), across * np.sin(azimuth), z])
+
+
+@pytest.fixture(scope="module")
+def spice() -> Iterator[ModuleType]:
+    """SPICE with the Bennu kernel that the scenario's constants come from."""
+    spiceypy = pytest.importorskip("spiceypy")
+    spiceypy.kclear()
+    spiceypy.furnsh(str(shared("bennu_v16.tpc")))
+    yield spiceypy
+    spiceypy.kclear()
+
+
+def test_body_orientation_is_that_of_spice(mission: Mission, spice: ModuleType) -> None:
+    flight = np.linspace(0.0, FLIGHT_S, 200)
+    ours = mission.rotation.body_to_j2000(flight)
+    theirs = [spice.tipbod("J2000", BENNU, EPOCH_ET + t).T for t in flight]
+    np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-9)
+
+
+def test_orientation_at_the_epoch_is_the_recorded_one(mission: Mission) -> None:
+    recorded = constants()["bennu_orientation"]["at_t0_v16"]
+    rotation = mission.rotation
+    # The record counts TDB with its periodic term, which moves the meridian by less than 1e-6 rad.
+    np.testing.assert_allclose(rotation.meridian, np.deg2rad(recorded["W_deg"]), atol=1e-6)
+    np.testing.assert_allclose(rotation.rate, recorded["spin_rate_rad_s"], rtol=1e-10)
+    np.testing.assert_allclose(rotation.pole, recorded["pole_J2000"], atol=1e-8)
+    np.testing.assert_allclose(
+        rotation.body_to_j2000(0.0), recorded["R_body_to_J2000"], rtol=0.0, atol=1e-6
+    )
+
+
+def test_one_rotation_takes_the_recorded_period(mission: Mission) -> None:
+    period = 3600.0 * constants()["bennu_orientation"]["at_t0_v16"]["period_h"]
+    start, end = mission.rotation.body_to_j2000(np.array([0.0, period]))
+    np.testing.assert_allclose(start, end, rtol=0.0, atol=1e-6)
+
+
+def test_iau_polynomial_counts_days_from_j2000_noon() -> None:
+    # Two and a half days past J2000: W = 10 + 100 * 2.5 + 0.4 * 6.25 = 262.5 deg.
+    rotation = Rotation.from_iau(0.0, 90.0, (10.0, 100.0, 0.4), datetime(2000, 1, 4))
+    assert np.rad2deg(rotation.meridian) == pytest.approx(262.5)
+    # dW/dt = 100 + 2 * 0.4 * 2.5 = 102 deg a day, d2W/dt2 = 0.8 deg a day squared.
+    assert np.rad2deg(rotation.rate) * 86_400.0 == pytest.approx(102.0)
+    assert np.rad2deg(rotation.acceleration) * 86_400.0**2 == pytest.approx(0.8)
+
+
+@given(rotations, times)
+def test_body_orientation_is_the_iau_sequence_of_rotations(rotation: Rotation, t: float) -> None:
+    w = rotation.meridian + rotation.rate * t + 0.5 * rotation.acceleration * t**2
+    # R3(W) R1(90 deg - dec) R3(90 deg + ra) turns frames; its transpose turns vectors the same way.
+    sequence = [np.pi / 2 + rotation.pole_ra, np.pi / 2 - rotation.pole_dec, w]
+    expected = SciPyRotation.from_euler("ZXZ", sequence).as_matrix()
+    np.testing.assert_allclose(rotation.body_to_j2000(t), expected, rtol=0.0, atol=1e-12)
+
+
+@given(rotations, times)
+def test_body_orientation_is_a_proper_rotation_about_the_pole(rotation: Rotation, t: float) -> None:
+    matrix = rotation.body_to_j2000(t)
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-14)
+    assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-14)
+    np.testing.assert_allclose(matrix @ [0.0, 0.0, 1.0], rotation.pole, atol=1e-14)
+
+
+def test_many_times_at_once_are_the_times_one_by_one(mission: Mission) -> None:
+    times = np.linspace(0.0, FLIGHT_S, 6).reshape(2, 3)
+    together = mission.rotation.body_to_j2000(times)
+    assert together.shape == (2, 3, 3, 3)
+    for index in np.ndindex(times.shape):
+        np.testing.assert_array_equal(together[index], mission.rotation.body_to_j2000(times[index]))
+
+
+@given(directions(), directions())
+def test_sun_north_frame_has_x_to_the_sun_and_z_towards_the_pole(sun: Array, pole: Array) -> None:
+    if np.linalg.norm(np.cross(sun, pole)) < 1e-3:
+        return  # the frame is not defined where the Sun stands over the pole
+    matrix = sun_north_to_j2000(sun, pole)
+    np.testing.assert_allclose(matrix.T @ matrix, np.eye(3), atol=1e-12)
+    assert np.linalg.det(matrix) == pytest.approx(1.0)
+    np.testing.assert_allclose(matrix @ [1.0, 0.0, 0.0], sun, atol=1e-12)
+    # Of all directions across the Sun line, Z is the one nearest to the pole.
+    assert matrix[:, 2] @ pole == pytest.approx(np.linalg.norm(np.cross(sun, pole)))
+
+
+def test_sun_north_frame_at_the_epoch_is_the_recorded_one(mission: Mission) -> None:
+    matrix = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
+    recorded = constants()["reconB_states"]["reading_B_sun_north"]["R_sunnorth_to_J2000_at_t0"]
+    np.testing.assert_allclose(matrix, recorded, rtol=0.0, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("which", "position", "velocity"),
+    [
+        ("initial_state", "r0_J2000_m", "v0_J2000_m_s"),
+        ("final_state", "rf_J2000_m", "vf_J2000_m_s"),
+    ],
+)
+def test_boundary_states_are_converted_from_the_sun_north_frame(
+    mission: Mission, which: str, position: str, velocity: str
+) -> None:
+    recorded = constants()["reconB_states"]["reading_D_both_sun_north"]
+    state = getattr(mission, which)
+    np.testing.assert_allclose(state[:3], recorded[position], rtol=0.0, atol=0.05)
+    np.testing.assert_allclose(state[3:], recorded[velocity], rtol=0.0, atol=1e-6)
+
+
+def test_boundary_states_read_as_j2000_are_the_printed_ones() -> None:
+    printed = constants()["reconB_states"]["printed_in_paper"]
+    literal = mission_of("boundary.frame=j2000")
+    np.testing.assert_array_equal(literal.initial_state, [*printed["r0_m"], *printed["v0_m_s"]])
+    np.testing.assert_array_equal(literal.final_state, [*printed["rf_m"], *printed["vf_m_s"]])
+
+
+def test_printed_sun_direction_is_ours_rounded(mission: Mission) -> None:
+    # Table of parameters of Echigo et al.
+    np.testing.assert_array_equal(
+        np.round(mission.sun_direction(0.0), 4), [-0.9992, 0.0323, 0.0225]
+    )
+
+
+def test_sun_direction_over_the_flight_is_that_of_the_ephemeris(mission: Mission) -> None:
+    lines = shared("bennu_ephemeris_jan2020.csv").read_text("utf-8").splitlines()
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    times = np.array([float(row["et_tdb"]) for row in rows]) - EPOCH_ET
+    suns = np.array([[float(row[name]) for name in ("sx", "sy", "sz")] for row in rows])
+    flight = (times >= -3600.0) & (times <= FLIGHT_S + 3600.0)
+    assert flight.sum() >= 10
+    error = np.linalg.norm(np.cross(mission.sun_direction(times[flight]), suns[flight]), axis=1)
+    assert error.max() < 5e-5
+
+
+@given(directions(), st.floats(1e-6, 1e9))
+def test_unit_keeps_the_direction_and_forgets_the_size(direction: Array, size: float) -> None:
+    expected = direction / np.linalg.norm(direction)
+    np.testing.assert_allclose(unit(size * direction), expected, rtol=0.0, atol=1e-14)

@@ -1,0 +1,194 @@
+"""Observation angles on cases whose answer is known, and against SPICE."""
+
+from __future__ import annotations
+
+import csv
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from scp_recon.mission.mission import Mission
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import Rotation, unit
+from scp_recon.physics.geometry import Site, SiteTrack
+from tests.scp_recon.support import Array, constants, shared
+
+# Spinning about Z with the prime meridian on X at t = 0, a quarter of a turn in 100 s.
+UPRIGHT = Rotation(
+    pole_ra=-np.pi / 2, pole_dec=np.pi / 2, meridian=0.0, rate=np.pi / 200, acceleration=0.0
+)
+EQUATOR = Site(np.array([250.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+HERE = SiteTrack(np.array([[250.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0]]))
+
+components = st.floats(-1e3, 1e3)
+vectors = st.tuples(components, components, components).map(np.array)
+
+
+def long_enough(*of: Array) -> None:
+    assume(all(np.linalg.norm(v) > 1e-3 for v in of))
+
+
+def test_the_upright_body_has_its_axes_along_j2000() -> None:
+    np.testing.assert_allclose(UPRIGHT.body_to_j2000(0.0), np.eye(3), atol=1e-15)
+
+
+def test_a_site_is_carried_eastwards_by_the_rotation() -> None:
+    track = geometry.track(EQUATOR, UPRIGHT, np.array([0.0, 100.0, 200.0]))
+    expected = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
+    np.testing.assert_allclose(track.normal, expected, atol=1e-15)
+    np.testing.assert_allclose(track.position, 250.0 * np.array(expected), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("offset", "range_m", "emission_deg", "phase_deg"),
+    [
+        ([600.0, 0.0, 0.0], 600.0, 0.0, 90.0),  # overhead, the Sun on the horizon
+        ([0.0, 600.0, 0.0], 600.0, 90.0, 0.0),  # on the horizon, towards the Sun
+        ([300.0, 300.0, 0.0], 300.0 * np.sqrt(2.0), 45.0, 45.0),
+        ([300.0, -300.0, 0.0], 300.0 * np.sqrt(2.0), 45.0, 135.0),
+        ([-100.0, 0.0, 0.0], 100.0, 180.0, 90.0),  # below the ground
+        ([1.0, 0.0, np.sqrt(3.0)], 2.0, 60.0, 90.0),
+    ],
+)
+def test_range_emission_and_phase_of_known_positions(
+    offset: list[float], range_m: float, emission_deg: float, phase_deg: float
+) -> None:
+    position = HERE.position + np.array([offset])
+    sun = np.array([[0.0, 1.0, 0.0]])
+    assert geometry.distance(position, HERE)[0] == pytest.approx(range_m)
+    assert np.rad2deg(geometry.emission(position, HERE)[0]) == pytest.approx(emission_deg)
+    assert np.rad2deg(geometry.phase(position, HERE, sun)[0]) == pytest.approx(phase_deg)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 60.0, 90.0, 120.0, 180.0])
+def test_incidence_is_the_angle_of_the_sun_from_the_zenith(degrees: float) -> None:
+    sun = np.array([np.cos(np.deg2rad(degrees)), 0.0, np.sin(np.deg2rad(degrees))])
+    assert np.rad2deg(geometry.incidence(HERE, sun)[0]) == pytest.approx(degrees)
+
+
+@pytest.fixture(scope="module")
+def spice() -> ModuleType:
+    module: ModuleType = pytest.importorskip("spiceypy")
+    return module
+
+
+@given(a=vectors, b=vectors)
+def test_angle_agrees_with_spice_and_does_not_care_for_order_or_size(
+    a: Array, b: Array, spice: ModuleType
+) -> None:
+    long_enough(a, b)
+    angle = geometry.angle(a, unit(b))
+    assert angle == pytest.approx(spice.vsep(a, b), abs=1e-14)
+    assert angle == pytest.approx(geometry.angle(3.0 * b, unit(a)), abs=1e-14)
+
+
+@given(a=vectors, b=vectors)
+def test_angle_and_its_supplement_make_a_half_turn(a: Array, b: Array) -> None:
+    long_enough(a, b)
+    assert geometry.angle(a, unit(b)) + geometry.angle(a, -unit(b)) == pytest.approx(
+        np.pi, abs=1e-14
+    )
+
+
+@pytest.mark.parametrize("tiny", [1e-3, 1e-6, 1e-9, 1e-12])
+def test_angle_is_accurate_near_zero_and_a_half_turn(tiny: float) -> None:
+    # The arc cosine of the dot product would be wrong by 1e-8 here, and give zero at 1e-9.
+    a, b = np.array([1.0, 0.0, 0.0]), np.array([np.cos(tiny), np.sin(tiny), 0.0])
+    assert geometry.angle(a, b) == pytest.approx(tiny, rel=1e-9)
+    assert np.pi - geometry.angle(a, -b) == pytest.approx(tiny, abs=1e-15, rel=1e-9)
+
+
+def test_angles_broadcast_over_many_positions_at_each_time() -> None:
+    rng = np.random.default_rng(4)
+    position = rng.normal(scale=600.0, size=(5, 3, 3))
+    track = geometry.track(EQUATOR, UPRIGHT, np.linspace(0.0, 300.0, 5))
+    site = SiteTrack(track.position[:, None], track.normal[:, None])
+    together = geometry.emission(position, site)
+    assert together.shape == (5, 3)
+    for t in range(5):
+        one = SiteTrack(track.position[t], track.normal[t])
+        np.testing.assert_allclose(together[t], geometry.emission(position[t], one))
+
+
+@given(
+    longitude=st.floats(-3.1, 3.1),
+    latitude=st.floats(-1.5, 1.5),
+    sun_latitude=st.floats(-1.5, 1.5),
+    hours=st.floats(-11.9, 11.9),
+    time=st.floats(0.0, 4e4),
+    meridian=st.floats(-3.0, 3.0),
+)
+def test_local_solar_time_is_noon_when_the_sun_is_over_the_sites_meridian(
+    longitude: float,
+    latitude: float,
+    sun_latitude: float,
+    hours: float,
+    time: float,
+    meridian: float,
+) -> None:
+    rotation = Rotation(1.2, -0.8, meridian, 4e-4, 0.0)
+    site_body = np.array(
+        [
+            np.cos(latitude) * np.cos(longitude),
+            np.cos(latitude) * np.sin(longitude),
+            np.sin(latitude),
+        ]
+    )
+    # `hours` past noon the Sun stands that many twenty-fourths of a turn west of the site.
+    over = longitude - hours * np.pi / 12.0
+    sun_body = np.array(
+        [
+            np.cos(sun_latitude) * np.cos(over),
+            np.cos(sun_latitude) * np.sin(over),
+            np.sin(sun_latitude),
+        ]
+    )
+    sun = rotation.body_to_j2000(time) @ sun_body
+    hour = geometry.local_solar_time(Site(250.0 * site_body, site_body), rotation, sun, time)
+    assert hour == pytest.approx(12.0 + hours, abs=1e-9)
+
+
+def test_local_solar_time_runs_through_a_day_in_a_rotation() -> None:
+    sun = np.array([0.0, 1.0, 0.0])  # over the site a quarter of a turn, 100 s, later
+    times = np.array([0.0, 50.0, 100.0, 150.0, 300.0, 400.0])
+    hour = geometry.local_solar_time(EQUATOR, UPRIGHT, sun, times)
+    # At 300 s it is midnight, which rounding may show from either side.
+    clock = np.exp(2j * np.pi * (hour - [6.0, 9.0, 12.0, 15.0, 0.0, 6.0]) / 24.0)
+    np.testing.assert_allclose(clock, 1.0, atol=1e-12)
+    assert np.all((hour >= 0.0) & (hour < 24.0))
+
+
+def test_nightingale_is_where_and_as_recorded(mission: Mission) -> None:
+    recorded = constants()["nightingale"]
+    site = mission.site
+    np.testing.assert_array_equal(
+        site.position_body, recorded["position_body_m_at_55p9_41p8_on_v20_shape"]
+    )
+    x, y, z = site.position_body
+    latitude, longitude = np.arcsin(z / np.linalg.norm(site.position_body)), np.arctan2(y, x)
+    np.testing.assert_allclose(np.rad2deg([latitude, longitude]), [55.9, 41.8], atol=0.01)
+    printed = np.array(recorded["normal_body_paper"])
+    np.testing.assert_allclose(site.normal_body, printed / np.linalg.norm(printed), atol=1e-15)
+
+
+def test_angles_along_the_reconstructed_arc_are_the_tabulated_ones(mission: Mission) -> None:
+    lines = shared("reconB_reconstructed_reference.csv").read_text("utf-8").splitlines()
+    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))[::10]
+    table = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    t, position = table["t"], np.stack([table[key] for key in "xyz"], axis=1)
+    site = geometry.track(mission.site, mission.rotation, t)
+    sun = mission.sun_direction(t)
+    angles = {
+        "emission": geometry.emission(position, site),
+        "phase": geometry.phase(position, site, sun),
+        "incidence": geometry.incidence(site, sun),
+    }
+    for name, ours in angles.items():
+        np.testing.assert_allclose(np.rad2deg(ours), table[name], rtol=0.0, atol=0.02)
+    # The table may use another point of the same site, metres away (PROVENANCE.md section 7).
+    np.testing.assert_allclose(geometry.distance(position, site), table["d_site"], atol=5.0)
+    hour = geometry.local_solar_time(mission.site, mission.rotation, sun, t)
+    np.testing.assert_allclose((hour - table["lst"] + 12.0) % 24.0, 12.0, atol=0.1)

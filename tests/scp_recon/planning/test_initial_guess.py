@@ -1,0 +1,280 @@
+"""Initial guesses: straight line, ballistic arc, burns, and tables of states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations.problem.flyby import Iterate
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan
+from tests import reliability
+from tests.scp_recon.support import Array, burns_of, constants, fly, integrate, mission_of, shared
+
+SHORT = ("t", "x", "y", "z", "vx", "vy", "vz")
+WITH_UNITS = ("t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
+
+
+def states_of(mission: Mission, iterate: Iterate) -> Array:
+    return iterate.mean * mission.units.state
+
+
+def defects_of(mission: Mission, iterate: Iterate) -> Array:
+    """SI."""
+    return mission.dynamics.linearise(mission.problem, iterate).defects * mission.units.state
+
+
+@pytest.fixture(scope="module")
+def ballistic(mission: Mission) -> Iterate:
+    return initial_guess.ballistic(mission)
+
+
+# --- cold ---------------------------------------------------------------------------------------
+
+
+def test_cold_is_the_straight_line_with_next_to_no_burns(mission: Mission) -> None:
+    cold = initial_guess.cold(mission)
+    states, fraction = states_of(mission, cold), mission.times_s / mission.times_s[-1]
+    expected = np.outer(1.0 - fraction, mission.initial_state)
+    expected += np.outer(fraction, mission.final_state)
+    np.testing.assert_allclose(states, expected, rtol=1e-12, atol=1e-12)
+    # Echigo et al., section VI.
+    np.testing.assert_allclose(burns_of(mission, cold.burns), np.full((4, 3), 1e-10), rtol=1e-12)
+
+
+# --- ballistic ----------------------------------------------------------------------------------
+
+
+def test_ballistic_arc_obeys_the_dynamics(mission: Mission, ballistic: Iterate) -> None:
+    defects = defects_of(mission, ballistic)
+    assert np.abs(defects[:, :3]).max() < 1e-3
+    assert np.abs(defects[:, 3:]).max() < 1e-6
+
+
+def test_ballistic_arc_joins_the_boundary_states(mission: Mission, ballistic: Iterate) -> None:
+    states, burns = states_of(mission, ballistic), burns_of(mission, ballistic.burns)
+    np.testing.assert_allclose(states[0, :3], mission.initial_state[:3], atol=1e-3)
+    np.testing.assert_allclose(states[0, 3:] - burns[0], mission.initial_state[3:], atol=1e-12)
+    np.testing.assert_allclose(states[-1], mission.final_state, atol=1e-3)
+
+
+def test_ballistic_arc_is_found_by_an_adaptive_integration_too(
+    mission: Mission, ballistic: Iterate
+) -> None:
+    states = states_of(mission, ballistic)
+    flown = integrate(mission.forces, states[0], mission.times_s)
+    assert np.linalg.norm(flown[:, :3] - states[:, :3], axis=1).max() < 0.1
+
+
+def test_ballistic_arc_has_two_impulses_of_a_plausible_size(
+    mission: Mission, ballistic: Iterate
+) -> None:
+    burns = burns_of(mission, ballistic.burns)
+    sizes = np.linalg.norm(burns, axis=1)
+    assert np.all(sizes[1:-1] < 1e-9)
+    # PROVENANCE.md's arc in the same reading, with a gravity field of degree 10.
+    recorded = constants()["reconB_states"]["reading_D_both_sun_north"]["dv0_m_s"]
+    assert sizes[0] == pytest.approx(recorded, rel=0.02)
+    assert 0.10 < sizes.sum() < 0.30
+
+
+def test_ballistic_arc_is_the_cheaper_way_round(mission: Mission, ballistic: Iterate) -> None:
+    ways = [initial_guess._two_impulses(mission, way) for way in (1.0, -1.0)]
+    found = [way.total_dv for way in ways if way is not None]
+    assert len(found) == 2
+    assert ballistic.total_dv == pytest.approx(min(found))
+    assert max(found) > 1.1 * min(found)
+
+
+@pytest.mark.parametrize(
+    "final", ["[-70.2, 1096.3, -406.4]", "[70.2, -1096.3, 406.4]"], ids=["opposite", "the same"]
+)
+def test_ballistic_arc_exists_where_the_plane_is_not_given(final: str) -> None:
+    mission = mission_of(f"boundary.final_position_m={final}")
+    iterate = initial_guess.ballistic(mission)
+    assert np.abs(defects_of(mission, iterate)[:, :3]).max() < 1e-2
+
+
+# --- burns --------------------------------------------------------------------------------------
+
+
+def test_given_burns_are_rolled_out(mission: Mission, default_plan: Plan) -> None:
+    planned = default_plan.final.result.lin.iterate
+    burns = 1.1 * burns_of(mission, planned.burns)
+    iterate = initial_guess.from_burns(mission, burns)
+    np.testing.assert_allclose(burns_of(mission, iterate.burns), burns, rtol=1e-14)
+    flown = fly(mission, burns, mission.times_s)
+    error = states_of(mission, iterate) - flown
+    assert np.linalg.norm(error[:, :3], axis=1).max() < 5e-3
+    assert np.abs(defects_of(mission, iterate)[:-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("shape", [(3, 3), (5, 3), (0, 3), (4, 2)])
+def test_other_numbers_of_burns_are_refused(mission: Mission, shape: tuple[int, int]) -> None:
+    with pytest.raises(InputError) as caught:
+        initial_guess.from_burns(mission, np.zeros(shape))
+    assert caught.value.entry == "--init"
+    assert "4" in caught.value.allowed
+
+
+# --- tables -------------------------------------------------------------------------------------
+
+
+def write(path: Path, times: Array, states: Array, header: tuple[str, ...] = WITH_UNITS) -> Path:
+    rows = [",".join(repr(float(x)) for x in (t, *s)) for t, s in zip(times, states, strict=True)]
+    path.write_text("\n".join(["# a comment", ",".join(header), *rows]) + "\n", "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("header", [SHORT, WITH_UNITS], ids=["short", "with units"])
+def test_a_table_at_the_nodes_gives_the_trajectory_back(
+    tmp_path: Path, mission: Mission, ballistic: Iterate, header: tuple[str, ...]
+) -> None:
+    file = write(tmp_path / "t.csv", mission.times_s, states_of(mission, ballistic), header)
+    read = initial_guess.from_table(mission, file)
+    np.testing.assert_allclose(read.mean, ballistic.mean, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        burns_of(mission, read.burns), burns_of(mission, ballistic.burns), rtol=0.0, atol=1e-6
+    )
+
+
+def test_a_table_at_other_times_is_interpolated(
+    tmp_path: Path, mission: Mission, ballistic: Iterate
+) -> None:
+    start = states_of(mission, ballistic)[0]
+    times = np.linspace(0.0, 34_900.0, 300)
+    file = write(tmp_path / "t.csv", times, integrate(mission.forces, start, times))
+    read = initial_guess.from_table(mission, file)
+    np.testing.assert_allclose(
+        states_of(mission, read)[:, :3], states_of(mission, ballistic)[:, :3], rtol=0.0, atol=0.1
+    )
+    np.testing.assert_allclose(
+        burns_of(mission, read.burns)[[0, -1]],
+        burns_of(mission, ballistic.burns)[[0, -1]],
+        rtol=0.0,
+        atol=1e-4,
+    )
+
+
+def test_burns_of_a_table_are_what_the_arcs_miss(
+    tmp_path: Path, mission: Mission, default_plan: Plan
+) -> None:
+    # Between two rows on either side of a burn the table's velocity turns within a second.
+    planned = default_plan.final.result.lin.iterate
+    states, burns = states_of(mission, planned), burns_of(mission, planned.burns)
+    times = mission.times_s.copy()
+    before = states[mission.burn_nodes[1:]].copy()
+    before[:, 3:] -= burns[1:]
+    before[:, :3] -= 1e-3 * before[:, 3:]
+    at = mission.burn_nodes[1:]
+    file = write(
+        tmp_path / "t.csv",
+        np.insert(times, at, times[at] - 1e-3),
+        np.insert(states, at, before, axis=0),
+    )
+    read = initial_guess.from_table(mission, file)
+    np.testing.assert_allclose(burns_of(mission, read.burns), burns, rtol=0.0, atol=1e-6)
+
+
+def test_the_reconstructed_arc_is_read(mission: Mission) -> None:
+    file = shared("reconB_reconstructed_reference.csv")
+    read = initial_guess.from_table(mission, file)
+    lines = [line for line in file.read_text("utf-8").splitlines() if not line.startswith("#")]
+    table = np.array([[float(x) for x in line.split(",")[:7]] for line in lines[1:]])
+    states = states_of(mission, read)
+    np.testing.assert_allclose(states[0], table[0, 1:], rtol=0.0, atol=1e-9)
+    nearest = np.searchsorted(table[:, 0], mission.times_s[:-1])
+    gap = np.abs(table[nearest, 0] - mission.times_s[:-1])
+    error = np.linalg.norm(table[nearest, 1:4] - states[:-1, :3], axis=1)
+    assert np.all(error < 0.1 * gap + 1e-3)  # 0.1 m/s is faster than the arc
+    assert np.all(np.linalg.norm(burns_of(mission, read.burns), axis=1) < 0.2)
+
+
+def refused(mission: Mission, path: Path) -> InputError:
+    with pytest.raises(InputError) as caught:
+        initial_guess.from_table(mission, path)
+    assert str(path) in caught.value.entry
+    reliability.count(reliability.BAD_INPUTS)
+    return caught.value
+
+
+def test_a_missing_table_is_refused(mission: Mission, tmp_path: Path) -> None:
+    assert "no such file" in refused(mission, tmp_path / "none.csv").given
+
+
+HEADER = ",".join(WITH_UNITS)
+ROWS = ["0,1,2,3,4,5,6", "40000,1,2,3,4,5,6"]
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ("", "none that is known"),
+        (HEADER, "columns"),
+        ("\n".join(["a,b,c", "1,2,3"]), "none that is known"),
+        ("\n".join([HEADER.replace("vz_m_s", "w"), *ROWS]), "vz_m_s"),
+        ("\n".join([HEADER, "0,1,2,3,4,5,six", ROWS[1]]), "six"),
+        ("\n".join([HEADER, "0,1,2,3,4,5", ROWS[1]]), "number"),
+        ("\n".join([HEADER, "0,1,2,3,4,5,nan", ROWS[1]]), "finite"),
+        ("\n".join([HEADER, "0,1,2,3,4,5,inf", ROWS[1]]), "finite"),
+        ("\n".join([HEADER, ROWS[0]]), "1 rows"),
+        ("\n".join([HEADER, ROWS[1], ROWS[0]]), "ascending"),
+        ("\n".join([HEADER, ROWS[0], ROWS[0], ROWS[1]]), "ascending"),
+        ("\n".join([HEADER, ROWS[0], "20000,1,2,3,4,5,6"]), "20000"),
+        ("\n".join([HEADER, "10,1,2,3,4,5,6", ROWS[1]]), "cover the flight"),
+        # Two columns for x and none for the time are seven, but not the seven.
+        ("\n".join(["x,x_m,y,z,vx,vy,vz", *ROWS]), "t_s"),
+        ("\n".join(["t,t_s,x,y,z,vx,vy", *ROWS]), "vz_m_s"),
+    ],
+    ids=[
+        *("empty", "header only", "other columns", "a column less", "a word", "a short row", "NaN"),
+        *("infinity", "one row", "descending", "twice the same", "too short", "too late"),
+        *("x twice and no t", "t twice and no vz"),
+    ],
+)
+def test_a_bad_table_is_refused(mission: Mission, tmp_path: Path, content: str, named: str) -> None:
+    file = tmp_path / "bad.csv"
+    file.write_text(content, "utf-8")
+    assert named in str(refused(mission, file))
+
+
+@pytest.mark.parametrize(
+    ("scales", "named"),
+    [
+        ((1e-3, 1e-3), "in metres"),  # kilometres and kilometres a second
+        ((1e3, 1e3), "in metres"),
+        ((1.0, 1e-3), "metres per second"),
+        ((1.0, 1e3), "metres per second"),
+        ((1.0, 1.0 / 24.0 / 3600.0), "metres per second"),  # metres a day
+    ],
+)
+def test_a_table_in_other_units_is_refused(
+    mission: Mission,
+    ballistic: Iterate,
+    tmp_path: Path,
+    scales: tuple[float, float],
+    named: str,
+) -> None:
+    states = states_of(mission, ballistic) * np.repeat(scales, 3)
+    error = refused(mission, write(tmp_path / "t.csv", mission.times_s, states))
+    assert named in error.allowed
+
+
+@pytest.mark.parametrize("rows", [2, 3, 10])
+def test_a_sparse_table_in_metres_is_read(
+    mission: Mission, ballistic: Iterate, tmp_path: Path, rows: int
+) -> None:
+    at = np.linspace(0, len(mission.times_s) - 1, rows).astype(int)
+    states = states_of(mission, ballistic)
+    file = write(tmp_path / "t.csv", mission.times_s[at], states[at])
+    assert initial_guess.from_table(mission, file).mean.shape == (len(mission.times_s), 6)
+
+
+def test_a_binary_file_is_no_table(mission: Mission, tmp_path: Path) -> None:
+    file = tmp_path / "bad.csv"
+    file.write_bytes(b"\x89PNG\r\n\x1a\n\x00\xff")
+    refused(mission, file)

@@ -1,0 +1,451 @@
+"""The three stages on the real scenario: what they must reach."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+
+import numpy as np
+import pytest
+
+from formulations.problem.facets import choose_facets, included_rows
+from formulations.problem.flyby import Iterate
+from formulations.program import condensed
+from formulations.program.subproblem import Subproblem
+from formulations.registry import make_subproblem
+from formulations.rows.chance import ChanceRows
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess, stages
+from scp_recon.planning import planner as planner_module
+from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.loop import Record, Result, run
+from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution
+from scp_recon.solution.from_plan import make_solution
+from scp_recon.verification.reintegration import verify
+from tests.scp_recon.support import Array, burns_of, mission_of
+
+TIGHT = ("polytopes.ball=tangent", "polytopes.cone=12")
+
+
+def total_dv(mission: Mission, stage: Stage) -> float:
+    return stage.result.lin.iterate.total_dv * mission.units.speed_m_s
+
+
+def assert_no_buffer_is_used(of: Plan) -> None:
+    violation = make_solution(of).violation
+    assert (violation.max, violation.total, violation.by_constraint) == (0.0, 0.0, {})
+
+
+@pytest.fixture(scope="module")
+def two_rounds(mission: Mission) -> Plan:
+    return plan(mission, initial_guess.cold(mission), facet_rounds=1)
+
+
+@pytest.fixture(scope="module")
+def tight_mission() -> Mission:
+    return mission_of(*TIGHT)
+
+
+@pytest.fixture(scope="module")
+def tight(tight_mission: Mission) -> Plan:
+    return plan(tight_mission, initial_guess.cold(tight_mission))
+
+
+# --- the issue's targets ------------------------------------------------------------------------
+
+
+def test_p3_cold(mission: Mission, default_plan: Plan) -> None:
+    stage = default_plan.stages[0]
+    assert stage.name == "P3"
+    assert stage.result.status is Status.CONVERGED
+    assert total_dv(mission, stage) == pytest.approx(0.1078, rel=0.01)
+    assert len(stage.result.records) <= 12
+
+
+def test_p2_with_the_papers_polytopes(mission: Mission, default_plan: Plan) -> None:
+    stage = default_plan.final
+    assert stage is default_plan.stages[-1]
+    assert stage.name == "P2"
+    assert stage.result.status is Status.CONVERGED
+    assert total_dv(mission, stage) <= 0.1420
+    assert len(stage.result.records) <= 8
+    assert_no_buffer_is_used(default_plan)
+    # Certainty costs: P2 contains P3's constraints.
+    assert total_dv(mission, stage) > 1.1 * total_dv(mission, default_plan.stages[0])
+
+
+def test_p2_with_the_facets_chosen_again(mission: Mission, two_rounds: Plan) -> None:
+    assert total_dv(mission, two_rounds.final) <= 0.1390
+    assert two_rounds.final.result.status is Status.CONVERGED
+    assert len(two_rounds.stages) == 3
+    assert all(len(stage.result.records) <= 8 for stage in two_rounds.stages[1:])
+    assert_no_buffer_is_used(two_rounds)
+
+
+def test_p2_with_tight_polytopes(tight_mission: Mission, tight: Plan) -> None:
+    assert total_dv(tight_mission, tight.final) <= 0.1135
+    assert tight.final.result.status is Status.CONVERGED
+    assert len(tight.final.result.records) <= 8
+    assert_no_buffer_is_used(tight)
+
+
+def test_the_prototypes_numbers(mission: Mission, default_plan: Plan, two_rounds: Plan) -> None:
+    # mission.md section 5: IPOPT on the same grid.
+    assert total_dv(mission, default_plan.stages[0]) == pytest.approx(0.10777, rel=2e-3)
+    assert total_dv(mission, default_plan.final) == pytest.approx(0.1400, rel=2e-3)
+    assert total_dv(mission, two_rounds.final) == pytest.approx(0.1376, rel=2e-3)
+
+
+# --- starts -------------------------------------------------------------------------------------
+
+
+def test_warm_and_cold_meet_in_the_same_p3(mission: Mission, default_plan: Plan) -> None:
+    warm = plan(mission, initial_guess.ballistic(mission), problem="P3")
+    assert warm.final.result.status is Status.CONVERGED
+    assert [stage.name for stage in warm.stages] == ["P3"]
+    assert total_dv(mission, warm.final) == pytest.approx(
+        total_dv(mission, default_plan.stages[0]), rel=1e-5
+    )
+
+
+def test_a_solution_started_from_itself_stays(mission: Mission, solution: Solution) -> None:
+    again = plan(mission, initial_guess.from_burns(mission, solution.burns_m_s))
+    assert again.final.result.status is Status.CONVERGED
+    # P3 is flat at its optimum: its burns, and with them the facets, are known less well than its
+    # cost.
+    assert total_dv(mission, again.final) == pytest.approx(solution.total_dv_m_s, rel=1e-4)
+
+
+def test_every_plan_starts_at_the_initial_state(mission: Mission, default_plan: Plan) -> None:
+    """mu_0 = x_0 + B dv_0."""
+    for stage in default_plan.stages:
+        iterate = stage.result.lin.iterate
+        start = mission.problem.initial_state.copy()
+        start[3:] += iterate.burns[0]
+        np.testing.assert_allclose(iterate.mean[0], start, rtol=0.0, atol=1e-12)
+
+
+def test_a_guess_that_starts_elsewhere_is_brought_to_the_initial_state(
+    mission: Mission, default_plan: Plan
+) -> None:
+    """A table of states need not begin where the flight does; the plan must."""
+    arc = initial_guess.ballistic(mission)
+    aside = arc.mean.copy()
+    aside[:, :3] += 20.0 / mission.units.length_m
+    found = plan(mission, Iterate(arc.burns, aside), problem="P3").final
+    first = found.result.lin.iterate.mean[0, :3]
+    np.testing.assert_allclose(first, mission.problem.initial_state[:3], rtol=0.0, atol=1e-9)
+    assert found.result.status is Status.CONVERGED
+    assert total_dv(mission, found) == pytest.approx(
+        total_dv(mission, default_plan.stages[0]), rel=1e-5
+    )
+
+
+# --- stages and facets --------------------------------------------------------------------------
+
+
+def test_facets_are_those_of_the_p3_solution(mission: Mission, default_plan: Plan) -> None:
+    p3, p2 = default_plan.stages
+    lin = p3.result.lin
+    facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
+    assert p3.facets is None
+    assert p2.facets is not None
+    np.testing.assert_array_equal(p2.facets.normal, facets.normal)
+    np.testing.assert_array_equal(p2.facets.offset, facets.offset)
+
+
+def test_a_facet_round_is_kept_only_while_it_is_cheaper(
+    mission: Mission, default_plan: Plan
+) -> None:
+    many = plan(mission, initial_guess.cold(mission), facet_rounds=3)
+    kept = [stage for stage in many.stages if stage.facets is not None]
+    costs = [total_dv(mission, stage) for stage in kept]
+    at = kept.index(many.final)
+    assert all(after < before for before, after in itertools.pairwise(costs[: at + 1]))
+    assert len(kept) - 1 <= at + 1  # the first that is not cheaper ends the rounds
+    assert total_dv(mission, many.final) < total_dv(mission, default_plan.final)
+    assert many.final.result.status is Status.CONVERGED
+
+
+def test_every_facet_holds_at_the_solution_those_left_out_too(
+    mission: Mission, default_plan: Plan
+) -> None:
+    final = default_plan.final
+    assert final.facets is not None
+    lin = final.result.lin
+    margin = final.facets.margin(lin.iterate.mean, lin.factor)
+    assert margin.min() >= -SCvx.feasible
+    start = default_plan.stages[0].result.lin
+    left_out = ~included_rows(
+        final.facets,
+        final.facets.margin(start.iterate.mean, start.factor),
+        CLEARANCE_M / mission.units.length_m,
+        PROGRAM_NODES_MAX,
+    )
+    assert left_out.any()  # screening did something
+
+
+def test_facets_wrongly_left_out_are_restored(
+    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without any clearance only what P3 violates is known at first."""
+    monkeypatch.setattr(planner_module, "CLEARANCE_M", 0.0)
+    screened = plan(mission, initial_guess.cold(mission))
+    assert len(screened.stages) > 2  # something had to be restored
+    assert screened.final.result.status is Status.CONVERGED
+    assert_no_buffer_is_used(screened)
+    final = screened.final
+    assert final.facets is not None
+    margin = final.facets.margin(final.result.lin.iterate.mean, final.result.lin.factor)
+    assert margin.min() >= -SCvx.feasible
+    assert total_dv(mission, final) == pytest.approx(
+        total_dv(mission, default_plan.final), rel=1e-5
+    )
+
+
+# --- formulations -------------------------------------------------------------------------------
+
+
+def solve_p2(mission: Mission, default_plan: Plan, formulation: str) -> tuple[Result, Subproblem]:
+    start, facets = default_plan.stages[0].result.lin, default_plan.final.facets
+    assert facets is not None
+    margin = facets.margin(start.iterate.mean, start.factor)
+    clearance = CLEARANCE_M / mission.units.length_m
+    included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
+    subproblem = make_subproblem(
+        mission.problem, ChanceRows(mission.problem, facets, included), formulation
+    )
+    result = run(subproblem, mission.dynamics, start, SCvx(), lambda _: None)
+    return result, subproblem
+
+
+def test_lifted_and_condensed_agree_at_convergence(mission: Mission, default_plan: Plan) -> None:
+    lifted, _ = solve_p2(mission, default_plan, "lifted")
+    assert lifted.status is Status.CONVERGED
+    condensed = default_plan.final.result
+    assert lifted.lin.iterate.total_dv == pytest.approx(condensed.lin.iterate.total_dv, rel=1e-6)
+
+
+def test_frozen_stm_stops_where_the_exact_model_goes_on(
+    mission: Mission, default_plan: Plan
+) -> None:
+    """Why the product rule is kept: without it the answer is no solution of P2."""
+    frozen, subproblem = solve_p2(mission, default_plan, "frozen-stm")
+    exact = default_plan.final.result
+    weight = SCvx.weight
+    assert subproblem.merit(frozen.lin, weight) > subproblem.merit(exact.lin, weight) + 1e-5
+    assert len(frozen.records) > len(exact.records)
+
+
+def test_an_unknown_formulation_is_an_error(mission: Mission) -> None:
+    with pytest.raises(KeyError):
+        plan(mission, initial_guess.cold(mission), formulation="folded")
+
+
+# --- manners ------------------------------------------------------------------------------------
+
+
+def test_planning_prints_nothing_and_leaves_global_state_alone(
+    mission: Mission, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rng, errors, filters = np.random.get_state(), np.geterr(), list(warnings.filters)  # noqa: NPY002
+    plan(mission, initial_guess.cold(mission))
+    after = np.random.get_state()  # noqa: NPY002
+    np.testing.assert_array_equal(rng[1], after[1])
+    assert np.geterr() == errors
+    assert warnings.filters == filters
+    assert capfd.readouterr() == ("", "")
+
+
+def test_planning_twice_gives_the_same_plan(mission: Mission, default_plan: Plan) -> None:
+    again = plan(mission, initial_guess.cold(mission))
+    # To the last bits that a conic solver on several threads may leave open.
+    np.testing.assert_allclose(
+        again.final.result.lin.iterate.burns,
+        default_plan.final.result.lin.iterate.burns,
+        rtol=0.0,
+        atol=1e-8,
+    )
+
+
+def test_iterations_are_observed_with_their_stage(mission: Mission) -> None:
+    seen: list[tuple[str, Record]] = []
+    found = plan(
+        mission,
+        initial_guess.cold(mission),
+        observe=lambda stage, record: seen.append((stage, record)),
+    )
+    told = [(stage.name, record) for stage in found.stages for record in stage.result.records]
+    assert seen == told
+
+
+@pytest.mark.parametrize("when", ["P3", "P2"])
+def test_an_interrupt_ends_with_the_best_stage_marked_as_interrupted(
+    mission: Mission, default_plan: Plan, when: str
+) -> None:
+    def ctrl_c(stage: str, record: Record) -> None:
+        if stage == when and record.k == 2:
+            raise KeyboardInterrupt
+
+    found = plan(mission, initial_guess.cold(mission), observe=ctrl_c)
+    assert found.final.result.status is Status.INTERRUPTED
+    assert found.final.name == when
+    assert len(found.final.result.records) == 2
+    expected = default_plan.stages[0 if when == "P3" else 1].result.records[1]
+    assert found.final.result.lin.iterate.total_dv == pytest.approx(expected.total_dv, rel=1e-9)
+
+
+def test_an_interrupt_between_two_stages_keeps_the_first(
+    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ctrl_c(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stages, "choose_facets", ctrl_c)
+    found = plan(mission, initial_guess.cold(mission))
+    assert found.final.result.status is Status.INTERRUPTED
+    np.testing.assert_allclose(
+        burns_of(mission, found.final.result.lin.iterate.burns),
+        burns_of(mission, default_plan.stages[0].result.lin.iterate.burns),
+    )
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["body.gm_m3_s2=1e4"],
+        ["spacecraft.mass_kg=1e-9"],
+        ["body.gm_m3_s2=1e-6", "boundary.final_position_m=[1e12, 1e12, 1e12]"],
+    ],
+    ids=["GM", "mass", "distance"],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_hopeless_magnitudes_end_in_a_status(
+    overrides: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(ALGORITHMS, "scvx", lambda: SCvx(max_iterations=10))
+    mission = mission_of(*overrides)
+    found = plan(mission, initial_guess.cold(mission), problem="P3")
+    assert found.final.result.status is not Status.CONVERGED
+
+
+def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) -> None:
+    """This path leads P3 to its second optimum, half as dear again."""
+    found = plan(mission, initial_guess.random(mission, 0))
+    assert [stage.name for stage in found.stages] == ["P3", "P2", "P3b", "P2b"]
+    assert found.stages[1].result.status is Status.INFEASIBLE
+    assert found.final is found.stages[-1]
+    assert total_dv(mission, found.stages[0]) > 1.3 * total_dv(mission, found.stages[2])
+    assert total_dv(mission, found.final) == pytest.approx(0.140135, rel=1e-4)
+
+
+# --- planning again -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+def test_planning_again_finds_what_p2_with_these_facets_finds_from_afar(
+    mission: Mission, formulation: str
+) -> None:
+    """Also in CVXPY, whose kept program must not remember the old initial state."""
+    again = Planner(mission, formulation=formulation)
+    last = Planner(mission).plan(initial_guess.cold(mission))
+    state = mission.initial_state + mission.initial_sigma * np.array([1, -1, 1, -1, 1, 0.5])
+    again.replan(last, mission.initial_state)
+    found = again.replan(last, state).final
+    assert found.result.status is Status.CONVERGED
+
+    moved = mission.with_initial_state(state)
+    assert last.final.facets is not None
+    everything = np.ones(len(last.final.facets.node), dtype=np.bool_)
+    rows = ChanceRows(moved.problem, last.final.facets, everything)
+    start = last.stages[0].result.lin.iterate  # P3's solution, from the old state
+    mean = start.mean.copy()
+    mean[0] = moved.problem.initial_state + np.r_[0.0, 0.0, 0.0, start.burns[0]]
+    lin = moved.dynamics.linearise(moved.problem, Iterate(start.burns, mean))
+    other = run(make_subproblem(moved.problem, rows), moved.dynamics, lin, SCvx(), lambda _: None)
+    assert other.status is Status.CONVERGED
+    assert found.result.lin.iterate.total_dv == pytest.approx(other.lin.iterate.total_dv, rel=1e-6)
+    assert rows.missed(found.result.lin, 1e-6).sum() == 0
+
+
+def test_planning_again_from_the_same_state_changes_nothing(mission: Mission) -> None:
+    planner = Planner(mission)
+    last = planner.plan(initial_guess.cold(mission))
+    again = planner.replan(last, mission.initial_state)
+    assert len(again.stages) == 1
+    assert len(again.final.result.records) == 1
+    assert total_dv(mission, again.final) == pytest.approx(total_dv(mission, last.final), rel=1e-6)
+
+
+def test_a_planner_keeps_its_programs(mission: Mission, default_plan: Plan) -> None:
+    planner = Planner(mission)
+    first, second = (planner.plan(initial_guess.cold(mission)) for _ in range(2))
+    assert first.stages[0].merit is second.stages[0].merit
+    replans = [planner.replan(first, mission.initial_state) for _ in range(2)]
+    assert replans[0].final.merit is replans[1].final.merit
+    # What is kept shows in what is found by no more than where P3 stops.
+    for found in (first, second):
+        assert total_dv(mission, found.final) == pytest.approx(
+            total_dv(mission, default_plan.final), rel=1e-5
+        )
+
+
+def test_only_p2_can_be_planned_again(mission: Mission) -> None:
+    planner = Planner(mission)
+    p3 = planner.plan(initial_guess.cold(mission), problem="P3")
+    with pytest.raises(ValueError, match="only a plan of P2"):
+        planner.replan(p3, mission.initial_state)
+
+
+def test_a_plan_of_another_mission_cannot_be_planned_again(
+    mission: Mission, default_plan: Plan
+) -> None:
+    for override in ("risk.p_chance=0.9", "grid.step_max_s=400", "burns.dv_max_m_s=0.1"):
+        with pytest.raises(ValueError, match="another mission"):
+            Planner(mission_of(override)).replan(default_plan, mission.initial_state)
+
+
+@pytest.mark.parametrize(
+    "state", [np.zeros(6), np.full(6, np.nan), np.ones(3), np.r_[100.0, 0.0, 0.0, 1.0, 1.0, 1.0]]
+)
+def test_no_plan_starts_from_what_is_no_state_outside_the_body(
+    mission: Mission, default_plan: Plan, state: Array
+) -> None:
+    with pytest.raises(ValueError, match="an initial state"):
+        Planner(mission).replan(default_plan, state)
+
+
+def test_what_is_planned_again_is_verified_with_its_own_mission(
+    mission: Mission, default_plan: Plan
+) -> None:
+    found = Planner(mission).replan(default_plan, 1.002 * mission.initial_state)
+    assert found.mission.initial_state == pytest.approx(1.002 * mission.initial_state)
+    solution = make_solution(found)
+    assert verify(found.mission, solution).ok
+    assert verify(Mission.from_scenario(solution.scenario), solution).ok
+    assert not verify(mission, solution).ok
+
+
+# --- reductions leave a stage's solution unchanged ----------------------------------------------
+
+
+def test_rows_left_out_of_its_programs_do_not_change_a_stage(
+    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither those far from binding at the start nor those that the condensed program leaves out."""
+    facets, start = default_plan.final.facets, default_plan.stages[0].result.lin
+    assert facets is not None
+    found = []
+    for near, clearance_m in ((0.04, CLEARANCE_M), (0.04, 40.0), (np.inf, np.inf)):
+        monkeypatch.setattr(condensed, "NEAR", near)
+        planner = Planner(mission)
+        rows = planner.p2_rows(facets, start, clearance_m)
+        subproblem = planner.subproblem(rows)
+        result = run(subproblem, mission.dynamics, start, SCvx(), lambda _: None)
+        assert result.status is Status.CONVERGED
+        assert not rows.missed(result.lin, 1e-6).any()
+        found.append(result.lin.iterate.total_dv)
+    assert found == pytest.approx([found[-1]] * 3, rel=1e-7)

@@ -1,0 +1,492 @@
+"""The scenario: the packaged one, derived files, overrides, and every way to get it wrong."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel, ValidationError
+
+from scp_recon.errors import InputError
+from scp_recon.scenario.load import Scenario, base_names, load_scenario, validate_scenario
+from tests import reliability
+from tests.scp_recon.support import constants
+
+
+def refused(*overrides: str) -> InputError:
+    with pytest.raises(InputError) as caught:
+        load_scenario(None, overrides)
+    reliability.count(reliability.BAD_INPUTS)
+    return caught.value
+
+
+def file_refused(path: Path) -> InputError:
+    with pytest.raises(InputError) as caught:
+        load_scenario(path)
+    return caught.value
+
+
+# --- what is in the package ---------------------------------------------------------------------
+
+
+def test_default_is_the_papers_table(scenario: Scenario) -> None:
+    # Echigo et al., table of numerical parameters.
+    o = scenario.observation
+    assert (o.site_distance_min_m, o.site_distance_max_m) == (500.0, 740.0)
+    assert (o.local_solar_time_min_h, o.local_solar_time_max_h) == (8.0, 16.0)
+    assert (o.emission_min_deg, o.emission_max_deg) == (20.0, 45.0)
+    assert (o.phase_min_deg, o.phase_max_deg) == (10.0, None)
+    assert o.incidence_max_deg == 60.0
+    assert scenario.burns.dv_max_m_s == 0.2
+    assert scenario.burns.times_s == (0.0, 8000.0, 25_000.0, 34_842.0)
+    assert scenario.safety.radius_min_m == 500.0
+    assert scenario.risk.p_chance == 0.70
+    assert scenario.uncertainty.execution_error == 0.08
+    assert scenario.uncertainty.initial_sigma_fraction**2 == pytest.approx(1e-4)
+    assert scenario.site.normal_body == (0.394316, 0.565411, 0.724448)
+    assert scenario.grid.step_max_s == 232.0
+    assert (scenario.battery.delta_v_cone_deg, scenario.battery.observation_cone_deg) == (
+        23.3,
+        18.2,
+    )
+    rules = scenario.schedule
+    assert (rules.attitude_s, rules.heating_s, rules.recharge_s) == (1800.0, 1800.0, 1200.0)
+    b = scenario.boundary
+    assert b.frame == "sun_north"
+    assert (*b.initial_position_m, *b.initial_velocity_m_s) == (
+        *(70.2, -1096.3, 406.4),
+        *(-0.0047, -0.0167, 0.0278),
+    )
+    assert (*b.final_position_m, *b.final_velocity_m_s) == (
+        *(19.9, 1128.7, -140.9),
+        *(0.0003, 0.0496, -0.0457),
+    )
+    assert (scenario.polytopes.ball, scenario.polytopes.cone) == ("paper", "paper")
+    assert scenario.duration_s == 34_842.0
+
+
+def test_default_holds_the_recorded_constants(scenario: Scenario) -> None:
+    recorded = constants()
+    v16 = recorded["bennu_orientation"]["v16"]
+    body = scenario.body
+    assert (body.pole_ra_deg, body.pole_dec_deg) == (v16["ra_deg"], v16["dec_deg"])
+    assert body.prime_meridian_deg == v16["W0_deg"]
+    assert body.prime_meridian_rate_deg_day == v16["W1_deg_per_day"]
+    assert body.prime_meridian_acceleration_deg_day2 == v16["W2_deg_per_day2"]
+    assert body.j2 == recorded["bennu_gravity"]["J2_unnormalised_jpl"]
+    sun = recorded["bennu_heliocentric"]["state_at_t0_derived"]
+    np.testing.assert_array_equal(scenario.sun.body_position_km, sun["position_km"])
+    np.testing.assert_array_equal(scenario.sun.body_velocity_km_s, sun["velocity_km_s"])
+    assert scenario.epoch.tdb.isoformat(timespec="milliseconds") == recorded["epoch_t0"]["tdb"]
+    craft = recorded["dare_smallsat_muscat"]
+    assert scenario.spacecraft.mass_kg == craft["mass_kg"]
+    assert scenario.spacecraft.srp_area_m2 == craft["sun_facing_area_m2_derived"]
+    assert scenario.sun.solar_constant_w_m2 == craft["solar_constant_W_m2"]
+
+
+UNITS = ("_m", "_km", "_s", "_h", "_deg", "_kg", "_m2", "_m_s", "_km_s")
+COMPOUND_UNITS = ("_m3_s2", "_w_m2", "_deg_day", "_deg_day2")
+DIMENSIONLESS = {
+    *("j2", "reflectivity_coefficient", "normal_body", "initial_sigma_fraction"),
+    *("execution_error", "p_chance", "ball", "cone"),
+}
+
+
+def numeric_entries(model: type[BaseModel]) -> list[str]:
+    def holds_number(kind: Any) -> bool:
+        if get_origin(kind) is None:
+            return kind in (int, float)
+        return any(holds_number(part) for part in get_args(kind))
+
+    names = []
+    for name, field in model.model_fields.items():
+        if isinstance(field.annotation, type) and issubclass(field.annotation, BaseModel):
+            names += numeric_entries(field.annotation)
+        elif holds_number(field.annotation):
+            names.append(name)
+    return names
+
+
+def test_units_are_in_the_key_names() -> None:
+    entries = numeric_entries(Scenario)
+    assert len(entries) > 35
+    for name in entries:
+        assert name in DIMENSIONLESS or name.endswith(UNITS + COMPOUND_UNITS), name
+
+
+def test_scenario_cannot_be_changed(scenario: Scenario) -> None:
+    with pytest.raises(ValidationError):
+        scenario.name = "other"
+    with pytest.raises(ValidationError):
+        scenario.risk.p_chance = 0.9
+
+
+# --- files and overrides ------------------------------------------------------------------------
+
+
+def test_a_derived_file_holds_only_what_differs(tmp_path: Path, scenario: Scenario) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "recon_b"\nname = "mine"\n[risk]\np_chance = 0.8\n', "utf-8")
+    mine = load_scenario(file)
+    expected = scenario.model_dump()
+    expected["name"], expected["risk"]["p_chance"] = "mine", 0.8
+    assert mine.model_dump() == expected
+
+
+def test_a_complete_file_needs_no_base(tmp_path: Path, scenario: Scenario) -> None:
+    file = tmp_path / "whole.toml"
+    file.write_text((files("scp_recon") / "data" / "recon_b.toml").read_text("utf-8"), "utf-8")
+    assert load_scenario(file) == scenario
+
+
+def test_an_incomplete_file_without_a_base_names_what_is_missing(tmp_path: Path) -> None:
+    file = tmp_path / "part.toml"
+    file.write_text("[risk]\np_chance = 0.8\n", "utf-8")
+    error = file_refused(file)
+    assert error.entry in {field for field in Scenario.model_fields if field != "risk"}
+    assert "base" in error.allowed
+
+
+def test_a_later_override_wins_over_an_earlier_one_and_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "recon_b"\n[risk]\np_chance = 0.8\n', "utf-8")
+    assert load_scenario(file, ["risk.p_chance=0.9"]).risk.p_chance == 0.9
+    both = load_scenario(file, ["risk.p_chance=0.9", "risk.p_chance=0.95"])
+    assert both.risk.p_chance == 0.95
+
+
+@pytest.mark.parametrize(
+    ("override", "path", "value"),
+    [
+        ("risk.p_chance=0.9", "risk.p_chance", 0.9),
+        ("grid.step_max_s=100", "grid.step_max_s", 100.0),
+        ("boundary.frame=j2000", "boundary.frame", "j2000"),
+        ('boundary.frame="j2000"', "boundary.frame", "j2000"),
+        ("polytopes.ball=48", "polytopes.ball", 48),
+        ("polytopes.ball=tangent", "polytopes.ball", "tangent"),
+        ("observation.window_s=[1e4, 1.2e4]", "observation.window_s", (1e4, 1.2e4)),
+        ("burns.times_s=[0, 9000]", "burns.times_s", (0.0, 9000.0)),
+        ("name=mine", "name", "mine"),
+        ("body.j2=-0.01", "body.j2", -0.01),
+    ],
+)
+def test_an_override_changes_one_entry(
+    override: str, path: str, value: object, scenario: Scenario
+) -> None:
+    changed = load_scenario(None, [override])
+    found: Any = changed
+    for part in path.split("."):
+        found = getattr(found, part)
+    assert found == value
+    before, after = scenario.model_dump(), changed.model_dump()
+    *sections, key = path.split(".")
+    for section in sections:
+        assert {k for k in before if before[k] != after[k]} == {section}
+        before, after = before[section], after[section]
+    assert {k for k in before if before[k] != after[k]} == {key}
+
+
+def test_epoch_may_be_a_toml_date_or_a_string(scenario: Scenario) -> None:
+    for text in ("2020-01-21T20:33:17.184", '"2020-01-21T20:33:17.184"'):
+        assert load_scenario(None, [f"epoch.tdb={text}"]) == scenario
+
+
+@given(
+    p=st.floats(0.5, 1.0 - 1e-9, exclude_min=True),
+    dv=st.floats(1e-6, 1e6),
+    times=st.lists(st.floats(1.0, 1e6), min_size=1, max_size=10, unique=True).map(sorted),
+    ball=st.sampled_from(["paper", "tangent"]) | st.integers(4, 512),
+    window=st.none() | st.tuples(st.floats(0.0, 1e5), st.floats(0.0, 1e5)),
+)
+def test_json_round_trip(
+    p: float, dv: float, times: list[float], ball: str | int, window: tuple[float, float] | None
+) -> None:
+    overrides = [
+        f"risk.p_chance={p!r}",
+        f"burns.dv_max_m_s={dv!r}",
+        f"burns.times_s={[0.0, *times]}",
+        f"polytopes.ball={ball}",
+        *([] if window is None else [f"observation.window_s={list(window)}"]),
+    ]
+    scenario = load_scenario(None, overrides)
+    assert Scenario.model_validate_json(scenario.model_dump_json()) == scenario
+    text = json.dumps(scenario.model_dump(mode="json"))
+    assert validate_scenario(json.loads(text)) == scenario
+
+
+# --- bad values ---------------------------------------------------------------------------------
+
+BAD_VALUES = [
+    # override, entry, what the message shows of the value, what it says is allowed
+    ("risk.p_chance=0.5", "risk.p_chance", "0.5", "0.5"),
+    ("risk.p_chance=1", "risk.p_chance", "1", "at most 0.999999999"),
+    ("risk.p_chance=0.9999999999999999", "risk.p_chance", "0.9999999999999999", "0.999999999"),
+    ("risk.p_chance=1.2", "risk.p_chance", "1.2", "0.999999999"),
+    ("risk.p_chance=-3", "risk.p_chance", "-3", "0.5"),
+    ("risk.p_chance=nan", "risk.p_chance", "nan", "finite"),
+    ("burns.dv_max_m_s=inf", "burns.dv_max_m_s", "inf", "finite"),
+    ("burns.dv_max_m_s=0", "burns.dv_max_m_s", "0", "at least 1e-09"),
+    ("burns.dv_max_m_s=fast", "burns.dv_max_m_s", "'fast'", "number"),
+    ('burns.dv_max_m_s="0.2"', "burns.dv_max_m_s", "'0.2'", "number"),
+    ("burns.dv_max_m_s=", "burns.dv_max_m_s", "''", "number"),
+    ("burns.dv_max_m_s=true", "burns.dv_max_m_s", "True", "number"),
+    ("burns.dv_max_m_s=[0.2]", "burns.dv_max_m_s", "[0.2]", "number"),
+    ("burns.times_s=[0, true]", "burns.times_s.1", "True", "number"),
+    ("burns.times_s=[0, -5]", "burns.times_s.1", "-5", "0"),
+    ("burns.times_s=[0]", "burns.times_s", "[0]", "must have at least 2 items"),
+    ("burns.times_s=[0, 1e8]", "burns.times_s.1", "100000000", "at least 0 and at most 1e+07"),
+    ("burns.times_s=8000", "burns.times_s", "8000", "list"),
+    ("schedule.attitude_s=-1800", "schedule.attitude_s", "-1800", "0"),
+    ("schedule.recharge_s=-0.5", "schedule.recharge_s", "-0.5", "0"),
+    ("boundary.frame=ecliptic", "boundary.frame", "'ecliptic'", "'sun_north' or 'j2000'"),
+    ("boundary.initial_position_m=[1, 2]", "boundary.initial_position_m", "[1, 2]", "have 3 items"),
+    ("boundary.final_position_m=[1, 2, 3, 4]", "boundary.final_position_m", "4]", "have 3 items"),
+    ("observation.window_s=[1]", "observation.window_s", "[1]", "must have 2 items"),
+    (f"burns.times_s={list(range(70))}", "burns.times_s", "[0, 1", "must have at most 64 items"),
+    ("boundary.initial_position_m=5", "boundary.initial_position_m", "5", "list"),
+    ("polytopes.ball=3", "polytopes.ball", "3", "at least 4 and at most 512"),
+    ("polytopes.ball=513", "polytopes.ball", "513", "at least 4 and at most 512"),
+    ("polytopes.cone=513", "polytopes.cone", "513", "at least 3 and at most 512"),
+    ("polytopes.ball=round", "polytopes.ball", "'round'", "'paper'"),
+    ("polytopes.cone=2", "polytopes.cone", "2", "3"),
+    ("polytopes.cone=true", "polytopes.cone", "True", "whole number"),
+    ("polytopes.cone=tangent", "polytopes.cone", "'tangent'", "'paper'"),
+    ("grid.step_max_s=0", "grid.step_max_s", "0", "1"),
+    ("epoch.tdb=tomorrow", "epoch.tdb", "'tomorrow'", "date and time"),
+    ("body.pole_dec_deg=100", "body.pole_dec_deg", "100", "90"),
+    ("body.gm_m3_s2=-4.9", "body.gm_m3_s2", "-4.9", "at least 1e-06 and at most 1e+20"),
+    ("observation.emission_max_deg=90", "observation.emission_max_deg", "90", "less than 90"),
+    ("observation.window_s=[1, x]", "observation.window_s", "[1, x]", "list"),
+    ("uncertainty.execution_error=1e-300", "uncertainty.execution_error", "1e-300", "1e-09"),
+    ("uncertainty.execution_error=1", "uncertainty.execution_error", "1", "less than 1"),
+    ("spacecraft.mass_kg=0", "spacecraft.mass_kg", "0", "at least 1e-09"),
+    ("grid.step_max_s=1e308", "grid.step_max_s", "1e+308", "at least 1 and at most 1e+07"),
+    ("body.gm_m3_s2=1e-308", "body.gm_m3_s2", "1e-308", "at least 1e-06"),
+    ("body.reference_radius_m=1e200", "body.reference_radius_m", "1e+200", "at most 1e+12"),
+    ("safety.radius_min_m=1e30", "safety.radius_min_m", "1e+30", "at most 1e+12"),
+    ("burns.dv_max_m_s=1e300", "burns.dv_max_m_s", "1e+300", "at most 1e+06"),
+    ("site.normal_body=[1e-320, 0, 0]", "site.normal_body", "1e-320", "shorter than 0.001"),
+    ("site.normal_body=[1e200, 0, 0]", "site.normal_body.0", "1e+200", "at most 1e+12"),
+    ("sun.body_position_km=[1e308, 0, 0]", "sun.body_position_km.0", "1e+308", "at most 1e+12"),
+    ('name=""', "name", "''", "not empty"),
+    (f"name={201 * 'x'}", "name", "xxx", "at most 200 characters"),
+    ('name="a\\u001b[31m"', "name", r"'a\x1b[31m'", "printable"),
+    ('site.name="a\\nb"', "site.name", r"'a\nb'", "printable"),
+    ("body=5", "body", "5", "table"),
+]
+
+
+@pytest.mark.parametrize(
+    ("override", "entry", "shown", "allowed"), BAD_VALUES, ids=[case[0] for case in BAD_VALUES]
+)
+def test_a_bad_value_is_named_shown_and_answered(
+    override: str, entry: str, shown: str, allowed: str
+) -> None:
+    error = refused(override)
+    assert error.entry == entry
+    assert shown in error.given
+    assert allowed in error.allowed
+    assert str(error).startswith(f"{entry}: got ")
+    assert not re.search("Tuple|String|Input|validation|valid ", str(error))  # the library's words
+
+
+@pytest.mark.parametrize("override", ["risk.p_chance.more=0.8", "burns.times_s.1=8000"])
+def test_a_table_where_a_value_belongs_is_refused(override: str) -> None:
+    assert refused(override).entry == ".".join(override.split(".")[:2])
+
+
+BAD_TOGETHER = [
+    # Values that are each fine and do not go together, or that the type alone does not refuse.
+    ("burns.times_s=[0, 25000, 8000, 34842]", "burns.times_s", "8000", "ascending"),
+    ("burns.times_s=[0, 8000, 8000, 34842]", "burns.times_s", "8000", "ascending"),
+    ("burns.times_s=[5, 8000, 25000, 34842]", "burns.times_s", "5", "start at 0"),
+    ("observation.emission_min_deg=50", "observation.emission", "50", "below"),
+    ("observation.site_distance_max_m=500", "observation.site_distance", "500", "below"),
+    ("observation.phase_max_deg=5", "observation.phase", "5", "below"),
+    ("observation.local_solar_time_min_h=17", "observation.local_solar_time", "17", "below"),
+    ("epoch.tdb=2020-01-21T20:33:17Z", "epoch.tdb", "2020-01-21", "no time zone"),
+    ("site.normal_body=[0, 0, 0]", "site.normal_body", "0, 0", "must not"),
+    ("sun.body_position_km=[0, 0, 0]", "sun.body_position_km", "0, 0", "must not"),
+    ("boundary.initial_position_m=[0, 0, 0]", "boundary.initial_position_m", "0, 0", "must not"),
+    ("boundary.final_position_m=[0, 0, 0]", "boundary.final_position_m", "0, 0", "must not"),
+]
+
+
+@pytest.mark.parametrize(
+    ("override", "entry", "shown", "allowed"), BAD_TOGETHER, ids=[case[0] for case in BAD_TOGETHER]
+)
+def test_values_that_do_not_go_together_are_named_shown_and_answered(
+    override: str, entry: str, shown: str, allowed: str
+) -> None:
+    message = str(refused(override))
+    section, key = entry.split(".")
+    assert section in message
+    assert key in message
+    assert shown in message
+    assert allowed in message
+
+
+@pytest.mark.parametrize(
+    ("override", "entry", "hint"),
+    [
+        ("risk.p_chanse=0.8", "risk.p_chanse", "p_chance"),
+        ("burns.dv_max_mm_s=200", "burns.dv_max_mm_s", "dv_max_m_s"),
+        ("burns.dv_max=0.2", "burns.dv_max", "dv_max_m_s"),
+        ("safty.radius_min_m=500", "safty", "safety"),
+        ("xyzzy=1", "xyzzy", "observation"),  # nothing is near: all are listed
+        ("risk.xyzzy=1", "risk.xyzzy", "p_chance"),
+    ],
+)
+def test_an_unknown_key_gets_the_nearest_known_one(override: str, entry: str, hint: str) -> None:
+    error = refused(override)
+    assert error.entry == entry
+    assert "unknown" in error.given
+    assert hint in error.allowed
+
+
+def test_every_problem_is_told_at_once_up_to_a_handful() -> None:
+    error = refused("risk.p_chance=2", "grid.step_max_s=0", "schedule.attitude_s=-1")
+    for entry in ("risk.p_chance", "grid.step_max_s", "schedule.attitude_s"):
+        assert entry in str(error)
+    alone = refused("burns.times_s=[0, true]")  # and not that one item is too few as well
+    assert len(str(alone).splitlines()) == 1
+    many = refused(*(f"risk.unknown_{i}=1" for i in range(30)))
+    assert len(str(many).splitlines()) < 10
+
+
+@pytest.mark.parametrize("override", ["risk.p_chance", "=0.8", ".=1", "risk.=1", ".p=1", ""])
+def test_an_override_that_is_none_is_refused(override: str) -> None:
+    error = refused(override)
+    assert error.entry == "--set"
+    assert repr(override) in error.given
+    assert "section.entry=value" in error.allowed
+
+
+@given(
+    path=st.sampled_from(["risk.p_chance", "burns.times_s", "name", "body", "polytopes.ball"])
+    | st.text(max_size=20),
+    value=st.text(max_size=30) | st.floats().map(repr) | st.integers().map(str),
+)
+def test_no_override_ends_in_anything_but_a_scenario_or_an_input_error(
+    path: str, value: str
+) -> None:
+    answer: Scenario | InputError
+    try:
+        answer = load_scenario(None, [f"{path}={value}"])
+    except InputError as error:
+        answer = error
+    if isinstance(answer, InputError):
+        assert answer.entry
+        assert answer.given
+        assert answer.allowed
+
+
+@pytest.mark.parametrize(
+    "value",
+    ["1" * 400, "1" * 5000, "1e999", "0x" + "f" * 5000, "[" * 5000, "{a=" * 2000, "9999-99-99"],
+    ids=["400 digits", "5000 digits", "1e999", "hexadecimal", "brackets", "tables", "no date"],
+)
+def test_monstrous_values_end_in_an_input_error(value: str) -> None:
+    assert len(str(refused(f"burns.dv_max_m_s={value}"))) < 400
+
+
+# --- bad files ----------------------------------------------------------------------------------
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    error = file_refused(tmp_path / "nowhere.toml")
+    assert str(tmp_path / "nowhere.toml") in error.entry
+    assert "no such file" in error.given
+
+
+def test_a_folder_is_no_scenario(tmp_path: Path) -> None:
+    assert "directory" in file_refused(tmp_path).given
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"this is not = = TOML", b"\x00\x01\xff\xfe\x80", b"\x89PNG\r\n\x1a\n", b'{"name": 1}'],
+    ids=["text", "binary", "picture", "JSON"],
+)
+def test_a_file_that_is_no_toml_is_refused(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_bytes(content)
+    error = file_refused(file)
+    assert str(file) in error.entry
+    assert "TOML" in str(error)
+    assert "scenario file" in error.allowed
+
+
+@pytest.mark.parametrize(
+    "content", ["x = " + "[" * 5000, "x = " + "1" * 5000], ids=["brackets", "5000 digits"]
+)
+def test_a_monstrous_file_is_refused(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "bad.toml"
+    file.write_text(content, "utf-8")
+    assert str(file) in str(file_refused(file))
+
+
+def test_an_empty_file_is_told_what_it_lacks(tmp_path: Path) -> None:
+    file = tmp_path / "empty.toml"
+    file.write_text("", "utf-8")
+    assert "base" in file_refused(file).allowed
+
+
+@pytest.mark.parametrize("base", ['"recon_c"', "5", '["recon_b"]', "{}"])
+def test_an_unknown_base_gets_the_list_of_known_ones(tmp_path: Path, base: str) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(f"base = {base}\n", "utf-8")
+    error = file_refused(file)
+    assert error.entry == "base"
+    assert str(tomllib.loads(f"b = {base}")["b"]) in error.given
+    assert all(name in error.allowed for name in base_names())
+    assert "recon_b" in base_names()
+
+
+def test_a_section_that_is_no_table_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text('base = "recon_b"\nrisk = 0.8\n', "utf-8")
+    error = file_refused(file)
+    assert error.entry == "risk"
+    assert "0.8" in error.given
+
+
+# --- files of any size and shape ----------------------------------------------------------------
+
+
+def test_the_mark_that_some_editors_begin_a_file_with_is_skipped(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "recon_b"\nname = "mine"\n', encoding="utf-8-sig")
+    assert load_scenario(path).name == "mine"
+
+
+HEAD = 'base = "recon_b"\n'
+BURDENS = {
+    "a megabyte": (HEAD + "#" * 1_000_000, "more than 1 megabytes"),
+    "many keys": (HEAD + "\n".join(f"k{i} = 1" for i in range(50_000)), "and 49995 more"),
+    "a deep key": (HEAD + "a" + ".a" * 100_000 + " = 1", "a line of many dots"),
+    "a deep list": (f"{HEAD}x = {400 * '['}{400 * ']'}", "nested a few levels deep"),
+}
+
+
+@pytest.mark.timeout(10)
+@pytest.mark.parametrize(("text", "words"), BURDENS.values(), ids=BURDENS)
+def test_a_burdensome_file_is_refused_at_once(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(text, "utf-8")
+    assert words in str(file_refused(path))
+
+
+@pytest.mark.parametrize(
+    "override", ["risk.p_chance=0.8\nburns.dv_max_m_s=0.1", "a.b.c.d=1", "name=a\tb"]
+)
+def test_an_override_is_one_entry_on_one_line(override: str) -> None:
+    assert refused(override).entry == "--set"

@@ -1,0 +1,83 @@
+"""Which steps are taken, told from a stub's predicted and actual reductions alone."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from formulations.program.penalty import PenaltyParameters
+from formulations.program.subproblem import Step
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.loop import State, Timing, Trial, ptr, scvx
+
+STEP = 0.1
+
+
+def at(burns: float, *, flown: bool = True) -> Any:
+    """A linearisation of which only the burns are known."""
+    iterate = SimpleNamespace(burns=np.full((2, 3), burns), total_dv=1.0)
+    return SimpleNamespace(is_dynamically_feasible=flown, iterate=iterate)
+
+
+class Merit:
+    """Of a problem without constraints, at an iterate with nothing violated."""
+
+    def violations(self, _: object) -> dict[str, Any]:
+        return {"dynamics": np.zeros((1, 6)), "rows": np.zeros(1)}
+
+    def excess(self, _: object) -> Any:
+        return np.zeros(7)
+
+    def __call__(self, *_: object) -> float:
+        return 1.0
+
+
+STUB = SimpleNamespace(merit=Merit())
+
+
+@pytest.fixture(params=["scvx", "ptr", "scvx-star"])
+def algorithm(request: pytest.FixtureRequest) -> Any:
+    return ALGORITHMS[request.param]()
+
+
+def after_a_step(
+    monkeypatch: pytest.MonkeyPatch, algorithm: Any, predicted: float, actual: float, before: Any
+) -> tuple[State, State]:
+    """The state before and after a step with these reductions."""
+    answer = Step(np.full((2, 3), STEP), 1.0 - predicted, 0.0, 0.0)
+    trial = Trial(answer, at(STEP), 1.0 - actual, predicted, actual, STEP)
+    for module in (scvx, ptr):
+        monkeypatch.setattr(module, "trial_step", lambda *_: trial)
+    state = State(before, 1.0, 1.0, PenaltyParameters(10.0, multipliers=np.zeros(7)))
+    new, record = algorithm.step(STUB, None, state, 2, Timing())
+    assert record.accepted == (new.lin is trial.lin)
+    return state, new
+
+
+@pytest.mark.parametrize("actual", [-1e3, -1.0, -1e-12, 0.0])
+def test_a_step_that_does_not_lower_the_merit_is_refused(
+    monkeypatch: pytest.MonkeyPatch, algorithm: Any, actual: float
+) -> None:
+    before, after = after_a_step(monkeypatch, algorithm, 1.0, actual, at(0.0))
+    assert after.lin is before.lin
+    assert after.merit == before.merit
+    assert after.radius < before.radius
+
+
+@pytest.mark.parametrize("actual", [0.2, 1.0, 3.0])
+def test_a_step_that_keeps_a_share_of_its_promise_is_taken(
+    monkeypatch: pytest.MonkeyPatch, algorithm: Any, actual: float
+) -> None:
+    before, after = after_a_step(monkeypatch, algorithm, 1.0, actual, at(0.0))
+    assert after.lin is not before.lin
+    assert after.merit == pytest.approx(1.0 - actual)
+
+
+def test_the_step_from_a_guess_is_taken_whatever_it_leads_to(
+    monkeypatch: pytest.MonkeyPatch, algorithm: Any
+) -> None:
+    before, after = after_a_step(monkeypatch, algorithm, 1.0, -1e3, at(0.0, flown=False))
+    assert after.lin is not before.lin

@@ -1,0 +1,170 @@
+"""SCvx, PTR and SCvx* end at the same optimum, and none of them claims what it cannot know."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations.linearisation.linearisation import Linearisation
+from formulations.program.condensed import CondensedSubproblem
+from formulations.program.subproblem import Step, SubproblemError
+from formulations.registry import make_subproblem
+from formulations.rows.deterministic import DeterministicRows
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.loop import Record, Result, Timing, run
+from scp_recon.scp.ptr import PTR
+from scp_recon.scp.scvx_star import SCvxStar
+from scp_recon.scp.status import Status
+from tests.scp_recon.support import mission_of
+
+OTHERS = ["ptr", "scvx-star"]
+
+
+def ignore(_: Record) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def cold(mission: Mission) -> Linearisation:
+    return mission.dynamics.linearise(mission.problem, initial_guess.cold(mission))
+
+
+@pytest.fixture(scope="module", params=OTHERS)
+def other_plan(request: pytest.FixtureRequest, mission: Mission) -> Plan:
+    return plan(mission, initial_guess.cold(mission), algorithm=request.param)
+
+
+@pytest.fixture(scope="module")
+def prox_run(mission: Mission, cold: Linearisation) -> Result:
+    return p3_by(PTR(), mission, cold)
+
+
+def p3_by(algorithm: PTR | SCvxStar, mission: Mission, start: Linearisation) -> Result:
+    rows = DeterministicRows(mission.problem)
+    subproblem = make_subproblem(mission.problem, rows, penalty=algorithm.penalty)
+    return run(subproblem, mission.dynamics, start, algorithm, ignore)
+
+
+def test_every_algorithm_reaches_the_optimum_of_scvx(other_plan: Plan, default_plan: Plan) -> None:
+    for ours, theirs in zip(other_plan.stages, default_plan.stages, strict=True):
+        assert ours.result.status is Status.CONVERGED
+        expected = theirs.result.lin.iterate.total_dv
+        assert ours.result.lin.iterate.total_dv == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_what_cannot_be_reached_is_infeasible_with_the_least_violation(name: str) -> None:
+    """Burns of at most 2 cm/s; what is violated is the burns' size, not the final state."""
+    mission = mission_of("burns.dv_max_m_s=0.02")
+    done = plan(mission, initial_guess.cold(mission), problem="P3", algorithm=name)
+    assert done.final.result.status is Status.INFEASIBLE
+    violations = done.final.merit.violations(done.final.result.lin)
+    assert violations["dv_max"].max() > 0.1
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_an_answer_that_the_solver_does_not_vouch_for_ends_in_no_verdict(
+    name: str, mission: Mission, cold: Linearisation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original = CondensedSubproblem.solve
+
+    def solve(self: CondensedSubproblem, *arguments: float) -> Step:
+        return replace(original(self, *arguments), accurate=False)
+
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+    algorithm = ALGORITHMS[name]()
+    subproblem = make_subproblem(
+        mission.problem, DeterministicRows(mission.problem), penalty=algorithm.penalty
+    )
+    result = run(subproblem, mission.dynamics, cold, algorithm, ignore)
+    assert result.status not in (Status.CONVERGED, Status.INFEASIBLE)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_a_solver_that_always_fails_ends_the_run(
+    name: str, mission: Mission, cold: Linearisation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def solve(*_: object) -> Step:
+        raise SubproblemError("no answer")
+
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+    algorithm = ALGORITHMS[name]()
+    subproblem = make_subproblem(
+        mission.problem, DeterministicRows(mission.problem), penalty=algorithm.penalty
+    )
+    result = run(subproblem, mission.dynamics, cold, algorithm, ignore)
+    assert result.status is Status.SOLVER_FAILED
+    assert all(record.failure == "no answer" for record in result.records)
+
+
+# --- PTR ----------------------------------------------------------------------------------------
+
+
+def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(
+    prox_run: Result,
+) -> None:
+    records = prox_run.records
+    assert not all(record.accepted for record in records)
+    for record, after in itertools.pairwise(records[1:]):
+        assert record.accepted == (record.actual > 0.1 * record.predicted)
+        factor = PTR.GROW if record.accepted else PTR.SHRINK
+        expected = min(factor * record.trust_radius, PTR.FREE)
+        assert after.trust_radius == pytest.approx(expected)
+
+
+def test_the_merit_of_ptr_never_rises(prox_run: Result) -> None:
+    merits = [record.merit for record in prox_run.records]
+    assert all(after <= before for before, after in itertools.pairwise(merits))
+
+
+@pytest.mark.parametrize("radius", [0.03, 30.0])
+def test_the_first_soft_radius_is_no_matter_of_life_and_death(
+    radius: float, mission: Mission, cold: Linearisation, prox_run: Result
+) -> None:
+    result = p3_by(PTR(initial_radius=radius), mission, cold)
+    assert result.status is Status.CONVERGED
+    expected = prox_run.lin.iterate.total_dv
+    assert result.lin.iterate.total_dv == pytest.approx(expected, rel=1e-4)
+
+
+# --- SCvx* --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e4])
+def test_the_first_weight_of_scvx_star_need_not_be_exact(
+    weight: float, mission: Mission, cold: Linearisation, prox_run: Result
+) -> None:
+    result = p3_by(SCvxStar(weight=weight), mission, cold)
+    assert result.status is Status.CONVERGED
+    expected = prox_run.lin.iterate.total_dv
+    assert result.lin.iterate.total_dv == pytest.approx(expected, rel=1e-4)
+
+
+def test_multipliers_end_at_the_price_of_the_final_state(
+    mission: Mission, cold: Linearisation, prox_run: Result
+) -> None:
+    """Moving the final state by d changes the least delta-v by -l'd, to first order."""
+    algorithm = SCvxStar()
+    rows = DeterministicRows(mission.problem)
+    subproblem = make_subproblem(mission.problem, rows, penalty="augmented")
+    state = algorithm.init(subproblem, cold)
+
+    for k in itertools.count(1):
+        state, record = algorithm.step(subproblem, mission.dynamics, state, k, Timing())
+        if algorithm.terminate(state, record):
+            break
+    assert state.charge.multipliers is not None
+    step = np.zeros(6)
+    step[4] = 1e-3
+    moved = replace(mission.problem, final_state=mission.problem.final_state + step)
+    again = make_subproblem(moved, DeterministicRows(moved), penalty="proximal")
+    start = mission.dynamics.linearise(moved, prox_run.lin.iterate)
+    result = run(again, mission.dynamics, start, PTR(), ignore)
+    change = result.lin.iterate.total_dv - prox_run.lin.iterate.total_dv
+    assert change == pytest.approx(-state.charge.multipliers[:6] @ step, rel=0.05)

@@ -1,0 +1,340 @@
+"""The SCP loop: it never gets worse, it ends as it says, and it survives its solver."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import Iterate
+from formulations.program.condensed import CondensedSubproblem
+from formulations.program.subproblem import Step, Subproblem, SubproblemError
+from formulations.registry import make_subproblem
+from formulations.rows.deterministic import DeterministicRows
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.scp.loop import Record, Result, run
+from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.status import Status
+from tests.scp_recon.support import Array, mission_of
+
+Solve = Callable[[CondensedSubproblem, float, float], Step]
+
+
+def ignore(_: Record) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def p3(mission: Mission) -> Subproblem:
+    return make_subproblem(mission.problem, DeterministicRows(mission.problem), "condensed")
+
+
+@pytest.fixture(scope="module")
+def cold(mission: Mission) -> Linearisation:
+    return mission.dynamics.linearise(mission.problem, initial_guess.cold(mission))
+
+
+@pytest.fixture(scope="module")
+def optimum(default_plan: Plan) -> Result:
+    """P3 from a cold start, undisturbed."""
+    return default_plan.stages[0].result
+
+
+@pytest.fixture(scope="module")
+def infeasible() -> Plan:
+    """Burns of at most 2 cm/s cannot reach the final state."""
+    mission = mission_of("burns.dv_max_m_s=0.02")
+    return plan(mission, initial_guess.cold(mission), problem="P3")
+
+
+@pytest.fixture(scope="module", params=["default", "infeasible"])
+def some_plan(request: pytest.FixtureRequest) -> Plan:
+    name = "default_plan" if request.param == "default" else "infeasible"
+    found: Plan = request.getfixturevalue(name)
+    return found
+
+
+def inject(monkeypatch: pytest.MonkeyPatch, solve: Solve) -> None:
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+
+
+def reference(subproblem: CondensedSubproblem) -> Array:
+    return np.asarray(subproblem._at.iterate.burns)
+
+
+# --- what every run must do ---------------------------------------------------------------------
+
+
+def test_merit_falls_by_the_actual_reduction_on_every_accepted_step(some_plan: Plan) -> None:
+    for stage in some_plan.stages:
+        records = stage.result.records
+        assert any(record.accepted for record in records)
+        merit = None
+        for record in records:
+            if record.accepted:
+                assert record.actual > 0.0
+                if merit is not None and record.merit < 10.0 * merit:  # else it was weighed anew
+                    assert merit - record.merit == pytest.approx(record.actual, abs=1e-9)
+            else:
+                assert merit is None or record.merit >= merit - 1e-12
+            merit = record.merit
+
+
+def test_steps_stay_within_the_trust_region(some_plan: Plan) -> None:
+    for stage in some_plan.stages:
+        for record in stage.result.records:
+            # The conic solver keeps the bound to its accuracy, an absolute one.
+            assert record.step <= record.trust_radius + 1e-6
+
+
+def test_an_actual_reduction_far_below_the_predicted_one_shrinks_the_trust_region(
+    some_plan: Plan,
+) -> None:
+    for stage in some_plan.stages:
+        records = stage.result.records
+        for record, after in itertools.pairwise(records):
+            # With a new penalty weight, or to look again before a verdict.
+            resets = (SCvx.initial_radius, SCvx.VERDICT_RADIUS)
+            reset = after.trust_radius in resets
+            if record.actual < 0.01 * record.predicted and not reset:
+                assert after.trust_radius < record.trust_radius
+            if record.actual > 0.9 * record.predicted > 0.0 and not reset:
+                assert after.trust_radius >= record.trust_radius
+
+
+def test_records_are_numbered_and_observed_in_order(
+    p3: Subproblem, cold: Linearisation, mission: Mission
+) -> None:
+    seen: list[Record] = []
+    result = run(p3, mission.dynamics, cold, SCvx(), seen.append)
+    assert tuple(seen) == result.records
+    assert [record.k for record in seen] == list(range(1, len(seen) + 1))
+
+
+def test_the_result_is_the_iterate_of_the_last_record(some_plan: Plan) -> None:
+    for stage in some_plan.stages:
+        last = stage.result.records[-1]
+        assert last.total_dv == pytest.approx(stage.result.lin.iterate.total_dv, rel=1e-12)
+        violations = stage.merit.violations(stage.result.lin)
+        defect = violations.pop("dynamics").max()
+        assert last.max_defect == pytest.approx(defect, abs=1e-15)
+        worst = max(v.max(initial=0.0) for v in violations.values())
+        assert last.max_violation == pytest.approx(worst)
+
+
+def test_every_iterate_is_flown(some_plan: Plan) -> None:
+    for stage in some_plan.stages:
+        assert np.abs(stage.result.lin.defects[:-1]).max() < 1e-9
+
+
+def test_p2_ends_superlinearly(default_plan: Plan) -> None:
+    # With the product rule's second-order term the model is exact to second order; the predicted
+    # reductions, relative to the merit, then fall with at least the power 3/2 down to the tolerance.
+    records = default_plan.stages[1].result.records
+    assert all(record.accepted for record in records)
+    predicted = [record.predicted / record.merit for record in records][-3:]
+    assert len(predicted) == 3
+    for now, after in itertools.pairwise(predicted):
+        assert after <= max(now**1.5, 1e-6)
+    for record in records[-3:]:  # reductions are known to the conic solver's 1e-8 of the merit
+        noise = 1e-7 * record.merit
+        assert record.actual == pytest.approx(record.predicted, rel=0.05, abs=noise)
+
+
+# --- every status -------------------------------------------------------------------------------
+
+
+def test_converged_is_feasible_and_stationary(optimum: Result) -> None:
+    assert optimum.status is Status.CONVERGED
+    last = optimum.records[-1]
+    assert max(last.max_violation, last.max_defect) <= SCvx.feasible
+    assert last.predicted <= SCvx.stationary * max(1.0, last.merit)
+
+
+def test_a_converged_run_has_no_better_neighbour(mission: Mission, optimum: Result) -> None:
+    """Random steps that keep the final state do not lower the exact merit."""
+    subproblem = make_subproblem(mission.problem, DeterministicRows(mission.problem), "condensed")
+    weight = SCvx.weight
+    best = subproblem.merit(optimum.lin, weight)
+    rng = np.random.default_rng(8)
+    for size in (1e-3, 1e-2, 1e-1):
+        for _ in range(5):
+            burns = optimum.lin.iterate.burns
+            moved = mission.dynamics.close_defects(
+                optimum.lin, burns + rng.normal(scale=size, size=(4, 3))
+            )
+            assert subproblem.merit(moved, weight) > best - 1e-7
+
+
+def test_infeasible_is_told_with_the_least_violation(infeasible: Plan) -> None:
+    result = infeasible.final.result
+    assert result.status is Status.INFEASIBLE
+    assert result.records[-1].max_violation > 1e-3
+    violations = infeasible.final.merit.violations(result.lin)
+    assert violations["dv_max"].max() > 1e-3
+    # The dynamics weigh more than the constraints, so that physics is not what gives way.
+    assert np.abs(result.lin.defects).max() < 1e-6
+
+
+def test_iteration_limit(p3: Subproblem, cold: Linearisation, mission: Mission) -> None:
+    for limit in (1, 3):
+        result = run(p3, mission.dynamics, cold, SCvx(max_iterations=limit), ignore)
+        assert result.status is Status.MAX_ITERATIONS
+        assert len(result.records) == limit
+
+
+def test_a_solver_that_always_fails_ends_the_run(
+    p3: Subproblem, cold: Linearisation, mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def solve(_: CondensedSubproblem, radius: float, weight: float) -> Step:
+        raise SubproblemError(f"no answer within {radius} at {weight}")
+
+    inject(monkeypatch, solve)
+    result = run(p3, mission.dynamics, cold, SCvx(), ignore)
+    assert result.status is Status.SOLVER_FAILED
+    assert result.lin is cold
+    assert all("no answer" in record.failure for record in result.records)
+    radii = [record.trust_radius for record in result.records]
+    assert all(after < before for before, after in itertools.pairwise(radii))
+    assert 2 <= len(radii) < SCvx.max_iterations
+
+
+@pytest.mark.parametrize("failing", [{1}, {3}, {2, 3, 4}])
+def test_a_solver_that_fails_now_and_then_is_survived(
+    p3: Subproblem,
+    cold: Linearisation,
+    mission: Mission,
+    monkeypatch: pytest.MonkeyPatch,
+    failing: set[int],
+) -> None:
+    calls: Iterator[int] = iter(range(1, 100))
+    original = CondensedSubproblem.solve
+
+    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:
+        if next(calls) in failing:
+            raise SubproblemError("just this once")
+        return original(self, radius, weight)
+
+    inject(monkeypatch, solve)
+    result = run(p3, mission.dynamics, cold, SCvx(), ignore)
+    assert result.status is Status.CONVERGED
+    assert {record.k for record in result.records if record.failure} == failing
+    # The smaller first step may lead to another local optimum, but to one.
+    last = result.records[-1]
+    assert max(last.max_violation, last.max_defect) <= SCvx.feasible
+
+
+def test_a_promise_never_kept_stalls(
+    p3: Subproblem, mission: Mission, optimum: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    merit = p3.merit(optimum.lin, SCvx.weight)
+
+    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
+        return Step(reference(self) + radius, merit - 1.0, 0.0, 0.0)
+
+    inject(monkeypatch, solve)
+    result = run(p3, mission.dynamics, optimum.lin, SCvx(), ignore)
+    assert result.status is Status.STALLED
+    assert result.lin is optimum.lin
+    assert not any(record.accepted for record in result.records)
+
+
+def test_interrupted_with_the_best_iterate_so_far(
+    p3: Subproblem, cold: Linearisation, mission: Mission
+) -> None:
+    def ctrl_c(record: Record) -> None:
+        if record.k == 3:
+            raise KeyboardInterrupt
+
+    result = run(p3, mission.dynamics, cold, SCvx(), ctrl_c)
+    assert result.status is Status.INTERRUPTED
+    assert len(result.records) == 3
+    merits = [record.merit for record in result.records]
+    assert p3.merit(result.lin, SCvx.weight) == pytest.approx(min(merits))
+
+
+def test_interrupted_within_an_iteration_keeps_the_last_whole_one(
+    p3: Subproblem, cold: Linearisation, mission: Mission, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: Iterator[int] = iter(range(1, 100))
+    original = CondensedSubproblem.solve
+
+    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:
+        if next(calls) == 4:
+            raise KeyboardInterrupt
+        return original(self, radius, weight)
+
+    inject(monkeypatch, solve)
+    result = run(p3, mission.dynamics, cold, SCvx(), ignore)
+    assert result.status is Status.INTERRUPTED
+    assert len(result.records) == 3
+    assert result.lin.iterate.total_dv == pytest.approx(result.records[-1].total_dv)
+
+
+# --- no claim without proof ---------------------------------------------------------------------
+
+
+def test_an_inaccurate_answer_proves_no_stationarity(
+    p3: Subproblem,
+    mission: Mission,
+    default_plan: Plan,
+    optimum: Result,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The convex model contains the iterate itself, so its optimum cannot be above the merit.
+
+    An answer that is, by far more than the tolerance, is wrong. P2's solution is feasible for P3
+    and a third more expensive than the optimum: nothing may call it converged.
+    """
+    start = default_plan.final.result.lin
+    assert start.iterate.total_dv > 1.2 * optimum.lin.iterate.total_dv
+    merit = p3.merit(start, SCvx.weight)
+
+    def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
+        return Step(reference(self) + 0.0, merit + 0.1, 0.0, 0.0)
+
+    inject(monkeypatch, solve)
+    result = run(p3, mission.dynamics, start, SCvx(), ignore)
+    assert result.status is not Status.CONVERGED
+
+
+def test_a_tiny_trust_region_proves_no_stationarity(
+    p3: Subproblem, mission: Mission, default_plan: Plan, optimum: Result
+) -> None:
+    start = default_plan.final.result.lin
+    result = run(p3, mission.dynamics, start, SCvx(initial_radius=1e-5), ignore)
+    if result.status is Status.CONVERGED:
+        assert result.lin.iterate.total_dv == pytest.approx(optimum.lin.iterate.total_dv, rel=1e-5)
+    assert len(result.records) > 3
+
+
+@pytest.mark.parametrize("formulation", ["condensed", "lifted", "frozen-stm", "frozen-covariance"])
+def test_the_model_agrees_with_the_merit_where_it_is_made(
+    mission: Mission, optimum: Result, formulation: str
+) -> None:
+    """A prediction of what no step at all would gain is none: the trust region shrinks for ever.
+
+    The iterate is flown and misses the final state; within a tiny radius nothing can be done.
+    """
+    burns = 0.9 * optimum.lin.iterate.burns
+    states = mission.dynamics.rollout(mission.problem.initial_state, burns)
+    lin = mission.dynamics.linearise(mission.problem, Iterate(burns, states))
+    subproblem = make_subproblem(mission.problem, DeterministicRows(mission.problem), formulation)
+    subproblem.update(lin)
+    merit = subproblem.merit(lin, SCvx.weight)
+    assert merit > 10.0 * lin.iterate.total_dv  # the miss is what it is made of
+    answer = subproblem.solve(1e-6, SCvx.weight)
+    assert answer.merit == pytest.approx(merit, rel=1e-2)
+
+
+@pytest.mark.parametrize("radius", [0.3, 1.5, 6.0])
+def test_the_first_trust_region_is_no_matter_of_life_and_death(
+    p3: Subproblem, cold: Linearisation, mission: Mission, radius: float
+) -> None:
+    result = run(p3, mission.dynamics, cold, SCvx(initial_radius=radius), ignore)
+    assert result.status is Status.CONVERGED

@@ -1,0 +1,117 @@
+"""Every plan ends with a verdict: converged, or infeasible and no other method knows better.
+
+The quick form of two studies that are run by hand, 1,000 random scenarios and 288 flights between
+phases of a circular orbit: those that once cycled, stalled or failed, and a few others.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from formulations.problem.flyby import Iterate
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import Plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+
+VERDICTS = (Status.CONVERGED, Status.INFEASIBLE)
+
+
+def planned(overrides: list[str], start: str = "cold", algorithm: str = "scvx") -> Plan:
+    mission = Mission.from_scenario(load_scenario(None, overrides))
+    guesses = {"cold": initial_guess.cold, "warm": initial_guess.ballistic}
+    first: Iterate = guesses[start](mission)
+    return plan(mission, first, algorithm=algorithm)
+
+
+def random_scenario(seed: int) -> list[str]:
+    """Another final position, other errors and risk, and cones of 4 to 16 facets."""
+    rng = np.random.default_rng([2026, seed])
+    final = np.array(load_scenario().boundary.final_position_m) + rng.normal(0.0, 30.0, 3)
+    return [
+        'polytopes.ball="tangent"',
+        f"polytopes.cone={rng.integers(4, 17)}",
+        f"risk.p_chance={rng.uniform(0.6, 0.99):.4f}",
+        f"uncertainty.execution_error={rng.uniform(0.02, 0.15):.4f}",
+        f"uncertainty.initial_sigma_fraction={rng.uniform(0.003, 0.015):.5f}",
+        f"boundary.final_position_m={[round(float(x), 2) for x in final]}",
+    ]
+
+
+def between_phases(departure_deg: int, arrival_deg: int, sense: int) -> list[str]:
+    """On a circle of 1 km in the terminator plane, phases from +Y towards +Z in the Sun-North frame."""
+    radius = 1000.0
+    speed = sense * np.sqrt(load_scenario().body.gm_m3_s2 / radius)
+
+    def at(phase_deg: int) -> tuple[list[float], list[float]]:
+        c, s = np.cos(np.deg2rad(phase_deg)), np.sin(np.deg2rad(phase_deg))
+        vectors = [0.0, radius * c, radius * s], [0.0, -speed * s, speed * c]
+        position, velocity = ([round(float(x), 9) for x in vector] for vector in vectors)
+        return position, velocity
+
+    (r0, v0), (rf, vf) = at(departure_deg), at(arrival_deg)
+    return [
+        'boundary.frame="sun_north"',
+        f"boundary.initial_position_m={r0}",
+        f"boundary.initial_velocity_m_s={v0}",
+        f"boundary.final_position_m={rf}",
+        f"boundary.final_velocity_m_s={vf}",
+        'polytopes.ball="tangent"',
+        "polytopes.cone=12",
+    ]
+
+
+def test_a_burn_that_vanishes_beside_the_batterys_cone_does_not_cycle() -> None:
+    """Burn 3 is zero at the solution: where it points is the program's to find, not the iterate's."""
+    found = planned(["risk.p_chance=0.8", 'polytopes.ball="tangent"'])
+    final = found.final.result
+    assert final.status is Status.CONVERGED
+    sizes = np.linalg.norm(final.lin.iterate.burns, axis=1) * found.mission.units.speed_m_s
+    assert sizes[2] < 1e-6
+    assert sizes.sum() == pytest.approx(0.1137064, abs=1e-6)
+    assert len(final.records) <= 8
+
+
+CYCLED = (92, 165, 166, 321, 368, 380, 405, 463)
+FALSELY_INFEASIBLE = {
+    44: "by a burn that vanishes",
+    505: "at a penalty weight that is not exact",
+    559: "with the facets of the first choice",
+}
+
+
+@pytest.mark.parametrize("seed", CYCLED)
+def test_random_scenarios_end_with_a_verdict(seed: int) -> None:
+    assert planned(random_scenario(seed)).final.result.status in VERDICTS
+
+
+@pytest.mark.parametrize("seed", FALSELY_INFEASIBLE)
+def test_what_was_once_called_infeasible_is_solved(seed: int) -> None:
+    assert planned(random_scenario(seed)).final.result.status is Status.CONVERGED
+
+
+def test_what_is_called_infeasible_no_other_method_solves() -> None:
+    scenario = random_scenario(78)
+    for start, algorithm in (("cold", "scvx"), ("cold", "ptr"), ("warm", "scvx-star")):
+        final = planned(scenario, start, algorithm).final.result
+        assert final.status is not Status.CONVERGED
+
+
+@pytest.mark.parametrize(
+    ("departure_deg", "arrival_deg", "sense"),
+    [
+        (150, 210, -1),  # stalled, once: far from any vertex, and the solver's rounding at the end
+        (210, 270, 1),  # these without a solution: stalled, the iteration limit,
+        (180, 240, -1),
+        (270, 90, 1),  # and from a line through the body's centre no answer of the solver
+    ],
+)
+def test_flights_between_phases_of_an_orbit_end_with_a_verdict(
+    departure_deg: int, arrival_deg: int, sense: int
+) -> None:
+    assert (
+        planned(between_phases(departure_deg, arrival_deg, sense)).final.result.status in VERDICTS
+    )

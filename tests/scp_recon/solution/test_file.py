@@ -1,0 +1,273 @@
+"""The solution file: complete, read back as written, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scp_recon.errors import InputError
+from scp_recon.scenario.load import validate_scenario
+from scp_recon.solution.file import SCHEMA, Solution, Verification, read_solution
+from scp_recon.solution.file import file as solution_module
+from tests import reliability
+
+Data = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def verified(solution: Solution, verification: Verification) -> Solution:
+    return solution.model_copy(update={"verification": verification})
+
+
+@pytest.fixture(scope="module")
+def data(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Data:
+    """What is in the file."""
+    path = verified.write(tmp_path_factory.mktemp("written"))
+    parsed: Data = json.loads(path.read_text("utf-8"))
+    return parsed
+
+
+# --- what is in it ------------------------------------------------------------------------------
+
+
+def test_every_promised_key_is_there(data: Data) -> None:
+    # architecture.md, "The solution file".
+    assert set(data) >= {
+        *("schema", "status", "message", "problem", "init", "formulation", "algorithm", "solver"),
+        *("total_dv_m_s", "burns", "nodes", "stages", "constraints", "violation", "iterations"),
+        *("timing_s", "verification", "scenario"),
+    }
+    assert all(set(burn) >= {"t_s", "dv_m_s"} for burn in data["burns"])
+    assert set(data["nodes"]) >= {"t_s", "state", "covariance"}
+    for stage in data["stages"]:
+        assert set(stage) >= {"name", "status", "total_dv_m_s", "iterations"}
+    for constraint in data["constraints"]:
+        assert set(constraint) >= {
+            *("name", "kind", "worst_margin_m_or_rad", "worst_t_s", "facets"),
+        }
+    assert set(data["violation"]) >= {"max", "total", "by_constraint"}
+    for iteration in data["iterations"]:
+        assert set(iteration) >= {
+            *("stage", "k", "merit", "predicted", "actual", "trust_radius", "max_violation"),
+            *("max_defect", "solver_s"),
+        }
+    assert set(data["timing_s"]) >= {
+        *("total", "setup", "linearise", "canonicalise", "conic_solver", "other"),
+    }
+    assert set(data["verification"]) >= {
+        *("terminal_position_error_m", "terminal_velocity_error_m_s", "max_defect"),
+        *("covariance_error", "ok"),
+    }
+
+
+def test_it_is_plain_json_with_the_schema_first(verified: Solution, tmp_path: Path) -> None:
+    text = verified.write(tmp_path).read_text("utf-8")
+
+    def no_constant(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    parsed = json.loads(text, parse_constant=no_constant)
+    assert next(iter(parsed)) == "schema"
+    assert parsed["schema"] == SCHEMA
+    assert parsed["schema"] == SCHEMA
+
+
+def test_its_scenario_is_the_whole_validated_input(data: Data, solution: Solution) -> None:
+    assert validate_scenario(data["scenario"]) == solution.scenario
+
+
+# --- reading back -------------------------------------------------------------------------------
+
+
+def test_round_trip_through_file_and_folder(
+    solution: Solution, verified: Solution, tmp_path: Path
+) -> None:
+    for version in (solution, verified):
+        path = version.write(tmp_path)
+        assert path == tmp_path / "solution.json"
+        assert read_solution(path) == version
+        assert read_solution(tmp_path) == version
+
+
+def test_keys_of_a_later_minor_version_are_tolerated(data: Data, tmp_path: Path) -> None:
+    file = tmp_path / "solution.json"
+    file.write_text(json.dumps({**data, "note": "added later"}), "utf-8")
+    assert read_solution(file).total_dv_m_s == data["total_dv_m_s"]
+
+
+# --- writing whole or not at all ----------------------------------------------------------------
+
+
+class DiskFullError(OSError):
+    pass
+
+
+def fail(*_: object, **__: object) -> None:
+    raise DiskFullError("no space left on device")
+
+
+def interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("target", "name"), [(Path, "replace"), (os, "fsync"), (solution_module.json, "dumps")]
+)
+@pytest.mark.parametrize("trouble", [fail, interrupt])
+def test_an_old_file_stays_whole_when_writing_fails(
+    solution: Solution,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    target: object,
+    name: str,
+    trouble: object,
+) -> None:
+    old = solution.model_copy(update={"message": "the old one"})
+    before = old.write(tmp_path).read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr(target, name, trouble)
+        with pytest.raises((DiskFullError, KeyboardInterrupt)):
+            solution.write(tmp_path)
+    assert (tmp_path / "solution.json").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["solution.json"]
+    assert read_solution(tmp_path).message == "the old one"
+
+
+def test_nothing_is_left_behind_where_there_was_nothing(
+    solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises(DiskFullError):
+        solution.write(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_others_may_read_the_file_as_any_other(solution: Solution, tmp_path: Path) -> None:
+    """A result is shared: its permissions are those of every file made here."""
+    ordinary = tmp_path / "ordinary"
+    ordinary.write_text("", "utf-8")
+    written = solution.write(tmp_path)
+    assert oct(written.stat().st_mode) == oct(ordinary.stat().st_mode)
+
+
+# --- damaged files ------------------------------------------------------------------------------
+
+
+def refused(file: Path, content: str | bytes) -> InputError:
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InputError) as caught:
+        read_solution(file)
+    assert str(file) in caught.value.entry
+    reliability.count(reliability.BAD_INPUTS)
+    return caught.value
+
+
+def test_a_missing_file_or_an_empty_folder_is_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.json", tmp_path):
+        with pytest.raises(InputError) as caught:
+            read_solution(path)
+        assert "no such file" in caught.value.given
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"\x89PNG\r\n\x1a\n", b"\xff\xfe\x00", b"nonsense", b"[" * 100_000],
+    ids=["empty", "half a brace", "picture", "binary", "word", "deep"],
+)
+def test_what_is_no_json_is_refused(tmp_path: Path, content: bytes) -> None:
+    assert "JSON" in str(refused(tmp_path / "s.json", content))
+
+
+def test_a_file_cut_short_is_refused(tmp_path: Path, data: Data) -> None:
+    text = json.dumps(data)
+    for part in (0.1, 0.5, 0.999):
+        refused(tmp_path / "s.json", text[: int(part * len(text))])
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["[]", "5", "null", '"text"', "{}", '{"schema": "scp_recon.solution/0"}', '{"schema": 1}'],
+)
+def test_another_schema_is_refused(tmp_path: Path, content: str) -> None:
+    error = refused(tmp_path / "s.json", content)
+    assert SCHEMA in error.allowed
+
+
+def edited(data: Data, path: str, value: object) -> str:
+    copy: Data = json.loads(json.dumps(data))
+    *sections, key = path.split(".")
+    inside: Any = copy
+    for section in sections:
+        inside = inside[int(section)] if section.isdigit() else inside[section]
+    if value is ...:
+        del inside[int(key) if key.isdigit() else key]
+    else:
+        inside[int(key) if key.isdigit() else key] = value
+    return json.dumps(copy)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("status", "burns", "nodes", "nodes.state", "scenario", "scenario.risk.p_chance"),
+        *("total_dv_m_s", "timing_s", "violation.total", "stages.0.name", "verification"),
+    ],
+)
+def test_a_missing_key_is_named(tmp_path: Path, data: Data, path: str) -> None:
+    error = refused(tmp_path / "s.json", edited(data, path, ...))
+    assert path in error.entry
+    assert error.given == "nothing"
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("status", "splendid"),
+        ("status", 5),
+        ("problem", "P1"),
+        ("total_dv_m_s", "much"),
+        ("total_dv_m_s", float("nan")),
+        ("burns.0.dv_m_s", [1.0, 2.0]),
+        ("burns.0.dv_m_s.1", float("inf")),
+        ("burns.0.t_s", None),
+        ("nodes.state", "none"),
+        ("nodes.state.3.2", "x"),
+        ("scenario.risk.p_chance", 1.5),
+        ("scenario.burns.times_s", [0.0, 9.0, 3.0]),
+        ("scenario.unknown", 1),
+    ],
+)
+def test_a_bad_value_is_named(tmp_path: Path, data: Data, path: str, value: object) -> None:
+    error = refused(tmp_path / "s.json", edited(data, path, value))
+    assert path.split(".", maxsplit=1)[0] in error.entry
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("nodes.state.5", ...),  # a node less than times
+        ("nodes.state.5", [1.0, 2.0, 3.0]),  # a state without a velocity
+        ("nodes.covariance.5", ...),
+        ("nodes.covariance.5.2", ...),
+        ("nodes.covariance.5.2", [1.0]),
+        ("nodes.t_s.5", ...),
+        ("nodes.t_s.5", 0.0),  # not ascending
+        ("burns.2", ...),  # fewer burns than the scenario's firing times
+        ("burns", []),
+        ("nodes", {"t_s": [], "state": [], "covariance": []}),
+    ],
+    ids=[
+        *("state missing", "short state", "covariance missing", "covariance row missing"),
+        *("short covariance row", "time missing", "time descending", "burn missing"),
+        *("no burns", "no nodes"),
+    ],
+)
+def test_parts_that_do_not_fit_together_are_refused(
+    tmp_path: Path, data: Data, path: str, value: object
+) -> None:
+    """Whoever works with what was read may rely on its shapes."""
+    refused(tmp_path / "s.json", edited(data, path, value))
