@@ -31,7 +31,7 @@ from formulations.program.compiled import CompiledProgram
 from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import StateModel, sparse_parameter, write_model
 from formulations.program.penalty import Penalty, PenaltyParameters
-from formulations.program.solvers import FallbackSolver
+from formulations.program.solvers import SOLVERS, FallbackSolver
 from formulations.program.subproblem import Step, SubproblemError
 from formulations.rows.cones import Rows
 
@@ -40,6 +40,9 @@ NEAR = 0.002
 
 SLOTS = 32
 """For each size of cone, to begin with."""
+
+FEW = 8
+"""Times as many rows may be missed as there are slots for, of a solver that is quick to ask again."""
 
 MISSED = 1e-9
 """Violation of a row that takes no part at which it has to: the conic solver's own tolerance."""
@@ -118,6 +121,7 @@ class CondensedSubproblem(ConvexSubproblem):
     ) -> None:
         super().__init__(problem, rows, penalty, FallbackSolver(solver))
         self._condense, self._name = condensation, solver
+        self._reserve = FEW if solver in SOLVERS else 1
         self._active = np.zeros(rows.count, dtype=np.bool_)
         self._slots: list[int] = []
 
@@ -133,9 +137,15 @@ class CondensedSubproblem(ConvexSubproblem):
         self._slots = self._slots or [SLOTS] * len(self._cones)
         slack = self._slack(lin.iterate.burns)
         self._active[:] = False
+        if self._name in SOLVERS:
+            self._take_near(slack)
+        else:  # it starts anew each time, and had better be asked once
+            self._take(~self._active, slack)
+
+    def _take_near(self, slack: Array) -> None:
+        """Fill half of the slots with rows near binding; the answer may miss others."""
         for cones, slots in zip(self._cones, self._slots, strict=True):
             near = cones.rows[slack[cones.rows] < NEAR]
-            # Half of the slots: the answer may miss others.
             self._active[near[np.argsort(slack[near])[: slots // 2]]] = True
 
     def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
@@ -152,14 +162,17 @@ class CondensedSubproblem(ConvexSubproblem):
         return replace(step, solver_s=solver_s, canonicalise_s=perf_counter() - start - solver_s)
 
     def _take(self, missed: npt.NDArray[np.bool_], slack: Array) -> None:
-        """Put missed rows into free slots, those with least slack first; without a free slot double."""
+        """Put missed rows into free slots, those with least slack first.
+
+        Slots double until at least an eighth of the rows fit: often the others then are not missed.
+        """
         for block, cones in enumerate(self._cones):
             candidates = cones.rows[missed[cones.rows]]
             if len(candidates) == 0:
                 continue
             free = self._slots[block] - int(self._active[cones.rows].sum())
-            if free == 0:
-                free = self._slots[block]
+            while self._reserve * free < len(candidates):
+                free += self._slots[block]
                 self._slots[block] *= 2
                 self._solver = FallbackSolver(self._name)
             self._active[candidates[np.argsort(slack[candidates])[:free]]] = True

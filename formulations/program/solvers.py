@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
+from threading import Lock
 from time import perf_counter
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -132,8 +133,12 @@ HUGE = 1e30
 """No nondimensional variable is as huge."""
 
 
+FORMS = Lock()
+"""Held while a compiled form is given values of its own."""
+
+
 class ByCvxpy:
-    """Any other solver, by CVXPY's interface to it; it starts anew with each program.
+    """Any other solver, by CVXPY's interface to it; it starts from its last answer if it can.
 
     Args:
         name: CVXPY's name of it.
@@ -152,15 +157,17 @@ class ByCvxpy:
         self._name, self._interface = name, SOLVER_MAP_CONIC[name]
         self._settings = self.SETTINGS.get(name, {}) | dict(settings)
         self._interface.import_solver()
+        self._last: dict[str, Any] = {}
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`."""
         form = program.form
-        for parameter in form.parameters:
-            parameter.value = program.values[parameter.id]
-        data, inverse = self._interface.apply(form)
+        with FORMS:  # which threads share, and whose values the interface reads
+            for parameter in form.parameters:
+                parameter.value = program.values[parameter.id]
+            data, inverse = self._interface.apply(form)
         start = perf_counter()
-        raw = self._interface.solve_via_data(data, False, False, dict(self._settings), {})
+        raw = self._interface.solve_via_data(data, True, False, dict(self._settings), self._last)
         seconds = perf_counter() - start
         solution = self._interface.invert(raw, inverse)
         if solution.status not in ("optimal", "optimal_inaccurate"):

@@ -124,8 +124,7 @@ class IpoptStages:
     def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> NlpStage:
         """Solve P3 or, on the included facets of its rows, P2.
 
-        An elastic problem that stays violated is weighed once more with the largest penalty, as
-        `SCvx` does.
+        An elastic problem that stays violated is weighed once more, with SCP's second weight.
         """
         begin = perf_counter()
         algorithm = SCvx()

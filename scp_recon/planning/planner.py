@@ -24,7 +24,7 @@ from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, Record, run
 
 PROGRAM_NODES_MAX = 48
-"""Nodes in CVXPY's program of P2 to begin with: its memory grows with them times the factor."""
+"""Nodes in the lifted program of P2 to begin with: its memory grows with them times the factor."""
 
 CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 """Facets farther than this from binding stay out of the convex program, and are checked after it.
@@ -97,7 +97,8 @@ class Planner:
             guess: initial iterate, which may have defects.
             problem: "P3" stops after the first stage.
             facet_rounds: how often to choose the facets again at the solution and solve again. A
-                round is kept only while it lowers the merit, so that facets cannot cycle.
+                round is kept only while it is better, so that facets cannot cycle: see `better`. Facets
+                that leave nothing feasible are chosen again without being asked.
             init: what the guess is called in the solution file.
             observe: called after each iteration with the stage's name and the record.
         """
@@ -134,7 +135,8 @@ class Planner:
         def again() -> Stage:
             # The last plan's iterate knows its factor; the facets are screened there.
             rows = self.p2_rows(facets, last.final.result.lin, CLEARANCE_AGAIN_M)
-            return runner.restore("P2", rows, runner.start(last.final.result.lin.iterate))
+            start = runner.start(last.final.result.lin.iterate)
+            return runner.choose_again(runner.restore("P2", rows, start))
 
         return runner.run(again, self._provenance("plan"))
 

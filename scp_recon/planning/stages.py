@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Literal, Protocol
 
+import numpy as np
+
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
 from formulations.problem.flyby import Iterate
@@ -25,6 +27,11 @@ Observer = Callable[[str, Record], None]
 
 OTHER_OPTIMUM = 0.999
 """Share of a merit below which another run has found another optimum."""
+OTHER_BURNS = 1e-2
+"""Difference of a burn component, nondimensional, from which on it is another too."""
+
+CHOICES_MAX = 4
+"""Further choices of facets before P2 is called infeasible."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +144,7 @@ class StageRunner:
     facet_rounds: int = 0
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
+    _choices: dict[str, int] = field(default_factory=dict)
 
     def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
         """Do it; an interrupted plan ends with the best stage so far, if there is one."""
@@ -155,8 +163,7 @@ class StageRunner:
 
         Where P3 does not converge from the guess it is tried again from other starts; and so it is
         where P2 does not converge: P3 may have stopped at a local optimum from which there is no way.
-        The best of the tries counts. Facets that leave even it nothing feasible are chosen again, where
-        it ended.
+        Where none converges the facets are chosen again. The best of all tries counts.
         """
         firsts: list[Stage] = []
         finals: list[Stage] = []
@@ -168,15 +175,23 @@ class StageRunner:
                 continue
             finals.append(p3 if problem == "P3" else self._solve_p2(f"P2{letter}", p3))
             if finals[-1].result.status is Status.CONVERGED:
-                break
+                return finals[-1]
         if not finals:
             p3 = _best(firsts)
             lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
             finals.append(p3 if lost else self._solve_p2(p3.name.replace("P3", "P2"), p3))
-        best = _best(finals)
-        if best.facets is None or best.result.status is not Status.INFEASIBLE:
-            return best
-        return _best([best, self._solve_p2(f"{best.name}.2", best)])
+        return _best([*finals, *(self.choose_again(final) for final in finals if final.facets)])
+
+    def choose_again(self, stage: Stage) -> Stage:
+        """The best of P2 with facets chosen where the last try ended, until one converges.
+
+        Facets that leave nothing feasible say little of others; only a few choices settle it.
+        """
+        name, tries = stage.name.partition(".")[0], [stage]
+        while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= CHOICES_MAX:
+            last = [s for s in self.stages if s.name.partition(".")[0] == name][-1]
+            tries.append(self._with_facets(name, last.result.lin))
+        return _best(tries)
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearised at a guess; whatever it says, the flight starts where the problem does."""
@@ -188,16 +203,18 @@ class StageRunner:
     def _solve_p2(self, name: str, start: Stage) -> Stage:
         """P2 from where a stage ended, and again with new facets as long as that helps."""
         final = self._with_facets(name, start.result.lin)
-        for round_ in range(2, self.facet_rounds + 2):
-            again = self._with_facets(f"{name}.{round_}", final.result.lin)
+        for _ in range(self.facet_rounds):
+            again = self._with_facets(name, final.result.lin)
             if not better(again, final):
                 break
             final = again
         return final
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:
-        """P2 with the facets chosen at the start."""
-        mission = self.mission
+        """P2 with the facets chosen at the start; the name gets the number of the choice."""
+        mission, choices = self.mission, self._choices
+        choices[name] = choices.get(name, 0) + 1
+        name = name if choices[name] == 1 else f"{name}.{choices[name]}"
         facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
         return self.restore(name, self.solver.chance_rows(facets, lin), lin)
 
@@ -245,7 +262,9 @@ def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
 def _same_optimum(one: Stage, other: Stage) -> bool:
     """Whether two runs of P3 ended alike."""
     low, high = sorted((_merit(one), _merit(other)))
-    return one.result.status is other.result.status and low > OTHER_OPTIMUM * high
+    apart = np.abs(one.result.lin.iterate.burns - other.result.lin.iterate.burns).max()
+    alike = low > OTHER_OPTIMUM * high and bool(apart < OTHER_BURNS)
+    return one.result.status is other.result.status and alike
 
 
 def _best(stages: list[Stage]) -> Stage:
@@ -257,10 +276,7 @@ def _best(stages: list[Stage]) -> Stage:
 
 def _interrupted(stages: list[Stage]) -> Stage:
     """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
-    solved = [s for s in stages if s.facets and s.result.status is Status.CONVERGED]
-    best = (solved or stages)[-1]
-    if best.facets is None:
-        best = min(stages, key=_merit)
+    best = _best([stage for stage in stages if stage.facets] or stages)
     return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
 
 

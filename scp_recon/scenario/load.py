@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
-from scp_recon.scenario.messages import input_error
-from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.schema import Scenario, merge
 
 BYTES_MAX = 1_000_000
 """Three hundred times the packaged scenario; TOML of many keys takes its time to read."""
@@ -24,13 +20,18 @@ PARTS_MAX = 3
 """Of a dotted entry: section.entry.item."""
 
 
-def load_scenario(path: Path | None = None, overrides: Sequence[str] = ()) -> Scenario:
-    """Read a scenario file (the packaged `recon_b` without one) and apply `path=value` overrides.
+def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ()) -> Scenario:
+    """Read a scenario and apply `path=value` overrides.
+
+    Args:
+        path: of a file, or the name of a packaged scenario; `recon_b` if not given.
+        overrides: `section.entry=value` each, the value in TOML.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.
     """
-    data = _packaged("recon_b") if path is None else _read(path)
+    name = "recon_b" if path is None else str(path)
+    data = _packaged(name) if name in base_names() else _read(Path(name))
     return validate_scenario(data, overrides)
 
 
@@ -42,13 +43,8 @@ def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) ->
         )
     merged = _with_base(data)
     for override in overrides:
-        merged = _merge(merged, _parse_override(override))
-    try:
-        return Scenario.model_validate_json(json.dumps(merged, default=str))
-    except ValidationError as error:
-        raise input_error(error) from None
-    except (ValueError, RecursionError) as error:  # a number or a nesting beyond all bounds
-        raise InputError("scenario", "values that cannot be read", _short(error)) from None
+        merged = merge(merged, _parse_override(override))
+    return Scenario.validated(merged)
 
 
 def base_names() -> list[str]:
@@ -71,7 +67,7 @@ def _read(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(
-            f"scenario {path}", f"no TOML ({_short(error)})", "must be a scenario file"
+            f"scenario {path}", f"no TOML ({str(error)[:120]})", "must be a scenario file"
         ) from None
 
 
@@ -81,17 +77,7 @@ def _with_base(data: Mapping[str, Any]) -> dict[str, Any]:
         return own
     if data["base"] not in base_names():
         raise InputError("base", repr(data["base"]), f"must be one of {', '.join(base_names())}")
-    return _merge(_packaged(data["base"]), own)
-
-
-def _merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in changes.items():
-        old = merged.get(key)
-        merged[key] = (
-            _merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
-        )
-    return merged
+    return merge(_packaged(data["base"]), own)
 
 
 def _parse_override(override: str) -> dict[str, Any]:
@@ -104,13 +90,8 @@ def _parse_override(override: str) -> dict[str, Any]:
     except tomllib.TOMLDecodeError:
         value = text  # a bare word is a string: boundary.frame=j2000
     except (ValueError, RecursionError) as error:
-        raise InputError("--set", repr(override)[:80], _short(error)) from None
+        raise InputError("--set", repr(override)[:80], str(error)[:120]) from None
     first, *rest = keys
     for key in reversed(rest):
         value = {key: value}
     return {first: value}
-
-
-def _short(error: Exception) -> str:
-    """An error's own words, but not at any length."""
-    return str(error)[:120]

@@ -6,25 +6,29 @@ import difflib
 from collections.abc import Iterator
 from typing import Any, get_args
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from scp_recon.errors import InputError
-from scp_recon.scenario.schema import Scenario
 
 MAX_PROBLEMS_SHOWN, SHOWN = 5, 80
 INTEGER_BRANCHES = ("int", "constrained-int")
 """What Pydantic calls the whole-number alternative of an entry."""
 
 
-def input_error(error: ValidationError) -> InputError:
-    """One message for everything that is wrong, the first problem giving the entry."""
+def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
+    """One message for everything that is wrong, the first problem giving the entry.
+
+    Args:
+        error: Pydantic's.
+        schema: whose sections and entries the message names.
+    """
     allowed: dict[tuple[str, str], list[str]] = {}
     found = [dict(problem) for problem in error.errors(include_url=False)]
     problems = [problem for problem in found if not _follows_from_another(problem, found)]
     entries = {tuple(_location(problem)) for problem in problems}
     for problem in problems:
-        entry, given, rule = _describe(problem)
+        entry, given, rule = _describe(problem, schema)
         rules = allowed.setdefault((entry, given), [])
         if rule not in rules:
             rules.append(rule)
@@ -37,12 +41,16 @@ def input_error(error: ValidationError) -> InputError:
     return InputError(entry, given, "\n".join([", or ".join(allowed[entry, given]), *more]))
 
 
-def _describe(problem: dict[str, Any]) -> tuple[str, str, str]:
+def _describe(problem: dict[str, Any], schema: type[BaseModel]) -> tuple[str, str, str]:
     """Entry, what was given and what is allowed, from one of Pydantic's errors."""
     kind = problem["type"]
     if kind == "extra_forbidden":
         location = list(problem["loc"])
-        return ".".join(map(str, location)) or "scenario", "an unknown entry", _suggestion(location)
+        return (
+            ".".join(map(str, location)) or "scenario",
+            "an unknown entry",
+            _suggestion(location, schema),
+        )
     location = _location(problem)
     if kind == "missing" and isinstance(location[-1], int):  # of a list of fixed length
         location = location[:-1]
@@ -50,7 +58,7 @@ def _describe(problem: dict[str, Any]) -> tuple[str, str, str]:
     if kind == "missing" and not isinstance(problem["loc"][-1], int):
         return entry, "nothing", "this entry is required (or name a base)"
     given = "these values" if isinstance(problem["input"], dict) else _shown(problem["input"])
-    message = _rule(problem, location)
+    message = _rule(problem, location, schema)
     return entry, given, message if "must" in message else f"must be {message}"
 
 
@@ -82,18 +90,18 @@ WORDS = {
 """What is allowed, by the type of Pydantic's error."""
 
 
-def _rule(problem: dict[str, Any], location: list[str | int]) -> str:
+def _rule(problem: dict[str, Any], location: list[str | int], schema: type[BaseModel]) -> str:
     """What is allowed at a location."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind == "too_short":
         return f"must have at least {context['min_length']} items"
     if kind in ("too_long", "missing"):
-        length = _fixed_length(location)
+        length = _fixed_length(location, schema)
         return f"must have {length or 'at most ' + str(context['max_length'])} items"
     if set(problem["loc"][-1:]) & set(INTEGER_BRANCHES):
-        return f"a whole number, {_bounds(location)}"
+        return f"a whole number, {_bounds(location, schema)}"
     if kind.startswith(("greater_than", "less_than")):
-        return _bounds(location)
+        return _bounds(location, schema)
     message: str = problem["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     return WORDS.get(kind, message)
 
@@ -103,9 +111,9 @@ def _is_union_branch(part: str | int) -> bool:
     return isinstance(part, str) and (part.startswith("literal[") or part in INTEGER_BRANCHES)
 
 
-def _field(location: list[str | int]) -> FieldInfo | None:
-    """The scenario's field at a location, or that of the list which the location is in."""
-    model: Any = Scenario
+def _field(location: list[str | int], schema: type[BaseModel]) -> FieldInfo | None:
+    """The schema's field at a location, or that of the list which the location is in."""
+    model: Any = schema
     field = None
     for part in location:
         if isinstance(part, str):
@@ -122,10 +130,10 @@ def _declared(annotation: object) -> Iterator[object]:
         yield from _declared(inner)
 
 
-def _bounds(location: list[str | int]) -> str:
+def _bounds(location: list[str | int], schema: type[BaseModel]) -> str:
     """Both ends of an entry's range, where one end alone was broken."""
     words = {"gt": "greater than", "ge": "at least", "lt": "less than", "le": "at most"}
-    field = _field(location)
+    field = _field(location, schema)
     declared = [*field.metadata, *_declared(field.annotation)] if field else []
     rules = [
         f"{words[name]} {_number(getattr(rule, name))}"
@@ -141,9 +149,9 @@ def _number(value: float) -> str:
     return short if float(short := f"{value:g}") == value else f"{value:.15g}"
 
 
-def _fixed_length(location: list[str | int]) -> int | None:
+def _fixed_length(location: list[str | int], schema: type[BaseModel]) -> int | None:
     """Items of a list whose number is fixed."""
-    field = _field(location)
+    field = _field(location, schema)
     for kind in (field.annotation, *get_args(field.annotation)) if field else ():
         items = get_args(kind) if getattr(kind, "__origin__", None) is tuple else ()
         if items and items[-1] is not Ellipsis:
@@ -151,9 +159,9 @@ def _fixed_length(location: list[str | int]) -> int | None:
     return None
 
 
-def _suggestion(location: list[str | int]) -> str:
+def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     """The entry that an unknown one may have been meant for, else those beside it."""
-    tables = {name: field.annotation for name, field in Scenario.model_fields.items()}
+    tables = {name: field.annotation for name, field in schema.model_fields.items()}
     paths = [
         f"{table}.{key}"
         for table, model in tables.items()

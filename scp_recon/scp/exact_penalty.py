@@ -19,7 +19,7 @@ class ExactPenalty:
     Attributes:
         initial_radius: of the first trust region, hard or soft.
         weight: first penalty weight; exact when above every multiplier.
-        weight_max: tried once more with before calling a case infeasible.
+        weight_max: the next weight where a stationary point violates something.
         weight_limit: up to which it is raised where the cost does not tell that nothing is feasible.
         stationary: largest predicted reduction, against the merit and a unit radius, to stop at.
         feasible: largest violation that counts as none: 1e-6 of the unit of length is a millimetre.
@@ -37,7 +37,7 @@ class ExactPenalty:
     SHRINK: ClassVar[float] = 0.25
     COLLAPSED: ClassVar[float] = 1e-9
     FAILURES_MAX: ClassVar[int] = 5
-    HOPELESS: ClassVar[float] = 1e-2
+    LITTLE: ClassVar[float] = 1e-2
     RAISE: ClassVar[float] = 10.0
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
@@ -64,17 +64,17 @@ class ExactPenalty:
         """Reduction of the merit within a unit radius up to which an iterate counts as stationary.
 
         What the heaviest weight has to tell is whether violations can be removed at all. There an
-        iterate from which the model promises to take less than `HOPELESS` off what they cost is one
+        iterate from which the model promises to take less than `LITTLE` off what they cost is one
         where they cannot. The last digits of the least violation do not matter, and first-order steps
         would find them slowly.
         """
         negligible = self._negligible(record)
         if charge.weight < self.weight_max or record.violated <= self.feasible:
             return negligible
-        return max(negligible, self.HOPELESS * (record.merit - record.total_dv))
+        return max(negligible, self.LITTLE * (record.merit - record.total_dv))
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:
-        """Stationary but violated: the penalty may not have been exact, so weigh it once more."""
+        """Stationary but violated: the penalty may not have been exact, so weigh it more."""
         weight = self._heavier(state) if state.stationary else None
         if weight is None:
             return state
@@ -117,4 +117,5 @@ class ExactPenalty:
         """A smaller trust region is a better conditioned problem."""
         record = record_of(subproblem, state, k, failure=words)
         smaller = state.radius * self.SHRINK
-        return replace(state, radius=smaller, failures=state.failures + 1), record
+        failures = state.failures + 1
+        return replace(state, radius=smaller, failures=failures, worthless=False), record

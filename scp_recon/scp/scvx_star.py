@@ -95,6 +95,7 @@ class SCvxStar(SCvx):
             merit=subproblem.merit(state.lin, charge),
             charge=charge,
             stationary=False,
+            worthless=False,
             change=self.TIGHTER * change,
             violated=record.violated,
         )

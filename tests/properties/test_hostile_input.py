@@ -499,7 +499,7 @@ def interrupted(*_: object, **__: object) -> None:
 def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder, watched() as touched:
         out = Path(folder) / "out"
-        with mock.patch.object(solve, "_by_scp", return_value=("condensed", ("", ""), interrupted)):
+        with mock.patch.object(solve, "_by_scp", return_value=interrupted):
             code = command(solve.main, ["--out", str(out), *arguments, "--method", "scp"])
         written = [path for path in Path(folder).rglob("*") if path.is_file()]
     assert code in (0, 2, 130)  # help, bad input, and the interrupt that stands for the planning

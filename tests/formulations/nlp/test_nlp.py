@@ -15,6 +15,7 @@ import numpy.typing as npt
 import pytest
 
 from formulations.linearisation.linearisation import Linearisation
+from formulations.nlp import solve
 from formulations.nlp.covariance import Covariance, Factor, Spread, initial_deviation
 from formulations.nlp.multiple_shooting import ArcStyle, MultipleShooting
 from formulations.nlp.program import Arcs, Program, Start, Transcription, assemble
@@ -28,7 +29,6 @@ from formulations.nlp.solve import (
     Variant,
     paper_covariance,
     scaled_covariance,
-    solve,
     solve_nlp,
 )
 from formulations.problem.facets import Facets
@@ -137,7 +137,7 @@ def coarse() -> Case:
 
 @pytest.fixture(scope="module")
 def infeasible() -> Case:
-    return Case.of("risk.p_chance=0.95")
+    return Case.of("risk.p_chance=0.99")
 
 
 def within(value: Array) -> Any:

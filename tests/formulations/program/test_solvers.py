@@ -508,7 +508,7 @@ def test_solvers_get_their_settings_and_what_is_asked_besides(
     fake(monkeypatch, interface, solver)
     settings = ByCvxpy.SETTINGS.get(solver, {})
     ByCvxpy(solver, {"extra": 3}).solve(program)
-    assert interface.asked == {"warm": False, "verbose": False, **settings, "extra": 3}
+    assert interface.asked == {"warm": True, "verbose": False, **settings, "extra": 3}
     assert sorted(interface.values) == [[0.5, 2.0], [1.0, 3.0]]
     if settings:
         key = next(iter(settings))

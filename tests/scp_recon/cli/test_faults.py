@@ -29,8 +29,8 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
+from scp_recon.solution import file as solution_module
 from scp_recon.solution.file import Solution, Verification, read_solution
-from scp_recon.solution.file import file as solution_module
 from tests import reliability
 from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
@@ -430,7 +430,7 @@ def test_running_out_of_memory_ends_with_a_message(
 KILLED = """
     import json, os, signal, sys, time
     from pathlib import Path
-    from scp_recon.solution.file import file as module
+    from scp_recon.solution import file as module
 
     folder = Path(sys.argv[1])
     solution = module.read_solution(folder)

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from scp_recon import solve, verify
-from scp_recon.planning import planner
+from scp_recon.planning import stages
 from scp_recon.scp.loop import Record, State
 from scp_recon.scp.scvx import SCvx
 from scp_recon.solution.file import Solution, read_solution
-from tests import reliability
-from tests.scp_recon.support import SHARED, CommandLine, run_solve
+from tests import reference, reliability
+from tests.scp_recon.support import CommandLine, run_solve
 
 PROJECT = Path(__file__).parents[3]
 
@@ -167,9 +167,8 @@ def test_warm_start(tmp_path: Path) -> None:
     assert read_solution(tmp_path).total_dv_m_s == pytest.approx(0.1078, rel=0.01)
 
 
-@pytest.mark.skipif(not SHARED.exists(), reason=f"reference data {SHARED} is absent")
 def test_a_table_of_states_is_a_start(tmp_path: Path) -> None:
-    table = SHARED / "reconB_reconstructed_reference.csv"
+    table = reference.write_arc(tmp_path / "arc.csv")
     run = run_solve(tmp_path, "--init", str(table), "--problem", "P3")
     assert run.exit_code == 0, run.output + run.errors
     assert read_solution(tmp_path).total_dv_m_s == pytest.approx(0.1078, rel=0.01)
@@ -394,7 +393,7 @@ def test_ctrl_c_between_p3_and_p2_keeps_p3(tmp_path: Path, monkeypatch: pytest.M
     def ctrl_c(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(planner, "choose_facets", ctrl_c)
+    monkeypatch.setattr(stages, "choose_facets", ctrl_c)
     run = run_solve(tmp_path, "--init", "cold")
     assert run.exit_code == 130
     solution = read_solution(tmp_path)

@@ -54,7 +54,7 @@ def tight(tight_mission: Mission) -> Plan:
     return plan(tight_mission, initial_guess.cold(tight_mission))
 
 
-# --- the targets ------------------------------------------------------------------------
+# --- delta-v and iterations to reach ------------------------------------------------------------
 
 
 def test_p3_cold(mission: Mission, default_plan: Plan) -> None:
@@ -93,7 +93,7 @@ def test_p2_with_tight_polytopes(tight_mission: Mission, tight: Plan) -> None:
 
 
 def test_the_prototypes_numbers(mission: Mission, default_plan: Plan, two_rounds: Plan) -> None:
-    # mission.md section 5: IPOPT on the same grid.
+    # An independent prototype: IPOPT on the same grid.
     assert total_dv(mission, default_plan.stages[0]) == pytest.approx(0.10777, rel=2e-3)
     assert total_dv(mission, default_plan.final) == pytest.approx(0.1400, rel=2e-3)
     assert total_dv(mission, two_rounds.final) == pytest.approx(0.1376, rel=2e-3)

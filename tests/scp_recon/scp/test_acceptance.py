@@ -10,8 +10,9 @@ import pytest
 
 from formulations.program.penalty import PenaltyParameters
 from formulations.program.subproblem import Step
+from scp_recon.scp import ptr, scvx
 from scp_recon.scp.algorithms import ALGORITHMS
-from scp_recon.scp.loop import State, Timing, Trial, ptr, scvx
+from scp_recon.scp.loop import State, Timing, Trial
 
 STEP = 0.1
 
