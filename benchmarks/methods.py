@@ -16,8 +16,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import CampaignConfig, run_block
 from scp_recon.monte_carlo.sampling import BLOCK
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
-from scp_recon.planning.stages import Plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify

@@ -14,8 +14,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import CampaignConfig, run_block
 from scp_recon.physics.flow import differentiate
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.planning.stages import Plan
 from scp_recon.scenario.load import load_scenario
 
 

@@ -22,7 +22,7 @@ from typing import Any, Protocol
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from paper_figs.drawing import PICTURES, save
+from paper_figs.drawing import PICTURES, plan_hash_of, save
 from paper_figs.inputs import TABLE, Runs, read_runs
 from paper_figs.paper import (
     cone_polytopes,
@@ -127,23 +127,23 @@ def make_all(runs: Runs, source: Path, out: Path, studies: Path | None = None) -
         yield write_atomically(out / f"{name}.md", tabulated.table(runs))
     yield write_atomically(out / TABLE, (source / TABLE).read_bytes())
     captions = ["# Captions"]
-    drawings = ((name, drawn.draw(runs), drawn.caption(runs)) for name, drawn in FIGURES.items())
-    for name, figure, caption in chain(drawings, _draw_studies(studies)):
+    paper = ((name, drawn, runs) for name, drawn in FIGURES.items())
+    for name, drawn, found in chain(paper, _read_studies(studies)):
+        figure, caption = drawn.draw(found), drawn.caption(found)
         for ending in PICTURES:
-            yield save(figure, out / f"{name}{ending}")
+            yield save(figure, out / f"{name}{ending}", plan_hash=plan_hash_of(found))
         captions.append(f"## {name}\n\n{caption}")
     yield write_atomically(out / "captions.md", "\n\n".join(captions) + "\n")
 
 
-def _draw_studies(folder: Path | None) -> Iterator[tuple[str, Figure, str]]:
-    """Name, figure and caption of every study that is there."""
+def _read_studies(folder: Path | None) -> Iterator[tuple[str, Study, Any]]:
+    """Name and module of every study that is there, and what it left."""
     if folder is None:
         return
     for name, study in STUDIES.items():
         place = folder / study.FOLDER
         if place.is_dir():
-            found = study.read(place)
-            yield name, study.draw(found), study.caption(found)
+            yield name, study, study.read(place)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

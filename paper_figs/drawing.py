@@ -17,6 +17,7 @@ from paper_figs.inputs import Runs, read_runs
 from scp_recon.cli.command import run_command, show_written
 from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically
+from scp_recon.spacecraft.record import Record
 
 STYLE = Path(__file__).with_name("style.mplstyle")
 
@@ -51,13 +52,26 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def save(figure: Figure, path: Path, dpi: float | None = None) -> Path:
+def plan_hash_of(source: object) -> str | None:
+    """Of the one plan of which a figure is drawn from this; none where that is not known."""
+    match source:
+        case Runs(plan=flown):
+            return flown.solution.plan_hash
+        case (Record() as record) | [Record() as record, *_]:
+            return record.plan_hash
+    return None
+
+
+def save(
+    figure: Figure, path: Path, dpi: float | None = None, plan_hash: str | None = None
+) -> Path:
     """Write a figure in the format of the path's ending, the same bytes every time, whole or not.
 
     Args:
         figure: to write.
         path: its ending is the format.
         dpi: dots per inch, the style's without.
+        plan_hash: of the plan it is of, to be kept in the metadata of PNG, PDF and SVG.
 
     Raises:
         InputError: if the ending is no picture's, or the file cannot be written.
@@ -66,13 +80,22 @@ def save(figure: Figure, path: Path, dpi: float | None = None) -> Path:
     if path.is_dir() or path.suffix.lower().removeprefix(".") not in known:
         allowed = ", ".join(f".{ending}" for ending in known)
         raise InputError(f"file {path}", "no picture's name", f"must end in one of {allowed}")
-    metadata: dict[str, Any] = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(
-        path.suffix, {}
-    )
+    ending = path.suffix.lower()
     picture = BytesIO()
     with style.context(STYLE):
-        figure.savefig(picture, format=path.suffix[1:].lower(), metadata=metadata, dpi=dpi)
+        figure.savefig(picture, format=ending[1:], metadata=_metadata(ending, plan_hash), dpi=dpi)
     return write(path, picture.getvalue())
+
+
+def _metadata(ending: str, plan_hash: str | None) -> dict[str, str | None] | None:
+    """The plan and no date, in the formats that have words for them."""
+    plan = f"plan {plan_hash}" if plan_hash else None
+    found: dict[str, dict[str, str | None]] = {
+        ".png": {"Description": plan} if plan else {},
+        ".pdf": {"Keywords": plan, "CreationDate": None},
+        ".svg": {"Description": plan, "Date": None},
+    }
+    return found.get(ending)
 
 
 def write(path: Path, content: str | bytes) -> Path:
@@ -107,10 +130,12 @@ def command_from(
     options = p.parse_args(arguments)
 
     def work(console: Console) -> int:
-        made = make(read(options.runs))
-        file: Path = options.file
-        path = save(made, file) if isinstance(made, Figure) else write(file, made)
-        show_written(console, path)
+        found = read(options.runs)
+        made, file = make(found), Path(options.file)
+        if isinstance(made, Figure):
+            show_written(console, save(made, file, plan_hash=plan_hash_of(found)))
+        else:
+            show_written(console, write(file, made))
         return 0
 
     return run_command(work)

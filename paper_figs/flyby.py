@@ -132,8 +132,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = p.parse_args(arguments)
 
     def work(console: Console) -> int:
-        figure = draw(read_solution(options.solution))
-        show_written(console, save(figure, options.picture, dpi=140))
+        solution = read_solution(options.solution)
+        path = save(draw(solution), options.picture, dpi=140, plan_hash=solution.plan_hash)
+        show_written(console, path)
         return 0
 
     return run_command(work)

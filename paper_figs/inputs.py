@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.montecarlo import SCHEMA
+from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
+from scp_recon.monte_carlo.summary import Summary, read_summary
+from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
 from scp_recon.solution.file import Solution, read_solution
 
 PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
 TABLE = "observation_table.csv"
 COMMAND = "python -m experiments.observation_table"
+SHOWN = 16
+"""Digits of a plan's hash in messages."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +28,13 @@ class Flown:
         label: for legends.
         solution: burns and nodes.
         mission: the solution's scenario resolved.
-        report: contents of its montecarlo.json.
+        summary: of the flights, which are of this very plan.
     """
 
     label: str
     solution: Solution
     mission: Mission
-    report: dict[str, Any]
+    summary: Summary
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def read_runs(folder: Path) -> Runs:
     Raises:
         InputError: if a file is missing or unusable, naming the command that writes it.
     """
-    flown = (folder / AS_FLOWN / "solution.json").exists()
+    flown = (folder / AS_FLOWN / SOLUTION_FILE).exists()
     reference = (
         _flown(folder, AS_FLOWN, "OSIRIS-REx as flown")
         if flown
@@ -66,15 +68,40 @@ def read_runs(folder: Path) -> Runs:
 
 
 def _flown(folder: Path, key: str, label: str) -> Flown:
-    solution = read_solution(_require(folder / key / "solution.json", folder))
-    report_file = _require(folder / key / "montecarlo.json", folder)
+    plan_file = _require(folder / key / SOLUTION_FILE, folder)
+    summary_file = _require(folder / key / SUMMARY_FILE, folder)
+    solution = read_solution(plan_file)
     try:
-        report = json.loads(report_file.read_text(encoding="utf-8"))
-    except ValueError:
-        report = None
-    if not isinstance(report, dict) or report.get("schema") != SCHEMA:
-        raise _unusable(report_file, folder)
-    return Flown(label, solution, Mission.from_scenario(solution.scenario), report)
+        summary = read_summary(summary_file)
+    except InputError:
+        raise _unusable(summary_file, folder) from None
+    check_same_plan(
+        summary.plan_hash, summary_file, solution, plan_file, f"{COMMAND} --out {folder}"
+    )
+    return Flown(label, solution, Mission.from_scenario(solution.scenario), summary)
+
+
+def check_same_plan(
+    plan_hash: str | None, file: Path, solution: Solution, plan_file: Path, command: str
+) -> None:
+    """Hold what was flown against the solution that stands beside it.
+
+    Args:
+        plan_hash: of the plan flown; none in files of earlier versions.
+        file: of the flights.
+        solution: beside it.
+        plan_file: from which it was read.
+        command: that flies it again.
+
+    Raises:
+        InputError: if another plan was flown, or an unknown one.
+    """
+    if plan_hash != solution.plan_hash:
+        flown = (
+            f"flights of plan {plan_hash[:SHOWN]}" if plan_hash else "flights of an unknown plan"
+        )
+        beside = f"the plan {solution.plan_hash[:SHOWN]} of {plan_file}"
+        raise InputError(str(file), flown, f"must be of {beside}: run `{command}`")
 
 
 def _table(folder: Path) -> list[dict[str, str]]:

@@ -1,1 +1,33 @@
-"""Asteroid reconnaissance flybys planned under uncertainty by sequential convex programming."""
+"""Asteroid reconnaissance flybys planned under uncertainty by sequential convex programming.
+
+    import scp_recon as sr
+
+    scenario = sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8})
+    plan = sr.plan(scenario)
+    print(plan)
+
+The names below are imported when they are first used, so that the commands start quickly.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from scp_recon.front_door import check, fly, load_scenario, plan, save, side_by_side
+
+__all__ = ["check", "fly", "load_scenario", "plan", "save", "side_by_side"]
+
+
+def __getattr__(name: str) -> Any:
+    """PEP 562."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from scp_recon import front_door
+
+    return getattr(front_door, name)
+
+
+def __dir__() -> list[str]:
+    """For completion."""
+    return sorted([*globals(), *__all__])

@@ -23,14 +23,16 @@ from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.planning.stages import Observer, Plan
+from scp_recon.planning.stages import Observer
 from scp_recon.scenario.load import base_names, load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import FILE_NAME, Solution, read_solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.start import is_solution, start_from
 from scp_recon.verification.reintegration import verify
 
 ALGORITHM, SOLVER = "scvx", "CLARABEL"
@@ -96,7 +98,8 @@ def parser() -> argparse.ArgumentParser:
         type=int_between(0, 100),
         default=0,
         metavar="N",
-        help="choose the facets again at the solution and solve again, N times (default: 0)",
+        help="choose the facets again at the solution and solve again, up to N times (default: 0; what "
+        "is infeasible is tried again without being asked)",
     )
     p.add_argument(
         "--out",
@@ -216,15 +219,12 @@ def _one_of(option: str, name: str, known: Collection[str]) -> str:
 
 def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:
     """The mission and the initial guess that the options ask for."""
-    if options.init in ("cold", "warm"):
-        mission = Mission.from_scenario(load_scenario(options.scenario, options.overrides))
-        start = initial_guess.cold if options.init == "cold" else initial_guess.ballistic
-        return mission, start(mission)
     path = Path(options.init)
-    given = read_solution(path) if _is_solution(path) else None
+    named = options.init in ("cold", "warm") or not is_solution(path)
+    given = None if named else read_solution(path)
     mission = Mission.from_scenario(_scenario(options, given))
     if given is None:
-        return mission, initial_guess.from_table(mission, path)
+        return mission, start_from(mission, options.init)
     return mission, initial_guess.from_burns(mission, given.burns_m_s)
 
 
@@ -232,19 +232,6 @@ def _scenario(options: argparse.Namespace, given: Solution | None) -> Scenario:
     if options.scenario is None and given is not None:
         return validate_scenario(given.scenario.model_dump(mode="json"), options.overrides)
     return load_scenario(options.scenario, options.overrides)
-
-
-def _is_solution(path: Path) -> bool:
-    """A folder, or a file of JSON under whatever name: a table never begins with a brace."""
-    try:
-        if path.is_dir() or path.suffix == ".json":
-            return True
-        if not path.is_file():  # a pipe can be read only once
-            return False
-        with path.open("rb") as file:
-            return file.read(100).lstrip().startswith(b"{")
-    except (OSError, ValueError):  # which the reader explains
-        return False
 
 
 def _write(solution: Solution, folder: Path) -> Path:

@@ -1,6 +1,6 @@
 """SCP's forms, algorithms and conic solvers against IPOPT: `python -m experiments.compare_solvers`.
 
-Rows, table and figures are left in OUT; a run that was stopped continues with the first missing row.
+Rows and tables are left in OUT; a run that was stopped continues with the first missing row.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ if __name__ == "__main__":
 import argparse
 import sys
 from collections.abc import Sequence
-from importlib.util import find_spec
 from math import inf
 from pathlib import Path
 
@@ -25,7 +24,6 @@ from experiments.compare_solvers.claims import claims
 from experiments.compare_solvers.report import claim_line, shown, to_csv, to_markdown
 from experiments.compare_solvers.row import FAILED, Row
 from experiments.compare_solvers.runs import FILE_NAME, PEER_NAME, read_rows, run_cells
-from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 
 DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
@@ -43,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
         "--out",
         type=Path,
         metavar="DIR",
-        help="folder for the rows, the table and the figures "
+        help="folder for the rows and the tables "
         f"(default: {DEFAULT_OUT}, with --quick {QUICK_OUT})",
     )
     p.add_argument(
@@ -59,9 +57,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, console: Console) -> int:
-    for name in ("casadi", "matplotlib"):
-        if find_spec(name) is None:
-            raise InputError("the comparison", f"no {name}", "install the extra scp_recon[compare]")
     out: Path = options.out or (QUICK_OUT if options.quick else DEFAULT_OUT)
     out.mkdir(parents=True, exist_ok=True)
     if options.fresh:
@@ -74,7 +69,10 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         console.print(claim_line(claim), highlight=False, soft_wrap=True)
     for path in _write(rows, out):
         console.print(f"written: {path}", highlight=False, soft_wrap=True)
-    words = f"The tables are in {out / REPORT_NAME}, the figures beside it."
+    words = (
+        f"The tables are in {out / REPORT_NAME}; python -m paper_figs.studies.solver_comparison "
+        f"{out / 'comparison.csv'} {out} draws them."
+    )
     if options.quick:
         words += " A quick run shows a few cells of each kind: only --full settles the claims."
     console.print(words, highlight=False, soft_wrap=True)

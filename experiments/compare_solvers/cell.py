@@ -21,8 +21,9 @@ from formulations.rows.chance import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
 from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.planning.plan import Plan, Provenance
 from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Planner, ScpStages, plan
-from scp_recon.planning.stages import Plan, Provenance, RowsSolver, StageRunner
+from scp_recon.planning.stages import RowsSolver, StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status

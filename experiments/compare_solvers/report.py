@@ -18,8 +18,8 @@ Where a case is not solved the number is the merit with the second weight, of th
 method with hard constraints leaves when it gives up may miss the final state by hundreds of metres."""
 
 GUESSES_NOTE = """\
-What does not converge from a guess is tried once more from the ballistic arc, by every method; seconds
-are those of both tries. Shares are of all guesses."""
+What does not converge from a guess begins again elsewhere, by every method; seconds are those of all
+tries. Shares are of all guesses."""
 
 
 PEER_NOTE = """\

@@ -28,8 +28,8 @@ class Row:
         heavy_merit_m_s: with its second weight, which infeasible cases end with.
         violation_m: largest violation; velocities count as metres per unit of time.
         iterations_p3, iterations_p2: the latter over all facet restorations.
-        first_status: of the first try, where the ballistic arc was tried after it.
-        from_arc: whether the answer is that of the second try, from the ballistic arc.
+        first_status: of the first try, where another was made.
+        from_arc: whether the answer is that of a later try, from the ballistic arc or a turn.
         total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
             nothing is imported.
         cpu_s: of the processor in that time, which other work on the machine does not lengthen.
@@ -76,7 +76,7 @@ class Row:
 
     @property
     def solved_at_once(self) -> bool:
-        """Whether it was solved without the second try."""
+        """Whether it was solved at the first try."""
         return self.solved and not self.first_status
 
     @property

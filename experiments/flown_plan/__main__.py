@@ -82,9 +82,10 @@ def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Rec
         record = read_record(folder)
     except InputError:
         return None
-    # Files of earlier versions lack the digest, and are flown again.
-    flown = record.summary["seed"], record.summary.get("inputs_sha256")
-    return record if flown == (seed, inputs_digest(solution, vehicle)) else None
+    # Files of earlier versions lack the digests, and are flown again.
+    flown = record.summary["seed"], record.plan_hash, record.summary.get("inputs_sha256")
+    asked = seed, solution.plan_hash, inputs_digest(solution, vehicle)
+    return record if flown == asked else None
 
 
 def line(record: Record) -> dict[str, Cell]:

@@ -2,6 +2,8 @@
 
 Every row's burns are designed and flown many times; solution.json and montecarlo.json are left in
 OUT/<row>/, the table in OUT/observation_table.csv and .md. A second run takes up what is there.
+With --as-flown FILE there is a row for the flight, and the warm rows start from it, as the paper's do;
+without it they start from the ballistic arc.
 """
 
 from __future__ import annotations
@@ -55,7 +57,8 @@ def parser() -> argparse.ArgumentParser:
         "--as-flown",
         type=Path,
         metavar="FILE",
-        help="SPK of the flight for a row of its own; needs the extra [spice]",
+        help="SPK of the flight, for a row of its own and as the warm rows' start; needs the extra "
+        "[spice]",
     )
     p.add_argument("--skip-ipopt", action="store_true", help="no rows planned by IPOPT")
     p.add_argument("--fresh", action="store_true", help="compute rows that are already there, too")
@@ -75,10 +78,11 @@ def measure(
     """All rows, one after the other; what goes wrong in one does not keep the others from running."""
     entries: list[Measured | Failed] = []
     for row in table_rows:
-        started = perf_counter()
+        started, folder = perf_counter(), out / row.key
         try:
+            anew = fresh or row.began_elsewhere(folder)
             entry: Measured | Failed = run_row(
-                row, mission, out / row.key, samples=samples, check=check, fresh=fresh
+                row, mission, folder, samples=samples, check=check, fresh=anew
             )
         except Exception as error:  # a solver's, a file system's: the row says which
             entry = Failed(row, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")

@@ -1,4 +1,4 @@
-"""The flight itself: states from the user's SPK, and the impulses that follow them."""
+"""The flight itself: states from the user's SPK, impulses that follow them, and a start from them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
+from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
@@ -36,8 +37,7 @@ def as_flown_burns(mission: Mission, kernel: Path, table: Path) -> tuple[Array, 
         InputError: if spiceypy is missing, or the kernel does not cover the flight.
     """
     states = read_states(mission, kernel)
-    _write_table(table, mission.times_s, states)
-    start = initial_guess.from_table(mission, table)
+    start = _tabulated(mission, states, table)
     scale = mission.units.length_m
     target = states[:-1, :3] / scale
 
@@ -56,6 +56,22 @@ def as_flown_burns(mission: Mission, kernel: Path, table: Path) -> tuple[Array, 
     off = np.linalg.norm(flown[window, :3] - target[window], axis=1) * scale
     burns = np.vstack([free.reshape(-1, 3), last]) * mission.units.speed_m_s
     return burns, float(off.max())
+
+
+def flown_guess(kernel: Path, table: Path, mission: Mission) -> Iterate:
+    """The flight as an initial guess: the paper's warm start.
+
+    It is the one that `--init` makes of `table`, which is written.
+
+    Raises:
+        InputError: if spiceypy is missing, or the kernel does not cover the flight.
+    """
+    return _tabulated(mission, read_states(mission, kernel), table)
+
+
+def _tabulated(mission: Mission, states: Array, table: Path) -> Iterate:
+    _write_table(table, mission.times_s, states)
+    return initial_guess.from_table(mission, table)
 
 
 def read_states(mission: Mission, kernel: Path) -> Array:

@@ -14,8 +14,9 @@ from experiments.observation_table.rows import (
     PRINTED_WINDOW_S,
     WARM,
 )
-from experiments.observation_table.runs import COUNTED, Failed, Measured
+from experiments.observation_table.runs import Failed, Measured
 from scp_recon.monte_carlo.estimates import Estimate
+from scp_recon.monte_carlo.observation_time import ALL
 
 Entries = Sequence[Measured | Failed]
 
@@ -48,9 +49,9 @@ def claims(entries: Entries) -> list[Claim]:
         ]
     for m in planned:
         if m.row.printed is COLD:
-            throughout = m.report["held_s"]["all"]["throughout"]
+            throughout = m.summary.held_s[ALL].throughout.estimate
             words = (
-                f"{m.row.label}: full window at worst 1 sigma; {100 * throughout['value']:.1f} % of "
+                f"{m.row.label}: full window at worst 1 sigma; {100 * throughout.value:.1f} % of "
                 "flights observe throughout, 84.1 % are needed"
             )
             found.append(Claim(words, m.full_at_1_sigma))
@@ -103,7 +104,7 @@ def verdicts(entries: Entries) -> list[str]:
         found += _certain_numbers(list(by_key.values()))
     flights = [by_key[k] for k in ("as_flown", "ballistic", "p3") if k in by_key]
     reason = (
-        "neither surrogate is the flown trajectory, of which no public kernel was found"
+        "neither surrogate is the flown trajectory, whose public kernel was not at hand"
         if "as_flown" not in by_key
         else "the forces, the errors and the firing times are those of the scenario, not the flight's"
     )
@@ -198,7 +199,7 @@ def _same_optimum(by_key: dict[str, Measured]) -> str:
 
 def _open_readings(rows: Sequence[Measured]) -> str:
     """What the paper leaves open, and what of it was measured not to be the cause."""
-    shifts = [m.report[COUNTED]["mean_s"] - m.mean.value for m in rows]
+    shifts = [m.summary.counted_on_uniform_grid.mean_s - m.mean.value for m in rows]
     gaps = [COLD.mean_s - m.mean.value for m in rows]
     moved, gap = (
         " and ".join(dict.fromkeys(f"{s:+.0f} s" for s in values)) for values in (shifts, gaps)

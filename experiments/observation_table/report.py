@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 
 from experiments.observation_table.claims import claims, differences, verdicts
 from experiments.observation_table.rows import PRINTED_CLOSEST_M, PRINTED_WINDOW_S
-from experiments.observation_table.runs import COUNTED, Failed, Measured
+from experiments.observation_table.runs import Failed, Measured
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate
 
 Cells = dict[str, str | float | int]
@@ -27,12 +27,12 @@ def record(entry: Measured | Failed) -> Cells:
         status = f"failed: {entry.reason}"
         return {"row": row.key, "label": row.label, "status": status, **printed}
     name, lowest = entry.lowest_joint
-    counted = entry.report[COUNTED]
+    counted = entry.summary.counted_on_uniform_grid
     return {
         "row": row.key,
         "label": row.label,
         "status": entry.status,
-        "samples": entry.report["samples"],
+        "samples": entry.summary.samples,
         "window_s": entry.window_s,
         "without_uncertainty_s": entry.without_uncertainty_s,
         **_ends("mean_s", entry.mean),
@@ -43,8 +43,8 @@ def record(entry: Measured | Failed) -> Cells:
         **_ends("lowest_joint_probability", lowest),
         "lowest_joint_constraint": name,
         **_ends("lowest_probability_all_at_once", entry.all_at_once),
-        "mean_on_uniform_grid_s": counted["mean_s"],
-        "worst_1_sigma_on_uniform_grid_s": counted["worst_1_sigma_s"],
+        "mean_on_uniform_grid_s": counted.mean_s,
+        "worst_1_sigma_on_uniform_grid_s": counted.worst_1_sigma_s,
         **printed,
         "paper_closest_m": PRINTED_CLOSEST_M if row.role == "planned" else "",
     }
@@ -73,7 +73,7 @@ def to_csv(entries: Sequence[Measured | Failed]) -> str:
 def to_markdown(entries: Sequence[Measured | Failed]) -> str:
     """The table as the paper lays it out, what it does not have, and the comparison in words."""
     measured = [entry for entry in entries if isinstance(entry, Measured)]
-    samples = ", ".join(sorted({str(m.report["samples"]) for m in measured})) or "no"
+    samples = ", ".join(sorted({str(m.summary.samples) for m in measured})) or "no"
     parts = [
         "# Observation times\n",
         f"{samples} flights a row with errors of the burns by component and the planner's dynamics; "
@@ -158,7 +158,7 @@ def _other_figures(
                 f"{entry.solution.total_dv_m_s:.5f}",
                 f"{shown(lowest, 4)}, {name.replace('_', ' ')}",
                 shown(entry.all_at_once, 4),
-                f"{entry.report[COUNTED]['mean_s']:.0f}",
+                f"{entry.summary.counted_on_uniform_grid.mean_s:.0f}",
                 entry.status,
             )
         )

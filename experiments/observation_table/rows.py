@@ -11,23 +11,24 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from experiments.observation_table.as_flown import as_flown_burns
+from experiments.observation_table.as_flown import as_flown_burns, flown_guess
+from formulations.problem.flyby import Iterate
 from formulations.program.merit import MeritFunction
 from formulations.rows.deterministic import DeterministicRows
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import plan
-from scp_recon.planning.stages import Plan, Provenance, Stage
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution
+from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.from_plan import make_solution
 
 Array = npt.NDArray[np.float64]
-Init = Literal["cold", "warm"]
+Guess = Callable[[Mission], Iterate]
 
-GUESSES = {"cold": initial_guess.cold, "warm": initial_guess.ballistic}
 VARIANT = "tuned"
 """How the nonlinear programs are written down for IPOPT."""
 
@@ -65,6 +66,7 @@ class Row:
         role: "reference" stands for the practice that the planner is compared with.
         printed: what the paper prints in this place.
         design: finds the burns.
+        init: where it begins, as its solution file says.
         anew: whether to find them in every run, because a file of the user's may have changed.
     """
 
@@ -73,7 +75,23 @@ class Row:
     role: Literal["reference", "planned"]
     printed: Printed
     design: Callable[[Mission], Solution]
+    init: str
     anew: bool = False
+
+    def began_elsewhere(self, folder: Path) -> bool:
+        """Whether the folder holds a design that did not begin where this row's does."""
+        try:
+            return read_solution(folder).init != self.init
+        except InputError:  # nothing of use is there
+            return False
+
+
+@dataclass(frozen=True)
+class Start:
+    """An initial guess, and its name in the solution file."""
+
+    init: str
+    guess: Guess
 
 
 def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tuple[Row, ...]:
@@ -81,8 +99,14 @@ def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tu
 
     Args:
         ipopt: whether to plan by IPOPT too.
-        as_flown: the flight's kernel and where to write the states read from it.
+        as_flown: the flight's kernel and where to write the states read from it. The warm rows then
+            start from the flight, as the paper's do; else from the ballistic arc.
     """
+    cold, warm = Start("cold", initial_guess.cold), Start("warm", initial_guess.ballistic)
+    label, anew = "warm start", as_flown is not None
+    if as_flown:
+        warm = Start("as_flown", partial(flown_guess, *as_flown))
+        label = "warm start from the flight"
     found = [
         Row(
             "ballistic",
@@ -90,26 +114,30 @@ def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tu
             "reference",
             OSIRIS_REX,
             _ballistic,
+            "ballistic",
         ),
         Row(
             "p3",
             "OSIRIS-REx surrogate: P3 design, no uncertainty",
             "reference",
             OSIRIS_REX,
-            partial(_scp, "cold", "P3"),
+            partial(_scp, "P3", cold),
+            cold.init,
         ),
-        Row("scp_warm", "SCP, warm start", "planned", WARM, partial(_scp, "warm", "P2")),
-        Row("scp_cold", "SCP, cold start", "planned", COLD, partial(_scp, "cold", "P2")),
     ]
+    designs: dict[str, Callable[[Start, Mission], Solution]] = {"SCP": partial(_scp, "P2")}
     if ipopt:
+        designs["IPOPT"] = _ipopt
+    for name, design in designs.items():
+        key, by_warm, by_cold = name.lower(), partial(design, warm), partial(design, cold)
         found += [
-            Row("ipopt_warm", "IPOPT, warm start", "planned", WARM, partial(_ipopt, "warm")),
-            Row("ipopt_cold", "IPOPT, cold start", "planned", COLD, partial(_ipopt, "cold")),
+            Row(f"{key}_warm", f"{name}, {label}", "planned", WARM, by_warm, warm.init, anew),
+            Row(f"{key}_cold", f"{name}, cold start", "planned", COLD, by_cold, cold.init),
         ]
     if as_flown:
-        design = partial(_as_flown, *as_flown)
+        given = partial(_as_flown, *as_flown)
         label = "OSIRIS-REx as flown (SPK)"
-        found.append(Row("as_flown", label, "reference", OSIRIS_REX, design, anew=True))
+        found.append(Row("as_flown", label, "reference", OSIRIS_REX, given, warm.init, anew))
     return tuple(found)
 
 
@@ -140,12 +168,13 @@ def _as_flown(kernel: Path, table: Path, mission: Mission) -> Solution:
     return evaluated(mission, burns, "as_flown", message)
 
 
-def _scp(init: Init, problem: Literal["P3", "P2"], mission: Mission) -> Solution:
-    return make_solution(plan(mission, GUESSES[init](mission), problem=problem, init=init))
+def _scp(problem: Literal["P3", "P2"], start: Start, mission: Mission) -> Solution:
+    return make_solution(plan(mission, start.guess(mission), problem=problem, init=start.init))
 
 
-def _ipopt(init: Init, mission: Mission) -> Solution:
+def _ipopt(start: Start, mission: Mission) -> Solution:
     """The one place that knows the reference solver."""
     from scp_recon.planning import ipopt  # by CasADi, which takes a second to import
 
-    return make_solution(ipopt.plan(mission, GUESSES[init](mission), variant=VARIANT, init=init))
+    found = ipopt.plan(mission, start.guess(mission), variant=VARIANT, init=start.init)
+    return make_solution(found)

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from experiments.observation_table.rows import NOT_OPTIMISED, Row
 from scp_recon.errors import InputError
-from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import sample_positions
-from scp_recon.montecarlo import FILE_NAME, ONE_SIGMA, SCHEMA, summarise
+from scp_recon.monte_carlo.summary import (
+    FILE_NAME,
+    ONE_SIGMA,
+    Summary,
+    read_summary_as,
+    summarise,
+)
 from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
 from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.part import Part
 from scp_recon.verification.reintegration import verify
 
 Array = npt.NDArray[np.float64]
@@ -31,8 +35,19 @@ UNIFORM_STEP_S = 232.0
 COUNTED_MAX = 10_000
 """Flights counted there; more would not fit memory and the difference is clear from these."""
 
-COUNTED = "counted_on_uniform_grid"
-"""What this study adds to a campaign's report."""
+
+class Counted(Part):
+    """Observation times of flights looked at only at the nodes of the paper's uniform grid, s."""
+
+    nodes: int
+    mean_s: float
+    worst_1_sigma_s: float
+
+
+class RowSummary(Summary):
+    """A campaign's summary, and what this study adds to it."""
+
+    counted_on_uniform_grid: Counted
 
 
 @dataclass(frozen=True)
@@ -42,7 +57,7 @@ class Measured:
     Attributes:
         row: which.
         solution: its burns and nodes.
-        report: `scp_recon.montecarlo.summarise` and `COUNTED`.
+        summary: of its flights.
         window_s: length of the window.
         without_uncertainty_s: observation time of the plan itself.
         reused: whether nothing had to be computed.
@@ -50,7 +65,7 @@ class Measured:
 
     row: Row
     solution: Solution
-    report: dict[str, Any]
+    summary: RowSummary
     window_s: float
     without_uncertainty_s: float
     reused: bool = False
@@ -58,34 +73,34 @@ class Measured:
     @property
     def mean(self) -> Estimate:
         """Mean observation time, s."""
-        return estimate(self.report["held_s"][ALL]["mean"])
+        return self.summary.held_s[ALL].mean.estimate
 
     @property
     def worst_1_sigma(self) -> Estimate:
         """Observation time that all but the worst 15.9 % of flights reach, s."""
-        return estimate(self.report["held_s"][ALL]["worst_1_sigma"])
+        return self.summary.held_s[ALL].worst_1_sigma.estimate
 
     @property
     def full_at_1_sigma(self) -> bool:
         """Whether surely no more than 15.9 % of flights lose any of the window."""
-        return estimate(self.report["held_s"][ALL]["throughout"]).low >= 1.0 - ONE_SIGMA
+        return self.summary.held_s[ALL].throughout.estimate.low >= 1.0 - ONE_SIGMA
 
     @property
     def closest(self) -> Estimate:
         """Distance from the body's centre at the 0.3 % quantile, m."""
-        return estimate(self.report["closest_m"]["worst"])
+        return self.summary.closest_m.worst.estimate
 
     @property
     def lowest_joint(self) -> tuple[str, Estimate]:
         """The least probable joint constraint at its least probable time."""
-        found = {k: estimate(v) for k, v in self.report["probability"].items() if k != ALL}
+        found = {k: p.estimate for k, p in self.summary.probability.items() if k != ALL}
         name = min(found, key=lambda k: found[k].value)
         return name, found[name]
 
     @property
     def all_at_once(self) -> Estimate:
         """Probability that all observation constraints hold where it is smallest."""
-        return estimate(self.report["probability"][ALL])
+        return self.summary.probability[ALL].estimate
 
     @property
     def status(self) -> str:
@@ -103,17 +118,6 @@ class Failed:
 
     row: Row
     reason: str
-
-
-def estimate(entry: dict[str, float | None]) -> Estimate:
-    """From JSON, where an open end is null."""
-    low, high = entry["low"], entry["high"]
-    value = entry["value"]
-    return Estimate(
-        float(value) if value is not None else np.nan,
-        -np.inf if low is None else low,
-        np.inf if high is None else high,
-    )
 
 
 def run_row(
@@ -141,19 +145,16 @@ def run_row(
             found = verify(mission, solution)
             solution = solution.model_copy(update={"verification": found})
         solution.write(folder)
-    report = _stored_report(folder, solution, samples)
-    flown = report is None
-    if report is None:
-        campaign = fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=samples)
-        report = summarise(campaign, solution) | {
-            COUNTED: _counted(mission, solution, min(samples, COUNTED_MAX))
-        }
-        write_atomically(folder / FILE_NAME, json.dumps(report) + "\n")
+    summary = _stored_summary(folder, solution, samples)
+    flown = summary is None
+    if summary is None:
+        summary = _fly(mission, solution, samples)
+        summary.write(folder)
     first, last = mission.schedule.window_s
     return Measured(
         row,
         solution,
-        report,
+        summary,
         window_s=last - first,
         without_uncertainty_s=_nominal_time(mission, solution),
         reused=not (designed or flown),
@@ -171,21 +172,21 @@ def _stored_solution(folder: Path, mission: Mission, check: bool) -> Solution | 
     return solution
 
 
-def _stored_report(folder: Path, solution: Solution, samples: int) -> dict[str, Any] | None:
+def _stored_summary(folder: Path, solution: Solution, samples: int) -> RowSummary | None:
+    """What the folder holds of as many flights of this very plan as are asked for."""
     try:
-        report: dict[str, Any] = json.loads((folder / FILE_NAME).read_text("utf-8"))
-        wanted = {
-            "schema": SCHEMA,
-            "samples": samples,
-            "seed": 0,
-            "truth": "planner",
-            "errors": "componentwise",
-            "planned_dv_m_s": solution.total_dv_m_s,
-        }
-        complete = COUNTED in report and all(report[key] == value for key, value in wanted.items())
-    except (OSError, ValueError, KeyError, TypeError):
+        found = read_summary_as(RowSummary, folder / FILE_NAME)
+    except InputError:
         return None
-    return report if complete else None
+    setting = found.samples, found.seed, found.truth, found.errors
+    as_asked = setting == (samples, 0, "planner", "componentwise")
+    return found if as_asked and found.is_of(solution) else None
+
+
+def _fly(mission: Mission, solution: Solution, samples: int) -> RowSummary:
+    campaign = fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=samples)
+    counted = _counted(mission, solution, min(samples, COUNTED_MAX))
+    return RowSummary(**dict(summarise(campaign, solution)), counted_on_uniform_grid=counted)
 
 
 def _nominal_time(mission: Mission, solution: Solution) -> float:
@@ -195,7 +196,7 @@ def _nominal_time(mission: Mission, solution: Solution) -> float:
     return float(time_held(mission, mission.times_s[window], states)[ALL].duration[0])
 
 
-def _counted(mission: Mission, solution: Solution, samples: int) -> dict[str, float]:
+def _counted(mission: Mission, solution: Solution, samples: int) -> Counted:
     """Observation time as the share of the paper's uniform nodes at which all constraints hold."""
     end, (first, last) = mission.times_s[-1], mission.schedule.window_s
     grid = np.linspace(0.0, end, int(end // UNIFORM_STEP_S) + 1)
@@ -204,8 +205,8 @@ def _counted(mission: Mission, solution: Solution, samples: int) -> dict[str, fl
     joint = joint_margins(mission, nodes, positions)
     holds = np.logical_and.reduce([joint[name] >= 0.0 for name in SCIENCE])
     seconds = holds.mean(axis=0) * (last - first)
-    return {
-        "nodes": len(nodes),
-        "mean_s": float(seconds.mean()),
-        "worst_1_sigma_s": float(np.quantile(seconds, ONE_SIGMA)),
-    }
+    return Counted(
+        nodes=len(nodes),
+        mean_s=float(seconds.mean()),
+        worst_1_sigma_s=float(np.quantile(seconds, ONE_SIGMA)),
+    )

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command
 from paper_figs.inputs import Flown, Runs
+from scp_recon.monte_carlo.summary import Summary
 
 Array = npt.NDArray[np.float64]
 
@@ -47,16 +48,16 @@ def draw(runs: Runs) -> Figure:
 
 
 def _panel(axes: Axes, runs: Runs, name: str, edges: Array) -> None:
-    least = 100.0 / max(runs.plan.report["samples"], runs.reference.report["samples"])
+    least = 100.0 / max(runs.plan.summary.samples, runs.reference.summary.samples)
     looks: tuple[tuple[Flown, dict[str, Any]], ...] = (
         (runs.plan, {"fill": True, "facecolor": "0.75", "edgecolor": "k", "lw": 0.6}),
         (runs.reference, {"fill": False, "edgecolor": "k", "ls": "--", "lw": 1.2}),
     )
     words = []
     for flown, look in looks:
-        shares = 100.0 * rebinned(flown.report, name, edges) / flown.report["samples"]
+        shares = 100.0 * rebinned(flown.summary, name, edges) / flown.summary.samples
         axes.stairs(shares, edges, label=flown.label, baseline=0.5 * least, **look)
-        whole = flown.report["held_s"][name]["throughout"]["value"]
+        whole = flown.summary.held_s[name].throughout.estimate.value
         words.append(f"{flown.label}: {100 * whole:.1f} % throughout the window")
     axes.set_ylim(0.5 * least, 200.0)
     box = {"facecolor": "w", "edgecolor": "none", "alpha": 0.9, "pad": 1.0}
@@ -65,12 +66,12 @@ def _panel(axes: Axes, runs: Runs, name: str, edges: Array) -> None:
     )
 
 
-def rebinned(report: dict[str, Any], name: str, edges: Array) -> Array:
-    """Flights by time held, in coarser bins than the report's, shape (len(edges) - 1,)."""
-    histogram = report["held_s"][name]["histogram"]
-    middles = np.array(histogram["start"]) + 0.5 * histogram["bin"]
+def rebinned(summary: Summary, name: str, edges: Array) -> Array:
+    """Flights by time held, in coarser bins than the summary's, shape (len(edges) - 1,)."""
+    histogram = summary.held_s[name].histogram
+    middles = np.array(histogram.start) + 0.5 * histogram.bin
     inside = np.clip(middles, edges[0], edges[-1])
-    return np.histogram(inside, edges, weights=histogram["count"])[0]
+    return np.histogram(inside, edges, weights=histogram.count)[0]
 
 
 def caption(runs: Runs) -> str:
@@ -78,8 +79,8 @@ def caption(runs: Runs) -> str:
     first, last = runs.plan.mission.schedule.window_s
     return (
         "Distribution of the time in which the emission limits (above) and the site distance limits "
-        f"(below) are held, of {runs.plan.report['samples']} flights of the plan (filled) and "
-        f"{runs.reference.report['samples']} of the {runs.reference.label} (dashed outline); bins of "
+        f"(below) are held, of {runs.plan.summary.samples} flights of the plan (filled) and "
+        f"{runs.reference.summary.samples} of the {runs.reference.label} (dashed outline); bins of "
         f"{(last - first) / BINS:.0f} s, logarithmic scale. The last bin ends at the window's "
         f"{last - first:.0f} s and contains the flights that hold the limits throughout."
     )

@@ -16,7 +16,7 @@ from scipy.stats import norm
 
 from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command
 from paper_figs.inputs import Runs
-from scp_recon.montecarlo import COMPONENTS
+from scp_recon.monte_carlo.summary import COMPONENTS
 
 REACH = 4.0
 """Standard deviations shown; the outermost of the quantiles lies at 2.3 of a normal variable's."""
@@ -24,16 +24,16 @@ REACH = 4.0
 
 def draw(runs: Runs) -> Figure:
     """A quantile-quantile panel per component of the final state, J2000."""
-    normality = runs.plan.report["terminal"]["normality"]
+    normality = runs.plan.summary.terminal.normality
     with style.context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, 4.8), layout="constrained")
         panels = figure.subplots(2, 3, sharex=True, sharey=True)
         for axes, name in zip(panels.flat, COMPONENTS, strict=True):
             test = normality[name]
-            expected = norm.ppf(test["levels"])
+            expected = norm.ppf(test.levels)
             axes.axline((0.0, 0.0), slope=1.0, color="0.5", lw=1.0, ls="--", label="normal")
-            axes.plot(expected, test["quantiles"], "o", ms=2.5, color="k", label="sampled flights")
-            axes.set_title(f"{name}: p-value {test['p_value']:.1g}", loc="left")
+            axes.plot(expected, test.quantiles, "o", ms=2.5, color="k", label="sampled flights")
+            axes.set_title(f"{name}: p-value {test.p_value:.1g}", loc="left")
             axes.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH), aspect="equal")
         for axes in panels[-1]:
             axes.set_xlabel("normal quantile (sigma)")
@@ -46,10 +46,10 @@ def draw(runs: Runs) -> Figure:
 
 def caption(runs: Runs) -> str:
     """What the figure shows."""
-    normality = runs.plan.report["terminal"]["normality"]
-    kept = next(iter(normality.values()))["samples"]
+    normality = runs.plan.summary.terminal.normality
+    kept = next(iter(normality.values())).samples
     worst = max(
-        float(np.abs(np.array(test["quantiles"]) - norm.ppf(test["levels"])).max())
+        float(np.abs(np.array(test.quantiles) - norm.ppf(test.levels)).max())
         for test in normality.values()
     )
     return (

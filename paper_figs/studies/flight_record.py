@@ -9,7 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
+from paper_figs.inputs import check_same_plan
 from scp_recon.errors import InputError
+from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
+from scp_recon.solution.file import read_solution
 from scp_recon.spacecraft.record import FILE_NAME, Record, read_record
 
 Array = npt.NDArray[np.float64]
@@ -23,15 +26,35 @@ def read(folder: Path) -> Record:
     """Read the simulation file in a folder.
 
     Raises:
-        InputError: if it is missing or unusable, naming the command that writes it.
+        InputError: if it is missing or unusable, or of another plan than a solution beside it,
+            naming the command that writes it.
     """
     file, written = folder / FILE_NAME, f"written by `{COMMAND} --out {folder}`"
     if not file.is_file():
         raise InputError(str(file), "no such file", written)
     try:
-        return read_record(file)
+        record = read_record(file)
     except InputError:
         raise InputError(str(file), "an unusable file", written) from None
+    check_beside(record, file, folder, f"{COMMAND} --out {folder}")
+    return record
+
+
+def check_beside(record: Record, file: Path, folder: Path, command: str) -> None:
+    """Hold a flight against the solution in a folder, where there is one.
+
+    Args:
+        record: the flight.
+        file: from which it was read.
+        folder: in which a solution may stand.
+        command: that flies it again.
+
+    Raises:
+        InputError: if the solution is unusable, or another plan was flown.
+    """
+    plan_file = folder / SOLUTION_FILE
+    if plan_file.is_file():
+        check_same_plan(record.plan_hash, file, read_solution(plan_file), plan_file, command)
 
 
 def bands(values: Array, times: Array, value: int) -> Iterator[tuple[float, float]]:

@@ -22,8 +22,9 @@ from scipy.stats import chi
 
 from paper_figs.drawing import ABOVE, STYLE, WIDTH_IN, command_from
 from paper_figs.inputs import read_csv
+from paper_figs.studies.flight_record import check_beside
 from scp_recon.errors import InputError
-from scp_recon.spacecraft.record import Record, read_record
+from scp_recon.spacecraft.record import FILE_NAME, Record, read_record
 
 FOLDER = "flown_plan"
 TABLE = "flown_plan.csv"
@@ -37,14 +38,20 @@ def read(folder: Path) -> list[Record]:
     """Read the study's flights, those that its table names.
 
     Raises:
-        InputError: if a file is missing or unusable.
+        InputError: if a file is missing or unusable, or flights are of different plans or of
+            another than a solution beside them.
     """
     rows = read_csv(folder, TABLE, "seed", COMMAND)
+    files = [folder / f"seed_{row['seed']}" / FILE_NAME for row in rows]
+    written = f"written anew by `{COMMAND} --out {folder}`"
     try:
-        return [read_record(folder / f"seed_{row['seed']}") for row in rows]
+        records = [read_record(file) for file in files]
     except InputError as error:
-        written = f"written anew by `{COMMAND} --out {folder}`"
         raise InputError(str(folder), f"an unusable flight ({error})", written) from None
+    if len({record.plan_hash for record in records}) > 1:
+        raise InputError(str(folder), "flights of different plans", f"must be of one; {written}")
+    check_beside(records[0], files[0], folder, f"{COMMAND} --out {folder}")
+    return records
 
 
 def draw(records: list[Record]) -> Figure:

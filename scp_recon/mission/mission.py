@@ -12,10 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.problem.facets import Polytopes
-from formulations.problem.flyby import FlybyProblem, StateConstraint
+from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
-from formulations.problem.regions import Ball, Cone
-from formulations.risk.uniform import split_risk
+from scp_recon.mission.constraints import state_constraints
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.plausibility import check_plausible
 from scp_recon.mission.schedule import Schedule, find_window, make_schedule
@@ -187,7 +186,7 @@ class Mission:
     @cached_property
     def problem(self) -> FlybyProblem:
         """The nondimensional problem on this mission's grid."""
-        units, scenario = self.units, self.scenario
+        units, scenario, window = self.units, self.scenario, self.window_nodes
         return FlybyProblem(
             n_nodes=len(self.times_s),
             burn_nodes=self.burn_nodes,
@@ -198,50 +197,15 @@ class Mission:
             dv_max=scenario.burns.dv_max_m_s / units.speed_m_s,
             sun=self.sun_direction(np.array(scenario.burns.times_s)),
             dv_cone=float(np.deg2rad(scenario.battery.delta_v_cone_deg)),
-            constraints=tuple(self._constraints()),
+            constraints=state_constraints(
+                scenario,
+                units.length_m,
+                len(self.times_s),
+                window,
+                geometry.track(self.site, self.rotation, self.times_s[window]),
+                self.sun_direction(self.times_s[window]),
+            ),
         )
-
-    def _constraints(self) -> list[StateConstraint]:
-        """Safety at every node, the observation and its battery cone throughout the window."""
-        p = self.scenario.risk.p_chance
-        limits, length = self.scenario.observation, self.units.length_m
-        both = split_risk(p, 2)
-        one_sided = p if limits.phase_max_deg is None else both
-        window = self.window_nodes
-        track = geometry.track(self.site, self.rotation, self.times_s[window])
-        at, sun = track.position / length, self.sun_direction(self.times_s[window])
-
-        def cone(axis: Array, angle_deg: float) -> Cone:
-            return Cone(at, axis, float(np.deg2rad(angle_deg)))
-
-        everywhere = np.arange(len(self.times_s))
-        centre = np.zeros((len(everywhere), 3))
-        low, high = limits.site_distance_min_m / length, limits.site_distance_max_m / length
-        battery = cone(sun, self.scenario.battery.observation_cone_deg)
-        constraints = [
-            StateConstraint(
-                "safety_radius",
-                everywhere,
-                Ball(centre, self.scenario.safety.radius_min_m / length),
-                "out",
-                p,
-            ),
-            StateConstraint("site_distance_min", window, Ball(at, low), "out", both),
-            StateConstraint("site_distance_max", window, Ball(at, high), "in", both),
-            StateConstraint(
-                "emission_min", window, cone(track.normal, limits.emission_min_deg), "out", both
-            ),
-            StateConstraint(
-                "emission_max", window, cone(track.normal, limits.emission_max_deg), "in", both
-            ),
-            StateConstraint("phase_min", window, cone(sun, limits.phase_min_deg), "out", one_sided),
-            StateConstraint("battery_observation", window, battery, "out", p),
-        ]
-        if limits.phase_max_deg is not None:
-            constraints.append(
-                StateConstraint("phase_max", window, cone(sun, limits.phase_max_deg), "in", both)
-            )
-        return constraints
 
     @cached_property
     def polytopes(self) -> Polytopes:

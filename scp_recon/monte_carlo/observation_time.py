@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from scp_recon.mission.constraints import observation_limits
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import interpolate
@@ -15,14 +16,6 @@ from scp_recon.physics.flow import interpolate
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Margins = dict[str, tuple[Literal["m", "rad"], Array]]
-
-JOINT = {
-    "site_distance": ("site_distance_min", "site_distance_max"),
-    "emission": ("emission_min", "emission_max"),
-    "phase": ("phase_min", "phase_max"),
-    "battery_observation": ("battery_observation",),
-}
-"""Margins that make up each joint chance constraint: Echigo et al., eqs. (12) to (16)."""
 
 SCIENCE = ("site_distance", "emission", "phase")
 """The observation constraints proper, whose time is counted; the battery's is not one of them."""
@@ -39,36 +32,25 @@ def observation_margins(mission: Mission, times_s: Array, position: Array) -> Ma
         times_s: shape (n,).
         position: J2000, m, shape (n, ..., 3).
     """
-    limits = mission.scenario.observation
     track = geometry.track(mission.site, mission.rotation, times_s)
     wide = (slice(None),) + (None,) * (position.ndim - 2)
     site = geometry.SiteTrack(track.position[wide], track.normal[wide])
-    distance = geometry.distance(position, site)
-    emission = geometry.emission(position, site)
-    phase = geometry.phase(position, site, mission.sun_direction(times_s)[wide])
-    margins: Margins = {
-        "site_distance_min": ("m", distance - limits.site_distance_min_m),
-        "site_distance_max": ("m", limits.site_distance_max_m - distance),
-        "emission_min": ("rad", emission - np.deg2rad(limits.emission_min_deg)),
-        "emission_max": ("rad", np.deg2rad(limits.emission_max_deg) - emission),
-        "phase_min": ("rad", phase - np.deg2rad(limits.phase_min_deg)),
-        "battery_observation": (
-            "rad",
-            phase - np.deg2rad(mission.scenario.battery.observation_cone_deg),
-        ),
+    measured = {
+        "distance": geometry.distance(position, site),
+        "emission": geometry.emission(position, site),
+        "phase": geometry.phase(position, site, mission.sun_direction(times_s)[wide]),
     }
-    if limits.phase_max_deg is not None:
-        margins["phase_max"] = ("rad", np.deg2rad(limits.phase_max_deg) - phase)
-    return margins
+    limits = observation_limits(mission.scenario)
+    return {limit.name: (limit.unit, limit.margin(measured[limit.measure])) for limit in limits}
 
 
 def joint_margins(mission: Mission, times_s: Array, position: Array) -> dict[str, Array]:
     """Smallest margin of each joint constraint, shape of `position` without its last axis."""
     margins = observation_margins(mission, times_s, position)
-    return {
-        joint: np.minimum.reduce([margins[name][1] for name in names if name in margins])
-        for joint, names in JOINT.items()
-    }
+    joints: dict[str, list[Array]] = {}
+    for limit in observation_limits(mission.scenario):
+        joints.setdefault(limit.joint, []).append(margins[limit.name][1])
+    return {joint: np.minimum.reduce(parts) for joint, parts in joints.items()}
 
 
 @dataclass(frozen=True)

@@ -160,18 +160,33 @@ def from_table(mission: Mission, path: Path) -> Iterate:
         InputError: if the table cannot be read, is not ascending, does not cover the flight or is
             plainly not in metres and seconds.
     """
-    table = _read_table(path)
+    return from_states(mission, _read_table(path), f"--init {path}")
+
+
+def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
+    """A table of times and states as an array, t, x, y, z, vx, vy, vz: as `from_table`.
+
+    Args:
+        mission: gives the grid.
+        table: s, m and m/s, J2000 and body-centred, shape (n, 7).
+        entry: what messages call it.
+
+    Raises:
+        InputError: as `from_table`.
+    """
+    if table.ndim != 2 or table.shape[1] != 7 or not np.all(np.isfinite(table)):
+        raise InputError(entry, f"an array of shape {table.shape}", "must be finite, shape (n, 7)")
     time, states = table[:, 0], table[:, 1:]
     end = mission.times_s[-1]
     if len(time) < 2 or np.any(np.diff(time) <= 0.0):
-        raise InputError(f"--init {path}", f"{len(time)} rows", "times must be strictly ascending")
+        raise InputError(entry, f"{len(time)} rows", "times must be strictly ascending")
     if time[0] > 0.0 or time[-1] < end:
         raise InputError(
-            f"--init {path}",
+            entry,
             f"{time[0]:g} to {time[-1]:g} s",
             f"must cover the flight, 0 to {end:g} s",
         )
-    _check_units(mission, path, time, states)
+    _check_units(mission, entry, time, states)
     position = CubicHermiteSpline(time, states[:, :3], states[:, 3:])
     nodes = np.concatenate(
         [position(mission.times_s), position.derivative()(mission.times_s)], axis=1
@@ -189,7 +204,7 @@ UNITS_RATIO_MAX = 30.0
 """Kilometres are a thousand metres; trajectories of one flight differ by far less than its root."""
 
 
-def _check_units(mission: Mission, path: Path, time: Array, states: Array) -> None:
+def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> None:
     """Refuse a table whose magnitudes cannot be those of the flight in metres and seconds.
 
     Its distances are held against the flight's, and its velocities against its own positions.
@@ -198,7 +213,7 @@ def _check_units(mission: Mission, path: Path, time: Array, states: Array) -> No
     ends = np.linalg.norm([mission.initial_state[:3], mission.final_state[:3]], axis=1)
     if not ends.min() / UNITS_RATIO_MAX <= distance <= ends.max() * UNITS_RATIO_MAX:
         raise InputError(
-            f"--init {path}",
+            entry,
             f"positions about {distance:.3g} from the centre",
             f"must be in metres: the flight is {ends.min():.3g} to {ends.max():.3g} m from it",
         )
@@ -206,7 +221,7 @@ def _check_units(mission: Mission, path: Path, time: Array, states: Array) -> No
     speed, moved = np.median(np.linalg.norm(states[:, 3:], axis=1)), np.median(path_speed)
     if not moved / UNITS_RATIO_MAX <= speed <= moved * UNITS_RATIO_MAX:
         raise InputError(
-            f"--init {path}",
+            entry,
             f"velocities about {speed:.3g}",
             f"must be in metres per second: the positions move at {moved:.3g} m/s",
         )

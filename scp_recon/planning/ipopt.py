@@ -21,8 +21,9 @@ from formulations.rows.deterministic import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import acceleration
+from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import CLEARANCE_M
-from scp_recon.planning.stages import Observer, Plan, Provenance, Stage, StageRunner
+from scp_recon.planning.stages import Observer, StageRunner
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status

@@ -14,12 +14,13 @@ from formulations.problem.facets import Facets, included_rows
 from formulations.problem.flyby import Iterate
 from formulations.problem.regions import Array
 from formulations.program.subproblem import Subproblem
-from formulations.registry import make_subproblem
+from formulations.registry import subproblem_maker
 from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
 from formulations.rows.deterministic import DeterministicRows
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.stages import Observer, Plan, Provenance, Stage, StageRunner
+from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.stages import Observer, StageRunner
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, Record, run
 
@@ -77,6 +78,7 @@ class Planner:
         self.solver: Final = solver
         self.algorithm_name: Final = algorithm
         self.algorithm: Final = ALGORITHMS[algorithm]()
+        self._make = subproblem_maker(formulation)
         self._p2_rows: ChanceRows | None = None
         self._kept: dict[type[Rows], Subproblem] = {}
 
@@ -164,9 +166,8 @@ class Planner:
         """The convex subproblem with some rows; of P3 and of P2 the one made last is kept."""
         kept = self._kept.get(type(rows))
         if kept is None or kept.merit.rows is not rows:
-            kept = make_subproblem(
-                self.mission.problem, rows, self.formulation, self.solver, self.algorithm.penalty
-            )
+            penalty = self.algorithm.penalty
+            kept = self._make(self.mission.problem, rows, penalty, self.solver)
             self._kept[type(rows)] = kept
         return kept
 

@@ -12,14 +12,14 @@ import numpy as np
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
 from formulations.problem.flyby import Iterate
-from formulations.program.merit import MeritFunction
 from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
 from formulations.rows.deterministic import DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import ballistic, circular
-from scp_recon.scp.loop import Record, Result, Timing
+from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.scp.loop import Record, Timing
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
 
@@ -32,83 +32,6 @@ OTHER_BURNS = 1e-2
 
 CHOICES_MAX = 4
 """Further choices of facets before P2 is called infeasible."""
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A run of the SCP, or of IPOPT, on one problem.
-
-    Attributes:
-        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
-            that began again at the ballistic arc, c and d at a turn about the body.
-        result: how it ended and where.
-        merit: what it minimised; it knows the constraints' margins.
-        facets: of P2, None for P3.
-        tolerance: violation that counted as none.
-    """
-
-    name: str
-    result: Result
-    merit: MeritFunction
-    facets: Facets | None
-    tolerance: float
-
-    @property
-    def begun_again(self) -> bool:
-        """Whether it began elsewhere because the guess led nowhere."""
-        return self.name[2:3] in ("b", "c", "d")
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """How a plan was made, in the words of the solution file.
-
-    Attributes:
-        formulation: of the convex subproblem, or the variant of the nonlinear program.
-        algorithm: around it.
-        solver: conic solver, or IPOPT.
-        init: where it began: "cold", "warm", a file.
-    """
-
-    formulation: str
-    algorithm: str
-    solver: str
-    init: str
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
-
-    A plan is data: it pickles and copies, and it equals another one of the same scenario and provenance
-    that went through the same stages to the same flight. Timings do not count.
-    """
-
-    mission: Mission
-    provenance: Provenance
-    stages: tuple[Stage, ...]
-    final: Stage
-    timing: Timing
-    total_s: float
-
-    def __eq__(self, other: object) -> bool:
-        """Whether another plan is the same but for the time it took."""
-        if not isinstance(other, Plan):
-            return NotImplemented
-        return self._identity == other._identity
-
-    def __hash__(self) -> int:
-        """Of the burns."""
-        return hash(self.final.result.lin.iterate.burns.tobytes())
-
-    @property
-    def _identity(self) -> tuple[object, ...]:
-        runs = [(s.name, s.result.status, len(s.result.records)) for s in self.stages]
-        flown = [
-            (s.result.lin.iterate.burns.tobytes(), s.result.lin.iterate.mean.tobytes())
-            for s in (*self.stages, self.final)
-        ]
-        return self.mission.scenario, self.provenance, runs, flown
 
 
 class RowsSolver(Protocol):

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
+from collections.abc import Mapping
 from datetime import datetime
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
+    ValidationError,
     field_validator,
     model_validator,
 )
+
+from scp_recon.errors import InputError
+from scp_recon.scenario.messages import input_error
 
 
 def _long_enough(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -239,3 +245,47 @@ class Scenario(Section):
     def duration_s(self) -> float:
         """Time of the last burn."""
         return self.burns.times_s[-1]
+
+    @classmethod
+    def validated(cls, data: Mapping[str, Any]) -> Self:
+        """A scenario from nested tables.
+
+        Raises:
+            InputError: naming the entry, what was given and what is allowed.
+        """
+        try:
+            return cls.model_validate_json(json.dumps(data, default=str))
+        except ValidationError as error:
+            raise input_error(error, cls) from None
+        except (ValueError, RecursionError) as error:  # a number or a nesting beyond all bounds
+            raise InputError("scenario", "values that cannot be read", str(error)[:120]) from None
+
+    def replace(self, changes: Mapping[str, Any]) -> Self:
+        """The same scenario with other values.
+
+        Args:
+            changes: values by entry, `{"risk.p_chance": 0.8}`, or nested as in the file.
+
+        Raises:
+            InputError: naming the entry, what was given and what is allowed.
+        """
+        data: dict[str, Any] = self.model_dump(mode="json")
+        for entry, value in changes.items():
+            first, *rest = entry.split(".")
+            nested = value
+            for key in reversed(rest):
+                nested = {key: nested}
+            data = merge(data, {first: nested})
+        return self.validated(data)
+
+
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables with some entries changed; tables are merged, everything else replaced."""
+    merged = dict(base)
+    for key, value in changes.items():
+        old = merged.get(key)
+        if isinstance(old, dict) and isinstance(value, dict):
+            merged[key] = merge(old, value)
+        else:
+            merged[key] = value
+    return merged

@@ -5,6 +5,7 @@ SI units, J2000, body-centred. `docs/solution_file.md` describes every key.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 from pathlib import Path
@@ -12,26 +13,22 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from scp_recon.errors import InputError
-from scp_recon.files import read_text, write_atomically
+from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.schema import Line, Scenario, Speed
 from scp_recon.scp.status import Status
+from scp_recon.solution.part import File, Part, read_file
+from scp_recon.solution.times import strange_times
 
 SCHEMA = "scp_recon.solution/1"
 FILE_NAME = "solution.json"
-TIME_ERROR_S = 1e-3
-"""Far above how the edges of a window differ from one machine to another."""
 Number = Annotated[float, Field(ge=-1e30, le=1e30)]
 """Of what is worked with: its square and its quotients stay finite."""
-
-
-class Part(BaseModel):
-    """Frozen; keys that are not known here are kept out."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+Direction = Annotated[tuple[Number, Number, Number], Field(strict=False)]
+"""A list will do, whose numbers have to be numbers all the same."""
 
 
 class Burn(Part):
@@ -67,7 +64,7 @@ class FacetTable(Part):
 
     constraint: list[Line]
     node: list[Annotated[int, Field(ge=0)]]
-    normal: list[tuple[Number, Number, Number]]
+    normal: list[Direction]
     offset_m: list[Number]
     quantile: list[Number]
 
@@ -186,10 +183,8 @@ class UnitScales(Part):
     time_s: float
 
 
-class Solution(Part):
+class Solution(File):
     """Everything about one plan; its file can be solved again from itself."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     status: Line
     message: Line
@@ -222,6 +217,16 @@ class Solution(Part):
         """Burns as an array, shape (m, 3)."""
         return np.array([burn.dv_m_s for burn in self.burns])
 
+    @property
+    def plan_hash(self) -> str:
+        """SHA-256 of scenario and burns, to the last bit, in hexadecimal; of nothing else."""
+        plan = {
+            "scenario": self.scenario.model_dump(mode="json"),
+            "burns": [burn.model_dump(mode="json") for burn in self.burns],
+        }
+        canonical = json.dumps(plan, sort_keys=True, allow_nan=False)
+        return hashlib.sha256(canonical.encode()).hexdigest()
+
     def write(self, folder: Path) -> Path:
         """Write `solution.json` into a folder; an old file stays whole until the new one is.
 
@@ -241,51 +246,31 @@ def read_solution(path: Path) -> Solution:
             fit together.
     """
     file = path / FILE_NAME if path.is_dir() else path
-    text = read_text(file, f"solution {file}", "solution file in JSON")
+    solution = read_file(file, Solution, SCHEMA, "solution")
     try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"solution {file}", f"no JSON ({error})", "must be a solution file"
-        ) from None
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA:
-        given = data.get("schema", "no schema") if isinstance(data, dict) else "no object"
-        raise InputError(f"solution {file}", repr(given), f"schema must be {SCHEMA!r}")
-    try:
-        # Through JSON again: strict fields such as tuples and dates read from it as written to it.
-        solution = Solution.model_validate_json(json.dumps(data))
         Status.named(solution.status)
-        mission = Mission.from_scenario(solution.scenario)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        entry = ".".join(str(part) for part in first["loc"])
-        given = repr(first["input"])[:80] if first["type"] != "missing" else "nothing"
-        raise InputError(f"solution {file}: {entry}", given, first["msg"]) from None
-    except InputError as error:  # of the scenario
-        raise InputError(f"solution {file}: {error.entry}", error.given, error.allowed) from None
     except ValueError:
         allowed = ", ".join(status.value.name for status in Status)
         raise InputError(
-            f"solution {file}: status", repr(data["status"]), f"must be one of {allowed}"
+            f"solution {file}: status", repr(solution.status), f"must be one of {allowed}"
         ) from None
-    _check(mission, solution, file)
+    try:
+        mission = Mission.from_scenario(solution.scenario)
+    except InputError as error:
+        raise InputError(f"solution {file}: {error.entry}", error.given, error.allowed) from None
+    if strange := _strange(mission, solution):
+        raise InputError(
+            f"solution {file}: {strange[0]}", "what contradicts its scenario", "must be of one plan"
+        )
     return solution
 
 
-def _check(mission: Mission, solution: Solution, file: Path) -> None:
-    """Hold a plan against what its scenario makes of grid and units, be it on another machine."""
-    times, units, facets = solution.nodes.t_s, solution.units, solution.facets
-    n, expected = len(mission.times_s), mission.units
-    contradicts = {
-        "burns": [b.t_s for b in solution.burns] != list(solution.scenario.burns.times_s),
-        "nodes.t_s": len(times) != n
-        or not np.allclose(times, mission.times_s, rtol=0.0, atol=TIME_ERROR_S),
-        "facets.node": facets is not None and max(facets.node, default=0) >= n,
-        "units": not np.allclose(
-            [units.length_m, units.time_s], [expected.length_m, expected.time_s]
-        ),
-    }
-    for entry in (entry for entry, does in contradicts.items() if does):
-        raise InputError(
-            f"solution {file}: {entry}", "what contradicts its scenario", "must be of one plan"
-        )
+def _strange(mission: Mission, solution: Solution) -> list[str]:
+    """What contradicts what the scenario makes of grid and units, be it on another machine."""
+    units, expected, facets = solution.units, mission.units, solution.facets
+    found = strange_times(mission, [b.t_s for b in solution.burns], solution.nodes.t_s)
+    if facets is not None and max(facets.node, default=0) >= len(mission.times_s):
+        found.append("facets.node")
+    if not np.allclose([units.length_m, units.time_s], [expected.length_m, expected.time_s]):
+        found.append("units")
+    return found

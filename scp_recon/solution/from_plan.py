@@ -6,9 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from formulations.rows.cones import Margins
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.stages import Plan, Stage
+from scp_recon.planning.plan import Plan, Stage
 from scp_recon.scp.loop import Record
 from scp_recon.solution.file import (
     Burn,
@@ -30,9 +29,6 @@ FINAL_STATE = "final_state"
 def make_solution(plan: Plan) -> Solution:
     """Collect a plan into the solution file's form, not yet verified."""
     mission, made = plan.mission, plan.provenance
-    lin, units = plan.final.result.lin, mission.units
-    burns = lin.iterate.burns * units.speed_m_s
-    factor = lin.factor * units.state[:, None]
     outcome = plan.final.result.status.value
     return Solution(
         status=outcome.name,
@@ -42,15 +38,15 @@ def make_solution(plan: Plan) -> Solution:
         formulation=made.formulation,
         algorithm=made.algorithm,
         solver=made.solver,
-        total_dv_m_s=float(np.linalg.norm(burns, axis=1).sum()),
+        total_dv_m_s=plan.total_dv_m_s,
         burns=[
             Burn(t_s=time, dv_m_s=tuple(burn.tolist()))
-            for time, burn in zip(mission.scenario.burns.times_s, burns, strict=True)
+            for time, burn in zip(mission.scenario.burns.times_s, plan.burns_m_s, strict=True)
         ],
         nodes=Nodes(
             t_s=mission.times_s.tolist(),
-            state=(lin.iterate.mean * units.state).tolist(),
-            covariance=(factor @ factor.transpose(0, 2, 1)).tolist(),
+            state=plan.states.tolist(),
+            covariance=plan.covariances.tolist(),
         ),
         stages=[_summary(mission, stage) for stage in plan.stages],
         constraints=constraint_results(mission, plan.final),
@@ -62,7 +58,7 @@ def make_solution(plan: Plan) -> Solution:
             for record in stage.result.records
         ],
         timing_s=_timing(plan),
-        units=UnitScales(length_m=units.length_m, time_s=units.time_s),
+        units=UnitScales(length_m=mission.units.length_m, time_s=mission.units.time_s),
         verification=None,
         scenario=mission.scenario,
     )
@@ -96,7 +92,7 @@ def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]
         c.name: "keep_in" if c.keep == "in" else "keep_out" for c in mission.problem.constraints
     }
     results = []
-    for name, margins in _all_margins(mission, stage).items():
+    for name, margins in stage.margins.items():
         unit = _unit(name)
         worst = int(np.argmin(margins.margin))
         at_worst = int((margins.nodes == margins.nodes[worst]).sum())
@@ -111,17 +107,6 @@ def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]
             )
         )
     return results
-
-
-def _all_margins(mission: Mission, stage: Stage) -> dict[str, Margins]:
-    lin = stage.result.lin
-    margins = stage.merit.margins(lin)
-    if stage.facets is not None:
-        facets, margin = stage.facets, stage.facets.margin(lin.iterate.mean, lin.factor)
-        for index, constraint in enumerate(mission.problem.constraints):
-            rows = facets.constraint == index
-            margins[constraint.name] = Margins(facets.node[rows], margin[rows])
-    return margins
 
 
 def _facet_table(mission: Mission, stage: Stage) -> FacetTable | None:

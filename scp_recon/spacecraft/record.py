@@ -62,6 +62,12 @@ class Record:
     arrays: Arrays
     summary: dict[str, Any]
 
+    @property
+    def plan_hash(self) -> str | None:
+        """`Solution.plan_hash` of the plan flown; none in files of earlier versions."""
+        found = self.summary.get("plan_hash")
+        return found if isinstance(found, str) else None
+
 
 def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
     """Collect what is worth keeping of a flight."""
@@ -109,6 +115,7 @@ def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) ->
         "schema": SCHEMA,
         "vehicle": plan.vehicle.name,
         "seed": seed,
+        "plan_hash": solution.plan_hash,
         "inputs_sha256": inputs_digest(solution, plan.vehicle),
         "modes": list(MODES),
         "legs": _legs(flight),

@@ -7,6 +7,8 @@ together lie within a keep-in region; the Monte Carlo estimate stands behind tha
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
@@ -14,7 +16,8 @@ from scipy.special import ndtr
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball
 from scp_recon.mission.mission import Mission
-from scp_recon.solution.file import FacetTable, Solution
+from scp_recon.solution.file import FacetTable, Solution, Violation, ViolationAmount
+from scp_recon.solution.times import strange_times
 
 Array = npt.NDArray[np.float64]
 
@@ -23,19 +26,17 @@ MARGIN_ERROR = {"m": 1e-3, "m/s": 1e-8}
 TOLERANCE = 1e-6
 """In units of length or speed, below which a buffer holds nothing; see `docs/solution_file.md`."""
 FACET_ERROR = 1e-9
+ROUNDING = 1e-9
+"""Relative, of sums and of a change of units."""
 FINAL_STATE = "final_state"
 
 
 def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
     """Parts of a solution that contradict its scenario or each other."""
-    contradictions = {
-        "burns.t_s": [b.t_s for b in solution.burns] != list(mission.scenario.burns.times_s),
-        "nodes.t_s": not np.array_equal(solution.nodes.t_s, mission.times_s),
-        "total_dv_m_s": not np.isclose(
-            np.linalg.norm(solution.burns_m_s, axis=1).sum(), solution.total_dv_m_s, atol=1e-12
-        ),
-    }
-    found = [name for name, contradicts in contradictions.items() if contradicts]
+    found = strange_times(mission, [b.t_s for b in solution.burns], solution.nodes.t_s)
+    total = np.linalg.norm(solution.burns_m_s, axis=1).sum()
+    if not np.isclose(total, solution.total_dv_m_s, atol=1e-12):
+        found.append("total_dv_m_s")
     if "nodes.t_s" in found:  # nothing else can be told without them
         return found
     if solution.problem == "P2" and not _are_sound(mission, solution.facets):
@@ -47,12 +48,12 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
         for name, margin in margins.items()
     ):
         found.append("constraints")
-    if not _is_violation(mission, solution, margins):
+    if not (_is_violation(mission, solution, margins) and _adds_up(mission, solution.violation)):
         found.append("violation")
     return found
 
 
-def _unit(name: str) -> str:
+def _unit(name: str) -> Literal["m", "m/s"]:
     return "m/s" if name.startswith("dv_") else "m"
 
 
@@ -135,11 +136,26 @@ def _is_violation(mission: Mission, solution: Solution, margins: dict[str, Array
     scaled = np.abs(miss) / mission.units.state * mission.units.length_m
     amounts = {FINAL_STATE: scaled, **{name: -margin for name, margin in margins.items()}}
     scale = {"m": mission.units.length_m, "m/s": mission.units.speed_m_s}
-    worst = {name: float(amount.max()) for name, amount in amounts.items()}
     stored = solution.violation.by_constraint
-    for name, most in worst.items():
+    for name, amount in amounts.items():
         unit = _unit(name)
-        told = stored[name].max if name in stored else 0.0
-        if abs(max(most, 0.0) - told) > TOLERANCE * scale[unit] + MARGIN_ERROR[unit]:
+        told = stored.get(name, ViolationAmount(max=0.0, total=0.0, unit=unit))
+        error = TOLERANCE * scale[unit] + MARGIN_ERROR[unit]
+        used = np.maximum(amount, 0.0)
+        if told.unit != unit or abs(used.max() - told.max) > error:
             return False
-    return stored.keys() <= worst.keys() and (solution.violation.max > 0.0) == bool(stored)
+        if told.total > used.sum() + amount.size * error:
+            return False
+    return stored.keys() <= amounts.keys()
+
+
+def _adds_up(mission: Mission, violation: Violation) -> bool:
+    """Whether the largest of all and the sum are those of the constraints, and zero without any."""
+    parts = violation.by_constraint.values()
+    if not all(part.total >= part.max * (1.0 - ROUNDING) > 0.0 for part in parts):
+        return False
+    metres = {"m": 1.0, "m/s": mission.units.time_s}
+    most = max((part.max * metres[part.unit] for part in parts), default=0.0)
+    total = sum(part.total * metres[part.unit] for part in parts)
+    told = [violation.max, violation.total]
+    return np.allclose(told, [most, total], rtol=ROUNDING, atol=0.0)

@@ -6,8 +6,12 @@ import csv
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
+from experiments.observation_table.as_flown import BENNU_ID, OSIRIS_REX_ID
 from experiments.uncertainty_sources.flights import SETS, TRANSLATION, Flown
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.frames import J2000_TDB
 from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.vehicle import Vehicle
 
@@ -27,3 +31,16 @@ def simulated(solution: Solution, _: Vehicle, job: tuple[str, int]) -> Flown:
     off = scale * np.random.default_rng([seed, len(errs)]).standard_normal(6)
     state = np.array(solution.nodes.state[-1]) + off * np.repeat([1.0, 1e-4], 3)
     return Flown(errs, seed, tuple(state.tolist()), 1e-4)
+
+
+def write_kernel(path: Path, mission: Mission, states: npt.NDArray[np.float64]) -> Path:
+    """Node states in m and m/s as an SPK of the flight, cubic between the nodes."""
+    import spiceypy
+
+    et = (mission.scenario.epoch.tdb - J2000_TDB).total_seconds() + mission.times_s
+    handle = spiceypy.spkopn(str(path), "test", 0)
+    spiceypy.spkw13(
+        handle, OSIRIS_REX_ID, BENNU_ID, "J2000", et[0], et[-1], "flight", 3, len(et), states / 1e3, et
+    )  # fmt: skip
+    spiceypy.spkcls(handle)
+    return path

@@ -12,34 +12,21 @@ import numpy.typing as npt
 import pytest
 import spiceypy
 
+from experiments.observation_table import rows as rows_module
 from experiments.observation_table.__main__ import main
-from experiments.observation_table.as_flown import (
-    BENNU_ID,
-    OSIRIS_REX_ID,
-    as_flown_burns,
-    read_states,
-)
+from experiments.observation_table.as_flown import as_flown_burns, flown_guess, read_states
+from experiments.observation_table.rows import rows
+from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
-from scp_recon.physics.frames import J2000_TDB
-from scp_recon.planning import initial_guess
+from scp_recon.planning import initial_guess, ipopt
 from scp_recon.scenario.schema import Epoch
+from scp_recon.solution.file import read_solution
 
-from .support import QUICK, table_of
+from .support import QUICK, table_of, write_kernel
 
 Array = npt.NDArray[np.float64]
-
-
-def write_kernel(path: Path, mission: Mission, states: Array) -> Path:
-    """Node states in m and m/s as an SPK of the flight, cubic between the nodes."""
-    et = (mission.scenario.epoch.tdb - J2000_TDB).total_seconds() + mission.times_s
-    handle = spiceypy.spkopn(str(path), "test", 0)
-    spiceypy.spkw13(
-        handle, OSIRIS_REX_ID, BENNU_ID, "J2000", et[0], et[-1], "flight", 3, len(et), states / 1e3, et
-    )  # fmt: skip
-    spiceypy.spkcls(handle)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +76,90 @@ def test_the_flight_gets_a_row_of_its_own(copy: Path, kernel: Path) -> None:
     assert row["status"] == "given, not optimised"
     text = (copy / "observation_table.md").read_text("utf-8")
     assert "flight.bsp" in text
-    assert "no public kernel" not in text
+    assert "kernel was not at hand" not in text
+
+
+def test_the_guess_from_the_flight_is_the_flight_and_what_init_makes_of_its_table(
+    mission: Mission, kernel: Path, flight: Array, tmp_path: Path
+) -> None:
+    table = tmp_path / "states.csv"
+    guess = flown_guess(kernel, table, mission)
+    np.testing.assert_allclose(
+        (guess.mean * mission.units.state)[:-1, :3], flight[:-1, :3], rtol=0.0, atol=1e-6
+    )
+    again = initial_guess.from_table(mission, table)
+    np.testing.assert_array_equal(guess.mean, again.mean)
+    np.testing.assert_array_equal(guess.burns, again.burns)
+    # It is another start than the surrogate: burns and path differ.
+    ballistic = initial_guess.ballistic(mission)
+    assert np.abs(guess.burns - ballistic.burns).max() * mission.units.speed_m_s > 1e-3
+    off = np.linalg.norm((guess.mean - ballistic.mean)[:, :3], axis=1) * mission.units.length_m
+    assert off.max() > 10.0
+
+
+@pytest.mark.parametrize("planner", ["scp", "ipopt"])
+def test_warm_rows_start_from_the_flight_and_without_a_kernel_from_the_ballistic_arc(
+    mission: Mission,
+    kernel: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    planner: str,
+) -> None:
+    class GivenError(Exception):
+        """Instead of a plan."""
+
+    starts = []
+
+    def refuse(_: Mission, guess: Iterate, *, init: str, **__: object) -> None:
+        starts.append((init, guess))
+        raise GivenError
+
+    monkeypatch.setattr(rows_module if planner == "scp" else ipopt, "plan", refuse)
+    table = tmp_path / "states.csv"
+    for as_flown in ((kernel, table), None):
+        by_key = {row.key: row for row in rows(as_flown=as_flown)}
+        for start in ("warm", "cold"):
+            row = by_key[f"{planner}_{start}"]
+            with pytest.raises(GivenError):
+                row.design(mission)
+            assert starts[-1][0] == row.init
+            # What the user's file gives is read in every run.
+            assert row.anew is (start == "warm" and as_flown is not None)
+    expected = {
+        "as_flown": flown_guess(kernel, table, mission),
+        "warm": initial_guess.ballistic(mission),
+        "cold": initial_guess.cold(mission),
+    }
+    assert [init for init, _ in starts] == ["as_flown", "cold", "warm", "cold"]
+    for init, guess in starts:
+        np.testing.assert_allclose(guess.mean, expected[init].mean, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(guess.burns, expected[init].burns, rtol=0.0, atol=1e-12)
+
+
+def test_the_warm_row_is_designed_anew_when_its_start_changes(
+    copy: Path, kernel: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def run(*arguments: str) -> dict[str, str]:
+        """What is said of every row."""
+        assert main([*QUICK, "--out", str(copy), *arguments]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        return {line.split()[0]: line for line in lines if " m/s, observes " in line}
+
+    assert read_solution(copy / "scp_warm").init == "warm"
+    by_flight = run("--as-flown", str(kernel))
+    assert read_solution(copy / "scp_warm").init == "as_flown"
+    assert "taken up" not in by_flight["scp_warm"]
+    assert "taken up" in by_flight["scp_cold"]
+    assert table_of(copy)["scp_warm"]["label"] == "SCP, warm start from the flight"
+    # From the flight as from the arc P2's optimum is the same.
+    assert read_solution(copy / "scp_warm").status == "converged"
+    warm, cold = (float(table_of(copy)[f"scp_{s}"]["total_dv_m_s"]) for s in ("warm", "cold"))
+    assert warm == pytest.approx(cold, rel=1e-4)
+    by_arc = run()
+    assert read_solution(copy / "scp_warm").init == "warm"
+    assert "taken up" not in by_arc["scp_warm"]
+    assert table_of(copy)["scp_warm"]["label"] == "SCP, warm start"
+    assert "taken up" in run()["scp_warm"]
 
 
 def test_a_kernel_that_does_not_cover_the_flight_exits_with_two(

@@ -85,7 +85,7 @@ def test_without_basilisk_the_extra_is_named(
     solution.write(tmp_path)
     code = (
         "import sys; sys.modules['Basilisk'] = None\n"
-        "from experiments.uncertainty_sources import main; sys.exit(main(sys.argv[1:]))"
+        "from experiments.uncertainty_sources.__main__ import main; sys.exit(main(sys.argv[1:]))"
     )
     options = ["--solution", str(tmp_path), "--out", str(tmp_path), "--workers", workers]
     run = subprocess.run(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import itertools
+import json
 import os
 import shutil
 from pathlib import Path
@@ -20,7 +21,7 @@ from experiments.observation_table.report import to_csv
 from experiments.observation_table.rows import rows
 from paper_figs import flyby
 from paper_figs.__main__ import FIGURES, TABLES, main, make_all
-from paper_figs.drawing import PICTURES, command
+from paper_figs.drawing import PICTURES, command, save
 from paper_figs.inputs import COMMAND, TABLE, Runs, read_runs
 from paper_figs.paper import (
     cone_polytopes,
@@ -171,10 +172,10 @@ def test_coarser_bins_keep_every_flight(runs: Runs) -> None:
     first, last = runs.plan.mission.schedule.window_s
     edges = np.linspace(0.0, last - first, 8)
     for name in ("emission", "site_distance"):
-        counts = rebinned(runs.plan.report, name, edges)
+        counts = rebinned(runs.plan.summary, name, edges)
         assert counts.sum() == SAMPLES
-        held = runs.plan.report["held_s"][name]
-        assert counts[-1] >= held["throughout"]["value"] * SAMPLES - 0.5
+        throughout = runs.plan.summary.held_s[name].throughout.estimate
+        assert counts[-1] >= throughout.value * SAMPLES - 0.5
 
 
 def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs: Runs) -> None:
@@ -241,6 +242,8 @@ def test_everything_is_written_into_one_folder(
     assert {path.name for path in written} == expected
     assert {path.name for path in (tmp_path / "figures").iterdir()} == expected
     assert all(path.stat().st_size > 200 for path in written)
+    plan = runs.plan.solution.plan_hash.encode()
+    assert all(plan in path.read_bytes() for path in written if path.suffix in PICTURES)
     captions = (tmp_path / "figures" / "captions.md").read_text("utf-8")
     assert all(f"## {name}\n" in captions for name in FIGURES)
 
@@ -288,6 +291,45 @@ def test_damaged_input_says_how_to_write_it_anew(
     (copy / damaged).write_text("{", encoding="utf-8")
     with pytest.raises(InputError, match=f"{COMMAND} --fresh"):
         read_runs(copy)
+
+
+@pytest.mark.parametrize("age", ["of another plan", "older"])
+def test_flights_of_another_plan_are_refused(
+    folder: Path, tmp_path: Path, age: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    file = copy / "scp_cold" / "montecarlo.json"
+    if age == "older":
+        data = json.loads(file.read_text("utf-8"))
+        del data["plan_hash"]
+        file.write_text(json.dumps(data), "utf-8")
+    else:
+        shutil.copy(copy / "ballistic" / "montecarlo.json", file)
+    assert main(["--runs", str(copy), "--out", str(tmp_path / "figures")]) == 2
+    errors = capsys.readouterr().err
+    assert errors.count("error: ") == 1
+    for words in (str(file), str(file.with_name("solution.json")), f"{COMMAND} --out {copy}`"):
+        assert words in errors
+    assert ("an unknown plan" in errors) == (age == "older")
+    assert not (tmp_path / "figures").exists()
+
+
+@pytest.mark.parametrize("ending", [".pdf", ".png", ".svg"])
+def test_a_figure_names_its_plan_in_its_metadata(
+    folder: Path, runs: Runs, tmp_path: Path, ending: str
+) -> None:
+    plan = runs.plan.solution.plan_hash.encode()
+    file = tmp_path / f"x{ending}"
+    assert command(control_history.draw, None, [str(folder), str(file)]) == 0
+    assert plan in file.read_bytes()
+    assert flyby.main([str(folder / "scp_cold"), str(file)]) == 0
+    assert plan in file.read_bytes()
+    assert plan not in save(Figure(), file).read_bytes()
+
+
+@pytest.mark.parametrize("ending", ["PDF", "eps", "jpg", "tif"])
+def test_other_formats_are_written_without_the_plan(tmp_path: Path, ending: str) -> None:
+    assert save(Figure(), tmp_path / f"x.{ending}", plan_hash="0" * 64).stat().st_size > 200
 
 
 def test_a_folder_that_cannot_be_written_exits_with_two(

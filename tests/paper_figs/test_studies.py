@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from experiments import battery_cones as battery_cones_study
 from experiments.model_fidelity.__main__ import TOGETHER, Compared, history, records
+from experiments.observation_table.rows import rows
 from experiments.studies import to_csv
 from experiments.timing_rules.__main__ import Rule
 from experiments.timing_rules.__main__ import record as record_slew
@@ -22,7 +23,7 @@ from experiments.uncertainty_sources.report import BOTH, ORDER, Measured, quanti
 from experiments.uncertainty_sources.report import PATH as BY_PATH
 from experiments.uncertainty_sources.report import SPACECRAFT as BY_SPACECRAFT
 from paper_figs import __main__ as command_line
-from paper_figs.__main__ import STUDIES, make_all
+from paper_figs.__main__ import STUDIES, Study, make_all
 from paper_figs.drawing import PICTURES, command_from
 from paper_figs.studies import (
     attitude_and_actuators,
@@ -35,8 +36,14 @@ from paper_figs.studies import (
     uncertainty_sources,
 )
 from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import load_scenario
+from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.record import ARRAYS, KEYS, SCHEMA, Record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
+
+PLAN = "1f" * 32
+"""Hash of no plan."""
 
 
 def compared(flight: str, effect: str, model: str, end_m: float) -> Compared:
@@ -81,7 +88,7 @@ def write_uncertainty(folder: Path) -> None:
     (folder / uncertainty_quantiles.QUANTILES).write_text(points, encoding="utf-8")
 
 
-def write_flight(folder: Path, seed: int = 4) -> None:
+def write_flight(folder: Path, seed: int = 4, plan_hash: str | None = PLAN) -> None:
     """A made-up flight of two hours: a slew each half hour, a dump, a battery that runs low."""
     t = np.arange(0.0, 7200.0, 10.0)
     n, step = len(t), (t // 1800.0)
@@ -105,6 +112,7 @@ def write_flight(folder: Path, seed: int = 4) -> None:
     summary = dict.fromkeys(KEYS) | {
         "schema": SCHEMA,
         "seed": seed,
+        "plan_hash": plan_hash,
         "modes": ["delta-V", "sun-pointing", "observation"],
         "burns": [
             {"t_s": 0.0, "pointing_deg": 0.02, "executed_pointing_deg": 0.1},
@@ -252,3 +260,54 @@ def test_a_study_alone_is_written_or_says_what_is_missing(
         path.write_text("x\n1\n", encoding="utf-8")
     with pytest.raises(InputError, match="unusable"):
         study.read(damaged)
+
+
+# --- whose flights they are ---------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    """Burns that are given, not planned."""
+    design = next(row.design for row in rows(ipopt=False) if row.key == "ballistic")
+    return design(Mission.from_scenario(load_scenario()))
+
+
+@pytest.mark.parametrize("plan_hash", [PLAN, None])
+def test_a_flight_of_another_plan_than_the_one_beside_it_is_refused(
+    solution: Solution, tmp_path: Path, plan_hash: str | None
+) -> None:
+    single, many = tmp_path / "single", tmp_path / "many"
+    write_flight(single, 4, plan_hash)
+    many.mkdir()
+    (many / flown_plan.TABLE).write_text("seed\n4\n", encoding="utf-8")
+    write_flight(many / "seed_4", 4, plan_hash)
+    for study, folder in ((power_history, single), (flown_plan, many)):
+        study.read(folder)  # by itself
+        plan_file = solution.write(folder)
+        with pytest.raises(InputError) as caught:
+            study.read(folder)
+        for words in ("simulation.npz", str(plan_file), f"{study.COMMAND} --out {folder}"):
+            assert words in str(caught.value)
+
+
+def test_flights_of_the_plan_beside_them_are_read(solution: Solution, tmp_path: Path) -> None:
+    folder = tmp_path / "flight"
+    write_flight(folder, 4, solution.plan_hash)
+    solution.write(folder)
+    assert power_history.read(folder).plan_hash == solution.plan_hash
+
+
+def test_flights_of_different_plans_make_no_figure(tmp_path: Path) -> None:
+    (tmp_path / flown_plan.TABLE).write_text("seed\n1\n2\n", encoding="utf-8")
+    write_flight(tmp_path / "seed_1", 1)
+    write_flight(tmp_path / "seed_2", 2, "2e" * 32)
+    with pytest.raises(InputError, match="flights of different plans"):
+        flown_plan.read(tmp_path)
+
+
+@pytest.mark.parametrize("study", [power_history, flown_plan])
+def test_a_figure_of_flights_names_their_plan(studies: Path, tmp_path: Path, study: Study) -> None:
+    file = tmp_path / "x.png"
+    found = [str(studies / study.FOLDER), str(file)]
+    assert command_from(study.read, study.draw, None, found) == 0
+    assert PLAN.encode() in file.read_bytes()

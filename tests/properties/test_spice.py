@@ -16,10 +16,10 @@ from scp_recon.physics.frames import unit
 from scp_recon.physics.geometry import Site
 from scp_recon.scenario.load import load_scenario
 from tests.helpers import generators, random_unit
-from tests.scp_recon.support import EPOCH_ET, shared
+from tests.reference import BENNU, EPOCH_ET, write_bennu_kernel
 
-BENNU, GM_SUN_KM3_S2 = 2101955, 132_712_440_041.939
-"""NAIF's number; DE440's constant."""
+GM_SUN_KM3_S2 = 132_712_440_041.939
+"""DE440's constant."""
 SECOND_ORDER = 2e-5
 """Rad, by which the Sun's direction bends away from a straight line within ten hours."""
 
@@ -28,10 +28,10 @@ times = st.floats(-2e4, 4e4).map(lambda t: round(t, 6))
 
 
 @pytest.fixture(scope="module")
-def spice() -> Iterator[ModuleType]:
+def spice(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
     spiceypy = pytest.importorskip("spiceypy")
     spiceypy.kclear()
-    spiceypy.furnsh(str(shared("bennu_v16.tpc")))
+    spiceypy.furnsh(str(write_bennu_kernel(tmp_path_factory.mktemp("kernel"))))
     yield spiceypy
     spiceypy.kclear()
 

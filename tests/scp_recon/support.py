@@ -1,14 +1,12 @@
-"""What several tests of this wing use: reference data, missions, and an integrator of their own."""
+"""What several tests of this wing use: missions, and an integrator of their own."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,24 +19,6 @@ from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.scenario.load import load_scenario
 
 Array = npt.NDArray[np.float64]
-
-SHARED = Path(__file__).parents[3] / "shared" / "data"
-"""Reference data beside the project; tests that need it are skipped where it is absent."""
-
-EPOCH_ET = 632_910_797.184
-"""2020-01-21T20:33:17.184 TDB in TDB seconds past J2000: 7324 days, 30797.184 s past noon."""
-
-
-def shared(name: str) -> Path:
-    path = SHARED / name
-    if not path.exists():
-        pytest.skip(f"reference data {path} is absent")
-    return path
-
-
-def constants() -> dict[str, Any]:
-    data: dict[str, Any] = json.loads(shared("scenario_constants.json").read_text("utf-8"))
-    return data
 
 
 def mission_of(*overrides: str) -> Mission:

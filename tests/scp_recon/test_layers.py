@@ -12,7 +12,9 @@ import pytest
 
 PROJECT = Path(__file__).parents[2]
 LIBRARY = ("formulations", "scp_recon")
-COMMANDS = {f"scp_recon.{name}" for name in ("solve", "verify", "montecarlo", "simulate")}
+COMMANDS = {
+    f"scp_recon.{name}" for name in ("solve", "verify", "montecarlo", "simulate", "compare")
+}
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
 
 
@@ -59,6 +61,36 @@ def test_formulations_knows_no_file_format(path: Path) -> None:
 @pytest.mark.parametrize("path", modules("scp_recon"), ids=module_name)
 def test_scp_recon_imports_nothing_from_the_floors_above(path: Path) -> None:
     assert not roots(path) & set(UPPER_FLOORS)
+
+
+FLOORS = (
+    *(f"formulations.{name}" for name in ("risk", "problem", "linearisation", "rows", "program")),
+    *(f"formulations.{name}" for name in ("nlp", "registry")),
+    *(f"scp_recon.{name}" for name in ("errors", "files", "scenario", "physics", "mission", "scp")),
+    *(f"scp_recon.{name}" for name in ("planning", "solution", "monte_carlo", "spacecraft")),
+    *(f"scp_recon.{name}" for name in ("spacecraft.basilisk", "verification", "cli", "front_door")),
+    "scp_recon",  # the lazy front door, and the commands
+)
+"""Folders, and modules that stand alone, from the lowest up: the README's tree read backwards."""
+
+
+def floor_of(module: str) -> str | None:
+    """The deepest folder or module of the floors that a module is in."""
+    found = [name for name in FLOORS if f"{module}.".startswith(f"{name}.")]
+    return max(found, key=len, default=None)
+
+
+@pytest.mark.parametrize(
+    "path", [path for package in LIBRARY for path in modules(package)], ids=module_name
+)
+def test_folders_import_downwards_only(path: Path) -> None:
+    own = floor_of(module_name(path))
+    if own is None:
+        assert path.name == "__init__.py"
+        return
+    imported = {floor for name in imports(path) if (floor := floor_of(name))}
+    # `import scp_recon` itself is the package around them all.
+    assert all(FLOORS.index(floor) <= FLOORS.index(own) for floor in imported - {"scp_recon"})
 
 
 def test_there_are_no_circles() -> None:

@@ -12,7 +12,9 @@ import pytest
 from tests import reliability
 
 PROJECT = Path(__file__).parents[3]
-COMMANDS = [f"scp_recon.{name}" for name in ("solve", "verify", "montecarlo", "simulate")]
+COMMANDS = [
+    f"scp_recon.{name}" for name in ("solve", "verify", "montecarlo", "simulate", "compare")
+]
 COMMANDS += ["paper_figs", "paper_figs.flyby", "benchmarks"]
 
 AS_CTRL_C = """

@@ -42,7 +42,7 @@ def test_grid_has_no_more_nodes_than_it_needs(length: float, step: float) -> Non
 
 def test_default_grid(mission: Mission) -> None:
     scenario, times = mission.scenario, mission.times_s
-    assert len(times) - 1 == 153  # mission.md section 5
+    assert len(times) - 1 == 153  # the grid of the independent prototype
     assert np.diff(times).max() <= scenario.grid.step_max_s
     np.testing.assert_array_equal(times[mission.burn_nodes], scenario.burns.times_s)
     window = times[mission.window_nodes]

@@ -138,8 +138,8 @@ def test_window_edges_are_found_to_a_millisecond(start: float, length: float, en
 # --- the schedule -------------------------------------------------------------------------------
 
 
-def test_timeline_is_that_of_the_spacecraft_specification(mission: Mission) -> None:
-    # spacecraft.md section 9.7, to the second.
+def test_timeline_is_that_of_the_rules_worked_out_by_hand(mission: Mission) -> None:
+    # Echigo et al., section V.A: half an hour each for slews and heating, before burns and window.
     expected = [
         (Mode.SUN_POINTING, 0, 4400),
         (Mode.DELTA_V, 4400, 8000),

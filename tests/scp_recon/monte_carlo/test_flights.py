@@ -12,7 +12,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import flights as campaign_module
 from scp_recon.monte_carlo.flights import Campaign, CampaignConfig, fly_campaign
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.montecarlo import FILE_NAME, main, summarise
+from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
+from scp_recon.montecarlo import main
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.schema import Uncertainty
@@ -29,7 +30,7 @@ def test_workers_do_not_change_the_result(
     mission: Mission, solution: Solution, flown: Campaign
 ) -> None:
     other = fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=3000, workers=2)
-    assert json.dumps(summarise(other, solution)) == json.dumps(summarise(flown, solution))
+    assert summarise(other, solution) == summarise(flown, solution)
 
 
 def test_until_stops_at_the_width_asked(mission: Mission, solution: Solution) -> None:
@@ -88,22 +89,23 @@ def test_predicted_covariance_lies_in_the_interval_of_the_sampled_one_for_small_
     )
     tame = Mission.from_scenario(mission.scenario.model_copy(update={"uncertainty": small}))
     design = make_solution(plan(tame, initial_guess.cold(tame)))
-    report = summarise(fly_campaign(CampaignConfig(tame, design.burns_m_s), samples=3000), design)
-    ratios = report["terminal"]["sigma_ratio"].values()
+    summary = summarise(fly_campaign(CampaignConfig(tame, design.burns_m_s), samples=3000), design)
+    ratios = [ratio.estimate for ratio in summary.terminal.sigma_ratio.values()]
     # Six intervals at 95 %: more than one miss has a probability of 3 %.
-    assert sum(not r["low"] <= 1.0 <= r["high"] for r in ratios) <= 1
-    p_values = [t["p_value"] for t in report["terminal"]["normality"].values()]
+    assert sum(not r.low <= 1.0 <= r.high for r in ratios) <= 1
+    p_values = [test.p_value for test in summary.terminal.normality.values()]
     assert min(p_values) > 1e-4
 
 
-def test_command_writes_a_report_beside_the_solution(
+def test_command_writes_a_summary_beside_the_solution(
     solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     solution.write(tmp_path)
     assert main([str(tmp_path), "--samples", "400", "--errors", "gates"]) == 0
-    report = json.loads((tmp_path / FILE_NAME).read_text("utf-8"))
-    assert report["samples"] == 400
-    assert report["errors"] == "gates"
+    summary = read_summary(tmp_path)
+    assert summary.samples == 400
+    assert summary.errors == "gates"
+    assert summary.is_of(solution)
     printed = capsys.readouterr().out
     for name in (*SCIENCE, "all at once", "closest approach", "normality"):
         assert name in printed

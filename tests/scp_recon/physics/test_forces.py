@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -20,7 +19,8 @@ from scp_recon.physics.forces import (
     gravity_curvature,
     gravity_gradient,
 )
-from tests.scp_recon.support import Array, constants, mission_of, shared
+from tests import reference
+from tests.scp_recon.support import Array, mission_of
 
 Derivatives = Callable[[Array], list[Array]]
 
@@ -154,32 +154,23 @@ def test_a_change_of_units_changes_only_the_numbers(
     np.testing.assert_allclose(scaled * length / time**2, at(position, mission.forces), rtol=1e-12)
 
 
-def flight_field() -> tuple[float, float, dict[tuple[int, int], float]]:
-    """GM, reference radius and normalised cosine coefficients of the flight gravity field."""
-    lines = shared("bennu_gravity_jpl_particles_10x10.csv").read_text("utf-8").splitlines()
-    header = next(line for line in lines if line.startswith("# GM"))
-    gm, radius = (float(part.split("=")[1].split()[0]) for part in header.split(";"))
-    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
-    return gm, radius, {(int(r["n"]), int(r["m"])): float(r["Cbar"]) for r in rows}
-
-
 def test_gravity_constants_are_those_of_the_flight_field(mission: Mission) -> None:
-    gm, radius, cosine = flight_field()
-    body = mission.scenario.body
-    assert body.gm_m3_s2 == pytest.approx(gm, rel=1e-12)
-    assert body.reference_radius_m == radius
-    assert body.j2 == pytest.approx(-np.sqrt(5.0) * cosine[2, 0], rel=1e-12)
+    body, (zonal, _) = mission.scenario.body, reference.COEFFICIENTS[2, 0]
+    assert body.gm_m3_s2 == pytest.approx(reference.GM_M3_S2, rel=1e-12)
+    assert body.reference_radius_m == reference.REFERENCE_RADIUS_M
+    assert body.j2 == pytest.approx(-np.sqrt(5.0) * zonal, rel=1e-12)
 
 
 @given(position=positions())
 def test_oblateness_is_the_degree_two_zonal_in_the_body_frame(
     position: Array, mission: Mission
 ) -> None:
-    gm, reference, cosine = flight_field()
+    gm, scale = reference.GM_M3_S2, reference.REFERENCE_RADIUS_M
+    zonal, _ = reference.COEFFICIENTS[2, 0]
     r = ca.SX.sym("r", 3)
     radius = ca.norm_2(r)
     legendre = np.sqrt(5.0) * (3 * (r[2] / radius) ** 2 - 1) / 2  # fully normalised P_20
-    potential = gm / radius * (1 + (reference / radius) ** 2 * cosine[2, 0] * legendre)
+    potential = gm / radius * (1 + (scale / radius) ** 2 * zonal * legendre)
     function = ca.Function("g", [r], [ca.gradient(potential, r)])
     to_j2000 = mission.rotation.body_to_j2000(5000.0)
     expected = to_j2000 @ np.array(function(to_j2000.T @ position))[:, 0]
@@ -189,18 +180,17 @@ def test_oblateness_is_the_degree_two_zonal_in_the_body_frame(
 
 def test_radiation_pressure_pushes_away_from_the_sun(mission: Mission) -> None:
     srp = mission.forces.srp
-    # 1361 W/m^2 at 1.0108 au on 0.85 m^2 x 1.127 of 178 kg (PROVENANCE.md section 9).
+    # 1361 W/m^2 at 1.0108 au on 0.85 m^2 x 1.127 of 178 kg (nasa/muscat, DARE).
     assert np.linalg.norm(srp) == pytest.approx(2.39e-8, rel=2e-3)
     np.testing.assert_allclose(srp / np.linalg.norm(srp), -mission.sun_direction(0.0), atol=1e-14)
 
 
 def test_sun_distance_is_the_recorded_one(mission: Mission) -> None:
-    au = constants()["bennu_heliocentric"]["sun_distance_t0_au"]
     pressure_at_one_au = mission_of(
         "sun.body_position_km=[149597870.7, 0.0, 0.0]", "boundary.frame=j2000", *WINDOW_GIVEN
     ).forces.srp
     ratio = np.linalg.norm(pressure_at_one_au) / np.linalg.norm(mission.forces.srp)
-    assert ratio == pytest.approx(au**2, rel=1e-7)
+    assert ratio == pytest.approx(reference.SUN_DISTANCE_AU**2, rel=1e-7)
 
 
 WINDOW_GIVEN = ("observation.window_s=[13140.0, 16537.0]",)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator
 from datetime import datetime
 from types import ModuleType
@@ -15,9 +14,10 @@ from scipy.spatial.transform import Rotation as SciPyRotation
 
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
-from tests.scp_recon.support import EPOCH_ET, Array, constants, mission_of, shared
+from tests import reference
+from tests.reference import BENNU, EPOCH_ET
+from tests.scp_recon.support import Array, mission_of
 
-BENNU = 2101955
 FLIGHT_S = 34_842.0
 
 angles = st.floats(-np.pi, np.pi)
@@ -40,11 +40,11 @@ def directions(draw: st.DrawFn) -> Array:
 
 
 @pytest.fixture(scope="module")
-def spice() -> Iterator[ModuleType]:
-    """SPICE with the Bennu kernel that the scenario's constants come from."""
+def spice(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ModuleType]:
+    """SPICE with the figures of NAIF's kernel of Bennu."""
     spiceypy = pytest.importorskip("spiceypy")
     spiceypy.kclear()
-    spiceypy.furnsh(str(shared("bennu_v16.tpc")))
+    spiceypy.furnsh(str(reference.write_bennu_kernel(tmp_path_factory.mktemp("kernel"))))
     yield spiceypy
     spiceypy.kclear()
 
@@ -57,19 +57,19 @@ def test_body_orientation_is_that_of_spice(mission: Mission, spice: ModuleType) 
 
 
 def test_orientation_at_the_epoch_is_the_recorded_one(mission: Mission) -> None:
-    recorded = constants()["bennu_orientation"]["at_t0_v16"]
+    recorded = reference.ORIENTATION_AT_EPOCH
     rotation = mission.rotation
     # The record counts TDB with its periodic term, which moves the meridian by less than 1e-6 rad.
-    np.testing.assert_allclose(rotation.meridian, np.deg2rad(recorded["W_deg"]), atol=1e-6)
+    np.testing.assert_allclose(rotation.meridian, np.deg2rad(recorded["meridian_deg"]), atol=1e-6)
     np.testing.assert_allclose(rotation.rate, recorded["spin_rate_rad_s"], rtol=1e-10)
-    np.testing.assert_allclose(rotation.pole, recorded["pole_J2000"], atol=1e-8)
+    np.testing.assert_allclose(rotation.pole, recorded["pole"], atol=1e-8)
     np.testing.assert_allclose(
-        rotation.body_to_j2000(0.0), recorded["R_body_to_J2000"], rtol=0.0, atol=1e-6
+        rotation.body_to_j2000(0.0), recorded["body_to_j2000"], rtol=0.0, atol=1e-6
     )
 
 
 def test_one_rotation_takes_the_recorded_period(mission: Mission) -> None:
-    period = 3600.0 * constants()["bennu_orientation"]["at_t0_v16"]["period_h"]
+    period = 3600.0 * reference.ORIENTATION_AT_EPOCH["period_h"]
     start, end = mission.rotation.body_to_j2000(np.array([0.0, period]))
     np.testing.assert_allclose(start, end, rtol=0.0, atol=1e-6)
 
@@ -122,31 +122,23 @@ def test_sun_north_frame_has_x_to_the_sun_and_z_towards_the_pole(sun: Array, pol
 
 def test_sun_north_frame_at_the_epoch_is_the_recorded_one(mission: Mission) -> None:
     matrix = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
-    recorded = constants()["reconB_states"]["reading_B_sun_north"]["R_sunnorth_to_J2000_at_t0"]
-    np.testing.assert_allclose(matrix, recorded, rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(matrix, reference.SUN_NORTH_TO_J2000, rtol=0.0, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("which", "position", "velocity"),
-    [
-        ("initial_state", "r0_J2000_m", "v0_J2000_m_s"),
-        ("final_state", "rf_J2000_m", "vf_J2000_m_s"),
-    ],
-)
+@pytest.mark.parametrize("which", ["initial_state", "final_state"])
 def test_boundary_states_are_converted_from_the_sun_north_frame(
-    mission: Mission, which: str, position: str, velocity: str
+    mission: Mission, which: str
 ) -> None:
-    recorded = constants()["reconB_states"]["reading_D_both_sun_north"]
+    recorded = reference.STATES_FROM_SUN_NORTH[which]
     state = getattr(mission, which)
-    np.testing.assert_allclose(state[:3], recorded[position], rtol=0.0, atol=0.05)
-    np.testing.assert_allclose(state[3:], recorded[velocity], rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(state[:3], recorded[:3], rtol=0.0, atol=0.05)
+    np.testing.assert_allclose(state[3:], recorded[3:], rtol=0.0, atol=1e-6)
 
 
 def test_boundary_states_read_as_j2000_are_the_printed_ones() -> None:
-    printed = constants()["reconB_states"]["printed_in_paper"]
     literal = mission_of("boundary.frame=j2000")
-    np.testing.assert_array_equal(literal.initial_state, [*printed["r0_m"], *printed["v0_m_s"]])
-    np.testing.assert_array_equal(literal.final_state, [*printed["rf_m"], *printed["vf_m_s"]])
+    for which, printed in reference.PRINTED_STATES.items():
+        np.testing.assert_array_equal(getattr(literal, which), printed)
 
 
 def test_printed_sun_direction_is_ours_rounded(mission: Mission) -> None:
@@ -157,13 +149,11 @@ def test_printed_sun_direction_is_ours_rounded(mission: Mission) -> None:
 
 
 def test_sun_direction_over_the_flight_is_that_of_the_ephemeris(mission: Mission) -> None:
-    lines = shared("bennu_ephemeris_jan2020.csv").read_text("utf-8").splitlines()
-    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-    times = np.array([float(row["et_tdb"]) for row in rows]) - EPOCH_ET
-    suns = np.array([[float(row[name]) for name in ("sx", "sy", "sz")] for row in rows])
-    flight = (times >= -3600.0) & (times <= FLIGHT_S + 3600.0)
-    assert flight.sum() >= 10
-    error = np.linalg.norm(np.cross(mission.sun_direction(times[flight]), suns[flight]), axis=1)
+    hourly = np.array(reference.SUN_DIRECTIONS)
+    times, suns = hourly[:, 0] - EPOCH_ET, hourly[:, 1:]
+    assert times[0] < 0.0
+    assert times[-1] > FLIGHT_S
+    error = np.linalg.norm(np.cross(mission.sun_direction(times), suns), axis=1)
     assert error.max() < 5e-5
 
 

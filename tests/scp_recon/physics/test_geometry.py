@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from types import ModuleType
 
 import numpy as np
@@ -14,7 +13,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import Rotation, unit
 from scp_recon.physics.geometry import Site, SiteTrack
-from tests.scp_recon.support import Array, constants, shared
+from tests import reference
+from tests.scp_recon.support import Array
 
 # Spinning about Z with the prime meridian on X at t = 0, a quarter of a turn in 100 s.
 UPRIGHT = Rotation(
@@ -162,22 +162,19 @@ def test_local_solar_time_runs_through_a_day_in_a_rotation() -> None:
 
 
 def test_nightingale_is_where_and_as_recorded(mission: Mission) -> None:
-    recorded = constants()["nightingale"]
     site = mission.site
-    np.testing.assert_array_equal(
-        site.position_body, recorded["position_body_m_at_55p9_41p8_on_v20_shape"]
-    )
+    np.testing.assert_array_equal(site.position_body, reference.SITE_BODY_M)
     x, y, z = site.position_body
     latitude, longitude = np.arcsin(z / np.linalg.norm(site.position_body)), np.arctan2(y, x)
-    np.testing.assert_allclose(np.rad2deg([latitude, longitude]), [55.9, 41.8], atol=0.01)
-    printed = np.array(recorded["normal_body_paper"])
+    expected = [reference.SITE_LATITUDE_DEG, reference.SITE_LONGITUDE_DEG]
+    np.testing.assert_allclose(np.rad2deg([latitude, longitude]), expected, atol=0.01)
+    printed = np.array(reference.PRINTED_SITE_NORMAL)
     np.testing.assert_allclose(site.normal_body, printed / np.linalg.norm(printed), atol=1e-15)
 
 
 def test_angles_along_the_reconstructed_arc_are_the_tabulated_ones(mission: Mission) -> None:
-    lines = shared("reconB_reconstructed_reference.csv").read_text("utf-8").splitlines()
-    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))[::10]
-    table = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    names = (*reference.ARC_COLUMNS, *reference.ARC_ANGLES)
+    table = dict(zip(names, np.array(reference.ARC).T, strict=True))
     t, position = table["t"], np.stack([table[key] for key in "xyz"], axis=1)
     site = geometry.track(mission.site, mission.rotation, t)
     sun = mission.sun_direction(t)
@@ -188,7 +185,7 @@ def test_angles_along_the_reconstructed_arc_are_the_tabulated_ones(mission: Miss
     }
     for name, ours in angles.items():
         np.testing.assert_allclose(np.rad2deg(ours), table[name], rtol=0.0, atol=0.02)
-    # The table may use another point of the same site, metres away (PROVENANCE.md section 7).
+    # The prototype may use another point of the same site, metres away: facets are 10 m wide.
     np.testing.assert_allclose(geometry.distance(position, site), table["d_site"], atol=5.0)
     hour = geometry.local_solar_time(mission.site, mission.rotation, sun, t)
     np.testing.assert_allclose((hour - table["lst"] + 12.0) % 24.0, 12.0, atol=0.1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import csv
+from math import factorial
 
 import numpy as np
 import pytest
@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.physics.harmonics import HarmonicField
-from tests.scp_recon.support import shared
+from tests import reference
 
-GM = 4.89044967462
+GM = reference.GM_M3_S2
 directions = st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda d: np.linalg.norm(d) > 0.1)
 
 
@@ -63,13 +63,20 @@ def test_gradient_is_symmetric_and_trace_free(
     assert np.abs(g - g.T).max() < 1e-5 * size
 
 
-def test_coefficients_are_those_of_the_source() -> None:
-    lines = shared("bennu_gravity_jpl_particles_10x10.csv").read_text("utf-8").splitlines()
-    rows = list(csv.DictReader(line for line in lines if not line.startswith("#")))
-    field = HarmonicField.bennu(GM, 10)
-    sectorial = next(r for r in rows if (r["n"], r["m"]) == ("2", "2"))
-    # N_22 = sqrt(2 * 5 * 0! / 4!)
-    assert field.c[2, 2] == pytest.approx(float(sectorial["Cbar"]) * np.sqrt(10.0 / 24.0))
-    zonal = next(r for r in rows if (r["n"], r["m"]) == ("8", "0"))
-    assert field.c[8, 0] == pytest.approx(float(zonal["Cbar"]) * np.sqrt(17.0))
-    assert len([r for r in rows if int(r["n"]) >= 2]) == sum(n + 1 for n in range(2, 11))
+@pytest.mark.parametrize("indices", reference.COEFFICIENTS)
+def test_coefficients_are_those_of_the_source(indices: tuple[int, int]) -> None:
+    n, m = indices
+    # N_nm = sqrt((2 - delta_0m) (2n + 1) (n - m)! / (n + m)!)
+    norm = np.sqrt((2 - (m == 0)) * (2 * n + 1) * factorial(n - m) / factorial(n + m))
+    field = HarmonicField.bennu(GM, reference.GRAVITY_DEGREE)
+    assert field.radius == reference.REFERENCE_RADIUS_M
+    ours = (field.c[n, m], field.s[n, m])
+    assert ours == pytest.approx(norm * np.array(reference.COEFFICIENTS[indices]), rel=1e-12)
+
+
+def test_every_degree_and_order_of_the_source_is_there() -> None:
+    field = HarmonicField.bennu(GM, reference.GRAVITY_DEGREE)
+    there = (field.c != 0.0) | (field.s != 0.0)
+    expected = np.tri(reference.GRAVITY_DEGREE + 1, dtype=bool)
+    expected[1] = False  # the origin is the centre of mass
+    np.testing.assert_array_equal(there, expected)

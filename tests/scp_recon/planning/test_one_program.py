@@ -15,6 +15,7 @@ from cvxpy.reductions.dcp2cone.cone_matrix_stuffing import ParamConeProg
 from formulations.problem.flyby import Iterate
 from formulations.program import condensed, solvers
 from formulations.program.certificate import ConeProgram
+from formulations.program.compiled import CompiledProgram
 from formulations.program.solvers import Answer, Clarabel, Qoco
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -30,6 +31,8 @@ class Watched:
     """What was compiled, asked of Clarabel and given to it in a plan; asked so far by iteration."""
 
     compiled: list[Any] = field(default_factory=list)
+    answers: list[Any] = field(default_factory=list)
+    read: list[Any] = field(default_factory=list)
     asked: list[ConeProgram] = field(default_factory=list)
     given: list[tuple[Array, Array, Array]] = field(default_factory=list)
     after: list[int] = field(default_factory=list)
@@ -37,6 +40,7 @@ class Watched:
 
 def watch(monkeypatch: pytest.MonkeyPatch) -> Watched:
     seen = Watched()
+    read = CompiledProgram.burns
     compile_, solve, real = cp.Problem.get_problem_data, Clarabel.solve, clarabel.DefaultSolver
 
     def compiling(self: cp.Problem, *arguments: Any, **options: Any) -> Any:
@@ -46,7 +50,13 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Watched:
 
     def asking(self: Clarabel, program: ConeProgram) -> Answer:
         seen.asked.append(program)
-        return solve(self, program)
+        answer = solve(self, program)
+        seen.answers.append(answer.x)
+        return answer
+
+    def reading(self: CompiledProgram, x: Any) -> Any:
+        seen.read.append(x)
+        return read(self, x)
 
     class Given:
         """Clarabel itself, and the numbers that it gets."""
@@ -68,6 +78,7 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Watched:
 
     monkeypatch.setattr(cp.Problem, "get_problem_data", compiling)
     monkeypatch.setattr(Clarabel, "solve", asking)
+    monkeypatch.setattr(CompiledProgram, "burns", reading)
     monkeypatch.setattr(Qoco, "solve", never)
     monkeypatch.setattr(clarabel, "DefaultSolver", Given)
     condensed.compile_condensed.cache_clear()
@@ -77,6 +88,9 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Watched:
 def assert_cvxpys_own(seen: Watched) -> None:
     """Every iteration is solved with exactly the numbers that CVXPY's compiled form gives."""
     assert all(after > before for before, after in zip([0, *seen.after], seen.after, strict=False))
+    # The burns are read from Clarabel's answers, and from nothing else.
+    assert len(seen.read) == len(seen.answers)
+    assert all(x is answer for x, answer in zip(seen.read, seen.answers, strict=True))
     # Clarabel got what it was asked, once each, and nothing besides.
     assert len(seen.given) == len(seen.asked) >= len(seen.after)
     for program, (q, data, b) in zip(seen.asked, seen.given, strict=True):

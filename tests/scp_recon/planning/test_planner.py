@@ -15,7 +15,7 @@ from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
 from formulations.rows.chance import ChanceRows
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess, stages
+from scp_recon.planning import initial_guess, ipopt, stages
 from scp_recon.planning import planner as planner_module
 from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
 from scp_recon.scp.algorithms import ALGORITHMS
@@ -340,6 +340,45 @@ def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) 
     assert found.final is found.stages[-1]
     assert total_dv(mission, found.stages[0]) > 1.3 * total_dv(mission, found.stages[2])
     assert total_dv(mission, found.final) == pytest.approx(0.140135, rel=1e-4)
+
+
+def test_facets_that_leave_nothing_feasible_are_chosen_again() -> None:
+    """Where the first choice ended; every stage has a name of its own."""
+    mission = mission_of("risk.p_chance=0.9")
+    found = plan(mission, initial_guess.cold(mission))
+    names = [stage.name for stage in found.stages]
+    assert names == ["P3", "P2", "P3b", "P3c", "P3d", "P2.2"]
+    assert found.stages[1].result.status is Status.INFEASIBLE
+    assert found.final is found.stages[-1]
+    assert found.status is Status.CONVERGED
+    assert verify(mission, make_solution(found)).ok
+
+
+def test_further_choices_are_numbered_on() -> None:
+    mission = mission_of("observation.site_distance_max_m=640.0")
+    found = plan(mission, initial_guess.cold(mission), facet_rounds=1)
+    names = [stage.name for stage in found.stages if stage.facets]
+    assert found.status is Status.INFEASIBLE
+    assert names == ["P2", *(f"P2.{n}" for n in range(2, len(names) + 1))]
+
+
+def test_a_plan_knows_how_it_was_made(mission: Mission) -> None:
+    found = plan(
+        mission,
+        initial_guess.cold(mission),
+        formulation="frozen-stm",
+        algorithm="ptr",
+        solver="QOCO",
+        init="mine",
+        problem="P3",
+    )
+    solution = make_solution(found)
+    made = solution.formulation, solution.algorithm, solution.solver, solution.init
+    assert made == ("frozen-stm", "ptr", "QOCO", "mine")
+    by_ipopt = ipopt.plan(mission, initial_guess.cold(mission), variant="shooting", problem="P3")
+    solution = make_solution(by_ipopt)
+    made = solution.formulation, solution.algorithm, solution.solver, solution.init
+    assert made == ("shooting", "interior point", "IPOPT", "given")
 
 
 # --- planning again -----------------------------------------------------------------------------

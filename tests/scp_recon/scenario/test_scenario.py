@@ -17,8 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError
 from scp_recon.scenario.load import Scenario, base_names, load_scenario, validate_scenario
-from tests import reliability
-from tests.scp_recon.support import constants
+from tests import reference, reliability
 
 
 def refused(*overrides: str) -> InputError:
@@ -74,22 +73,22 @@ def test_default_is_the_papers_table(scenario: Scenario) -> None:
 
 
 def test_default_holds_the_recorded_constants(scenario: Scenario) -> None:
-    recorded = constants()
-    v16 = recorded["bennu_orientation"]["v16"]
-    body = scenario.body
-    assert (body.pole_ra_deg, body.pole_dec_deg) == (v16["ra_deg"], v16["dec_deg"])
-    assert body.prime_meridian_deg == v16["W0_deg"]
-    assert body.prime_meridian_rate_deg_day == v16["W1_deg_per_day"]
-    assert body.prime_meridian_acceleration_deg_day2 == v16["W2_deg_per_day2"]
-    assert body.j2 == recorded["bennu_gravity"]["J2_unnormalised_jpl"]
-    sun = recorded["bennu_heliocentric"]["state_at_t0_derived"]
-    np.testing.assert_array_equal(scenario.sun.body_position_km, sun["position_km"])
-    np.testing.assert_array_equal(scenario.sun.body_velocity_km_s, sun["velocity_km_s"])
-    assert scenario.epoch.tdb.isoformat(timespec="milliseconds") == recorded["epoch_t0"]["tdb"]
-    craft = recorded["dare_smallsat_muscat"]
-    assert scenario.spacecraft.mass_kg == craft["mass_kg"]
-    assert scenario.spacecraft.srp_area_m2 == craft["sun_facing_area_m2_derived"]
-    assert scenario.sun.solar_constant_w_m2 == craft["solar_constant_W_m2"]
+    body, sun, craft = scenario.body, scenario.sun, scenario.spacecraft
+    pole = (reference.POLE_RA_DEG, reference.POLE_DEC_DEG)
+    assert (body.pole_ra_deg, body.pole_dec_deg) == pole
+    assert (
+        body.prime_meridian_deg,
+        body.prime_meridian_rate_deg_day,
+        body.prime_meridian_acceleration_deg_day2,
+    ) == reference.PRIME_MERIDIAN
+    zonal, _ = reference.COEFFICIENTS[2, 0]
+    assert body.j2 == pytest.approx(-np.sqrt(5.0) * zonal, rel=1e-14)
+    np.testing.assert_array_equal(sun.body_position_km, reference.SUN_TO_BODY_KM)
+    np.testing.assert_array_equal(sun.body_velocity_km_s, reference.SUN_TO_BODY_KM_S)
+    assert scenario.epoch.tdb.isoformat(timespec="milliseconds") == reference.EPOCH_TDB
+    assert craft.mass_kg == reference.MASS_KG
+    assert craft.srp_area_m2 == reference.SUN_FACING_AREA_M2
+    assert sun.solar_constant_w_m2 == reference.SOLAR_CONSTANT_W_M2
 
 
 UNITS = ("_m", "_km", "_s", "_h", "_deg", "_kg", "_m2", "_m_s", "_km_s")

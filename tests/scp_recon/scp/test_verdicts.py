@@ -12,8 +12,8 @@ import pytest
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.planning.stages import Plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import validate_scenario
+from scp_recon.solution import file as solution_module
 from scp_recon.solution.file import SCHEMA, Solution, Verification, read_solution
-from scp_recon.solution.file import file as solution_module
+from scp_recon.verification.reintegration import verify
 from tests import reliability
 
 Data = dict[str, Any]
@@ -35,7 +39,7 @@ def data(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Data:
 
 
 def test_every_promised_key_is_there(data: Data) -> None:
-    # architecture.md, "The solution file".
+    # docs/solution_file.md.
     assert set(data) >= {
         *("schema", "status", "message", "problem", "init", "formulation", "algorithm", "solver"),
         *("total_dv_m_s", "burns", "nodes", "stages", "constraints", "violation", "iterations"),
@@ -97,6 +101,66 @@ def test_keys_of_a_later_minor_version_are_tolerated(data: Data, tmp_path: Path)
     file = tmp_path / "solution.json"
     file.write_text(json.dumps({**data, "note": "added later"}), "utf-8")
     assert read_solution(file).total_dv_m_s == data["total_dv_m_s"]
+
+
+# --- which plan it is ---------------------------------------------------------------------------
+
+
+def test_the_plans_hash_is_that_of_scenario_and_burns_alone(
+    solution: Solution, verified: Solution, tmp_path: Path
+) -> None:
+    others = {"message": "", "iterations": [], "stages": [], "total_dv_m_s": 0.0, "init": "x"}
+    timing = solution.timing_s.model_copy(update={"total": 1.0})
+    same = solution.model_copy(update={**others, "timing_s": timing})
+    read = read_solution(verified.write(tmp_path))
+    assert len(solution.plan_hash) == 64
+    assert {s.plan_hash for s in (verified, same, read)} == {solution.plan_hash}
+
+
+@pytest.mark.parametrize("burn", range(2))
+@pytest.mark.parametrize("axis", range(3))
+def test_the_plans_hash_knows_the_last_bit_of_every_burn(
+    solution: Solution, burn: int, axis: int
+) -> None:
+    dv = list(solution.burns[burn].dv_m_s)
+    dv[axis] = math.nextafter(dv[axis], math.inf)
+    burns = list(solution.burns)
+    burns[burn] = burns[burn].model_copy(update={"dv_m_s": tuple(dv)})
+    assert solution.model_copy(update={"burns": burns}).plan_hash != solution.plan_hash
+
+
+def other(value: object) -> object:
+    """A value next to one of the scenario's; of any number the next one."""
+    match value:
+        case float():
+            return math.nextafter(value, math.inf)
+        case int():
+            return value + 1
+        case "paper":
+            return 5
+        case "sun_north":
+            return "j2000"
+        case str():
+            return f"{value}x"
+        case datetime():
+            return value + timedelta(microseconds=1)
+        case (first, *rest):
+            return (other(first), *rest)
+    raise TypeError(value)
+
+
+def test_the_plans_hash_knows_every_entry_of_the_scenario(solution: Solution) -> None:
+    scenario, found = solution.scenario, [solution.plan_hash]
+    for name, section in scenario:
+        if isinstance(section, str):
+            copies = [other(section)]
+        else:
+            given = {key: other(value) for key, value in section if value is not None}
+            copies = [section.model_copy(update={key: value}) for key, value in given.items()]
+        for changed in copies:
+            whole = scenario.model_copy(update={name: changed})
+            found.append(solution.model_copy(update={"scenario": whole}).plan_hash)
+    assert len(set(found)) == len(found) > 40
 
 
 # --- writing whole or not at all ----------------------------------------------------------------
@@ -247,6 +311,38 @@ def test_a_bad_value_is_named(tmp_path: Path, data: Data, path: str, value: obje
 
 
 @pytest.mark.parametrize(
+    "path",
+    [
+        *("violation.max", "violation.total", "total_dv_m_s", "burns.0.dv_m_s.1", "burns.1.t_s"),
+        *("nodes.t_s.3", "nodes.state.3.2", "nodes.covariance.3.2.1", "facets.node.0"),
+        *("facets.normal.0.1", "facets.quantile.0", "stages.0.iterations", "iterations.0.merit"),
+        *("constraints.0.facets", "constraints.0.worst_t_s", "timing_s.total", "units.length_m"),
+        *("verification.samples", "verification.max_defect", "verification.probabilities.0.low"),
+        *("verification.mean_margins.0.worst_margin", "scenario.risk.p_chance"),
+        *("scenario.burns.times_s.0", "scenario.boundary.final_position_m.0"),
+        *("scenario.body.j2", "scenario.polytopes.cone"),
+    ],
+)
+@pytest.mark.parametrize("value", [True, False, "1"])
+def test_a_number_is_neither_a_boolean_nor_a_string(
+    tmp_path: Path, data: Data, path: str, value: object
+) -> None:
+    error = refused(tmp_path / "s.json", edited(data, path, value))
+    assert path.split(".", maxsplit=1)[0] in error.entry
+
+
+@pytest.mark.parametrize("value", [1, 0, "yes"])
+def test_a_boolean_is_no_number(tmp_path: Path, data: Data, value: object) -> None:
+    for path in ("verification.ok", "iterations.0.accepted"):
+        refused(tmp_path / "s.json", edited(data, path, value))
+
+
+def test_whole_numbers_are_numbers(tmp_path: Path, data: Data) -> None:
+    (tmp_path / "s.json").write_text(edited(data, "violation.total", 0), "utf-8")
+    assert read_solution(tmp_path / "s.json").violation.total == 0.0
+
+
+@pytest.mark.parametrize(
     ("path", "value"),
     [
         ("nodes.state.5", ...),  # a node less than times
@@ -271,3 +367,44 @@ def test_parts_that_do_not_fit_together_are_refused(
 ) -> None:
     """Whoever works with what was read may rely on its shapes."""
     refused(tmp_path / "s.json", edited(data, path, value))
+
+
+# --- times --------------------------------------------------------------------------------------
+
+
+def window_edge(data: Data) -> int:
+    """The node at the second edge of the observation window, which is found by a root search."""
+    mission = Mission.from_scenario(validate_scenario(data["scenario"]))
+    return int(mission.window_nodes[-1])
+
+
+def with_time(data: Data, part: str, at: int, error_s: float) -> str:
+    times = data["nodes"]["t_s"] if part == "nodes" else [b["t_s"] for b in data["burns"]]
+    path = f"nodes.t_s.{at}" if part == "nodes" else f"burns.{at}.t_s"
+    return edited(data, path, times[at] + error_s)
+
+
+@pytest.mark.parametrize("error_s", [1e-9, -1e-9, 0.9e-3])
+def test_a_window_edge_of_another_machine_reads_and_is_verified(
+    tmp_path: Path, data: Data, error_s: float
+) -> None:
+    file = tmp_path / "s.json"
+    file.write_text(with_time(data, "nodes", window_edge(data), error_s), "utf-8")
+    read = read_solution(file)
+    assert read.nodes.t_s != data["nodes"]["t_s"]
+    assert verify(Mission.from_scenario(read.scenario), read).failed == []
+
+
+@pytest.mark.parametrize("error_s", [1.0, -1.0, 1.1e-3])
+def test_a_window_edge_elsewhere_is_refused(tmp_path: Path, data: Data, error_s: float) -> None:
+    error = refused(tmp_path / "s.json", with_time(data, "nodes", window_edge(data), error_s))
+    assert "nodes.t_s" in error.entry
+
+
+@pytest.mark.parametrize(("part", "at"), [("burns", 1), ("burns", 0), ("nodes", 0), ("nodes", -1)])
+def test_burns_and_their_nodes_are_at_the_scenarios_own_times(
+    tmp_path: Path, data: Data, part: str, at: int
+) -> None:
+    at %= len(data["nodes"]["t_s"]) if part == "nodes" else len(data["burns"])
+    error = refused(tmp_path / "s.json", with_time(data, part, at, 1e-9))
+    assert f"{part}.t_s" in error.entry

@@ -15,6 +15,7 @@ from scp_recon.spacecraft.record import (
     FILE_NAME,
     KEYS,
     SCHEMA,
+    Record,
     inputs_digest,
     make_record,
     read_record,
@@ -34,8 +35,15 @@ def test_a_record_is_read_as_it_was_written(
     write_record(record, tmp_path)
     again = read_record(tmp_path)
     assert again.summary == record.summary
+    assert again.plan_hash == short_solution.plan_hash
     for name in ARRAYS:
         np.testing.assert_array_equal(again.arrays[name], record.arrays[name])
+
+
+@pytest.mark.parametrize("entry", [{}, {"plan_hash": None}, {"plan_hash": 5}])
+def test_an_older_file_is_of_an_unknown_plan(tmp_path: Path, entry: dict[str, Any]) -> None:
+    write_record(Record(dict.fromkeys(ARRAYS, np.zeros(1)), WHOLE | entry), tmp_path)
+    assert read_record(tmp_path).plan_hash is None
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def test_p3_is_confirmed_without_asking_for_probabilities(mission: Mission) -> N
     checked = verify(mission, p3)
     assert checked.ok
     assert min(p.estimate for p in checked.probabilities) < 0.70  # what P2 is for
-    # mission.md section 5: the lowest joint probability per node is one half.
+    # An independent prototype: the lowest joint probability per node is one half.
     assert min(p.estimate for p in checked.probabilities) == pytest.approx(0.50, abs=0.05)
 
 
@@ -208,6 +208,18 @@ def violation_of_nothing(data: dict[str, Any]) -> None:
     data["violation"]["max"] = 1.0
 
 
+def violation_in_sum(data: dict[str, Any]) -> None:
+    data["violation"]["total"] = 1.0
+
+
+def violation_of_next_to_nothing(data: dict[str, Any]) -> None:
+    data["violation"]["total"] = 5e-324
+
+
+def empty_violation(data: dict[str, Any]) -> None:
+    data["violation"]["by_constraint"]["emission_max"] = {"max": 0.0, "total": 0.0, "unit": "m"}
+
+
 def no_facets(data: dict[str, Any]) -> None:
     data["facets"] = None
 
@@ -252,6 +264,8 @@ def facet_of_another(data: dict[str, Any]) -> None:
         *((c, "constraints") for c in (constraint_margin, burn_margin)),
         *((c, "constraints") for c in (constraint_left_out, constraint_made_up)),
         *((c, "violation") for c in (violation_made_up, violation_of_nothing)),
+        *((c, "violation") for c in (violation_in_sum, violation_of_next_to_nothing)),
+        (empty_violation, "violation"),
         *((c, "facets") for c in (no_facets, fewer_facets, facets_of_nothing, more_risk)),
         *((c, "facets") for c in (keep_out_plane_moved, keep_out_plane_turned)),
         *((c, "facets") for c in (scaled_normal, facet_of_another)),
@@ -282,6 +296,79 @@ def test_the_constraints_of_p3_and_of_infeasible_cases_are_worked_out_again() ->
         case = mission_of(*overrides)
         found = plan(case, initial_guess.cold(case), problem=problem)
         assert inconsistencies(case, make_solution(found)) == []
+
+
+@pytest.fixture(scope="module")
+def infeasible() -> tuple[Mission, Solution]:
+    """Burns too small for the flight: buffers of metres and of metres a second hold something."""
+    case = mission_of("burns.dv_max_m_s=0.03")
+    return case, make_solution(plan(case, initial_guess.cold(case)))
+
+
+@pytest.mark.parametrize("figure", ["max", "total"])
+@pytest.mark.parametrize("factor", [0.0, 0.5, 2.0, 1e6])
+def test_a_violation_that_does_not_add_up_is_named(
+    infeasible: tuple[Mission, Solution], figure: str, factor: float
+) -> None:
+    """Of the whole or of one constraint."""
+    case, found = infeasible
+    parts = found.violation.by_constraint
+    assert {part.unit for part in parts.values()} == {"m", "m/s"}
+    for name in (None, *parts):
+
+        def damage(content: dict[str, Any], name: str | None = name) -> None:
+            whole = content["violation"]
+            inside = whole if name is None else whole["by_constraint"][name]
+            inside[figure] *= factor
+
+        assert inconsistencies(case, changed(found, damage)) == ["violation"]
+
+
+@pytest.mark.parametrize("figure", ["max", "total"])
+@pytest.mark.parametrize("factor", [1.0 - 1e-6, 1.0 + 1e-6])
+def test_a_violation_of_the_whole_is_that_of_the_parts_but_for_rounding(
+    infeasible: tuple[Mission, Solution], figure: str, factor: float
+) -> None:
+    def damage(content: dict[str, Any]) -> None:
+        content["violation"][figure] *= factor
+
+    case, found = infeasible
+    assert inconsistencies(case, changed(found, damage)) == ["violation"]
+
+
+def test_a_total_beyond_what_the_margins_leave_is_named(
+    infeasible: tuple[Mission, Solution],
+) -> None:
+    case, found = infeasible
+
+    def damage(content: dict[str, Any]) -> None:
+        """Tenfold, in the whole too, so that the sums agree."""
+        whole = content["violation"]
+        for part in whole["by_constraint"].values():
+            part["total"] *= 10.0
+        whole["total"] *= 10.0
+
+    assert inconsistencies(case, changed(found, damage)) == ["violation"]
+
+
+def other_unit(data: dict[str, Any]) -> None:
+    for part in data["violation"]["by_constraint"].values():
+        part["unit"] = {"m": "m/s", "m/s": "m"}[part["unit"]]
+
+
+def test_a_violation_in_the_wrong_unit_is_named(infeasible: tuple[Mission, Solution]) -> None:
+    case, found = infeasible
+    assert inconsistencies(case, changed(found, other_unit)) == ["violation"]
+
+
+@pytest.mark.parametrize(("error_s", "found"), [(1e-9, []), (-9e-4, []), (1.0, ["nodes.t_s"])])
+def test_a_window_edge_is_held_against_the_tolerance_of_reading(
+    mission: Mission, solution: Solution, error_s: float, found: list[str]
+) -> None:
+    def move(data: dict[str, Any]) -> None:
+        data["nodes"]["t_s"][int(mission.window_nodes[0])] += error_s
+
+    assert inconsistencies(mission, changed(solution, move)) == found
 
 
 @pytest.mark.usefixtures("few_flights")

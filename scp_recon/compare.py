@@ -1,0 +1,46 @@
+"""Compare plans: `python -m scp_recon.compare A B ...`, folders with a solution.json or the files."""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint, run_command
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from scp_recon.solution.comparison import compare
+from scp_recon.solution.file import read_solution
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0, or 2 after bad input."""
+    p = argparse.ArgumentParser(prog="python -m scp_recon.compare", description=__doc__)
+    p.add_argument(
+        "plans", type=Path, nargs="+", metavar="PLAN", help="folder with a solution.json, or a file"
+    )
+    options = p.parse_args(arguments)
+    return run_command(lambda console: _compare(options.plans, console))
+
+
+def _compare(paths: Sequence[Path], console: Console) -> int:
+    found = compare([str(path) for path in paths], [read_solution(path) for path in paths])
+    heading, *rows = found.cells()
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for number, name in enumerate(heading):
+        table.add_column(Text(name), justify="right" if number else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*map(Text, row))
+    console.print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+"""What a notebook or a script needs, in SI: `import scp_recon as sr`.
+
+The functions have names that no command has, because `import scp_recon.solve` makes `solve` a module.
+Paths may be strings.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
+from scp_recon.monte_carlo.summary import Summary, summarise
+from scp_recon.planning import planner
+from scp_recon.planning.plan import Plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
+from scp_recon.solution.comparison import Comparison, compare
+from scp_recon.solution.file import Solution, Verification, read_solution
+from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.start import start_from
+from scp_recon.verification.reintegration import verify
+
+__all__ = ["check", "fly", "load_scenario", "plan", "save", "side_by_side"]
+
+Array = npt.NDArray[np.float64]
+
+
+def plan(
+    scenario: Scenario | str | Path = "recon_b",
+    init: str | Path | Array = "cold",
+    *,
+    problem: Literal["P3", "P2"] = "P2",
+    formulation: str = "condensed",
+    algorithm: str = "scvx",
+    solver: str = "CLARABEL",
+    facet_rounds: int = 0,
+) -> Plan:
+    """Plan a flyby.
+
+    >>> import scp_recon as sr
+    >>> found = sr.plan(sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}))
+    >>> print(found.status.value.name, f"{found.total_dv_m_s:.3f} m/s")
+    converged 0.155 m/s
+
+    Args:
+        scenario: what to plan; the name of a packaged one, or a file.
+        init: "cold", a straight line; "warm", a ballistic arc; a solution or its folder; a CSV of
+            states, or such a table as an array (n, 7): t, x, y, z, vx, vy, vz, J2000, SI.
+        problem: with uncertainty (P2) or without (P3).
+        formulation: condensed, lifted, frozen-stm or frozen-covariance.
+        algorithm: scvx, ptr or scvx-star.
+        solver: a conic solver that CVXPY finds.
+        facet_rounds: how often to choose the facets again at the solution.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    mission = Mission.from_scenario(scenario)
+    return planner.plan(
+        mission,
+        start_from(mission, init),
+        problem=problem,
+        formulation=formulation,
+        algorithm=algorithm,
+        solver=solver,
+        facet_rounds=facet_rounds,
+        init="a table" if isinstance(init, np.ndarray) else str(init),
+    )
+
+
+def fly(
+    plan: Plan,
+    samples: int = 10_000,
+    seed: int = 0,
+    *,
+    truth: TruthModel = "planner",
+    errors: ErrorModel = "componentwise",
+    workers: int = 1,
+) -> Summary:
+    """Fly a plan many times with errors: `flights.probability["emission"]` has value, low and high.
+
+    Args:
+        plan: to fly.
+        samples: flights.
+        seed: of all draws.
+        truth: dynamics flown, the planner's or degree-8 harmonics.
+        errors: of the burns, the paper's or Gates'.
+        workers: processes; the result does not depend on their number.
+    """
+    config = CampaignConfig(plan.mission, plan.burns_m_s, seed, truth, errors)
+    return summarise(fly_campaign(config, samples=samples, workers=workers), make_solution(plan))
+
+
+def check(plan: Plan) -> Verification:
+    """Verify a plan without the solver: `ok`, and what `failed`."""
+    return verify(plan.mission, make_solution(plan))
+
+
+def save(plan: Plan, folder: str | Path) -> Path:
+    """Verify a plan and write its `solution.json` into a folder, whole or not at all.
+
+    Raises:
+        OSError: if the folder cannot be written.
+    """
+    solution = make_solution(plan)
+    checked = solution.model_copy(update={"verification": verify(plan.mission, solution)})
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    return checked.write(Path(folder))
+
+
+def side_by_side(*plans: Plan | Solution | str | Path) -> Comparison:
+    """Compare plans, solutions or their files; the paths are held against the first one's.
+
+    Raises:
+        InputError: if a file is no solution.
+    """
+    names, solutions = [], []
+    for number, given in enumerate(plans, start=1):
+        named = given if isinstance(given, str | Path) else f"plan {number}"
+        names.append(str(named))
+        solutions.append(_solution(given))
+    return compare(names, solutions)
+
+
+def _solution(given: Plan | Solution | str | Path) -> Solution:
+    if isinstance(given, Plan):
+        solution = make_solution(given)
+        return solution.model_copy(update={"verification": verify(given.mission, solution)})
+    return given if isinstance(given, Solution) else read_solution(Path(given))

@@ -1,0 +1,108 @@
+"""The paper's constraints on what is observed, stated once: Echigo et al., eqs. (12) to (16).
+
+The planner makes regions of them and the Monte Carlo margins. Verification has a statement of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.problem.flyby import StateConstraint
+from formulations.problem.regions import Ball, Cone
+from formulations.risk.uniform import split_risk
+from scp_recon.physics.geometry import SiteTrack
+from scp_recon.scenario.schema import Scenario
+
+Array = npt.NDArray[np.float64]
+Nodes = npt.NDArray[np.intp]
+Measure = Literal["distance", "emission", "phase"]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """One side of what the position relative to the site has to keep.
+
+    Attributes:
+        name: of the limit.
+        joint: chance constraint that it is a part of.
+        measure: distance from the site, or angle at it to its normal (emission) or the Sun (phase).
+        sense: whether the value is the least or the most allowed.
+        value: m or rad.
+    """
+
+    name: str
+    joint: str
+    measure: Measure
+    sense: Literal["min", "max"]
+    value: float
+
+    @property
+    def unit(self) -> Literal["m", "rad"]:
+        """Of the value and of margins."""
+        return "m" if self.measure == "distance" else "rad"
+
+    def margin(self, measured: Array) -> Array:
+        """What is left to the limit, >= 0 where it is kept."""
+        return measured - self.value if self.sense == "min" else self.value - measured
+
+
+def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
+    """All limits in the window; the battery's cone of observation is a least phase angle."""
+    o, battery = scenario.observation, scenario.battery.observation_cone_deg
+
+    def angle(joint: str, sense: Literal["min", "max"], degrees: float) -> Limit:
+        measure: Measure = "emission" if joint == "emission" else "phase"
+        return Limit(f"{joint}_{sense}", joint, measure, sense, float(np.deg2rad(degrees)))
+
+    limits = [
+        Limit("site_distance_min", "site_distance", "distance", "min", o.site_distance_min_m),
+        Limit("site_distance_max", "site_distance", "distance", "max", o.site_distance_max_m),
+        angle("emission", "min", o.emission_min_deg),
+        angle("emission", "max", o.emission_max_deg),
+        angle("phase", "min", o.phase_min_deg),
+        Limit(
+            "battery_observation",
+            "battery_observation",
+            "phase",
+            "min",
+            float(np.deg2rad(battery)),
+        ),
+    ]
+    if o.phase_max_deg is not None:
+        limits.append(angle("phase", "max", o.phase_max_deg))
+    return tuple(limits)
+
+
+def state_constraints(
+    scenario: Scenario, length_m: float, n_nodes: int, window: Nodes, track: SiteTrack, sun: Array
+) -> tuple[StateConstraint, ...]:
+    """Safety at every node and the limits throughout the window, nondimensional.
+
+    Args:
+        scenario: gives the limits and the probability.
+        length_m: unit of length.
+        n_nodes: of the grid.
+        window: its nodes in the observation window, shape (n,).
+        track: the site there, J2000, m.
+        sun: directions to the Sun there, shape (n, 3).
+    """
+    p, limits = scenario.risk.p_chance, observation_limits(scenario)
+    at, axes = track.position / length_m, {"emission": track.normal, "phase": sun}
+    everywhere = np.arange(n_nodes)
+    body = Ball(np.zeros((n_nodes, 3)), scenario.safety.radius_min_m / length_m)
+    found = [StateConstraint("safety_radius", everywhere, body, "out", p)]
+    for limit in limits:
+        region = (
+            Ball(at, limit.value / length_m)
+            if limit.measure == "distance"
+            else Cone(at, axes[limit.measure], limit.value)
+        )
+        # A two-sided constraint splits its risk in two.
+        share = split_risk(p, sum(other.joint == limit.joint for other in limits))
+        keep: Literal["in", "out"] = "out" if limit.sense == "min" else "in"
+        found.append(StateConstraint(limit.name, window, region, keep, share))
+    return tuple(found)

@@ -1,0 +1,284 @@
+"""What a campaign found: the model of `montecarlo.json`, and how it is made, written and read. SI."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Self, TypeVar
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.stats import chi2, normaltest
+
+from scp_recon.files import write_atomically
+from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
+from scp_recon.monte_carlo.flights import Campaign
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
+from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
+from scp_recon.scenario.schema import Line
+from scp_recon.solution.file import Solution
+from scp_recon.solution.part import File, Part, read_file
+
+SCHEMA = "scp_recon.montecarlo/1"
+FILE_NAME = "montecarlo.json"
+ONE_SIGMA, TWO_SIGMA, CLOSEST = 0.15866, 0.02275, 0.003
+"""Lower normal tails at one and two sigma; the paper's quantile of the closest approach."""
+
+COMPONENTS = ("x", "y", "z", "vx", "vy", "vz")
+"""Of the final state, J2000."""
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class Interval(Part):
+    """A value and its confidence interval; null where JSON has no number, as of an open end."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+    @property
+    def estimate(self) -> Estimate:
+        """With an infinite open end, and NaN for no value."""
+        return Estimate(
+            np.nan if self.value is None else self.value,
+            -np.inf if self.low is None else self.low,
+            np.inf if self.high is None else self.high,
+        )
+
+
+class LowestProbability(Interval):
+    """Of a joint constraint, at the time when it is smallest."""
+
+    worst_t_s: float
+
+
+class Histogram(Part):
+    """The bins of one width that hold anything: where they start, and how many flights each."""
+
+    bin: float
+    start: list[float]
+    count: list[Count]
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if len(self.start) != len(self.count):
+            raise ValueError("a histogram must have as many counts as bins")
+        return self
+
+
+class Held(Part):
+    """Seconds in which a constraint holds, and the probability that it does throughout."""
+
+    mean: Interval
+    worst_1_sigma: Interval
+    worst_2_sigma: Interval
+    throughout: Interval
+    histogram: Histogram
+
+
+class Spread(Part):
+    """Mean and 5 % and 95 % quantiles of the flights that have the quantity; without any, no more."""
+
+    samples: Count
+    mean: Interval | None = None
+    q05: Interval | None = None
+    q95: Interval | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.samples and None in (self.mean, self.q05, self.q95):
+            raise ValueError("a spread of samples must have mean, q05 and q95")
+        return self
+
+
+class ClosestApproach(Spread):
+    """Distance from the body's centre, m; `worst` is its 0.3 % quantile."""
+
+    worst: Interval
+
+
+class Normality(Part):
+    """D'Agostino and Pearson's test, and the quantiles of the standardised component at `levels`."""
+
+    samples: Count
+    p_value: float
+    levels: list[float]
+    quantiles: list[float]
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if len(self.levels) != len(self.quantiles):
+            raise ValueError("there must be as many quantiles as levels")
+        return self
+
+
+class Terminal(Part):
+    """Final state by component, those that spread: sampled over predicted sigma, and normality."""
+
+    sigma_ratio: dict[Line, Interval]
+    normality: dict[Line, Normality]
+
+
+class Summary(File):
+    """Everything a campaign found; `plan_hash` is that of the plan flown, null in older files."""
+
+    plan_hash: Line | None = None
+    samples: Count
+    seed: Count
+    truth: TruthModel
+    errors: ErrorModel
+    confidence: float
+    planned_dv_m_s: float
+    window_s: tuple[float, float]
+    held_s: dict[Line, Held]
+    entry_s: Spread
+    exit_s: Spread
+    probability: dict[Line, LowestProbability]
+    closest_m: ClosestApproach
+    executed_dv_m_s: Spread
+    terminal: Terminal
+
+    @model_validator(mode="after")
+    def _every_constraint(self) -> Self:
+        for name, found in (("held_s", self.held_s), ("probability", self.probability)):
+            if not found.keys() >= {*SCIENCE, ALL}:
+                raise ValueError(f"{name} must have {', '.join((*SCIENCE, ALL))}")
+        return self
+
+    def is_of(self, solution: Solution) -> bool:
+        """Whether it was the solution's plan that was flown."""
+        return self.plan_hash == solution.plan_hash
+
+    def write(self, folder: Path) -> Path:
+        """Write `montecarlo.json` into a folder, whole or not at all.
+
+        Raises:
+            OSError: if the folder cannot be written.
+        """
+        # What was not set is the rest of a spread of no flights.
+        entries: dict[str, Any] = self.model_dump(mode="json", exclude_unset=True)
+        text = json.dumps({"schema": SCHEMA, **entries}, allow_nan=False)
+        return write_atomically(folder / FILE_NAME, text + "\n")
+
+
+Kind = TypeVar("Kind", bound=Summary)
+
+
+def read_summary(path: Path) -> Summary:
+    """Read a campaign's summary, or the one in a folder.
+
+    Raises:
+        InputError: if there is none, it is of another version, or it is damaged.
+    """
+    return read_summary_as(Summary, path)
+
+
+def read_summary_as(kind: type[Kind], path: Path) -> Kind:
+    """Read a summary to which a study has added entries of its own, as `read_summary` does."""
+    return read_file(path / FILE_NAME if path.is_dir() else path, kind, SCHEMA, "summary")
+
+
+def summarise(campaign: Campaign, solution: Solution) -> Summary:
+    """Everything a campaign found of a solution's plan.
+
+    Raises:
+        ValueError: if the campaign flew another plan.
+    """
+    setting = campaign.setting
+    same_burns = np.array_equal(setting.burns_m_s, solution.burns_m_s)
+    if not same_burns or setting.mission.scenario != solution.scenario:
+        raise ValueError("the campaign flew another plan than the solution's")
+    return Summary(
+        plan_hash=solution.plan_hash,
+        samples=campaign.samples,
+        seed=setting.seed,
+        truth=setting.truth,
+        errors=setting.errors,
+        confidence=CONFIDENCE,
+        planned_dv_m_s=solution.total_dv_m_s,
+        window_s=setting.mission.schedule.window_s,
+        held_s={name: _held(campaign, name) for name in campaign.held},
+        entry_s=Spread(**_spread(campaign.entry)),
+        exit_s=Spread(**_spread(campaign.exit)),
+        probability={name: _lowest(campaign, name) for name in campaign.node_counts},
+        closest_m=ClosestApproach(
+            **_spread(campaign.closest), worst=_interval(campaign.closest.quantile(CLOSEST))
+        ),
+        executed_dv_m_s=Spread(**_spread(campaign.executed_dv)),
+        terminal=_terminal(campaign, solution),
+    )
+
+
+def _finite(estimate: Estimate) -> dict[str, float | None]:
+    return {k: v if np.isfinite(v) else None for k, v in estimate._asdict().items()}
+
+
+def _interval(estimate: Estimate) -> Interval:
+    return Interval(**_finite(estimate))
+
+
+def _lowest(campaign: Campaign, name: str) -> LowestProbability:
+    at, estimate = campaign.worst_probability(name)
+    return LowestProbability(**_finite(estimate), worst_t_s=at)
+
+
+def _held(campaign: Campaign, name: str) -> Held:
+    tally = campaign.held[name]
+    used = np.flatnonzero(tally.counts)
+    return Held(
+        mean=_interval(tally.mean()),
+        worst_1_sigma=_interval(tally.quantile(ONE_SIGMA)),
+        worst_2_sigma=_interval(tally.quantile(TWO_SIGMA)),
+        throughout=_interval(proportion(campaign.full[name], campaign.samples)),
+        histogram=Histogram(
+            bin=float(tally.edges[1] - tally.edges[0]),
+            start=tally.edges[used].tolist(),
+            count=tally.counts[used].tolist(),
+        ),
+    )
+
+
+def _spread(tally: Tally) -> dict[str, Any]:
+    if not tally.samples:
+        return {"samples": 0}
+    return {
+        "samples": tally.samples,
+        "mean": _interval(tally.mean()),
+        "q05": _interval(tally.quantile(0.05)),
+        "q95": _interval(tally.quantile(0.95)),
+    }
+
+
+def _terminal(campaign: Campaign, solution: Solution) -> Terminal:
+    """Final state against the planner's prediction, and how normal it is.
+
+    The ratio of a sampled to the true variance is chi-squared over its degrees of freedom if the
+    state is normal, which gives the interval of the ratio of the sigmas. A component without spread
+    is left out.
+    """
+    n, kept = campaign.samples, campaign.terminal
+    predicted = np.diag(np.array(solution.nodes.covariance[-1]))
+    spread = np.flatnonzero((predicted > 0.0) & (kept.std(axis=0) > 0.0))
+    ratios = np.sqrt(np.diag(campaign.terminal_covariance())[spread] / predicted[spread])
+    ends = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
+    low, high = (float(np.sqrt(chi2.ppf(p, n - 1) / (n - 1))) for p in ends)
+    levels = (np.arange(1, 100) / 100.0).tolist()
+    kept = kept[:, spread]
+    standard = (kept - kept.mean(axis=0)) / kept.std(axis=0, ddof=1)
+    names = [COMPONENTS[i] for i in spread]
+    return Terminal(
+        sigma_ratio={
+            name: Interval(value=ratio, low=ratio / low, high=ratio / high)
+            for name, ratio in zip(names, ratios.tolist(), strict=True)
+        },
+        normality={
+            name: Normality(
+                samples=len(kept),
+                p_value=float(normaltest(kept[:, i]).pvalue),
+                levels=levels,
+                quantiles=np.quantile(standard[:, i], levels).tolist(),
+            )
+            for i, name in enumerate(names)
+        },
+    )

@@ -1,0 +1,183 @@
+"""A plan as data: its stages, how it was made, and what it says in SI."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.problem.facets import Facets
+from formulations.program.merit import MeritFunction
+from formulations.rows.cones import Margins
+from scp_recon.mission.mission import Mission
+from scp_recon.scp.loop import Result, Timing
+from scp_recon.scp.status import Status
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A run of the SCP, or of IPOPT, on one problem.
+
+    Attributes:
+        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
+            that began again at the ballistic arc, c and d at a turn about the body.
+        result: how it ended and where.
+        merit: what it minimised; it knows the constraints' margins.
+        facets: of P2, None for P3.
+        tolerance: violation that counted as none.
+    """
+
+    name: str
+    result: Result
+    merit: MeritFunction
+    facets: Facets | None
+    tolerance: float
+
+    @property
+    def margins(self) -> dict[str, Margins]:
+        """Margins by constraint, those of facets left out of the convex program included."""
+        lin = self.result.lin
+        margins = self.merit.margins(lin)
+        if self.facets is not None:
+            margin = self.facets.margin(lin.iterate.mean, lin.factor)
+            for index, constraint in enumerate(self.merit.problem.constraints):
+                rows = self.facets.constraint == index
+                margins[constraint.name] = Margins(self.facets.node[rows], margin[rows])
+        return margins
+
+    @property
+    def begun_again(self) -> bool:
+        """Whether it began elsewhere because the guess led nowhere."""
+        return self.name[2:3] in ("b", "c", "d")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a plan was made, in the words of the solution file.
+
+    Attributes:
+        formulation: of the convex subproblem, or the variant of the nonlinear program.
+        algorithm: around it.
+        solver: conic solver, or IPOPT.
+        init: where it began: "cold", "warm", a file.
+    """
+
+    formulation: str
+    algorithm: str
+    solver: str
+    init: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan:
+    """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
+
+    A plan is data: it pickles and copies, and it equals another one of the same scenario and provenance
+    that went through the same stages to the same flight. Timings do not count.
+    """
+
+    mission: Mission
+    provenance: Provenance
+    stages: tuple[Stage, ...]
+    final: Stage
+    timing: Timing
+    total_s: float
+
+    def __eq__(self, other: object) -> bool:
+        """Whether another plan is the same but for the time it took."""
+        if not isinstance(other, Plan):
+            return NotImplemented
+        return self._identity == other._identity
+
+    def __hash__(self) -> int:
+        """Of the burns."""
+        return hash(self.final.result.lin.iterate.burns.tobytes())
+
+    @property
+    def status(self) -> Status:
+        """How it ended."""
+        return self.final.result.status
+
+    @property
+    def times_s(self) -> Array:
+        """Times of the nodes past the epoch, s, shape (n,)."""
+        return self.mission.times_s
+
+    @cached_property
+    def burns_m_s(self) -> Array:
+        """Burns, J2000, m/s, shape (m, 3)."""
+        return self.final.result.lin.iterate.burns * self.mission.units.speed_m_s
+
+    @cached_property
+    def states(self) -> Array:
+        """Mean states at the nodes, J2000 and body-centred, m and m/s, shape (n, 6).
+
+        After the burn where one falls on the node.
+        """
+        return self.final.result.lin.iterate.mean * self.mission.units.state
+
+    @cached_property
+    def covariances(self) -> Array:
+        """Covariances at the nodes in the same units, shape (n, 6, 6)."""
+        factor = self.final.result.lin.factor * self.mission.units.state[:, None]
+        return np.asarray(factor @ factor.transpose(0, 2, 1))
+
+    @property
+    def total_dv_m_s(self) -> float:
+        """Sum of the burns' sizes, m/s."""
+        return float(np.linalg.norm(self.burns_m_s, axis=1).sum())
+
+    @cached_property
+    def worst_margins(self) -> dict[str, tuple[float, str]]:
+        """The smallest margin of each constraint with its unit, m or m/s; >= 0 where it holds."""
+        units = self.mission.units
+        scales = {"m": units.length_m, "m/s": units.speed_m_s}
+        names = {name: "m/s" if name.startswith("dv_") else "m" for name in self.final.margins}
+        return {
+            name: (float(margins.margin.min()) * scales[names[name]], names[name])
+            for name, margins in self.final.margins.items()
+        }
+
+    def __str__(self) -> str:
+        """Status, delta-v, burns and margins."""
+        scenario = self.mission.scenario
+        problem = "P3" if self.final.facets is None else "P2"
+        lines = [
+            f"{scenario.name}, {problem}: {self.status.value.message}",
+            f"total delta-v {self.total_dv_m_s:.6f} m/s, asked p_chance {scenario.risk.p_chance:g}",
+            "burn   time s      x m/s      y m/s      z m/s   size m/s",
+        ]
+        for number, (time, burn) in enumerate(
+            zip(scenario.burns.times_s, self.burns_m_s, strict=True), start=1
+        ):
+            cells = "".join(f" {component:+10.6f}" for component in burn)
+            lines.append(f"{number:4} {time:8g}{cells} {np.linalg.norm(burn):10.6f}")
+        lines.append(f"{'constraint':20} worst margin")
+        lines += [
+            f"{name:20} {round(margin, 4) + 0.0:+12.4f} {unit}"
+            for name, (margin, unit) in self.worst_margins.items()
+        ]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        """One line."""
+        name, dv = self.mission.scenario.name, self.total_dv_m_s
+        return f"<Plan {name}: {self.status.value.name}, {dv:.6f} m/s>"
+
+    def _repr_html_(self) -> str:
+        """For a notebook."""
+        return f"<pre>{escape(str(self))}</pre>"
+
+    @property
+    def _identity(self) -> tuple[object, ...]:
+        runs = [(s.name, s.result.status, len(s.result.records)) for s in self.stages]
+        flown = [
+            (s.result.lin.iterate.burns.tobytes(), s.result.lin.iterate.mean.tobytes())
+            for s in (*self.stages, self.final)
+        ]
+        return self.mission.scenario, self.provenance, runs, flown

@@ -1,0 +1,118 @@
+"""Plans side by side: burns, delta-v, margins, probabilities, and how far apart their paths are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.physics.flow import interpolate
+from scp_recon.solution.file import Solution
+
+Array = npt.NDArray[np.float64]
+
+ABSENT = ""
+"""A cell where a plan has no such figure."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A table of figures, a column a plan.
+
+    Attributes:
+        names: of the plans.
+        rows: what is compared, in which unit, and every plan's figure; None where it has none.
+    """
+
+    names: tuple[str, ...]
+    rows: tuple[tuple[str, str, tuple[float | str | None, ...]], ...]
+
+    def __getitem__(self, name: str) -> tuple[float | str | None, ...]:
+        """Every plan's figure of that name."""
+        return next(figures for row, _, figures in self.rows if row == name)
+
+    def cells(self) -> list[list[str]]:
+        """As text, with a heading."""
+        body = [[f"{name} {unit}".strip(), *map(_shown, row)] for name, unit, row in self.rows]
+        return [["", *self.names], *body]
+
+    def __str__(self) -> str:
+        """A table in plain text."""
+        cells = self.cells()
+        widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
+        lines = []
+        for head, *figures in cells:
+            columns = (text.rjust(width) for text, width in zip(figures, widths[1:], strict=True))
+            lines.append("  ".join([head.ljust(widths[0]), *columns]).rstrip())
+        return "\n".join(lines)
+
+
+def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
+    """Hold plans against each other, and their paths against the first one's.
+
+    Args:
+        names: of the plans, as the table calls them.
+        solutions: as many.
+    """
+    rows: list[tuple[str, str, tuple[float | str | None, ...]]] = [
+        ("status", "", tuple(s.status for s in solutions)),
+        ("p_chance asked", "", tuple(s.scenario.risk.p_chance for s in solutions)),
+        ("total delta-v", "m/s", tuple(s.total_dv_m_s for s in solutions)),
+    ]
+    for i in range(max(len(s.burns) for s in solutions)):
+        sizes = [np.linalg.norm(s.burns_m_s, axis=1) for s in solutions]
+        rows.append((f"burn {i + 1}", "m/s", tuple(_item(size, i) for size in sizes)))
+    margins = [{c.name: c.worst_margin_m_or_rad for c in s.constraints} for s in solutions]
+    units = {c.name: c.unit for s in solutions for c in s.constraints}
+    rows += [(f"margin {n}", unit, tuple(m.get(n) for m in margins)) for n, unit in units.items()]
+    found = [s.verification.probabilities if s.verification else [] for s in solutions]
+    chances = [{p.name: p.estimate for p in each} for each in found]
+    names_of_chances = dict.fromkeys(name for each in chances for name in each)
+    rows += [(f"P({n})", "", tuple(c.get(n) for c in chances)) for n in names_of_chances]
+    apart = tuple(largest_distance_m(solutions[0], other) for other in solutions)
+    rows.append(("farthest from the first", "m", apart))
+    return Comparison(tuple(names), tuple(rows))
+
+
+def _item(values: Array, i: int) -> float | None:
+    return float(values[i]) if i < len(values) else None
+
+
+def _shown(figure: float | str | None) -> str:
+    if isinstance(figure, float):
+        return f"{figure:.6g}"
+    return ABSENT if figure is None else figure
+
+
+def largest_distance_m(one: Solution, other: Solution) -> float:
+    """Largest distance of two mean paths at the nodes of either, while both last, m.
+
+    J2000, at the same time past the epoch; between its nodes a path is a cubic of its states.
+    """
+    times = np.union1d(one.nodes.t_s, other.nodes.t_s)
+    times = times[times <= min(one.nodes.t_s[-1], other.nodes.t_s[-1])]
+    paths = [_path(solution)(times) for solution in (one, other)]
+    return float(np.linalg.norm(paths[0] - paths[1], axis=1).max())
+
+
+def _path(solution: Solution) -> Callable[[Array], Array]:
+    nodes, states = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
+    arriving = states[1:].copy()  # before the burn where one falls on the node
+    for burn, dv in zip(solution.burns[1:], solution.burns_m_s[1:], strict=True):
+        arriving[int(np.argmin(np.abs(nodes - burn.t_s))) - 1, 3:] -= dv
+
+    def positions(times: Array) -> Array:
+        k = np.clip(np.searchsorted(nodes, times, side="right") - 1, 0, len(nodes) - 2)
+        h = (nodes[k + 1] - nodes[k])[:, None]
+        start, end = states[k], arriving[k]
+        position, _ = interpolate(
+            (start[:, :3], start[:, 3:]),
+            (end[:, :3], end[:, 3:]),
+            h,
+            (times - nodes[k])[:, None] / h,
+        )
+        return position
+
+    return positions

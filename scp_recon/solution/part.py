@@ -1,0 +1,62 @@
+"""What the project's JSON files have in common: frozen, strict parts, a schema, one way to be read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from scp_recon.errors import InputError
+from scp_recon.files import read_text
+
+
+class Part(BaseModel):
+    """Frozen; keys that are not known are kept out, and numbers are neither booleans nor strings."""
+
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+
+
+class File(Part):
+    """A file's whole content; keys of a later minor version are passed over."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+FileKind = TypeVar("FileKind", bound=File)
+
+
+def read_file(path: Path, kind: type[FileKind], schema: str, noun: str) -> FileKind:
+    """Read a file of a schema.
+
+    Args:
+        path: of the file.
+        kind: what it holds.
+        schema: what its entry `schema` must be.
+        noun: what to call it in messages.
+
+    Raises:
+        InputError: if there is none, it is of another version, or it is damaged.
+    """
+    data = _parsed(path, noun)
+    if not isinstance(data, dict) or data.get("schema") != schema:
+        given = data.get("schema", "no schema") if isinstance(data, dict) else "no object"
+        raise InputError(f"{noun} {path}", repr(given)[:80], f"schema must be {schema!r}")
+    try:
+        # Through JSON again: strict fields such as tuples and dates read from it as written to it.
+        return kind.model_validate_json(json.dumps(data))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        entry = ".".join(str(part) for part in first["loc"])
+        given = repr(first["input"])[:80] if first["type"] != "missing" else "nothing"
+        raise InputError(f"{noun} {path}: {entry}", given, first["msg"]) from None
+
+
+def _parsed(path: Path, noun: str) -> Any:
+    text = read_text(path, f"{noun} {path}", f"{noun} file in JSON")
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = f"no JSON ({error})"
+        raise InputError(f"{noun} {path}", reason, f"must be a {noun} file") from None

@@ -1,0 +1,247 @@
+"""The summary of a campaign: the file as before and the plan's hash, read as written or refused."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.flights import Campaign, CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
+from scp_recon.monte_carlo.summary import (
+    COMPONENTS,
+    FILE_NAME,
+    SCHEMA,
+    Summary,
+    read_summary,
+    read_summary_as,
+    summarise,
+)
+from scp_recon.solution.file import Solution
+from tests import reliability
+
+Data = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def flown(mission: Mission, solution: Solution) -> Campaign:
+    """Few flights: a single batch, whose means have no interval."""
+    return fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=40)
+
+
+@pytest.fixture(scope="module")
+def summary(flown: Campaign, solution: Solution) -> Summary:
+    return summarise(flown, solution)
+
+
+@pytest.fixture(scope="module")
+def data(summary: Summary, tmp_path_factory: pytest.TempPathFactory) -> Data:
+    """What is in the file."""
+    path = summary.write(tmp_path_factory.mktemp("written"))
+    parsed: Data = json.loads(path.read_text("utf-8"))
+    return parsed
+
+
+def refused(path: Path, content: str) -> InputError:
+    path.write_text(content, "utf-8")
+    with pytest.raises(InputError) as caught:
+        read_summary(path)
+    assert str(path) in caught.value.entry
+    reliability.count(reliability.BAD_INPUTS)
+    return caught.value
+
+
+def numbers(data: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Where numbers stand in nested tables and lists, the first of each list."""
+    items = data.items() if isinstance(data, dict) else list(enumerate(data))[:1]
+    found: list[tuple[Any, ...]] = []
+    for key, value in items:
+        if isinstance(value, dict | list):
+            found += numbers(value, (*path, key))
+        elif isinstance(value, int | float):
+            found.append((*path, key))
+    return found
+
+
+def with_value(data: Data, path: tuple[Any, ...], value: object) -> str:
+    changed = copy.deepcopy(data)
+    inside: Any = changed
+    for key in path[:-1]:
+        inside = inside[key]
+    inside[path[-1]] = value
+    return json.dumps(changed)
+
+
+# --- what is in it ------------------------------------------------------------------------------
+
+
+def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(
+    data: Data, solution: Solution
+) -> None:
+    assert list(data) == [
+        *("schema", "plan_hash", "samples", "seed", "truth", "errors", "confidence"),
+        *("planned_dv_m_s", "window_s", "held_s", "entry_s", "exit_s", "probability"),
+        *("closest_m", "executed_dv_m_s", "terminal"),
+    ]
+    interval = {"value", "low", "high"}
+    assert data["schema"] == SCHEMA == "scp_recon.montecarlo/1"
+    assert data["plan_hash"] == solution.plan_hash
+    assert set(data["held_s"]) == {*SCIENCE, ALL}
+    for held in data["held_s"].values():
+        worst = {"worst_1_sigma", "worst_2_sigma"}
+        assert set(held) == {"mean", *worst, "throughout", "histogram"}
+        assert set(held["mean"]) == interval
+        assert set(held["histogram"]) == {"bin", "start", "count"}
+        assert sum(held["histogram"]["count"]) == 40
+    assert set(data["probability"][ALL]) == interval | {"worst_t_s"}
+    assert set(data["closest_m"]) == {"samples", "mean", "q05", "q95", "worst"}
+    assert set(data["executed_dv_m_s"]) == {"samples", "mean", "q05", "q95"}
+    assert set(data["terminal"]["sigma_ratio"]) == set(COMPONENTS)
+    normality = data["terminal"]["normality"]["x"]
+    assert set(normality) == {"samples", "p_value", "levels", "quantiles"}
+
+
+def test_an_open_end_is_null_in_the_file_and_infinite_in_the_estimate(
+    data: Data, summary: Summary
+) -> None:
+    mean = summary.held_s[ALL].mean
+    assert data["held_s"][ALL]["mean"] == {"value": mean.value, "low": None, "high": None}
+    assert mean.estimate == (mean.value, -math.inf, math.inf)
+    nothing = mean.model_copy(update={"value": None})
+    assert math.isnan(nothing.estimate.value)
+
+
+def test_a_spread_of_no_flights_is_its_count(
+    mission: Mission, solution: Solution, flown: Campaign, tmp_path: Path
+) -> None:
+    none = Campaign(CampaignConfig(mission, solution.burns_m_s))
+    never = copy.copy(flown)
+    never.entry, never.exit = none.entry, none.exit
+    path = summarise(never, solution).write(tmp_path)
+    assert json.loads(path.read_text("utf-8"))["entry_s"] == {"samples": 0}
+    assert read_summary(path).exit_s.mean is None
+
+
+def test_flights_of_another_plan_are_not_summarised(
+    mission: Mission, solution: Solution, flown: Campaign
+) -> None:
+    doubled = CampaignConfig(mission, 2.0 * solution.burns_m_s)
+    with pytest.raises(ValueError, match="another plan"):
+        summarise(fly_campaign(doubled, samples=20), solution)
+    risk = solution.scenario.risk.model_copy(update={"p_chance": 0.8})
+    scenario = solution.scenario.model_copy(update={"risk": risk})
+    with pytest.raises(ValueError, match="another plan"):
+        summarise(flown, solution.model_copy(update={"scenario": scenario}))
+
+
+# --- reading back -------------------------------------------------------------------------------
+
+
+def test_round_trip_through_file_and_folder(summary: Summary, tmp_path: Path) -> None:
+    path = summary.write(tmp_path)
+    assert path == tmp_path / FILE_NAME
+    assert read_summary(path) == read_summary(tmp_path) == summary
+    before = path.read_bytes()
+    assert read_summary(tmp_path).write(tmp_path).read_bytes() == before
+
+
+def test_a_summary_knows_its_plan(summary: Summary, solution: Solution) -> None:
+    assert summary.is_of(solution)
+    burn = solution.burns[0]
+    moved = burn.model_copy(update={"dv_m_s": (math.nextafter(burn.dv_m_s[0], 1.0), 0.0, 0.0)})
+    other = solution.model_copy(update={"burns": [moved, *solution.burns[1:]]})
+    assert not summary.is_of(other)
+
+
+def test_an_older_file_is_of_an_unknown_plan(
+    data: Data, solution: Solution, tmp_path: Path
+) -> None:
+    older = {key: value for key, value in data.items() if key != "plan_hash"}
+    (tmp_path / FILE_NAME).write_text(json.dumps(older), "utf-8")
+    read = read_summary(tmp_path)
+    assert read.plan_hash is None
+    assert not read.is_of(solution)
+
+
+def test_a_study_adds_entries_that_others_pass_over(summary: Summary, tmp_path: Path) -> None:
+    class More(Summary):
+        note: str
+
+    More(**dict(summary), note="added").write(tmp_path)
+    assert read_summary_as(More, tmp_path).note == "added"
+    assert read_summary(tmp_path) == summary
+    summary.write(tmp_path)
+    with pytest.raises(InputError, match="note: got nothing"):
+        read_summary_as(More, tmp_path)
+
+
+# --- damaged files ------------------------------------------------------------------------------
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.json", tmp_path):
+        with pytest.raises(InputError, match="no such file"):
+            read_summary(path)
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{", "[]", "5", "{}", '{"schema": "scp_recon.solution/1"}', '{"schema": 1}']
+)
+def test_what_is_no_summary_is_refused(tmp_path: Path, content: str) -> None:
+    refused(tmp_path / FILE_NAME, content)
+
+
+@pytest.mark.parametrize("value", [True, False, "1", [1.0]])
+def test_every_number_is_a_number(tmp_path: Path, data: Data, value: object) -> None:
+    places = numbers(data)
+    assert len(places) > 100
+    for where in places:
+        named = refused(tmp_path / FILE_NAME, with_value(data, where, value)).entry
+        assert str(where[0]) in named
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("truth",), "otherwise"),
+        (("plan_hash",), 5),
+        (("window_s",), [1.0]),
+        (("held_s",), {}),
+        (("probability",), {}),
+        (("entry_s",), {"samples": 3}),
+        (("held_s", ALL, "histogram", "count"), []),
+        (("held_s", ALL, "mean", "note"), 1.0),
+        (("terminal", "normality", "x", "levels"), [0.5]),
+    ],
+)
+def test_parts_that_do_not_fit_together_are_refused(
+    tmp_path: Path, data: Data, path: tuple[str, ...], value: object
+) -> None:
+    assert path[0] in str(refused(tmp_path / FILE_NAME, with_value(data, path, value)))
+
+
+anything = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow])
+@given(draw=st.data())
+def test_a_damaged_summary_is_read_or_refused(
+    data: Data, tmp_path_factory: pytest.TempPathFactory, draw: st.DataObject
+) -> None:
+    where = draw.draw(st.sampled_from(numbers(data)))
+    path = tmp_path_factory.getbasetemp() / "damaged.json"
+    path.write_text(with_value(data, where, draw.draw(anything)), "utf-8")
+    try:
+        read = read_summary(path)
+    except InputError:
+        reliability.count(reliability.BAD_INPUTS)
+    else:
+        assert isinstance(read, Summary)

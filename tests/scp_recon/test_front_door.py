@@ -1,0 +1,147 @@
+"""The front door: what a notebook needs, in SI, lazily imported, with docstrings that run."""
+
+from __future__ import annotations
+
+import copy
+import doctest
+import pickle
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scp_recon as sr
+from scp_recon import front_door
+from scp_recon.compare import main as compare
+from scp_recon.errors import InputError
+from scp_recon.planning.plan import Plan
+from scp_recon.solution.file import Solution, read_solution
+
+PROJECT = Path(__file__).parents[2]
+
+
+def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(PROJECT / "examples" / "first_plan.py"))
+    printed = capsys.readouterr().out
+    assert "recon_b, P2: Converged" in printed
+    assert "verified: True" in printed
+    assert "farthest from the first m" in printed
+
+
+def test_docstrings_run() -> None:
+    tried = doctest.testmod(front_door)
+    assert tried.attempted > 0
+    assert tried.failed == 0
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, scp_recon as sr; heavy = {'cvxpy', 'numpy', 'pydantic'} & set(sys.modules); "
+        "assert not heavy, heavy; assert callable(sr.load_scenario); assert 'plan' in dir(sr)"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=PROJECT, timeout=60)
+
+
+def test_what_it_does_not_have_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'plann'"):
+        sr.plann  # noqa: B018 -- the attribute is what is asked for
+
+
+def test_a_plan_speaks_si(default_plan: Plan, solution: Solution) -> None:
+    plan = default_plan
+    n = len(plan.times_s)
+    assert plan.states.shape == (n, 6)
+    assert plan.covariances.shape == (n, 6, 6)
+    np.testing.assert_array_equal(plan.burns_m_s, solution.burns_m_s)
+    np.testing.assert_array_equal(plan.states, solution.nodes.state)
+    np.testing.assert_array_equal(plan.covariances, solution.nodes.covariance)
+    assert plan.total_dv_m_s == solution.total_dv_m_s
+    stored = {c.name: (c.worst_margin_m_or_rad, c.unit) for c in solution.constraints}
+    assert plan.worst_margins == stored
+
+
+def test_a_plan_prints_its_verdict_burns_and_margins(default_plan: Plan) -> None:
+    text = str(default_plan)
+    assert "recon_b, P2: Converged" in text
+    assert "0.140135 m/s" in text
+    assert "p_chance 0.7" in text
+    assert all(name in text for name in default_plan.worst_margins)
+    assert "25000" in text
+    assert default_plan._repr_html_().startswith("<pre>")
+    assert "0.140135" in repr(default_plan)
+
+
+def test_a_plan_is_data(default_plan: Plan) -> None:
+    for again in (pickle.loads(pickle.dumps(default_plan)), copy.deepcopy(default_plan)):
+        assert again == default_plan
+        assert hash(again) == hash(default_plan)
+    again.burns_m_s  # noqa: B018 -- computed anew in the copy
+    assert default_plan != sr.plan(init="warm")
+    assert default_plan != 3
+
+
+def test_replaced_entries_are_validated() -> None:
+    scenario = sr.load_scenario("recon_b")
+    changed = scenario.replace({"risk.p_chance": 0.8, "polytopes": {"ball": "tangent"}})
+    assert (changed.risk.p_chance, changed.polytopes.ball) == (0.8, "tangent")
+    assert scenario.risk.p_chance == 0.7
+    with pytest.raises(InputError, match=r"risk\.p_chance: got 1\.8"):
+        scenario.replace({"risk.p_chance": 1.8})
+    with pytest.raises(InputError, match=r"did you mean risk\.p_chance"):
+        scenario.replace({"risk.p_chanc": 0.8})
+
+
+def test_planning_starts_from_files_and_tables(default_plan: Plan, tmp_path: Path) -> None:
+    saved = sr.save(default_plan, str(tmp_path / "mine"))
+    assert read_solution(saved).verification is not None
+    table = np.column_stack([default_plan.times_s, default_plan.states])
+    for init in (str(tmp_path / "mine"), saved, table):
+        found = sr.plan(init=init)
+        assert found.total_dv_m_s == pytest.approx(default_plan.total_dv_m_s, rel=1e-4)
+    with pytest.raises(InputError, match=r"shape \(n, 7\)"):
+        sr.plan(init=table[:, :5])
+
+
+def test_flights_are_counted_with_intervals(default_plan: Plan) -> None:
+    flights = sr.fly(default_plan, samples=500, seed=1)
+    emission = flights.probability["emission"]
+    assert emission.value is not None
+    assert emission.low is not None
+    assert emission.high is not None
+    assert 0.9 < emission.low < emission.value < emission.high <= 1.0
+    assert sr.fly(default_plan, samples=500, seed=1) == flights
+
+
+def test_plans_stand_side_by_side(
+    default_plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    p3 = sr.plan(problem="P3")
+    table = sr.side_by_side(default_plan, p3)
+    assert table["total delta-v"] == (default_plan.total_dv_m_s, p3.total_dv_m_s)
+    assert table["burn 2"][1] == pytest.approx(np.linalg.norm(p3.burns_m_s[1]))
+    same, apart = table["farthest from the first"]
+    assert same == 0.0
+    distance = np.linalg.norm(default_plan.states[:, :3] - p3.states[:, :3], axis=1).max()
+    assert apart == pytest.approx(distance)
+    named = {"a": default_plan, "b": p3}
+    folders = [str(sr.save(plan, tmp_path / name).parent) for name, plan in named.items()]
+    assert compare(folders) == 0
+    printed = capsys.readouterr().out
+    assert "total delta-v m/s" in printed
+    assert "P(emission)" in printed
+    assert compare([str(tmp_path / "none")]) == 2
+
+
+def test_paths_on_different_grids_are_held_against_each_other_at_one_time() -> None:
+    """The same burns on a grid twice as fine: the path between nodes is a cubic of its states."""
+    fine = sr.plan(
+        sr.load_scenario("recon_b").replace({"grid.step_max_s": 116.0}), init="cold", problem="P3"
+    )
+    coarse = sr.plan(problem="P3")
+    apart = sr.side_by_side(coarse, fine)["farthest from the first"][1]
+    difference = np.abs(coarse.burns_m_s - fine.burns_m_s).max()
+    assert isinstance(apart, float)
+    assert apart < 0.02 + 60_000.0 * difference
