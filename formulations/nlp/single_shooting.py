@@ -47,7 +47,7 @@ class SingleShooting:
 def _roll_out(
     problem: FlybyProblem, arcs: Arcs, spread: Factor | None, last: int, burns: ca.MX
 ) -> list[ca.MX]:
-    """Y = (mean, entries of the factor) of every node after its burn, entries up to node `last`."""
+    """States y = (mean, entries of the factor) of every node after its burn; entries up to `last`."""
     burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
     entries = spread.pack(problem.initial_factor, 0) if spread else np.zeros(0)
     y = ca.MX(np.concatenate([problem.initial_state, entries]))

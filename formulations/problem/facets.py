@@ -56,7 +56,7 @@ class Facets:
         return np.linalg.norm(np.einsum("mi,mic->mc", self.normal, factor[self.node, :3]), axis=1)
 
     def margin(self, mean: Array, factor: Array) -> Array:
-        """B - a'r_k - q ||S_k'a||, >= 0 where satisfied, (m,)."""
+        """What is left of b - a'r_k after q ||S_k'a||, >= 0 where satisfied, (m,)."""
         distance = self.offset - np.einsum("mi,mi->m", self.normal, mean[self.node, :3])
         return distance - self.quantile * self.deviation(factor)
 

@@ -108,7 +108,7 @@ class FlybyProblem:
         return slice(first, first + 3)
 
     def defects(self, iterate: Iterate, arcs: Array) -> Array:
-        """F_k(mu_k) + B dv - mu_{k+1} per arc, and last mu_N - x_f; shape (n_nodes, 6)."""
+        """Defects F_k(mu_k) + B dv - mu_{k+1} per arc, and last mu_N - x_f; shape (n_nodes, 6)."""
         defect = arcs - iterate.mean[1:]
         defect[self.burn_nodes[1:] - 1, 3:] += iterate.burns[1:]
         return np.vstack([defect, iterate.mean[-1] - self.final_state])

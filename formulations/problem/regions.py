@@ -29,7 +29,7 @@ class Halfspaces:
     offset: Array
 
     def slack(self, point: Array) -> Array:
-        """B - a'y for points (n, 3)."""
+        """Distance b - a'y to the plane from points (n, 3), >= 0 inside."""
         return self.offset - np.einsum("ni,ni->n", self.normal, point)
 
     def complement(self) -> Halfspaces:

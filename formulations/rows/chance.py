@@ -37,7 +37,7 @@ class ChanceRows:
         self.count = len(self.carried.node)
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """B - a'mu - q ||S'a|| of the included facets."""
+        """What is left of b - a'mu after q ||S'a||, of the included facets."""
         margin = self.carried.margin(lin.iterate.mean, lin.factor)
         ends = np.searchsorted(
             self.carried.constraint, np.arange(len(self.problem.constraints) + 1)
@@ -54,7 +54,7 @@ class ChanceRows:
 
     @cached_property
     def pick(self) -> sp.csr_array:
-        """A'r of every facet from the stacked positions r of all `nodes`, shape (count, 3 n)."""
+        """Map to a'r of every facet from all positions r at `nodes` stacked, shape (count, 3 n)."""
         columns = 3 * np.searchsorted(self.nodes, self.carried.node)[:, None] + np.arange(3)
         indices = np.repeat(np.arange(self.count), 3), columns.ravel()
         shape = (self.count, 3 * len(self.nodes))
