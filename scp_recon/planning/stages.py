@@ -103,18 +103,24 @@ class StageRunner:
             p3 = _best(firsts)
             lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
             finals.append(p3 if lost else self._solve_p2(p3.name.replace("P3", "P2"), p3))
-        return _best([*finals, *(self.choose_again(final) for final in finals if final.facets)])
+        for final in [final for final in finals if final.facets]:
+            finals.append(self.choose_again(final))
+            if finals[-1].result.status is Status.CONVERGED:
+                break
+        return _best(finals)
 
     def choose_again(self, stage: Stage) -> Stage:
         """The best of P2 with facets chosen where the last try ended, until one converges.
 
-        Facets that leave nothing feasible say little of others; only a few choices settle it.
+        Facets that leave nothing feasible say little of others; only a few choices settle it. A try
+        that ends without a verdict takes none away.
         """
         name, tries = stage.name.partition(".")[0], [stage]
         while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= CHOICES_MAX:
             last = [s for s in self.stages if s.name.partition(".")[0] == name][-1]
             tries.append(self._with_facets(name, last.result.lin))
-        return _best(tries)
+        verdicts = (Status.CONVERGED, stage.result.status)
+        return _best([one for one in tries if one.result.status in verdicts])
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearised at a guess; whatever it says, the flight starts where the problem does."""
