@@ -109,10 +109,8 @@ def save(plan: Plan, folder: str | Path) -> Path:
     Raises:
         OSError: if the folder cannot be written.
     """
-    solution = make_solution(plan)
-    checked = solution.model_copy(update={"verification": verify(plan.mission, solution)})
     Path(folder).mkdir(parents=True, exist_ok=True)
-    return checked.write(Path(folder))
+    return _solution(plan).write(Path(folder))
 
 
 def side_by_side(*plans: Plan | Solution | str | Path) -> Comparison:
@@ -130,6 +128,7 @@ def side_by_side(*plans: Plan | Solution | str | Path) -> Comparison:
 
 
 def _solution(given: Plan | Solution | str | Path) -> Solution:
+    """A plan's verified, or what is one already."""
     if isinstance(given, Plan):
         solution = make_solution(given)
         return solution.model_copy(update={"verification": verify(given.mission, solution)})

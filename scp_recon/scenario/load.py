@@ -10,7 +10,7 @@ from typing import Any
 
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
-from scp_recon.scenario.schema import Scenario, merge
+from scp_recon.scenario.schema import Scenario, merge, nested
 
 BYTES_MAX = 1_000_000
 """Three hundred times the packaged scenario; TOML of many keys takes its time to read."""
@@ -91,7 +91,4 @@ def _parse_override(override: str) -> dict[str, Any]:
         value = text  # a bare word is a string: boundary.frame=j2000
     except (ValueError, RecursionError) as error:
         raise InputError("--set", repr(override)[:80], str(error)[:120]) from None
-    first, *rest = keys
-    for key in reversed(rest):
-        value = {key: value}
-    return {first: value}
+    return nested(keys, value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
@@ -271,12 +271,14 @@ class Scenario(Section):
         """
         data: dict[str, Any] = self.model_dump(mode="json")
         for entry, value in changes.items():
-            first, *rest = entry.split(".")
-            nested = value
-            for key in reversed(rest):
-                nested = {key: nested}
-            data = merge(data, {first: nested})
+            data = merge(data, nested(entry.split("."), value))
         return self.validated(data)
+
+
+def nested(keys: Sequence[str], value: Any) -> dict[str, Any]:
+    """A value in the tables that some keys name, the outermost first."""
+    first, *rest = keys
+    return {first: nested(rest, value) if rest else value}
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
