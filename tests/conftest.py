@@ -1,4 +1,8 @@
-"""Hypothesis profiles: `HYPOTHESIS_PROFILE=nightly` looks harder; and the reliability table."""
+"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; and the reliability table.
+
+`default` draws other examples in every run, `nightly` more of them; `ci` draws the same ones every
+time, so that a change is judged by what it changes.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +19,7 @@ from tests import reliability
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 
 settings.register_profile("default", max_examples=60, deadline=None, derandomize=False)
+settings.register_profile("ci", max_examples=60, deadline=None, derandomize=True)
 settings.register_profile("nightly", max_examples=500, deadline=None, derandomize=False)
 # For mutation testing: fast and repeatable, and a failure needs no simple example.
 settings.register_profile(

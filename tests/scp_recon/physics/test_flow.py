@@ -311,7 +311,8 @@ def test_between_the_steps_a_flight_is_known_as_well_as_at_them(
     end = propagate(state, arc, forces)
     position, velocity = interpolate((state[:3], state[3:]), (end[:3], end[3:]), arc, u)
     inside = propagate(state, u * arc, forces, 8)
-    # Half a unit from the centre the fourth derivative is below 300: h^4 / 384 of it is missed,
-    # and h^3 / 60 in velocities.
-    assert position == pytest.approx(inside[:3], abs=300.0 * arc**4 / 384.0)
-    assert velocity == pytest.approx(inside[3:], abs=300.0 * arc**3 / 60.0)
+    # The fourth derivative is a'' v v + a' a, at most 6 v^2 / r^4 + 2 / r^5 and a little for J2:
+    # 480 where an arc begins half a unit from the centre at speed 1.8 and falls for its length.
+    # A cubic misses h^4 / 384 of it, and less than h^3 / 60 in velocities.
+    assert position == pytest.approx(inside[:3], abs=550.0 * arc**4 / 384.0)
+    assert velocity == pytest.approx(inside[3:], abs=550.0 * arc**3 / 60.0)
