@@ -100,10 +100,10 @@ def _run(options: argparse.Namespace) -> int:
     vehicle, solution = load_vehicle(options.vehicle), _plan(options.solution)
     # Seed by seed, so that an interrupted study has as many flights of every set.
     jobs = [
-        (errs, options.seed + k)
+        (error_sources, options.seed + k)
         for k in range(options.flights)
-        for errs in SETS
-        if errs not in TRANSLATION and (errs != NO_ERRORS or k == 0)
+        for error_sources in SETS
+        if error_sources not in TRANSLATION and (error_sources != NO_ERRORS or k == 0)
     ]
     columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
@@ -118,10 +118,10 @@ def _run(options: argparse.Namespace) -> int:
         )
     found = measure_flights(flown, solution)
     found |= measure_paths(solution, vehicle, options.paths, options.seed)
-    entries = [found[errs] for errs in ORDER if errs in found]
+    entries = [found[error_sources] for error_sources in ORDER if error_sources in found]
     words = sigmas(vehicle.errors)
     files = {
-        f"{NAME}.csv": to_csv([record(entry, words[entry.errs]) for entry in entries]),
+        f"{NAME}.csv": to_csv([record(entry, words[entry.error_sources]) for entry in entries]),
         f"{NAME}.md": to_markdown(entries, words, solution),
         QUANTILES: to_csv(quantiles(entries)),
     }

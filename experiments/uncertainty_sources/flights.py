@@ -73,13 +73,13 @@ class Flown:
     """One flight of the whole spacecraft.
 
     Attributes:
-        errs: key of `SETS`.
+        error_sources: key of `SETS`.
         seed: of its errors.
         state: at the planned end, the last burn done, J2000, m and m/s.
         attitude_error_rad: angle between attitude and command when the last burn begins.
     """
 
-    errs: str
+    error_sources: str
     seed: int
     state: tuple[float, ...]
     attitude_error_rad: float
@@ -96,23 +96,23 @@ def simulator() -> ModuleType:
 
 
 def fly_spacecraft(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Flown:
-    """Simulate one flight: (what errs, seed).
+    """Simulate one flight: (error sources, seed).
 
     Raises:
         InputError: if Basilisk is not there.
     """
     simulation = simulator()
-    errs, seed = job
+    error_sources, seed = job
     flight = simulation.simulate(
         solution,
         vehicle,
         seed,
-        sources=[simulation.Source(name) for name in SETS[errs]],
+        sources=[simulation.Source(name) for name in SETS[error_sources]],
         initial_sigma_fraction=vehicle.errors.initial_state,
     )
     at = int(np.searchsorted(flight.times_s, flight.plan.firings[-1].start_s))
     off = (flight.commands[at].inv() * flight.attitudes[at]).magnitude()
-    return Flown(errs, seed, tuple(flight.terminal_state.tolist()), float(off))
+    return Flown(error_sources, seed, tuple(flight.terminal_state.tolist()), float(off))
 
 
 class Logbook:
@@ -145,7 +145,7 @@ class Logbook:
     def _read(self) -> Iterator[tuple[tuple[str, int], Flown]]:
         with self._file.open(encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file):
-                job = row["errs"], int(row["seed"])
+                job = row["error_sources"], int(row["seed"])
                 state = tuple(float(row[name]) for name in STATE)
                 yield job, Flown(*job, state, float(row["attitude_error_rad"]))
 
@@ -156,11 +156,11 @@ class Logbook:
             self._belongs.parent.mkdir(parents=True, exist_ok=True)
             self._file.unlink(missing_ok=True)
             write_atomically(self._belongs, self._setting)
-        self.flown[flown.errs, flown.seed] = flown
-        lines = [",".join(("errs", "seed", *STATE, "attitude_error_rad"))]
+        self.flown[flown.error_sources, flown.seed] = flown
+        lines = [",".join(("error_sources", "seed", *STATE, "attitude_error_rad"))]
         for one in self.flown.values():
             figures = (*one.state, one.attitude_error_rad)
-            lines.append(",".join([one.errs, str(one.seed), *map(repr, figures)]))
+            lines.append(",".join([one.error_sources, str(one.seed), *map(repr, figures)]))
         write_atomically(self._file, "\n".join(lines) + "\n")
 
 

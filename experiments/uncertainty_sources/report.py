@@ -46,14 +46,14 @@ class Measured:
     """What a set of sources does.
 
     Attributes:
-        errs: its key.
+        error_sources: its key.
         flown_by: in what.
         deviation: of the flights' ends from that of the one without errors, J2000, m and m/s, (n, 6).
         offset_m: distance of their mean from the planned end.
         attitude_error_rad: largest before the last burn, NaN where no attitude is flown.
     """
 
-    errs: str
+    error_sources: str
     flown_by: str
     deviation: Array
     offset_m: float
@@ -79,9 +79,11 @@ def measure_paths(
     planned = np.array(solution.nodes.state[-1])
     sets = {INITIAL: (INITIAL,), CHEMICAL: (CHEMICAL,), BOTH: TRANSLATION}
     found = {}
-    for number, (errs, sources) in enumerate(sets.items()):
+    for number, (error_sources, sources) in enumerate(sets.items()):
         states = fly_paths(solution, vehicle, sources, samples, seed + number)
-        found[errs] = Measured(errs, PATH, states - planned, _offset(states, planned))
+        found[error_sources] = Measured(
+            error_sources, PATH, states - planned, _offset(states, planned)
+        )
     return found
 
 
@@ -89,13 +91,13 @@ def measure_flights(flown: Sequence[Flown], solution: Solution) -> dict[str, Mea
     """The sets that the whole spacecraft was flown with, among them the one without errors."""
     planned = np.array(solution.nodes.state[-1])
     found = {}
-    for errs in dict.fromkeys(one.errs for one in flown):
-        chosen = [one for one in flown if one.errs == errs]
+    for error_sources in dict.fromkeys(one.error_sources for one in flown):
+        chosen = [one for one in flown if one.error_sources == error_sources]
         states = np.array([one.state for one in chosen])
-        perfect = next(np.array(one.state) for one in flown if one.errs == NO_ERRORS)
+        perfect = next(np.array(one.state) for one in flown if one.error_sources == NO_ERRORS)
         worst = max(one.attitude_error_rad for one in chosen)
         offset = _offset(states, planned)
-        found[errs] = Measured(errs, SPACECRAFT, states - perfect, offset, worst)
+        found[error_sources] = Measured(error_sources, SPACECRAFT, states - perfect, offset, worst)
     return found
 
 
@@ -141,8 +143,8 @@ def record(entry: Measured, sigma: str) -> dict[str, Cell]:
     """A row of the CSV."""
     normal = entry.normality
     figures: dict[str, Cell] = {
-        "source": entry.errs,
-        "label": NAMES[entry.errs],
+        "source": entry.error_sources,
+        "label": NAMES[entry.error_sources],
         "sigma": sigma,
         "flown_by": entry.flown_by,
         "flights": len(entry.deviation),
@@ -164,7 +166,7 @@ def record(entry: Measured, sigma: str) -> dict[str, Cell]:
 def quantiles(entries: Sequence[Measured]) -> list[dict[str, Cell]]:
     """Points of the quantile-quantile plots in long form."""
     return [
-        {"source": entry.errs, "axis": axis, "expected": e, "observed": o}
+        {"source": entry.error_sources, "axis": axis, "expected": e, "observed": o}
         for entry in entries
         if entry.flown_by == PATH
         for axis, n in entry.normality.items()
@@ -190,8 +192,8 @@ def to_markdown(entries: Sequence[Measured], words: Mapping[str, str], solution:
     )
     lines = [
         (
-            NAMES[entry.errs],
-            words[entry.errs],
+            NAMES[entry.error_sources],
+            words[entry.error_sources],
             entry.flown_by,
             str(len(entry.deviation)),
             _shown(entry.rms),
@@ -202,7 +204,10 @@ def to_markdown(entries: Sequence[Measured], words: Mapping[str, str], solution:
     ]
     normal_header = ("source", *(f"{axis}: p-value, correlation" for axis in AXES))
     normal_lines = [
-        (NAMES[e.errs], *(f"{n.p_value:.2g}, {n.correlation:.4f}" for n in e.normality.values()))
+        (
+            NAMES[e.error_sources],
+            *(f"{n.p_value:.2g}, {n.correlation:.4f}" for n in e.normality.values()),
+        )
         for e in entries
         if e.normality
     ]
@@ -229,7 +234,7 @@ def _shown(e: Estimate) -> str:
 
 def verdicts(entries: Sequence[Measured], solution: Solution) -> list[str]:
     """Which sources dominate, whether the attitude may be left out, and how normal the ends are."""
-    found = {entry.errs: entry for entry in entries}
+    found = {entry.error_sources: entry for entry in entries}
     words = [_dominance(found)]
     if "attitude" in found:
         words.append(_decoupling(found["attitude"].rms, found[BOTH].rms))
@@ -246,24 +251,26 @@ def verdicts(entries: Sequence[Measured], solution: Solution) -> list[str]:
         f"{100 * uncertainty.execution_error:g} % of each component, says "
         f"{planned_rms_m(solution):.0f} m; the vehicle's errors give {found[BOTH].rms.value:.0f} m."
     )
-    for errs in (INITIAL, CHEMICAL):
-        normal = found[errs].normality
+    for error_sources in (INITIAL, CHEMICAL):
+        normal = found[error_sources].normality
         if not normal:  # of flights that all end alike, nothing can be said
             continue
         straight = min(n.correlation for n in normal.values())
         rejected = [axis for axis, n in normal.items() if n.p_value < SIGNIFICANCE]
         kept = f"rejected for {', '.join(rejected)}" if rejected else "not rejected for any axis"
         words.append(
-            f"{NAMES[errs]}: quantiles lie on a straight line with a correlation of {straight:.4f} or "
-            f"more; normality is {kept} at the {100 * SIGNIFICANCE:g} % level."
+            f"{NAMES[error_sources]}: quantiles lie on a straight line with a correlation of "
+            f"{straight:.4f} or more; normality is {kept} at the {100 * SIGNIFICANCE:g} % level."
         )
     return words
 
 
 def _dominance(found: Mapping[str, Measured]) -> str:
     alone = {e: found[e].rms for e in (*ATTITUDE, *TRANSLATION) if e in found}
-    ranked = sorted(alone, key=lambda errs: -alone[errs].value)
-    listed = ", ".join(f"{NAMES[errs]} {alone[errs].value:.3g} m" for errs in ranked)
+    ranked = sorted(alone, key=lambda name: -alone[name].value)
+    listed = ", ".join(
+        f"{NAMES[error_sources]} {alone[error_sources].value:.3g} m" for error_sources in ranked
+    )
     return f"Alone, from the largest: {listed}."
 
 

@@ -141,7 +141,7 @@ def show_solution(console: Console, solution: Solution) -> None:
         amount = solution.violation.by_constraint.get(c.name)
         table.add_row(
             Text(c.name),
-            f"{round(c.worst_margin_m_or_rad, 4) + 0.0:+.4f} {c.unit}",
+            f"{round(c.worst_margin, 4) + 0.0:+.4f} {c.unit}",
             f"{c.worst_t_s:.0f}",
             str(c.facets or ""),
             Text(f"{amount.max:.4g} {amount.unit}", style="red") if amount else "",

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from scipy.optimize import brentq
 
 from scp_recon.errors import InputError
-from scp_recon.scenario.schema import Scenario, ScheduleRules
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.sections import ScheduleRules
 
 Array = npt.NDArray[np.float64]
 SCAN_STEP_S = 20.0

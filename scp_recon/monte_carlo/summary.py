@@ -15,7 +15,7 @@ from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proport
 from scp_recon.monte_carlo.flights import Campaign
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
-from scp_recon.scenario.schema import Line
+from scp_recon.scenario.fields import Line
 from scp_recon.solution.file import Solution
 from scp_recon.solution.part import File, Part, read_file
 
@@ -176,7 +176,7 @@ def read_summary(path: Path) -> Summary:
 
 def read_summary_as(kind: type[Kind], path: Path) -> Kind:
     """Read a summary to which a study has added entries of its own, as `read_summary` does."""
-    return read_file(path / FILE_NAME if path.is_dir() else path, kind, SCHEMA, "summary")
+    return read_file(path / FILE_NAME if path.is_dir() else path, kind, [SCHEMA], "summary")
 
 
 def summarise(campaign: Campaign, solution: Solution) -> Summary:

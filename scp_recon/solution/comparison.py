@@ -64,7 +64,7 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
     for i in range(max(len(s.burns) for s in solutions)):
         sizes = [np.linalg.norm(s.burns_m_s, axis=1) for s in solutions]
         rows.append((f"burn {i + 1}", "m/s", tuple(_item(size, i) for size in sizes)))
-    margins = [{c.name: c.worst_margin_m_or_rad for c in s.constraints} for s in solutions]
+    margins = [{c.name: c.worst_margin for c in s.constraints} for s in solutions]
     units = {c.name: c.unit for s in solutions for c in s.constraints}
     rows += [(f"margin {n}", unit, tuple(m.get(n) for m in margins)) for n, unit in units.items()]
     found = [s.verification.probabilities if s.verification else [] for s in solutions]

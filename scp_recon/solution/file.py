@@ -13,17 +13,19 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import AliasChoices, Field, model_validator
 
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
-from scp_recon.scenario.schema import Line, Scenario, Speed
+from scp_recon.scenario.fields import Line, Speed
+from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.solution.part import File, Part, read_file
 from scp_recon.solution.times import strange_times
 
-SCHEMA = "scp_recon.solution/1"
+SCHEMA, READABLE = "scp_recon.solution/2", ("scp_recon.solution/1", "scp_recon.solution/2")
+"""What is written and what is read; /1 called a worst margin `worst_margin_m_or_rad`."""
 FILE_NAME = "solution.json"
 Number = Annotated[float, Field(ge=-1e30, le=1e30)]
 """Of what is worked with: its square and its quotients stay finite."""
@@ -93,7 +95,9 @@ class ConstraintResult(Part):
 
     name: Line
     kind: Literal["keep_in", "keep_out", "burn"]
-    worst_margin_m_or_rad: float
+    worst_margin: Annotated[
+        float, Field(validation_alias=AliasChoices("worst_margin", "worst_margin_m_or_rad"))
+    ]
     unit: Literal["m", "m/s"]
     worst_t_s: float
     facets: int
@@ -246,7 +250,7 @@ def read_solution(path: Path) -> Solution:
             fit together.
     """
     file = path / FILE_NAME if path.is_dir() else path
-    solution = read_file(file, Solution, SCHEMA, "solution")
+    solution = read_file(file, Solution, READABLE, "solution")
     try:
         Status.named(solution.status)
     except ValueError:

@@ -100,7 +100,7 @@ def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]
             ConstraintResult(
                 name=name,
                 kind=kinds.get(name, "burn"),
-                worst_margin_m_or_rad=float(margins.margin[worst]) * _scale(mission, unit),
+                worst_margin=float(margins.margin[worst]) * _scale(mission, unit),
                 unit=unit,
                 worst_t_s=float(mission.times_s[margins.nodes[worst]]),
                 facets=at_worst if stage.facets is not None and name in kinds else 0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +16,9 @@ from scp_recon.files import read_text
 class Part(BaseModel):
     """Frozen; keys that are not known are kept out, and numbers are neither booleans nor strings."""
 
-    model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, strict=True, extra="forbid", allow_inf_nan=False, validate_by_name=True
+    )
 
 
 class File(Part):
@@ -27,22 +30,22 @@ class File(Part):
 FileKind = TypeVar("FileKind", bound=File)
 
 
-def read_file(path: Path, kind: type[FileKind], schema: str, noun: str) -> FileKind:
+def read_file(path: Path, kind: type[FileKind], schemas: Sequence[str], noun: str) -> FileKind:
     """Read a file of a schema.
 
     Args:
         path: of the file.
         kind: what it holds.
-        schema: what its entry `schema` must be.
+        schemas: what its entry `schema` may be, the newest last.
         noun: what to call it in messages.
 
     Raises:
         InputError: if there is none, it is of another version, or it is damaged.
     """
     data = _parsed(path, noun)
-    if not isinstance(data, dict) or data.get("schema") != schema:
+    if not isinstance(data, dict) or data.get("schema") not in schemas:
         given = data.get("schema", "no schema") if isinstance(data, dict) else "no object"
-        raise InputError(f"{noun} {path}", repr(given)[:80], f"schema must be {schema!r}")
+        raise InputError(f"{noun} {path}", repr(given)[:80], f"schema must be {schemas[-1]!r}")
     try:
         # Through JSON again: strict fields such as tuples and dates read from it as written to it.
         return kind.model_validate_json(json.dumps(data))

@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
 from scp_recon.physics.frames import unit
-from scp_recon.scenario.schema import NonNegative, NonZeroVector, Positive, Section, Vector
+from scp_recon.scenario.fields import NonNegative, NonZeroVector, Positive, Section, Vector
 
 Array = npt.NDArray[np.float64]
 Share = Annotated[float, Field(ge=0, le=1)]

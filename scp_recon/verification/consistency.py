@@ -44,7 +44,7 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
     margins = _margins(mission, solution)
     stored = {c.name: c for c in solution.constraints}
     if stored.keys() != margins.keys() or any(
-        abs(stored[name].worst_margin_m_or_rad - margin.min()) > MARGIN_ERROR[_unit(name)]
+        abs(stored[name].worst_margin - margin.min()) > MARGIN_ERROR[_unit(name)]
         for name, margin in margins.items()
     ):
         found.append("constraints")

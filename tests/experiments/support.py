@@ -26,11 +26,11 @@ def table_of(out: Path) -> dict[str, dict[str, str]]:
 
 def simulated(solution: Solution, _: Vehicle, job: tuple[str, int]) -> Flown:
     """A flight that ends 0.1 m off the plan for each source that errs, 100 m for those of the path."""
-    errs, seed = job
-    scale = sum(100.0 if source in TRANSLATION else 0.1 for source in SETS[errs])
-    off = scale * np.random.default_rng([seed, len(errs)]).standard_normal(6)
+    error_sources, seed = job
+    scale = sum(100.0 if source in TRANSLATION else 0.1 for source in SETS[error_sources])
+    off = scale * np.random.default_rng([seed, len(error_sources)]).standard_normal(6)
     state = np.array(solution.nodes.state[-1]) + off * np.repeat([1.0, 1e-4], 3)
-    return Flown(errs, seed, tuple(state.tolist()), 1e-4)
+    return Flown(error_sources, seed, tuple(state.tolist()), 1e-4)
 
 
 def write_kernel(path: Path, mission: Mission, states: npt.NDArray[np.float64]) -> Path:

@@ -177,5 +177,7 @@ def test_a_damaged_logbook_is_begun_anew(
     job = ("imu", 4)
     Logbook(tmp_path, solution, vehicle).add(simulated(solution, vehicle, job))
     assert set(Logbook(tmp_path, solution, vehicle).flown) == {job}
-    (tmp_path / "uncertainty_flights.csv").write_text("errs,seed\nimu,x\n", encoding="utf-8")
+    (tmp_path / "uncertainty_flights.csv").write_text(
+        "error_sources,seed\nimu,x\n", encoding="utf-8"
+    )
     assert not Logbook(tmp_path, solution, vehicle).flown

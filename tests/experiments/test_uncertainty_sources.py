@@ -82,10 +82,10 @@ def test_the_command_measures_every_set(
     with (out / "uncertainty_sources.csv").open(encoding="utf-8") as file:
         table = {row["source"]: row for row in csv.DictReader(file)}
     assert set(table) == {"none", *ATTITUDE, "attitude", *TRANSLATION, BOTH, "all"}
-    for errs, row in table.items():
+    for error_sources, row in table.items():
         assert float(row["rms_m_low"]) <= float(row["rms_m"])
         assert int(row["flights"]) == (
-            1 if errs == "none" else 500 if errs in (*TRANSLATION, BOTH) else 10
+            1 if error_sources == "none" else 500 if error_sources in (*TRANSLATION, BOTH) else 10
         )
     assert float(table["imu"]["attitude_error_deg"]) == pytest.approx(np.rad2deg(1e-4))
     with (out / "uncertainty_flights.csv").open(encoding="utf-8") as file:

@@ -74,14 +74,16 @@ def write_uncertainty(folder: Path) -> None:
     """Made-up deviations in the study's own form: 200 m for each source of the path, else 1 m."""
     rng = np.random.default_rng(0)
     entries = []
-    for errs in ORDER:
-        on_path = errs in (*TRANSLATION, BOTH)
-        scale = 200.0 if on_path or errs == "all" else 0.0 if errs == "none" else 1.0
+    for error_sources in ORDER:
+        on_path = error_sources in (*TRANSLATION, BOTH)
+        scale = (
+            200.0 if on_path or error_sources == "all" else 0.0 if error_sources == "none" else 1.0
+        )
         deviation = scale * rng.standard_normal((500 if on_path else 8, 6)) / np.sqrt(3.0)
         by = BY_PATH if on_path else BY_SPACECRAFT
-        entries.append(Measured(errs, by, deviation, 2.0, np.nan if on_path else 1e-3))
+        entries.append(Measured(error_sources, by, deviation, 2.0, np.nan if on_path else 1e-3))
     words = sigmas(load_vehicle().errors)
-    table = to_csv([record(entry, words[entry.errs]) for entry in entries])
+    table = to_csv([record(entry, words[entry.error_sources]) for entry in entries])
     folder.mkdir()
     (folder / uncertainty_sources.TABLE).write_text(table, encoding="utf-8")
     points = to_csv(quantiles(entries))

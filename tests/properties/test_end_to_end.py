@@ -111,7 +111,7 @@ def assert_solved(run: CommandLine, solution: Solution) -> None:
     assert run.output.rstrip().splitlines()[-2] == "verified"
     assert (solution.violation.max, solution.violation.by_constraint) == (0.0, {})
     # To a tenth of a millimetre: a binding margin is rounded.
-    assert min(c.worst_margin_m_or_rad for c in solution.constraints) > -1e-3
+    assert min(c.worst_margin for c in solution.constraints) > -1e-3
     asked = solution.scenario.risk.p_chance
     assert min(p.estimate for p in solution.verification.probabilities) >= asked
     largest = np.linalg.norm(solution.burns_m_s, axis=1).max()

@@ -59,7 +59,7 @@ def test_a_plan_speaks_si(default_plan: Plan, solution: Solution) -> None:
     np.testing.assert_array_equal(plan.states, solution.nodes.state)
     np.testing.assert_array_equal(plan.covariances, solution.nodes.covariance)
     assert plan.total_dv_m_s == solution.total_dv_m_s
-    stored = {c.name: (c.worst_margin_m_or_rad, c.unit) for c in solution.constraints}
+    stored = {c.name: (c.worst_margin, c.unit) for c in solution.constraints}
     assert plan.worst_margins == stored
 
 

@@ -14,7 +14,8 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode, Schedule, find_window, make_schedule
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scenario.schema import Scenario, ScheduleRules
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.sections import ScheduleRules
 from tests.scp_recon.support import Array, mission_of
 
 WINDOW = (13_140.0, 16_537.0)

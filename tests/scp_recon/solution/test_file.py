@@ -51,7 +51,7 @@ def test_every_promised_key_is_there(data: Data) -> None:
         assert set(stage) >= {"name", "status", "total_dv_m_s", "iterations"}
     for constraint in data["constraints"]:
         assert set(constraint) >= {
-            *("name", "kind", "worst_margin_m_or_rad", "worst_t_s", "facets"),
+            *("name", "kind", "worst_margin", "worst_t_s", "facets"),
         }
     assert set(data["violation"]) >= {"max", "total", "by_constraint"}
     for iteration in data["iterations"]:
@@ -259,6 +259,16 @@ def test_a_file_cut_short_is_refused(tmp_path: Path, data: Data) -> None:
 def test_another_schema_is_refused(tmp_path: Path, content: str) -> None:
     error = refused(tmp_path / "s.json", content)
     assert SCHEMA in error.allowed
+
+
+def test_a_file_of_the_first_schema_is_still_read(data: Data, tmp_path: Path) -> None:
+    old: Data = json.loads(json.dumps(data)) | {"schema": "scp_recon.solution/1"}
+    for constraint in old["constraints"]:
+        constraint["worst_margin_m_or_rad"] = constraint.pop("worst_margin")
+    file = tmp_path / "s.json"
+    file.write_text(json.dumps(old), encoding="utf-8")
+    margins = [c.worst_margin for c in read_solution(file).constraints]
+    assert margins == [c["worst_margin"] for c in data["constraints"]]
 
 
 def edited(data: Data, path: str, value: object) -> str:

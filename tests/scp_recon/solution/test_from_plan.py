@@ -90,7 +90,7 @@ def test_timing_adds_up(solution: Solution) -> None:
 def test_every_constraint_has_its_worst_margin(mission: Mission, solution: Solution) -> None:
     named = {c.name: c for c in solution.constraints}
     assert set(named) == {"dv_max", "dv_battery", *(c.name for c in mission.problem.constraints)}
-    assert all(c.worst_margin_m_or_rad >= -2e-3 for c in named.values())  # a millimetre
+    assert all(c.worst_margin >= -2e-3 for c in named.values())  # a millimetre
     in_window = [c for name, c in named.items() if not name.startswith(("dv_", "safety"))]
     first, last = mission.schedule.window_s
     assert all(first <= c.worst_t_s <= last for c in in_window)
@@ -107,7 +107,7 @@ def test_burn_margin_is_what_is_left(solution: Solution) -> None:
     (dv_max,) = (c for c in solution.constraints if c.name == "dv_max")
     sizes = np.linalg.norm(solution.burns_m_s, axis=1)
     assert dv_max.unit == "m/s"
-    assert dv_max.worst_margin_m_or_rad == pytest.approx(0.2 - sizes.max())
+    assert dv_max.worst_margin == pytest.approx(0.2 - sizes.max())
     assert dv_max.worst_t_s == solution.burns[int(np.argmax(sizes))].t_s
 
 
@@ -115,7 +115,7 @@ def test_p3_margins_are_distances_of_the_mean(mission: Mission, p3: Solution) ->
     assert p3.problem == "P3"
     (safety,) = (c for c in p3.constraints if c.name == "safety_radius")
     radius = np.linalg.norm(np.array(p3.nodes.state)[:, :3], axis=1)
-    assert safety.worst_margin_m_or_rad == pytest.approx(radius.min() - 500.0)
+    assert safety.worst_margin == pytest.approx(radius.min() - 500.0)
     assert safety.worst_t_s == mission.times_s[np.argmin(radius)]
     assert safety.facets == 0
 
@@ -132,7 +132,7 @@ def test_a_chance_margin_is_that_of_the_most_probable_tangent_plane(
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", outward, covariance[:, :3, :3], outward))
     # Psi^-1(0.70) = 0.5244; the paper's outer polytope stands out by its reach over 500 m.
     along_sight = (radius - 500.0 - 0.5244 * sigma).min()
-    assert 0.0 < safety.worst_margin_m_or_rad < along_sight + 1.0
+    assert 0.0 < safety.worst_margin < along_sight + 1.0
     assert mission.scenario.risk.p_chance == 0.70
 
 
@@ -154,11 +154,11 @@ def test_an_infeasible_case_names_each_violated_constraint_with_its_amount(
     assert violated["dv_max"].total == pytest.approx(excess.sum(), abs=1e-6)
     for c in solution.constraints:
         if c.name in violated:
-            assert c.worst_margin_m_or_rad < 0.0
+            assert c.worst_margin < 0.0
             if violated[c.name].unit == c.unit and c.name != "dv_battery":
-                assert violated[c.name].max == pytest.approx(-c.worst_margin_m_or_rad, abs=2e-3)
+                assert violated[c.name].max == pytest.approx(-c.worst_margin, abs=2e-3)
         elif c.name != "dv_battery":
-            assert c.worst_margin_m_or_rad >= -2e-3
+            assert c.worst_margin >= -2e-3
     assert solution.violation.max > 0.0
     assert solution.violation.total >= solution.violation.max
     assert mission.scenario.burns.dv_max_m_s == 0.02
