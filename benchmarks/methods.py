@@ -68,7 +68,9 @@ def _described(figures: Timed, mission: Mission, plans: list[Plan]) -> Timed:
     found = min(plans[1:] or plans, key=lambda plan: plan.total_s)
     solution = make_solution(found)
     parts = asdict(found.timing) | {"other": found.total_s - sum(vars(found.timing).values())}
-    p2 = [r.solver_s for stage in found.stages if stage.facets for r in stage.result.records]
+    p2 = [
+        r.solver_s for stage in found.stages if stage.problem == "P2" for r in stage.result.records
+    ]
     solves = {"p2_subproblem": statistics.median(p2)} if p2 else {}
     return replace(
         figures,

@@ -8,7 +8,7 @@ artificially infeasible. The ratio tests of `scp_recon` keep their runs from get
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import FlybyProblem
@@ -38,6 +38,10 @@ class Unguarded:
         """Start from the guess, with a trust region that no burn reaches."""
         merit = subproblem.merit(lin, self.WEIGHT)
         return State(lin, merit, 2.0 * self.problem.dv_max, PenaltyParameters(self.WEIGHT))
+
+    def resolving(self, resolution: float) -> Self:  # noqa: ARG002 -- of the protocol
+        """It knows no stationarity."""
+        return self
 
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing

@@ -42,6 +42,7 @@ class StateConstraint:
         region: one region per node.
         keep: "in" or "out".
         probability: what P2 asks of this constraint alone, joint risk already split.
+        joint: chance constraint that it is one side of; itself, if not given.
     """
 
     name: str
@@ -49,6 +50,12 @@ class StateConstraint:
     region: Region
     keep: Literal["in", "out"]
     probability: float
+    joint: str = ""
+
+    @property
+    def event(self) -> str:
+        """What has to hold with the probability that was asked."""
+        return self.joint or self.name
 
     def margin(self, mean: Array) -> Array:
         """Signed distance to the region's surface at each node, >= 0 where satisfied, (n,)."""

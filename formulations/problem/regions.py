@@ -78,12 +78,31 @@ def perpendicular(axis: Array) -> Array:
     return unit(np.cross(axis, least), least)
 
 
+Chord = tuple[Array, Array]
+"""Where lines start + s direction lie in a region: from and to which s, (inf, inf) if nowhere."""
+
+
+def _between_roots(a: Array, b: Array, c: Array) -> Chord:
+    """Both roots of a s^2 + 2 b s + c in ascending order, without cancellation; infinite if none."""
+    discriminant = b * b - a * c
+    real = (discriminant > 0.0) & (a != 0.0)
+    q = -(b + np.copysign(np.sqrt(np.where(real, discriminant, 0.0)), b))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        one, other = q / a, c / q
+    low, high = np.minimum(one, other), np.maximum(one, other)
+    return np.where(real, low, np.inf), np.where(real, high, np.inf)
+
+
 @dataclass(frozen=True)
 class Ball:
     """Points within `radius` of `center` (n, 3)."""
 
     center: Array
     radius: float
+
+    def at(self, which: npt.NDArray[np.intp]) -> Ball:
+        """The balls of some nodes."""
+        return Ball(self.center[which], self.radius)
 
     def supporting(self, point: Array) -> Halfspaces:
         """Half-spaces that contain the balls and touch them towards each point (n, 3)."""
@@ -94,6 +113,18 @@ class Ball:
     def inside(self, point: Array) -> Array:
         """Signed distance to the surface, positive inside, (n,)."""
         return self.radius - np.linalg.norm(point - self.center, axis=1)
+
+    def curvature_radius(self, point: Array) -> Array:
+        """Radius of curvature of the surface, (n,)."""
+        return np.full(len(point), self.radius)
+
+    def chord(self, start: Array, direction: Array) -> Chord:
+        """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3)."""
+        off = start - self.center[:, None]
+        a = np.einsum("nki,nki->nk", direction, direction)
+        b = np.einsum("nki,nki->nk", direction, off)
+        c = np.einsum("nki,nki->nk", off, off) - self.radius**2
+        return _between_roots(a, b, c)
 
     @cached_property
     def second_order_cone(self) -> SecondOrderCone:
@@ -119,6 +150,10 @@ class Cone:
     def _side(self) -> Array:
         return perpendicular(self.axis)
 
+    def at(self, which: npt.NDArray[np.intp]) -> Cone:
+        """The cones of some nodes."""
+        return Cone(self.apex[which], self.axis[which], self.half_angle)
+
     def across(self, point: Array) -> Array:
         """Unit vectors of the points' parts across the axis, (n, 3)."""
         return unit(reject(point - self.apex, self.axis), self._side)
@@ -138,6 +173,33 @@ class Cone:
         along = np.einsum("ni,ni->n", d, self.axis)
         across = np.linalg.norm(d - along[:, None] * self.axis, axis=1)
         return np.sin(self.half_angle) * along - np.cos(self.half_angle) * across
+
+    def curvature_radius(self, point: Array) -> Array:
+        """Radius of curvature across the ray nearest to each point, (n,)."""
+        along = np.einsum("ni,ni->n", point - self.apex, self.axis)
+        height = along - self.inside(point) * np.sin(self.half_angle)
+        return np.abs(height) * np.tan(self.half_angle) / np.cos(self.half_angle)
+
+    def chord(self, start: Array, direction: Array) -> Chord:
+        """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3).
+
+        cos^2 |d|^2 <= (u'd)^2 holds on both nappes; u'd tells on which a root is.
+        """
+        off = start - self.apex[:, None]
+        along, climb = (np.einsum("nki,ni->nk", part, self.axis) for part in (off, direction))
+        cos2 = np.cos(self.half_angle) ** 2
+        a = cos2 * np.einsum("nki,nki->nk", direction, direction) - climb**2
+        b = cos2 * np.einsum("nki,nki->nk", direction, off) - climb * along
+        c = cos2 * np.einsum("nki,nki->nk", off, off) - along**2
+        low, high = _between_roots(a, b, c)
+        # Steeper than the cone a line leaves one nappe at the lower root and enters the other above.
+        steep = a < 0.0
+        up = climb > 0.0
+        first = np.where(steep & ~up, -np.inf, np.where(steep, high, low))
+        last = np.where(steep & up, np.inf, np.where(steep, low, high))
+        met = np.isfinite(low)
+        met &= steep | (along + climb * np.where(met, low, 0.0) > 0.0)
+        return np.where(met, first, np.inf), np.where(met, last, np.inf)
 
     @cached_property
     def second_order_cone(self) -> SecondOrderCone:

@@ -35,9 +35,6 @@ from formulations.program.solvers import SOLVERS, FallbackSolver
 from formulations.program.subproblem import Step, SubproblemError
 from formulations.rows.cones import Rows
 
-NEAR = 0.002
-"""Room, in units of length, up to which a row takes part from the start."""
-
 SLOTS = 32
 """For each size of cone, to begin with."""
 
@@ -145,7 +142,7 @@ class CondensedSubproblem(ConvexSubproblem):
     def _take_near(self, slack: Array) -> None:
         """Fill half of the slots with rows near binding; the answer may miss others."""
         for cones, slots in zip(self._cones, self._slots, strict=True):
-            near = cones.rows[slack[cones.rows] < NEAR]
+            near = cones.rows[slack[cones.rows] < self.rows.near]
             self._active[near[np.argsort(slack[near])[: slots // 2]]] = True
 
     def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:

@@ -12,7 +12,7 @@ from formulations.linearisation.condensation import Sensitivity
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem
-from formulations.rows.cones import Cones, Margins, burn_components_before
+from formulations.rows.cones import NEAR_LENGTH, Cones, Margins, Unit, burn_components_before
 
 
 class ChanceRows:
@@ -25,6 +25,9 @@ class ChanceRows:
     """
 
     with_factor = True
+    near = NEAR_LENGTH
+    unit: Unit = "length"
+    resolution = 0.0
 
     def __init__(
         self, problem: FlybyProblem, facets: Facets, included: npt.NDArray[np.bool_]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -10,6 +10,12 @@ from formulations.linearisation.condensation import Sensitivity
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import FlybyProblem, Nodes
 from formulations.problem.regions import Array
+
+Unit = Literal["length", "sigma"]
+"""Units of length, or standard deviations on the normal quantile scale."""
+
+NEAR_LENGTH = 0.002
+"""Room in units of length that counts as near."""
 
 
 class Margins(NamedTuple):
@@ -53,6 +59,21 @@ class Rows(Protocol):
     @property
     def count(self) -> int:
         """Number of rows, and of buffers."""
+        ...
+
+    @property
+    def near(self) -> float:
+        """Room up to which a row had better take part in the program from the start."""
+        ...
+
+    @property
+    def unit(self) -> Unit:
+        """What margins count."""
+        ...
+
+    @property
+    def resolution(self) -> float:
+        """Relative reduction of the merit that is not told from the rows' own errors."""
         ...
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:

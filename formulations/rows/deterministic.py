@@ -9,7 +9,7 @@ import numpy as np
 from formulations.linearisation.condensation import Sensitivity
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import FlybyProblem
-from formulations.rows.cones import Cones, Margins, burn_components_before
+from formulations.rows.cones import NEAR_LENGTH, Cones, Margins, Unit, burn_components_before
 
 
 class DeterministicRows:
@@ -20,6 +20,9 @@ class DeterministicRows:
     """
 
     with_factor = False
+    near = NEAR_LENGTH
+    unit: Unit = "length"
+    resolution = 0.0
 
     def __init__(self, problem: FlybyProblem) -> None:
         self.problem = problem

@@ -104,5 +104,5 @@ def state_constraints(
         # A two-sided constraint splits its risk in two.
         share = split_risk(p, sum(other.joint == limit.joint for other in limits))
         keep: Literal["in", "out"] = "out" if limit.sense == "min" else "in"
-        found.append(StateConstraint(limit.name, window, region, keep, share))
+        found.append(StateConstraint(limit.name, window, region, keep, share, limit.joint))
     return tuple(found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal
@@ -18,6 +19,8 @@ from formulations.program.merit import MeritFunction
 from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
 from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.exact import ExactRows
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import acceleration
@@ -121,6 +124,10 @@ class IpoptStages:
             facets,
             included_rows(facets, margin, clearance, mission.problem.n_nodes),
         )
+
+    def exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
+        """There are none."""
+        raise InputError("risk.allocation", "'exact'", "goes with --method scp only")
 
     def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> NlpStage:
         """Solve P3 or, on the included facets of its rows, P2.

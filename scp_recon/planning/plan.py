@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,11 +13,24 @@ import numpy.typing as npt
 from formulations.problem.facets import Facets
 from formulations.program.merit import MeritFunction
 from formulations.rows.cones import Margins
+from formulations.rows.deterministic import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
 
 Array = npt.NDArray[np.float64]
+
+
+Unit = Literal["m", "m/s", "sigma"]
+"""Of a margin in SI; sigma is a standard deviation on the normal quantile scale."""
+
+BURN_LIMITS = ("dv_max", "dv_battery")
+
+
+def scale(mission: Mission, unit: Unit) -> float:
+    """What one of the nondimensional problem's margins counts in SI."""
+    units = mission.units
+    return {"m": units.length_m, "m/s": units.speed_m_s, "sigma": 1.0}[unit]
 
 
 @dataclass(frozen=True)
@@ -25,10 +39,11 @@ class Stage:
 
     Attributes:
         name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
-            that began again at the ballistic arc, c and d at a turn about the body.
+            that began again at the ballistic arc, c and d at a turn about the body; "P2.node" and
+            "P2.coarse" lead to a P2 of whole flights.
         result: how it ended and where.
         merit: what it minimised; it knows the constraints' margins.
-        facets: of P2, None for P3.
+        facets: of P2 with polytopes, else None.
         tolerance: violation that counted as none.
     """
 
@@ -37,6 +52,17 @@ class Stage:
     merit: MeritFunction
     facets: Facets | None
     tolerance: float
+
+    @property
+    def problem(self) -> Literal["P3", "P2"]:
+        """Without uncertainty, or with it."""
+        return "P3" if isinstance(self.merit.rows, DeterministicRows) else "P2"
+
+    def unit(self, constraint: str) -> Unit:
+        """What the margins of a constraint count in SI."""
+        if constraint in BURN_LIMITS:
+            return "m/s"
+        return "m" if self.merit.rows.unit == "length" else "sigma"
 
     @property
     def margins(self) -> dict[str, Margins]:
@@ -133,20 +159,18 @@ class Plan:
         return float(np.linalg.norm(self.burns_m_s, axis=1).sum())
 
     @cached_property
-    def worst_margins(self) -> dict[str, tuple[float, str]]:
-        """The smallest margin of each constraint with its unit, m or m/s; >= 0 where it holds."""
-        units = self.mission.units
-        scales = {"m": units.length_m, "m/s": units.speed_m_s}
-        names = {name: "m/s" if name.startswith("dv_") else "m" for name in self.final.margins}
-        return {
-            name: (float(margins.margin.min()) * scales[names[name]], names[name])
-            for name, margins in self.final.margins.items()
-        }
+    def worst_margins(self) -> dict[str, tuple[float, Unit]]:
+        """The smallest margin of each constraint with its unit; >= 0 where it holds."""
+        found = {}
+        for name, margins in self.final.margins.items():
+            unit = self.final.unit(name)
+            found[name] = float(margins.margin.min()) * scale(self.mission, unit), unit
+        return found
 
     def __str__(self) -> str:
         """Status, delta-v, burns and margins."""
         scenario = self.mission.scenario
-        problem = "P3" if self.final.facets is None else "P2"
+        problem = self.final.problem
         lines = [
             f"{scenario.name}, {problem}: {self.status.value.message}",
             f"total delta-v {self.total_dv_m_s:.6f} m/s, asked p_chance {scenario.risk.p_chance:g}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from time import perf_counter
@@ -18,6 +19,8 @@ from formulations.registry import subproblem_maker
 from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
 from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.exact import ExactRows, FlightRows, NodeRows
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.stages import Observer, StageRunner
@@ -32,6 +35,12 @@ CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 
 The second figure is for starting at a solution of P2, which moves less than one of P3.
 """
+
+FEW_LINES, LINES = 512, 4096
+"""Directions in which a plan of whole flights looks, and each the other way: first, and in the end."""
+
+COARSE, FINE = 1e-3, 1e-5
+"""Relative reduction of the merit at which their stages stop; sampling errs by more."""
 
 
 def plan(
@@ -125,7 +134,7 @@ class Planner:
                 initial state; or if the state is none outside the body.
         """
         facets = last.final.facets
-        if facets is None:
+        if last.final.problem != "P2":
             raise ValueError("only a plan of P2 can be planned again")
         if last.mission.with_initial_state(initial_state).scenario != (
             self.mission.with_initial_state(initial_state).scenario
@@ -135,6 +144,8 @@ class Planner:
         runner = StageRunner(mission, ScpStages(self, mission, self.algorithm), observe)
 
         def again() -> Stage:
+            if facets is None:
+                return runner.solve_exact("P2", runner.start(last.final.result.lin.iterate))
             # The last plan's iterate knows its factor; the facets are screened there.
             rows = self.p2_rows(facets, last.final.result.lin, CLEARANCE_AGAIN_M)
             start = runner.start(last.final.result.lin.iterate)
@@ -194,6 +205,26 @@ class ScpStages:
         """See `RowsSolver`."""
         return self.planner.p2_rows(facets, lin, CLEARANCE_M)
 
+    def exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
+        """See `RowsSolver`. A plan of whole flights begins at one of nodes, then with few directions.
+
+        Flights are never likelier than their nodes, so that where the nodes are infeasible so are they.
+        """
+        if self.planner.formulation != "condensed":
+            raise InputError(
+                "risk.allocation",
+                "'exact'",
+                f"goes with the formulation condensed, not with {self.planner.formulation}",
+            )
+        problem, risk = self.mission.problem, self.mission.scenario.risk
+        if risk.scope == "node":
+            return [("", NodeRows(problem, risk.p_chance))]
+        return [
+            (".node", NodeRows(problem, risk.p_chance, COARSE)),
+            (".coarse", FlightRows(problem, risk.p_chance, FEW_LINES, COARSE)),
+            ("", FlightRows(problem, risk.p_chance, LINES, FINE)),
+        ]
+
     def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
         """See `RowsSolver`."""
         begin = perf_counter()
@@ -203,7 +234,8 @@ class ScpStages:
         def seen(record: Record) -> None:
             observe(name, record)
 
-        result = run(subproblem, self.mission.dynamics, start, self.algorithm, seen)
+        algorithm = self.algorithm.resolving(rows.resolution)
+        result = run(subproblem, self.mission.dynamics, start, algorithm, seen)
         result.timing.setup += setup
         facets = rows.facets if isinstance(rows, ChanceRows) else None
-        return Stage(name, result, subproblem.merit, facets, self.algorithm.feasible)
+        return Stage(name, result, subproblem.merit, facets, algorithm.feasible)

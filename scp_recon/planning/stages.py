@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Literal, Protocol
@@ -15,6 +15,7 @@ from formulations.problem.flyby import Iterate
 from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
 from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.exact import ExactRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import ballistic, circular
@@ -43,6 +44,14 @@ class RowsSolver(Protocol):
 
     def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """P2's constraints on given facets, those in the program that an iterate comes near."""
+        ...
+
+    def exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
+        """P2's constraints with the true probabilities, one stage leading to the next, by name.
+
+        Raises:
+            InputError: if the method has no such rows.
+        """
         ...
 
     def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
@@ -131,6 +140,8 @@ class StageRunner:
 
     def _solve_p2(self, name: str, start: Stage) -> Stage:
         """P2 from where a stage ended, and again with new facets as long as that helps."""
+        if self.mission.scenario.risk.allocation == "exact":
+            return self.solve_exact(name, start.result.lin)
         final = self._with_facets(name, start.result.lin)
         for _ in range(self.facet_rounds):
             again = self._with_facets(name, final.result.lin)
@@ -138,6 +149,15 @@ class StageRunner:
                 break
             final = again
         return final
+
+    def solve_exact(self, name: str, lin: Linearisation) -> Stage:
+        """P2 with the true probabilities, by way of quicker stages as long as they converge."""
+        for way, rows in self.solver.exact_rows():
+            stage = self._solve(name + way, rows, lin)
+            if stage.result.status is not Status.CONVERGED:
+                break
+            lin = stage.result.lin
+        return stage
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:
         """P2 with the facets chosen at the start; the name gets the number of the choice."""
@@ -205,7 +225,7 @@ def _best(stages: list[Stage]) -> Stage:
 
 def _interrupted(stages: list[Stage]) -> Stage:
     """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
-    best = _best([stage for stage in stages if stage.facets] or stages)
+    best = _best([stage for stage in stages if stage.problem == "P2"] or stages)
     return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
 
 

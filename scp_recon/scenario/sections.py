@@ -152,9 +152,22 @@ class Uncertainty(Section):
 
 
 class Risk(Section):
-    """Probability asked of every joint constraint at every node."""
+    """What probability is asked of what, and how it is spent.
+
+    With the scope `node` every joint constraint at every node has to hold with `p_chance`; with
+    `flight` all of them together, throughout the flight. `uniform` splits a risk evenly over polytopes'
+    facets by Boole's inequality; `exact` spends the probability of the sets themselves.
+    """
 
     p_chance: Annotated[float, Field(gt=0.5, le=1 - 1e-9)]
+    allocation: Literal["uniform", "exact"] = "uniform"
+    scope: Literal["node", "flight"] = "node"
+
+    @model_validator(mode="after")
+    def _flights_are_exact(self) -> Self:
+        if self.scope == "flight" and self.allocation != "exact":
+            raise ValueError('scope = "flight" must have allocation = "exact"')
+        return self
 
 
 class PolytopeSection(Section):

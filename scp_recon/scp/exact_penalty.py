@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Self
 
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program.penalty import PenaltyParameters
@@ -44,6 +44,14 @@ class ExactPenalty:
         """Start from the guess."""
         merit = subproblem.merit(lin, self.weight)
         return State(lin, merit, self.initial_radius, PenaltyParameters(self.weight))
+
+    def resolving(self, resolution: float) -> Self:
+        """The same, but that stops where it cannot tell more."""
+        return replace(
+            self,
+            stationary=max(self.stationary, resolution),
+            feasible=max(self.feasible, resolution),
+        )
 
     def terminate(self, state: State, record: Record) -> Status | None:
         """Stop when stationary; small steps alone prove nothing."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program.penalty import Penalty, PenaltyParameters
@@ -133,6 +133,10 @@ class Algorithm(Protocol):
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
     ) -> tuple[State, Record]:
         """One iteration."""
+        ...
+
+    def resolving(self, resolution: float) -> Self:
+        """The same, for rows that tell no more than a relative reduction of the merit."""
         ...
 
     def terminate(self, state: State, record: Record) -> Status | None:

@@ -94,11 +94,11 @@ class ConstraintResult(Part):
     """
 
     name: Line
-    kind: Literal["keep_in", "keep_out", "burn"]
+    kind: Literal["keep_in", "keep_out", "burn", "joint"]
     worst_margin: Annotated[
         float, Field(validation_alias=AliasChoices("worst_margin", "worst_margin_m_or_rad"))
     ]
-    unit: Literal["m", "m/s"]
+    unit: Literal["m", "m/s", "sigma"]
     worst_t_s: float
     facets: int
 
@@ -108,7 +108,7 @@ class ViolationAmount(Part):
 
     max: Annotated[float, Field(ge=0)]
     total: Annotated[float, Field(ge=0)]
-    unit: Literal["m", "m/s"]
+    unit: Literal["m", "m/s", "sigma"]
 
 
 class Violation(Part):

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan, Stage
+from scp_recon.planning.plan import BURN_LIMITS, Plan, Stage, scale
 from scp_recon.scp.loop import Record
 from scp_recon.solution.file import (
     Burn,
@@ -33,7 +33,7 @@ def make_solution(plan: Plan) -> Solution:
     return Solution(
         status=outcome.name,
         message=f"{outcome.message} {outcome.remedy}".strip(),
-        problem="P3" if plan.final.facets is None else "P2",
+        problem=plan.final.problem,
         init=made.init,
         formulation=made.formulation,
         algorithm=made.algorithm,
@@ -88,19 +88,20 @@ def _finite(value: float) -> float:
 
 def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]:
     """Worst margin of every constraint, those left out of the convex program included."""
-    kinds: dict[str, Literal["keep_in", "keep_out"]] = {
+    kinds: dict[str, Literal["keep_in", "keep_out", "burn"]] = {
         c.name: "keep_in" if c.keep == "in" else "keep_out" for c in mission.problem.constraints
     }
+    kinds |= dict.fromkeys(BURN_LIMITS, "burn")
     results = []
     for name, margins in stage.margins.items():
-        unit = _unit(name)
+        unit = stage.unit(name)
         worst = int(np.argmin(margins.margin))
         at_worst = int((margins.nodes == margins.nodes[worst]).sum())
         results.append(
             ConstraintResult(
                 name=name,
-                kind=kinds.get(name, "burn"),
-                worst_margin=float(margins.margin[worst]) * _scale(mission, unit),
+                kind="joint" if unit == "sigma" else kinds[name],
+                worst_margin=float(margins.margin[worst]) * scale(mission, unit),
                 unit=unit,
                 worst_t_s=float(mission.times_s[margins.nodes[worst]]),
                 facets=at_worst if stage.facets is not None and name in kinds else 0,
@@ -132,20 +133,12 @@ def _violation(mission: Mission, stage: Stage) -> Violation:
         used = amounts[amounts > stage.tolerance]
         if len(used):
             scaled.append(used)
-            unit = _unit(name)
-            si = used * _scale(mission, unit)
+            unit = stage.unit(name)
+            si = used * scale(mission, unit)
             label = FINAL_STATE if name == "dynamics" else name
             by_constraint[label] = ViolationAmount(max=si.max(), total=si.sum(), unit=unit)
     everything = np.concatenate(scaled) * length
     return Violation(max=everything.max(), total=everything.sum(), by_constraint=by_constraint)
-
-
-def _unit(name: str) -> Literal["m", "m/s"]:
-    return "m/s" if name.startswith("dv_") else "m"
-
-
-def _scale(mission: Mission, unit: str) -> float:
-    return mission.units.speed_m_s if unit == "m/s" else mission.units.length_m
 
 
 def _summary(mission: Mission, stage: Stage) -> StageSummary:

@@ -1,0 +1,134 @@
+"""Probability along lines: where a line keeps all limits, and how much of a law lies there.
+
+Everything random in a position is one standard normal vector. Once a line through its space is
+fixed, a position is affine in the one coordinate s along it, r = m + s v, and every convex region
+holds an interval of the line. What keeps all limits is an intersection of intervals, less a union of
+intervals, with ends in closed form. Averaged over lines it is the probability, and moving the ends is
+its gradient:
+
+    P = E[sum F(end) - F(start)],    dP = E[sum f(end) d end - f(start) d start],
+    n'(dm + s dv) + n'v ds = 0  with n normal to the limit that is met there.
+
+Lines through the mean in all directions, with the chi law, make the spherical-radial decomposition
+(Deak, Numer. Math. 35 (1980); gradients: van Ackooij and Henrion, SIAM J. Optim. 24 (2014) 1864);
+parallel lines with the normal law make integration along a facet's normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import gammainc, gammaincc, gammaln, ndtr
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+
+class Law(Protocol):
+    """A symmetric law of the coordinate along a line."""
+
+    def between(self, low: Array, high: Array) -> Array:
+        """Probability of [low, high], where low <= high; accurate in both tails."""
+        ...
+
+    def density(self, s: Array) -> Array:
+        """Zero at infinity."""
+        ...
+
+
+class NormalLaw:
+    """Standard normal."""
+
+    def between(self, low: Array, high: Array) -> Array:
+        """See `Law`."""
+        # In the tail where the difference loses no digits.
+        mirrored = low > 0.0
+        low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
+        return np.asarray(ndtr(high) - ndtr(low))
+
+    def density(self, s: Array) -> Array:
+        """See `Law`."""
+        return np.asarray(np.exp(-0.5 * s * s) / np.sqrt(2.0 * np.pi))
+
+
+@dataclass(frozen=True)
+class TwoSidedChiLaw:
+    """Signed distance from the centre of a standard normal vector along a random line through it.
+
+    Attributes:
+        dimension: of the vector.
+    """
+
+    dimension: int
+
+    def between(self, low: Array, high: Array) -> Array:
+        """See `Law`."""
+        apart = (low > 0.0) | (high < 0.0)
+        near = np.where(apart, np.minimum(abs(low), abs(high)), 0.0)
+        far = np.maximum(abs(low), abs(high))
+        half = 0.5 * self.dimension
+        tails = gammaincc(half, 0.5 * near**2) - gammaincc(half, 0.5 * far**2)
+        both = gammainc(half, 0.5 * low**2) + gammainc(half, 0.5 * high**2)
+        return np.asarray(0.5 * np.where(apart, tails, both))
+
+    def density(self, s: Array) -> Array:
+        """See `Law`."""
+        n = self.dimension
+        size = np.abs(s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log = (n - 1) * np.log(size) - 0.5 * size**2 - (0.5 * n - 1.0) * np.log(2.0)
+        value = 0.5 * np.exp(log - gammaln(0.5 * n))
+        return np.where(np.isfinite(size), value, 0.0)
+
+
+class Segments(NamedTuple):
+    """Where lines keep all limits, one entry a segment.
+
+    Attributes:
+        line: index of the line.
+        low: start; -inf where nothing is met.
+        high: end.
+        low_limit: index of the limit met at the start, -1 for none; keep-ins count first.
+        high_limit: the same at the end.
+    """
+
+    line: Indices
+    low: Array
+    high: Array
+    low_limit: Indices
+    high_limit: Indices
+
+
+def kept_segments(keep_in: tuple[Array, Array], keep_out: tuple[Array, Array]) -> Segments:
+    """Parts of lines inside all keep-in intervals and outside all keep-out intervals.
+
+    Args:
+        keep_in: starts and ends of the intervals, shape (lines, i) each; an empty one starts after it
+            ends.
+        keep_out: the same, shape (lines, o); an empty one is (inf, inf).
+    """
+    (in_low, in_high), (out_low, out_high) = keep_in, keep_out
+    infinite = np.full((len(in_low), 1), np.inf)
+    first = np.max(np.hstack([-infinite, in_low]), axis=1, keepdims=True)
+    last = np.min(np.hstack([infinite, in_high]), axis=1, keepdims=True)
+    order = np.argsort(out_low, axis=1)
+    opens = np.take_along_axis(out_low, order, axis=1)
+    closes = np.maximum.accumulate(np.take_along_axis(out_high, order, axis=1), axis=1)
+    low = np.hstack([first, np.maximum(closes, first)])
+    high = np.hstack([np.minimum(opens, last), last])
+    line, segment = np.nonzero(high > low)
+    low, high = low[line, segment], high[line, segment]
+    starts = np.hstack([in_low, out_high])[line]
+    ends = np.hstack([in_high, out_low])[line]
+    return Segments(line, low, high, _met(starts, low), _met(ends, high))
+
+
+def _met(candidates: Array, value: Array) -> Indices:
+    """Which candidate a value is, -1 for infinite ones."""
+    if candidates.shape[1] == 0:
+        return np.full(len(value), -1)
+    found = np.argmax(candidates == value[:, None], axis=1)
+    return np.where(np.isfinite(value), found, -1)

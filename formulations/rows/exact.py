@@ -1,0 +1,260 @@
+"""Rows of P2 that spend the risk that is asked for: the true probability, per node or per flight.
+
+On the normal quantile scale, g = Phi^-1(P), a chance constraint reads g >= Phi^-1(p), and its margin
+g - Phi^-1(p) counts standard deviations. Each row has value, gradient and curvature of g at the
+iterate, through means and factors affine in the burns z:
+
+    g_k - q + g'd + c >= || (c, sqrt(c) H^(1/2) d) ||,    d = z - z_k,
+
+which is g_k - q + g'd - d'Hd/2 >= 0 up to third order, with H the positive part of -g''. Far from
+binding a row is left affine.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from scipy.linalg import null_space
+
+from formulations.linearisation.condensation import Sensitivity
+from formulations.linearisation.linearisation import Linearisation, final_state_map
+from formulations.problem.flyby import FlybyProblem, Nodes, factor_columns_used
+from formulations.problem.regions import Array
+from formulations.risk.uniform import quantile
+from formulations.rows.cones import Cones, Margins, Unit, burn_components_before
+from formulations.rows.flight_probability import (
+    FlightProbability,
+    FlightQuantile,
+    sphere_directions,
+)
+from formulations.rows.node_probability import Quantiles, joint_events, node_quantiles
+
+FLIGHT = "whole_flight"
+"""Name of the one chance constraint of `FlightRows`."""
+
+BINDING = 1.0
+"""Margin, in standard deviations, up to which a row is curved."""
+
+BEND = 3.0
+"""c: standard deviations over which a row bends before it goes on straight."""
+
+DIFFERENCE = 1e-5
+"""Step of the differences that give a node's curvature, in units of speed."""
+
+CURVATURE_LINES, CURVATURE_REACH = 512, 4.0
+"""Directions that a flight's curvature is estimated from, and their reach."""
+
+APART = 0.05
+"""Change of a flight's g over which slopes are compared, in standard deviations."""
+
+
+class ExactRows(ABC):
+    """What both scopes share.
+
+    Args:
+        problem: the flyby problem.
+        probability: p, above one half.
+        resolution: see `Rows`.
+    """
+
+    with_factor = True
+    near = BINDING
+    unit: Unit = "sigma"
+    count: int
+    nodes: Nodes
+
+    def __init__(self, problem: FlybyProblem, probability: float, resolution: float) -> None:
+        self.problem, self.resolution = problem, resolution
+        self.events = joint_events(problem.constraints)
+        self.asked = quantile(probability)
+
+    @abstractmethod
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """G - Phi^-1(p), never from the model."""
+
+    @abstractmethod
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """See the module."""
+
+
+class NodeRows(ExactRows):
+    """At every node every joint constraint holds with a probability: a row each."""
+
+    def __init__(self, problem: FlybyProblem, probability: float, resolution: float = 0.0) -> None:
+        super().__init__(problem, probability, resolution)
+        self.node = np.concatenate([event.nodes for event in self.events])
+        self.nodes = np.unique(self.node)
+        self.count = len(self.node)
+        self._first = np.cumsum([0, *(len(event.nodes) for event in self.events)])
+        self._seen: tuple[Linearisation, Quantiles] | None = None
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """By joint constraint, at its nodes."""
+        parts = np.split(self._at(lin).value - self.asked, self._first[1:-1])
+        return {
+            event.name: Margins(event.nodes, part)
+            for event, part in zip(self.events, parts, strict=True)
+        }
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """A block for each number of burn components that nodes feel."""
+        g, z, blocks = self._at(lin), lin.iterate.burns.ravel(), []
+        components = burn_components_before(self.problem, self.node)
+        for p in np.unique(components):
+            rows = np.flatnonzero(components == p)
+            slope = self._slope(Quantiles(*(part[rows] for part in g)), rows, s, p)
+            hessian = np.zeros((len(rows), p, p))
+            near = np.flatnonzero(g.value[rows] - self.asked < BINDING)
+            if len(near):
+                hessian[near] = self._hessian(rows[near], s, z, p)
+            blocks.append(curved_cones(rows, g.value[rows] - self.asked, slope, hessian, z[:p]))
+        return blocks
+
+    def _at(self, lin: Linearisation) -> Quantiles:
+        """G of all rows at an iterate."""
+        if self._seen is None or self._seen[0] is not lin:
+            mean, factor = lin.iterate.mean[self.node, :3], lin.factor[self.node, :3]
+            every, careful = np.arange(self.count), self.asked + BINDING
+            self._seen = lin, self._quantiles(every, mean, factor, careful)
+        return self._seen[1]
+
+    def _quantiles(self, rows: Nodes, mean: Array, factor: Array, careful: float) -> Quantiles:
+        """G of some ascending rows for mean positions (r, 3) and factors (r, 3, c) of their own.
+
+        For `careful` see `node_quantiles`.
+        """
+        cuts = np.searchsorted(rows, self._first)
+        parts = []
+        for event, first, start, stop in zip(
+            self.events, self._first, cuts, cuts[1:], strict=False
+        ):
+            some, mine = event.at(rows[start:stop] - first), slice(start, stop)
+            parts.append(node_quantiles(some, mean[mine], factor[mine], careful))
+        return Quantiles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    def _slope(self, g: Quantiles, rows: Nodes, s: Sensitivity, p: int) -> Array:
+        """dg/dz of the rows that g holds, shape (r, p)."""
+        at = np.searchsorted(self.nodes, self.node[rows])
+        slope = np.einsum("ri,rip->rp", g.by_mean, s.mean_jacobian[at, :3, :p])
+        slope += np.einsum("ric,ricp->rp", g.by_factor, s.factor_jacobian[at, :3, :, :p])
+        return np.asarray(slope)
+
+    def _hessian(self, rows: Nodes, s: Sensitivity, z: Array, p: int) -> Array:
+        """d2g/dz2 of some rows by differences of slopes, from few points, shape (r, p, p).
+
+        All steps of all rows are taken at once, the first of each row being none.
+        """
+        at = np.searchsorted(self.nodes, self.node[rows])
+        steps = z + DIFFERENCE * np.eye(p + 1, len(z), -1)
+        mean = s.mean_constant[at, None, :3] + np.einsum(
+            "riz,kz->rki", s.mean_jacobian[at, :3], steps
+        )
+        factor = s.factor_constant[at, None, :3] + np.einsum(
+            "ricz,kz->rkic", s.factor_jacobian[at, :3], steps
+        )
+        every = np.repeat(rows, p + 1)
+        shape = (len(every), 3, factor.shape[-1])
+        g = self._quantiles(every, mean.reshape(-1, 3), factor.reshape(shape), -np.inf)
+        slope = self._slope(g, every, s, p).reshape(-1, p + 1, p)
+        return np.asarray(slope[:, 1:] - slope[:, :1]) / DIFFERENCE
+
+
+class FlightRows(ExactRows):
+    """All joint constraints hold at all nodes of the flight with a probability: one row.
+
+    Args:
+        problem: the flyby problem.
+        probability: p, above one half.
+        lines: directions that the probability is estimated from, a power of two.
+        resolution: see `Rows`.
+    """
+
+    count = 1
+
+    def __init__(
+        self, problem: FlybyProblem, probability: float, lines: int, resolution: float
+    ) -> None:
+        super().__init__(problem, probability, resolution)
+        self.nodes = np.unique(np.concatenate([event.nodes for event in self.events]))
+        dimension = factor_columns_used(problem, self.nodes)
+        directions = sphere_directions(lines, dimension)
+        self.probability = FlightProbability(self.events, directions)
+        rough = directions[:CURVATURE_LINES]
+        self._rough = FlightProbability(self.events, rough, CURVATURE_REACH)
+        self._seen: tuple[Linearisation, FlightQuantile] | None = None
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Of the whole flight, at the node where most flights end."""
+        g = self._at(lin)
+        worst = g.nodes[np.argmax(g.ends)] if len(g.nodes) else self.nodes[0]
+        return {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.asked]))}
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """One row in all burns."""
+        g, z = self._at(lin), lin.iterate.burns.ravel()
+        slope = self._slope(g, s)
+        hessian = self._hessian(slope, null_space(final_state_map(lin)[1]), s, z)
+        margin = np.array([g.value - self.asked])
+        return [curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)]
+
+    def _hessian(self, slope: Array, free: Array, s: Sensitivity, z: Array) -> Array:
+        """d2g/dz2 along directions that keep the final state, shape (nz, nz).
+
+        By differences of slopes from few directions, so far apart that the kinks average out where a
+        flight's end passes from one limit to another.
+
+        Args:
+            slope: dg/dz, shape (nz,).
+            free: orthonormal, shape (nz, f).
+            s: the affine model.
+            z: where, shape (nz,).
+        """
+        step = APART / max(float(np.linalg.norm(slope @ free)), APART)
+        bent = np.empty((free.shape[1], free.shape[1]))
+        for j, direction in enumerate(step * free.T):
+            ahead, behind = (self._rough_slope(s, z + move) for move in (direction, -direction))
+            bent[:, j] = (ahead - behind) @ free / (2.0 * step)
+        return free @ bent @ free.T
+
+    def _at(self, lin: Linearisation) -> FlightQuantile:
+        if self._seen is None or self._seen[0] is not lin:
+            self._seen = lin, self.probability(lin.iterate.mean[:, :3], lin.factor[:, :3])
+        return self._seen[1]
+
+    def _slope(self, g: FlightQuantile, s: Sensitivity) -> Array:
+        """dg/dz, shape (nz,)."""
+        at, d = np.searchsorted(self.nodes, g.nodes), g.by_factor.shape[2]
+        slope = np.einsum("ri,riz->z", g.by_mean, s.mean_jacobian[at, :3])
+        factor = s.factor_jacobian[at, :3, :d].reshape(-1, slope.size)
+        return np.asarray(slope + g.by_factor.ravel() @ factor)
+
+    def _rough_slope(self, s: Sensitivity, z: Array) -> Array:
+        """dg/dz of the affine model at other burns, from few directions."""
+        every = np.zeros((self.problem.n_nodes, 3))
+        every[self.nodes] = (s.mean_constant + s.mean_jacobian @ z)[:, :3]
+        factor = np.zeros((len(every), 3, s.factor_constant.shape[2]))
+        factor[self.nodes] = (s.factor_constant + s.factor_jacobian @ z)[:, :3]
+        return self._slope(self._rough(every, factor), s)
+
+
+def curved_cones(rows: Nodes, margin: Array, slope: Array, hessian: Array, z: Array) -> Cones:
+    """Rows margin + slope'd + d'hessian d/2 >= 0 in d about z, their concave part as in the module.
+
+    Args:
+        rows: which of the buffers each has, shape (r,).
+        margin: at z, shape (r,).
+        slope: shape (r, p).
+        hessian: shape (r, p, p); its negative part counts.
+        z: burns where they are made, shape (p,).
+    """
+    r, p = slope.shape
+    curvature, axes = np.linalg.eigh(-0.5 * (hessian + hessian.swapaxes(1, 2)))
+    bend = np.sqrt(BEND * np.maximum(curvature, 0.0))[:, :, None] * axes.swapaxes(1, 2)
+    curved = np.any(bend, axis=(1, 2))
+    tail = np.zeros((r, p + 1, p + 1))
+    tail[:, :p, :p], tail[:, :p, p] = bend, -bend @ z
+    tail[curved, p, p] = BEND
+    head = np.column_stack([slope, margin - slope @ z + BEND * curved])
+    both = np.concatenate([head[:, None], np.linalg.qr(tail, mode="r")], axis=1)
+    return Cones(rows, both[..., :-1], both[..., -1], triangular=True)
