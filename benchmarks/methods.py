@@ -13,7 +13,7 @@ from time import perf_counter, process_time
 import numpy as np
 
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import CampaignConfig, run_block
+from scp_recon.monte_carlo.flights import FlightConfig, run_block
 from scp_recon.monte_carlo.sampling import BLOCK
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
@@ -130,8 +130,8 @@ def replan(mission: Mission, repeats: int) -> Timed:
 def montecarlo(mission: Mission, repeats: int) -> Timed:
     """A block of flights with crossing times."""
     found = Planner(mission).plan(initial_guess.cold(mission)).final.result.lin.iterate.burns
-    setting = CampaignConfig(mission, found * mission.units.speed_m_s)
-    figures = timed(lambda: run_block(setting, (0, BLOCK)), 4 * repeats)
+    config = FlightConfig(mission, found * mission.units.speed_m_s)
+    figures = timed(lambda: run_block(config, (0, BLOCK)), 4 * repeats)
     return replace(figures, details={"flights_per_s": BLOCK / figures.best})
 
 

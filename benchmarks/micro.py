@@ -11,7 +11,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.registry import make_subproblem
 from formulations.rows.chance import ChanceRows
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import CampaignConfig, run_block
+from scp_recon.monte_carlo.flights import FlightConfig, run_block
 from scp_recon.physics.flow import differentiate
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
@@ -72,4 +72,4 @@ def test_fly_a_step(benchmark: Any, mission: Mission, planned: Plan) -> None:
 
 def test_fly_a_thousand_samples(benchmark: Any, mission: Mission, planned: Plan) -> None:
     burns = planned.final.result.lin.iterate.burns * mission.units.speed_m_s
-    benchmark(run_block, CampaignConfig(mission, burns), (0, 1000))
+    benchmark(run_block, FlightConfig(mission, burns), (0, 1000))

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
 from scp_recon.monte_carlo.summary import Summary, summarise
 from scp_recon.planning import planner
@@ -94,8 +94,8 @@ def fly(
         errors: of the burns, the paper's or Gates'.
         workers: processes; the result does not depend on their number.
     """
-    config = CampaignConfig(plan.mission, plan.burns_m_s, seed, truth, errors)
-    return summarise(fly_campaign(config, samples=samples, workers=workers), make_solution(plan))
+    config = FlightConfig(plan.mission, plan.burns_m_s, seed, truth, errors)
+    return summarise(fly_many(config, samples=samples, workers=workers), make_solution(plan))
 
 
 def check(plan: Plan) -> Verification:

@@ -19,7 +19,7 @@ from scp_recon.cli.flight_tables import show_summary
 from scp_recon.cli.options import SEED, int_between
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.summary import FILE_NAME, summarise
 from scp_recon.solution.file import read_solution
 
@@ -91,20 +91,18 @@ def _fly(options: argparse.Namespace, console: Console) -> int:
     folder = options.solution if options.solution.is_dir() else options.solution.parent
     check_writable(folder, FILE_NAME, "folder")
     mission = Mission.from_scenario(solution.scenario)
-    setting = CampaignConfig(
-        mission, solution.burns_m_s, options.seed, options.truth, options.errors
-    )
+    config = FlightConfig(mission, solution.burns_m_s, options.seed, options.truth, options.errors)
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("flights", total=options.samples)
-        campaign = fly_campaign(
-            setting,
+        flown = fly_many(
+            config,
             samples=options.samples,
             until=options.until,
             workers=options.workers,
             progress=lambda done: bar.update(task, completed=done),
         )
-    summary = summarise(campaign, solution)
+    summary = summarise(flown, solution)
     try:
         path = summary.write(folder)
     except OSError as error:

@@ -19,7 +19,7 @@ from formulations.problem.flyby import Iterate
 from formulations.program.merit import MeritFunction
 from formulations.rows.chance import ChanceRows
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Plan, Provenance
 from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Planner, ScpStages, plan
@@ -44,8 +44,8 @@ def solve_cell(cell: Cell, flights: int) -> Row:
     lin = found.lin if found.lin.is_dynamically_feasible else _flown(mission, found.lin)
     burns = lin.iterate.burns * speed
     weights = SCvx()
-    setting, peak = CampaignConfig(mission, burns), _peak_mib()
-    observed = fly_campaign(setting, samples=flights).held[ALL].mean().value if flights else np.nan
+    config, peak = FlightConfig(mission, burns), _peak_mib()
+    observed = fly_many(config, samples=flights).held[ALL].mean().value if flights else np.nan
     return replace(
         empty_row(cell),
         status=found.status.value.name,

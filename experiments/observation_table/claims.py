@@ -20,7 +20,7 @@ from scp_recon.monte_carlo.observation_time import ALL
 
 Entries = Sequence[Measured | Failed]
 
-TWO_CAMPAIGNS = np.sqrt(2.0)
+TWO_RUNS = np.sqrt(2.0)
 """The paper's figures come from as many samples as ours: its interval adds to ours."""
 
 
@@ -165,11 +165,11 @@ def _value(m: Measured, what: str) -> Estimate:
 
 
 def _agrees(e: Estimate, printed: float) -> bool:
-    """Equal within what two such campaigns may differ by, or to the printed digit."""
+    """Equal within what two such runs may differ by, or to the printed digit."""
     if abs(e.value - printed) < 0.5:
         return True
     side = e.high - e.value if printed > e.value else e.value - e.low
-    return bool(np.isfinite(side) and abs(e.value - printed) <= TWO_CAMPAIGNS * side)
+    return bool(np.isfinite(side) and abs(e.value - printed) <= TWO_RUNS * side)
 
 
 def _word(reproduced: bool) -> str:

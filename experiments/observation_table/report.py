@@ -94,7 +94,7 @@ def to_markdown(entries: Sequence[Measured | Failed]) -> str:
         *(f"- {sentence}" for sentence in differences(entries)),
         "\n## The paper's numbers\n",
         "Reproduced means: equal to the printed digit, or within the interval of the difference of "
-        f"two campaigns of {samples} flights.\n",
+        f"two runs of {samples} flights.\n",
         *(f"- {verdict}" for verdict in verdicts(entries)),
     ]
     return "\n".join(parts) + "\n"

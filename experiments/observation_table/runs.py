@@ -12,7 +12,7 @@ from experiments.observation_table.rows import NOT_OPTIMISED, Row
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
-from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.monte_carlo.summary import (
@@ -45,7 +45,7 @@ class Counted(Part):
 
 
 class RowSummary(Summary):
-    """A campaign's summary, and what this study adds to it."""
+    """A Monte Carlo summary, and what this study adds to it."""
 
     counted_on_uniform_grid: Counted
 
@@ -184,9 +184,9 @@ def _stored_summary(folder: Path, solution: Solution, samples: int) -> RowSummar
 
 
 def _fly(mission: Mission, solution: Solution, samples: int) -> RowSummary:
-    campaign = fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=samples)
+    flown = fly_many(FlightConfig(mission, solution.burns_m_s), samples=samples)
     counted = _counted(mission, solution, min(samples, COUNTED_MAX))
-    return RowSummary(**dict(summarise(campaign, solution)), counted_on_uniform_grid=counted)
+    return RowSummary(**dict(summarise(flown, solution)), counted_on_uniform_grid=counted)
 
 
 def _nominal_time(mission: Mission, solution: Solution) -> float:

@@ -40,7 +40,7 @@ from formulations.rows.deterministic import DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -136,7 +136,7 @@ def _row(mission: Mission, method: Method, burns: Array) -> Row:
     mean = mission.dynamics.rollout(p.initial_state, burns)
     lin = mission.dynamics.linearise(p, Iterate(burns, mean))
     judge = MeritFunction(p, DeterministicRows(p))
-    setting = CampaignConfig(mission, burns * units.speed_m_s)
+    config = FlightConfig(mission, burns * units.speed_m_s)
     return replace(
         empty_row(Cell("matrix", "recon_b", (), method, "warm")),
         key=f"peer|{method.name}",
@@ -146,7 +146,7 @@ def _row(mission: Mission, method: Method, burns: Array) -> Row:
         merit_m_s=judge(lin, weights.weight) * units.speed_m_s,
         heavy_merit_m_s=judge(lin, weights.weight_max) * units.speed_m_s,
         violation_m=judge.worst_violation(lin) * units.length_m,
-        observed_s=fly_campaign(setting, samples=FLIGHTS).held[ALL].mean().value,
+        observed_s=fly_many(config, samples=FLIGHTS).held[ALL].mean().value,
         burns_m_s=tuple((burns * units.speed_m_s).ravel().tolist()),
         limit_s=np.inf,
         version=version(),

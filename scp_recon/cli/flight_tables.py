@@ -1,4 +1,4 @@
-"""What the terminal shows of a Monte Carlo campaign."""
+"""What the terminal shows of Monte Carlo flights."""
 
 from __future__ import annotations
 

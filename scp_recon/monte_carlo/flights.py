@@ -1,4 +1,4 @@
-"""A Monte Carlo campaign: flights tallied block by block, in memory that does not grow with them."""
+"""Monte Carlo: flights tallied block by block, in memory that does not grow with them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ TERMINAL_KEPT = 5000
 
 
 @dataclass(frozen=True)
-class CampaignConfig:
+class FlightConfig:
     """What is flown.
 
     Attributes:
@@ -65,20 +65,20 @@ class FlightBlock:
     terminal: Array
 
 
-def run_block(setting: CampaignConfig, job: tuple[int, int]) -> FlightBlock:
+def run_block(config: FlightConfig, job: tuple[int, int]) -> FlightBlock:
     """Fly a block: (its number, its flights)."""
     number, flights = job
-    mission, looks = setting.mission, setting.looks_s
+    mission, looks = config.mission, config.looks_s
     times = np.append(looks, mission.times_s[-1])
     flown = fly_block(
         mission,
-        setting.burns_m_s,
+        config.burns_m_s,
         times,
         number,
         flights=flights,
-        seed=setting.seed,
-        truth=setting.truth,
-        errors=setting.errors,
+        seed=config.seed,
+        truth=config.truth,
+        errors=config.errors,
     )
     seen = flown.states[:-1]
     held = time_held(mission, looks, seen)
@@ -97,8 +97,8 @@ def run_block(setting: CampaignConfig, job: tuple[int, int]) -> FlightBlock:
 
 
 @dataclass
-class Campaign:
-    """Running totals of a setting's flights.
+class FlightTally:
+    """Running totals of the flights of a configuration.
 
     Attributes:
         held: seconds in which each observation constraint holds, and all at once.
@@ -109,7 +109,7 @@ class Campaign:
         terminal: final states of the first flights.
     """
 
-    setting: CampaignConfig
+    config: FlightConfig
     samples: int = 0
     held: dict[str, Tally] = field(default_factory=dict)
     full: dict[str, int] = field(default_factory=dict)
@@ -124,9 +124,9 @@ class Campaign:
 
     def __post_init__(self) -> None:
         """Empty tallies that span what can occur."""
-        first, last = self.setting.mission.schedule.window_s
-        planned = float(np.linalg.norm(self.setting.burns_m_s, axis=1).sum())
-        far = 20.0 * float(np.linalg.norm(self.setting.mission.initial_state[:3]))
+        first, last = self.config.mission.schedule.window_s
+        planned = float(np.linalg.norm(self.config.burns_m_s, axis=1).sum())
+        far = 20.0 * float(np.linalg.norm(self.config.mission.initial_state[:3]))
         self.held = {name: Tally.empty(0.0, last - first, TIME_BIN_S) for name in (*SCIENCE, ALL)}
         self.full = dict.fromkeys(self.held, 0)
         self.entry = self.exit = Tally.empty(first, last, TIME_BIN_S)
@@ -135,7 +135,7 @@ class Campaign:
 
     def add(self, block: FlightBlock) -> None:
         """Count a block in; blocks come in order, so that sums round the same way every time."""
-        first, last = self.setting.mission.schedule.window_s
+        first, last = self.config.mission.schedule.window_s
         for name, seconds in block.held.items():
             self.held[name] = self.held[name].add(seconds)
             self.full[name] += int((seconds >= last - first - 1e-6).sum())
@@ -149,7 +149,7 @@ class Campaign:
         self.executed_dv = self.executed_dv.add(block.executed_dv_m_s)
         room = TERMINAL_KEPT - len(self.terminal)
         self.terminal = np.vstack([self.terminal, block.terminal[: max(room, 0)]])
-        deviation = block.terminal - self.setting.mission.final_state
+        deviation = block.terminal - self.config.mission.final_state
         self.terminal_sum += deviation.sum(axis=0)
         self.terminal_outer += deviation.T @ deviation
         self.samples += len(block.terminal)
@@ -158,7 +158,7 @@ class Campaign:
         """Time at which a joint constraint holds in the fewest flights, and its probability there."""
         counts = self.node_counts[name]
         at = int(np.argmin(counts))
-        return float(self.setting.looks_s[at]), proportion(int(counts[at]), self.samples)
+        return float(self.config.looks_s[at]), proportion(int(counts[at]), self.samples)
 
     def widest_interval(self) -> float:
         """Width of the widest confidence interval among the joint probabilities."""
@@ -172,31 +172,31 @@ class Campaign:
         return scatter / max(self.samples - 1, 1)
 
 
-def fly_campaign(
-    setting: CampaignConfig,
+def fly_many(
+    config: FlightConfig,
     *,
     samples: int,
     until: float | None = None,
     workers: int = 1,
     progress: Callable[[int], None] | None = None,
-) -> Campaign:
+) -> FlightTally:
     """Fly `samples`, or at most that many until every probability's interval is `until` wide.
 
     The result does not depend on the number of workers.
     """
-    campaign = Campaign(setting)
-    for block in _blocks(setting, samples, workers):
-        campaign.add(block)
+    flown = FlightTally(config)
+    for block in _blocks(config, samples, workers):
+        flown.add(block)
         if progress:
-            progress(campaign.samples)
-        if until is not None and campaign.widest_interval() <= until:
+            progress(flown.samples)
+        if until is not None and flown.widest_interval() <= until:
             break
-    return campaign
+    return flown
 
 
-def _blocks(setting: CampaignConfig, samples: int, workers: int) -> Iterator[FlightBlock]:
+def _blocks(config: FlightConfig, samples: int, workers: int) -> Iterator[FlightBlock]:
     jobs = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(-(-samples // BLOCK)))
-    work = partial(run_block, setting)
+    work = partial(run_block, config)
     if workers == 1:
         yield from map(work, jobs)
         return

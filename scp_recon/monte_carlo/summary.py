@@ -1,4 +1,4 @@
-"""What a campaign found: the model of `montecarlo.json`, and how it is made, written and read. SI."""
+"""What many flights found: the model of `montecarlo.json`, and how it is made, written and read. SI."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.stats import chi2, normaltest
 
 from scp_recon.files import write_atomically
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
-from scp_recon.monte_carlo.flights import Campaign
+from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
 from scp_recon.scenario.fields import Line
@@ -121,7 +121,7 @@ class Terminal(Part):
 
 
 class Summary(File):
-    """Everything a campaign found; `plan_hash` is that of the plan flown, null in older files."""
+    """Everything many flights found; `plan_hash` is that of the plan flown, null in older files."""
 
     plan_hash: Line | None = None
     samples: Count
@@ -166,7 +166,7 @@ Kind = TypeVar("Kind", bound=Summary)
 
 
 def read_summary(path: Path) -> Summary:
-    """Read a campaign's summary, or the one in a folder.
+    """Read a summary, or the one in a folder.
 
     Raises:
         InputError: if there is none, it is of another version, or it is damaged.
@@ -179,34 +179,34 @@ def read_summary_as(kind: type[Kind], path: Path) -> Kind:
     return read_file(path / FILE_NAME if path.is_dir() else path, kind, [SCHEMA], "summary")
 
 
-def summarise(campaign: Campaign, solution: Solution) -> Summary:
-    """Everything a campaign found of a solution's plan.
+def summarise(flown: FlightTally, solution: Solution) -> Summary:
+    """Everything the flights of a solution's plan found.
 
     Raises:
-        ValueError: if the campaign flew another plan.
+        ValueError: if another plan was flown.
     """
-    setting = campaign.setting
-    same_burns = np.array_equal(setting.burns_m_s, solution.burns_m_s)
-    if not same_burns or setting.mission.scenario != solution.scenario:
-        raise ValueError("the campaign flew another plan than the solution's")
+    config = flown.config
+    same_burns = np.array_equal(config.burns_m_s, solution.burns_m_s)
+    if not same_burns or config.mission.scenario != solution.scenario:
+        raise ValueError("the flights are of another plan than the solution's")
     return Summary(
         plan_hash=solution.plan_hash,
-        samples=campaign.samples,
-        seed=setting.seed,
-        truth=setting.truth,
-        errors=setting.errors,
+        samples=flown.samples,
+        seed=config.seed,
+        truth=config.truth,
+        errors=config.errors,
         confidence=CONFIDENCE,
         planned_dv_m_s=solution.total_dv_m_s,
-        window_s=setting.mission.schedule.window_s,
-        held_s={name: _held(campaign, name) for name in campaign.held},
-        entry_s=Spread(**_spread(campaign.entry)),
-        exit_s=Spread(**_spread(campaign.exit)),
-        probability={name: _lowest(campaign, name) for name in campaign.node_counts},
+        window_s=config.mission.schedule.window_s,
+        held_s={name: _held(flown, name) for name in flown.held},
+        entry_s=Spread(**_spread(flown.entry)),
+        exit_s=Spread(**_spread(flown.exit)),
+        probability={name: _lowest(flown, name) for name in flown.node_counts},
         closest_m=ClosestApproach(
-            **_spread(campaign.closest), worst=_interval(campaign.closest.quantile(CLOSEST))
+            **_spread(flown.closest), worst=_interval(flown.closest.quantile(CLOSEST))
         ),
-        executed_dv_m_s=Spread(**_spread(campaign.executed_dv)),
-        terminal=_terminal(campaign, solution),
+        executed_dv_m_s=Spread(**_spread(flown.executed_dv)),
+        terminal=_terminal(flown, solution),
     )
 
 
@@ -218,19 +218,19 @@ def _interval(estimate: Estimate) -> Interval:
     return Interval(**_finite(estimate))
 
 
-def _lowest(campaign: Campaign, name: str) -> LowestProbability:
-    at, estimate = campaign.worst_probability(name)
+def _lowest(flown: FlightTally, name: str) -> LowestProbability:
+    at, estimate = flown.worst_probability(name)
     return LowestProbability(**_finite(estimate), worst_t_s=at)
 
 
-def _held(campaign: Campaign, name: str) -> Held:
-    tally = campaign.held[name]
+def _held(flown: FlightTally, name: str) -> Held:
+    tally = flown.held[name]
     used = np.flatnonzero(tally.counts)
     return Held(
         mean=_interval(tally.mean()),
         worst_1_sigma=_interval(tally.quantile(ONE_SIGMA)),
         worst_2_sigma=_interval(tally.quantile(TWO_SIGMA)),
-        throughout=_interval(proportion(campaign.full[name], campaign.samples)),
+        throughout=_interval(proportion(flown.full[name], flown.samples)),
         histogram=Histogram(
             bin=float(tally.edges[1] - tally.edges[0]),
             start=tally.edges[used].tolist(),
@@ -250,17 +250,17 @@ def _spread(tally: Tally) -> dict[str, Any]:
     }
 
 
-def _terminal(campaign: Campaign, solution: Solution) -> Terminal:
+def _terminal(flown: FlightTally, solution: Solution) -> Terminal:
     """Final state against the planner's prediction, and how normal it is.
 
     The ratio of a sampled to the true variance is chi-squared over its degrees of freedom if the
     state is normal, which gives the interval of the ratio of the sigmas. A component without spread
     is left out.
     """
-    n, kept = campaign.samples, campaign.terminal
+    n, kept = flown.samples, flown.terminal
     predicted = np.diag(np.array(solution.nodes.covariance[-1]))
     spread = np.flatnonzero((predicted > 0.0) & (kept.std(axis=0) > 0.0))
-    ratios = np.sqrt(np.diag(campaign.terminal_covariance())[spread] / predicted[spread])
+    ratios = np.sqrt(np.diag(flown.terminal_covariance())[spread] / predicted[spread])
     ends = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
     low, high = (float(np.sqrt(chi2.ppf(p, n - 1) / (n - 1))) for p in ends)
     levels = (np.arange(1, 100) / 100.0).tolist()

@@ -336,7 +336,7 @@ def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
         monkeypatch.setattr(files, "TemporaryFile", barred)
     else:
         (out / command.FILE_NAME).mkdir(parents=True)
-    for work in ("plan", "fly_campaign", "make_record"):
+    for work in ("plan", "fly_many", "make_record"):
         monkeypatch.setattr(command, work, None, raising=False)  # calling it is a TypeError
     given = [] if command is solve else [str(tmp_path)]
     assert command.main([*given, *([] if out == tmp_path else ["--out", str(out)])]) == 2

@@ -1,4 +1,4 @@
-"""A campaign's result depends on its setting alone, and its intervals narrow as promised."""
+"""What flights add up to depends on their configuration alone; intervals narrow as promised."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo import flights as campaign_module
-from scp_recon.monte_carlo.flights import Campaign, CampaignConfig, fly_campaign
+from scp_recon.monte_carlo import flights as flights_module
+from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
 from scp_recon.montecarlo import main
@@ -22,28 +22,28 @@ from scp_recon.solution.from_plan import make_solution
 
 
 @pytest.fixture(scope="module")
-def flown(mission: Mission, solution: Solution) -> Campaign:
-    return fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=3000)
+def flown(mission: Mission, solution: Solution) -> FlightTally:
+    return fly_many(FlightConfig(mission, solution.burns_m_s), samples=3000)
 
 
 def test_workers_do_not_change_the_result(
-    mission: Mission, solution: Solution, flown: Campaign
+    mission: Mission, solution: Solution, flown: FlightTally
 ) -> None:
-    other = fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=3000, workers=2)
+    other = fly_many(FlightConfig(mission, solution.burns_m_s), samples=3000, workers=2)
     assert summarise(other, solution) == summarise(flown, solution)
 
 
 def test_until_stops_at_the_width_asked(mission: Mission, solution: Solution) -> None:
-    setting = CampaignConfig(mission, solution.burns_m_s)
-    stopped = fly_campaign(setting, samples=20_000, until=0.03)
+    config = FlightConfig(mission, solution.burns_m_s)
+    stopped = fly_many(config, samples=20_000, until=0.03)
     assert stopped.widest_interval() <= 0.03
     assert stopped.samples < 20_000
-    earlier = fly_campaign(setting, samples=stopped.samples - 1000)
+    earlier = fly_many(config, samples=stopped.samples - 1000)
     assert earlier.widest_interval() > 0.03
 
 
-def test_memory_does_not_grow_with_the_flights(flown: Campaign) -> None:
-    assert len(flown.terminal) <= campaign_module.TERMINAL_KEPT
+def test_memory_does_not_grow_with_the_flights(flown: FlightTally) -> None:
+    assert len(flown.terminal) <= flights_module.TERMINAL_KEPT
     sizes = {len(tally.counts) for tally in flown.held.values()}
     assert max(sizes) < 10_000
 
@@ -55,20 +55,20 @@ def test_a_plan_holds_all_constraints_when_nothing_errs(
         update={"initial_sigma_fraction": 0.0, "execution_error": 0.0}
     )
     sure = Mission.from_scenario(mission.scenario.model_copy(update={"uncertainty": certain}))
-    flown = fly_campaign(CampaignConfig(sure, solution.burns_m_s), samples=20)
+    flown = fly_many(FlightConfig(sure, solution.burns_m_s), samples=20)
     first, last = sure.schedule.window_s
     assert flown.held[ALL].mean().value == pytest.approx(last - first, abs=1e-6)
     assert flown.executed_dv.mean().value == pytest.approx(solution.total_dv_m_s, abs=1e-12)
 
 
-def test_probabilities_exceed_what_was_asked(flown: Campaign, mission: Mission) -> None:
+def test_probabilities_exceed_what_was_asked(flown: FlightTally, mission: Mission) -> None:
     for name in SCIENCE:
         _, estimate = flown.worst_probability(name)
         assert estimate.low > mission.scenario.risk.p_chance
         assert estimate.low <= estimate.value <= estimate.high
 
 
-def test_all_at_once_is_bounded_by_its_parts(flown: Campaign) -> None:
+def test_all_at_once_is_bounded_by_its_parts(flown: FlightTally) -> None:
     """Frechet: no more than the least probable part, no less than Boole allows."""
     parts = [flown.node_counts[name] for name in SCIENCE]
     together = flown.node_counts[ALL]
@@ -89,7 +89,7 @@ def test_predicted_covariance_lies_in_the_interval_of_the_sampled_one_for_small_
     )
     tame = Mission.from_scenario(mission.scenario.model_copy(update={"uncertainty": small}))
     design = make_solution(plan(tame, initial_guess.cold(tame)))
-    summary = summarise(fly_campaign(CampaignConfig(tame, design.burns_m_s), samples=3000), design)
+    summary = summarise(fly_many(FlightConfig(tame, design.burns_m_s), samples=3000), design)
     ratios = [ratio.estimate for ratio in summary.terminal.sigma_ratio.values()]
     # Six intervals at 95 %: more than one miss has a probability of 3 %.
     assert sum(not r.low <= 1.0 <= r.high for r in ratios) <= 1

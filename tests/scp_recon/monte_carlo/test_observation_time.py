@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import CampaignConfig
+from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.observation_time import (
     ALL,
     SCIENCE,
@@ -30,7 +30,7 @@ def bold_burns(solution: Solution) -> np.ndarray:
 def test_time_held_matches_a_scan_at_half_a_second(
     mission: Mission, bold_burns: np.ndarray, name: str
 ) -> None:
-    looks = CampaignConfig(mission, bold_burns).looks_s
+    looks = FlightConfig(mission, bold_burns).looks_s
     coarse = fly_block(mission, bold_burns, looks, 0, flights=FLIGHTS)
     held = time_held(mission, looks, coarse.states)[name]
 
@@ -52,7 +52,7 @@ def test_time_held_matches_a_scan_at_half_a_second(
 
 def test_some_flights_hold_in_part_only(mission: Mission, bold_burns: np.ndarray) -> None:
     """Otherwise the scan above would compare constants."""
-    looks = CampaignConfig(mission, bold_burns).looks_s
+    looks = FlightConfig(mission, bold_burns).looks_s
     states = fly_block(mission, bold_burns, looks, 0, flights=FLIGHTS).states
     duration = time_held(mission, looks, states)[ALL].duration
     partly = (duration > 1.0) & (duration < looks[-1] - looks[0] - 1.0)
@@ -60,7 +60,7 @@ def test_some_flights_hold_in_part_only(mission: Mission, bold_burns: np.ndarray
 
 
 def test_all_at_once_never_lasts_longer_than_one(mission: Mission, bold_burns: np.ndarray) -> None:
-    looks = CampaignConfig(mission, bold_burns).looks_s
+    looks = FlightConfig(mission, bold_burns).looks_s
     states = fly_block(mission, bold_burns, looks, 0, flights=FLIGHTS).states
     held = time_held(mission, looks, states)
     for name in SCIENCE:

@@ -1,4 +1,4 @@
-"""The summary of a campaign: the file as before and the plan's hash, read as written or refused."""
+"""The summary of flights: the file as before and the plan's hash, read as written or refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import Campaign, CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.summary import (
     COMPONENTS,
@@ -32,13 +32,13 @@ Data = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def flown(mission: Mission, solution: Solution) -> Campaign:
+def flown(mission: Mission, solution: Solution) -> FlightTally:
     """Few flights: a single batch, whose means have no interval."""
-    return fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=40)
+    return fly_many(FlightConfig(mission, solution.burns_m_s), samples=40)
 
 
 @pytest.fixture(scope="module")
-def summary(flown: Campaign, solution: Solution) -> Summary:
+def summary(flown: FlightTally, solution: Solution) -> Summary:
     return summarise(flown, solution)
 
 
@@ -120,9 +120,9 @@ def test_an_open_end_is_null_in_the_file_and_infinite_in_the_estimate(
 
 
 def test_a_spread_of_no_flights_is_its_count(
-    mission: Mission, solution: Solution, flown: Campaign, tmp_path: Path
+    mission: Mission, solution: Solution, flown: FlightTally, tmp_path: Path
 ) -> None:
-    none = Campaign(CampaignConfig(mission, solution.burns_m_s))
+    none = FlightTally(FlightConfig(mission, solution.burns_m_s))
     never = copy.copy(flown)
     never.entry, never.exit = none.entry, none.exit
     path = summarise(never, solution).write(tmp_path)
@@ -131,11 +131,11 @@ def test_a_spread_of_no_flights_is_its_count(
 
 
 def test_flights_of_another_plan_are_not_summarised(
-    mission: Mission, solution: Solution, flown: Campaign
+    mission: Mission, solution: Solution, flown: FlightTally
 ) -> None:
-    doubled = CampaignConfig(mission, 2.0 * solution.burns_m_s)
+    doubled = FlightConfig(mission, 2.0 * solution.burns_m_s)
     with pytest.raises(ValueError, match="another plan"):
-        summarise(fly_campaign(doubled, samples=20), solution)
+        summarise(fly_many(doubled, samples=20), solution)
     risk = solution.scenario.risk.model_copy(update={"p_chance": 0.8})
     scenario = solution.scenario.model_copy(update={"risk": risk})
     with pytest.raises(ValueError, match="another plan"):
