@@ -1,6 +1,9 @@
-"""What can go wrong with what the user gave."""
+"""What can go wrong with what the user gave, and checks that say so."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
+from numbers import Integral
 
 
 class InputError(ValueError):
@@ -20,3 +23,32 @@ class InputError(ValueError):
 def printable(text: str) -> str:
     """What a file holds, or is called, goes to the terminal as text and not as a control sequence."""
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+
+
+def one_of(entry: str, given: object, known: Collection[str]) -> str:
+    """A name that is known.
+
+    Raises:
+        InputError: if it is not.
+    """
+    if not isinstance(given, str) or given not in known:
+        raise InputError(entry, shortened(given), f"must be one of {', '.join(known)}")
+    return given
+
+
+def whole_number(entry: str, given: object, low: int, high: int) -> int:
+    """A whole number within bounds.
+
+    Raises:
+        InputError: if it is none, or beyond them.
+    """
+    if not isinstance(given, Integral) or isinstance(given, bool) or not low <= given <= high:
+        allowed = f"must be a whole number from {low} to {high}"
+        raise InputError(entry, shortened(given), allowed)
+    return int(given)
+
+
+def shortened(given: object) -> str:
+    """What was given, on a part of a line."""
+    text = repr(given)
+    return text if len(text) <= 80 else f"{text[:77]}..."

@@ -12,16 +12,19 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from scp_recon.errors import InputError, one_of, shortened, whole_number
+from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
 from scp_recon.monte_carlo.summary import Summary, summarise
 from scp_recon.planning import planner
+from scp_recon.planning.method import FACET_ROUNDS_MAX, PROBLEMS, scp_method
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.solution.comparison import Comparison, compare
-from scp_recon.solution.file import Solution, Verification, read_solution
+from scp_recon.solution.file import FILE_NAME, Solution, Verification, read_solution
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.solution.start import start_from
 from scp_recon.verification.reintegration import verify
@@ -33,7 +36,7 @@ Array = npt.NDArray[np.float64]
 
 def plan(
     scenario: Scenario | str | Path = "recon_b",
-    init: str | Path | Array = "cold",
+    init: Plan | str | Path | Array = "cold",
     *,
     problem: Literal["P3", "P2"] = "P2",
     formulation: str = "condensed",
@@ -50,8 +53,8 @@ def plan(
 
     Args:
         scenario: what to plan; the name of a packaged one, or a file.
-        init: "cold", a straight line; "warm", a ballistic arc; a solution or its folder; a CSV of
-            states, or such a table as an array (n, 7): t, x, y, z, vx, vy, vz, J2000, SI.
+        init: "cold", a straight line; "warm", a ballistic arc; a plan, a solution or its folder; a CSV
+            of states, or such a table as an array (n, 7): t, x, y, z, vx, vy, vz, J2000, SI.
         problem: with uncertainty (P2) or without (P3).
         formulation: condensed, lifted, frozen-stm or frozen-covariance.
         algorithm: scvx, ptr or scvx-star.
@@ -61,18 +64,33 @@ def plan(
     Raises:
         InputError: naming the entry, what was given and what is allowed.
     """
-    scenario = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    mission = Mission.from_scenario(scenario)
+    one_of("problem", problem, PROBLEMS)
+    method = scp_method(formulation, algorithm, solver)
+    whole_number("facet_rounds", facet_rounds, 0, FACET_ROUNDS_MAX)
+    mission = Mission.from_scenario(_scenario(scenario))
     return planner.plan(
         mission,
         start_from(mission, init),
         problem=problem,
-        formulation=formulation,
-        algorithm=algorithm,
-        solver=solver,
+        **method._asdict(),
         facet_rounds=facet_rounds,
-        init="a table" if isinstance(init, np.ndarray) else str(init),
+        init=_called(init),
     )
+
+
+def _scenario(given: Scenario | str | Path) -> Scenario:
+    if isinstance(given, Scenario):
+        return given
+    if not isinstance(given, str | Path):
+        raise InputError("scenario", shortened(given), "must be a scenario, its name, or a file")
+    return load_scenario(given)
+
+
+def _called(init: Plan | str | Path | Array) -> str:
+    """What the solution file calls a start."""
+    if isinstance(init, np.ndarray):
+        return "a table"
+    return "a plan" if isinstance(init, Plan) else str(init)
 
 
 def fly(
@@ -93,13 +111,23 @@ def fly(
         truth: dynamics flown, the planner's or degree-8 harmonics.
         errors: of the burns, the paper's or Gates'.
         workers: processes; the result does not depend on their number.
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
     """
+    _require_plan(plan)
     config = FlightConfig(plan.mission, plan.burns_m_s, seed, truth, errors)
-    return summarise(fly_many(config, samples=samples, workers=workers), make_solution(plan))
+    flown = fly_many(config, samples=samples, workers=workers)
+    return summarise(flown, make_solution(plan))
 
 
 def check(plan: Plan) -> Verification:
-    """Verify a plan without the solver: `ok`, and what `failed`."""
+    """Verify a plan without the solver: `ok`, and what `failed`.
+
+    Raises:
+        InputError: if it is no plan.
+    """
+    _require_plan(plan)
     return verify(plan.mission, make_solution(plan))
 
 
@@ -107,18 +135,33 @@ def save(plan: Plan, folder: str | Path) -> Path:
     """Verify a plan and write its `solution.json` into a folder, whole or not at all.
 
     Raises:
-        OSError: if the folder cannot be written.
+        InputError: if it is no plan, or the folder cannot be written.
     """
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    return _solution(plan).write(Path(folder))
+    _require_plan(plan)
+    path = Path(folder)
+    check_writable(path, FILE_NAME, "folder")
+    try:
+        return _solution(plan).write(path)
+    except OSError as error:
+        raise unwritable(path, "folder", error) from None
+
+
+def _require_plan(given: object) -> None:
+    if not isinstance(given, Plan):
+        raise InputError("plan", shortened(given), "must be a plan, which `plan` returns")
 
 
 def side_by_side(*plans: Plan | Solution | str | Path) -> Comparison:
     """Compare plans, solutions or their files; the paths are held against the first one's.
 
     Raises:
-        InputError: if a file is no solution.
+        InputError: if there is none, or one is no plan and no file of a solution.
     """
+    if not plans:
+        raise InputError("plans", "none", "must be one or more")
+    for given in plans:
+        if not isinstance(given, Plan | Solution | str | Path):
+            raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
     names, solutions = [], []
     for number, given in enumerate(plans, start=1):
         named = given if isinstance(given, str | Path) else f"plan {number}"

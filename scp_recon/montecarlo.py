@@ -19,7 +19,13 @@ from scp_recon.cli.flight_tables import show_summary
 from scp_recon.cli.options import SEED, int_between
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.flights import (
+    SAMPLES_MAX,
+    SAMPLES_MIN,
+    WORKERS_MAX,
+    FlightConfig,
+    fly_many,
+)
 from scp_recon.monte_carlo.summary import FILE_NAME, summarise
 from scp_recon.solution.file import read_solution
 
@@ -30,7 +36,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("solution", type=Path, metavar="DIR", help="folder with a solution.json")
     p.add_argument(
         "--samples",
-        type=int_between(20, 10**9, "20 to 1e9"),
+        type=int_between(SAMPLES_MIN, SAMPLES_MAX, "20 to 1e9"),
         default=10_000,
         metavar="N",
         help="flights, at most with --until (default: 10000)",
@@ -62,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--workers",
-        type=int_between(1, 256),
+        type=int_between(1, WORKERS_MAX),
         default=1,
         metavar="N",
         help="processes (default: 1)",

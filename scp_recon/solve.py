@@ -9,7 +9,7 @@ if __name__ == "__main__":
 
 import argparse
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -19,10 +19,18 @@ from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
 from scp_recon.cli import plan_tables
 from scp_recon.cli.options import int_between
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, one_of
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.method import (
+    ALGORITHM,
+    FACET_ROUNDS_MAX,
+    FORMULATION,
+    PROBLEMS,
+    SOLVER,
+    scp_method,
+)
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.planning.stages import Observer
@@ -35,7 +43,6 @@ from scp_recon.solution.from_plan import make_solution
 from scp_recon.solution.start import is_solution, start_from
 from scp_recon.verification.reintegration import verify
 
-ALGORITHM, SOLVER = "scvx", "CLARABEL"
 Planning = Callable[[Mission, Iterate, Observer], Plan]
 
 
@@ -66,36 +73,14 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--problem",
-        choices=("P2", "P3"),
+        choices=PROBLEMS,
         default="P2",
         help="with uncertainty, or without it (default: P2)",
     )
-    p.add_argument(
-        "--method",
-        choices=("scp", "ipopt"),
-        default="scp",
-        help="sequential convex programming, or the nonlinear programs by IPOPT (default: scp)",
-    )
-    p.add_argument(
-        "--formulation",
-        metavar="NAME",
-        help=f"with scp {', '.join(FORMULATIONS)} (default: condensed); with ipopt printed, tuned, "
-        "shooting (default: tuned)",
-    )
-    p.add_argument(
-        "--algorithm",
-        metavar="NAME",
-        help=f"with scp {', '.join(ALGORITHMS)} (default: {ALGORITHM})",
-    )
-    p.add_argument(
-        "--solver",
-        metavar="NAME",
-        help="with scp a conic solver that CVXPY finds: CLARABEL and SCS; ECOS and QOCO with the extra "
-        f"[compare] (default: {SOLVER})",
-    )
+    _add_method(p)
     p.add_argument(
         "--facet-rounds",
-        type=int_between(0, 100),
+        type=int_between(0, FACET_ROUNDS_MAX),
         default=0,
         metavar="N",
         help="choose the facets again at the solution and solve again, up to N times (default: 0; what "
@@ -109,6 +94,33 @@ def parser() -> argparse.ArgumentParser:
         help="folder for solution.json (default: runs/latest)",
     )
     return p
+
+
+def _add_method(p: argparse.ArgumentParser) -> None:
+    """How to plan."""
+    p.add_argument(
+        "--method",
+        choices=("scp", "ipopt"),
+        default="scp",
+        help="sequential convex programming, or the nonlinear programs by IPOPT (default: scp)",
+    )
+    p.add_argument(
+        "--formulation",
+        metavar="NAME",
+        help=f"with scp {', '.join(FORMULATIONS)} (default: {FORMULATION}); with ipopt printed, tuned, "
+        "shooting (default: tuned)",
+    )
+    p.add_argument(
+        "--algorithm",
+        metavar="NAME",
+        help=f"with scp {', '.join(ALGORITHMS)} (default: {ALGORITHM})",
+    )
+    p.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="with scp a conic solver that CVXPY finds: CLARABEL and SCS; ECOS and QOCO with the extra "
+        f"[compare] (default: {SOLVER})",
+    )
 
 
 def _folder(text: str) -> Path:
@@ -171,7 +183,7 @@ def _method(options: argparse.Namespace) -> Planning:
     from formulations.nlp.solve import VARIANTS  # by CasADi, which takes a second to import
     from scp_recon.planning import ipopt
 
-    variant = _one_of("--formulation", options.formulation or "tuned", VARIANTS)
+    variant = one_of("--formulation", options.formulation or "tuned", VARIANTS)
 
     def by_ipopt(mission: Mission, start: Iterate, observe: Observer) -> Plan:
         return ipopt.plan(
@@ -187,34 +199,25 @@ def _method(options: argparse.Namespace) -> Planning:
 
 
 def _by_scp(options: argparse.Namespace) -> Planning:
-    formulation = _one_of("--formulation", options.formulation or "condensed", FORMULATIONS)
-    algorithm = _one_of("--algorithm", options.algorithm or ALGORITHM, ALGORITHMS)
-    solver = (options.solver or SOLVER).upper()
-    if solver != SOLVER:
-        from formulations.program.solvers import installed
-
-        _one_of("--solver", solver, installed())
+    method = scp_method(
+        options.formulation or FORMULATION,
+        options.algorithm or ALGORITHM,
+        options.solver or SOLVER,
+        prefix="--",
+    )
 
     def planning(mission: Mission, start: Iterate, observe: Observer) -> Plan:
         return plan(
             mission,
             start,
             problem=options.problem,
-            formulation=formulation,
-            algorithm=algorithm,
-            solver=solver,
+            **method._asdict(),
             facet_rounds=options.facet_rounds,
             init=options.init,
             observe=observe,
         )
 
     return planning
-
-
-def _one_of(option: str, name: str, known: Collection[str]) -> str:
-    if name not in known:
-        raise InputError(option, repr(name), f"must be one of {', '.join(known)}")
-    return name
 
 
 def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:
@@ -224,8 +227,8 @@ def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:
     given = None if named else read_solution(path)
     mission = Mission.from_scenario(_scenario(options, given))
     if given is None:
-        return mission, start_from(mission, options.init)
-    return mission, initial_guess.from_burns(mission, given.burns_m_s)
+        return mission, start_from(mission, options.init, "--init")
+    return mission, initial_guess.from_burns(mission, given.burns_m_s, "--init")
 
 
 def _scenario(options: argparse.Namespace, given: Solution | None) -> Scenario:

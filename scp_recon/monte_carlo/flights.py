@@ -7,16 +7,21 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, TruthModel, fly_block
 
 Array = npt.NDArray[np.float64]
+
+SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
+"""Fewer flights say nothing of a distribution: the normality test needs as many."""
 
 LOOK_STEP_S = 60.0
 """Longest spacing of the times at which the window is looked at; crossings are then bisected."""
@@ -36,6 +41,9 @@ class FlightConfig:
         seed: of all draws.
         truth: dynamics flown.
         errors: of the burns.
+
+    Raises:
+        InputError: if seed, truth or errors are none.
     """
 
     mission: Mission
@@ -43,6 +51,12 @@ class FlightConfig:
     seed: int = 0
     truth: TruthModel = "planner"
     errors: ErrorModel = "componentwise"
+
+    def __post_init__(self) -> None:
+        """Refuse what would fail in the flights, or in a process of its own."""
+        whole_number("seed", self.seed, 0, SEED_MAX)
+        one_of("truth", self.truth, get_args(TruthModel))
+        one_of("errors", self.errors, get_args(ErrorModel))
 
     @property
     def looks_s(self) -> Array:
@@ -183,7 +197,14 @@ def fly_many(
     """Fly `samples`, or at most that many until every probability's interval is `until` wide.
 
     The result does not depend on the number of workers.
+
+    Raises:
+        InputError: if samples, until or workers are out of bounds; before any flight.
     """
+    whole_number("samples", samples, SAMPLES_MIN, SAMPLES_MAX)
+    whole_number("workers", workers, 1, WORKERS_MAX)
+    if until is not None and not 0.0 < until < 1.0:
+        raise InputError("until", repr(until), "must be a width between 0 and 1")
     flown = FlightTally(config)
     for block in _blocks(config, samples, workers):
         flown.add(block)

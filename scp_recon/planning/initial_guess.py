@@ -42,20 +42,22 @@ def cold(mission: Mission) -> Iterate:
     return _scaled(mission, burns, states)
 
 
-def ballistic(mission: Mission) -> Iterate:
+def ballistic(mission: Mission, entry: str = "init") -> Iterate:
     """Two impulses, at the first and the last burn, joined by the arc of least total delta-v.
 
     Both ways round the body are tried; each is a boundary-value problem for the planner's forces,
     started from a circular sweep of the direction. A surrogate for a flown trajectory.
+
+    Args:
+        mission: gives the boundary states.
+        entry: what messages call it.
 
     Raises:
         InputError: if neither boundary-value problem can be solved.
     """
     candidates = [iterate for way in (1.0, -1.0) if (iterate := _two_impulses(mission, way))]
     if not candidates:
-        raise InputError(
-            "--init", "warm", "no ballistic arc joins the boundary positions; use cold"
-        )
+        raise InputError(entry, "warm", "no ballistic arc joins the boundary positions; use cold")
     return min(candidates, key=lambda iterate: iterate.total_dv)
 
 
@@ -135,7 +137,7 @@ def random(mission: Mission, seed: int) -> Iterate:
     return _scaled(mission, burns, np.hstack([position, velocity]))
 
 
-def from_burns(mission: Mission, burns_m_s: Array) -> Iterate:
+def from_burns(mission: Mission, burns_m_s: Array, entry: str = "init") -> Iterate:
     """Roll given burns out, shape (m, 3) in m/s.
 
     Raises:
@@ -143,7 +145,7 @@ def from_burns(mission: Mission, burns_m_s: Array) -> Iterate:
     """
     if burns_m_s.shape != (len(mission.burn_nodes), 3):
         raise InputError(
-            "--init",
+            entry,
             f"{len(burns_m_s)} burns",
             f"must have {len(mission.burn_nodes)} as the scenario",
         )
@@ -151,7 +153,7 @@ def from_burns(mission: Mission, burns_m_s: Array) -> Iterate:
     return Iterate(burns, mission.dynamics.rollout(mission.problem.initial_state, burns))
 
 
-def from_table(mission: Mission, path: Path) -> Iterate:
+def from_table(mission: Mission, path: Path, entry: str = "init") -> Iterate:
     """A table of states: CSV with columns t, x, y, z, vx, vy, vz in SI, J2000, body-centred.
 
     Burns are what the planner's arcs miss at the firing times, those of the boundary included.
@@ -160,7 +162,8 @@ def from_table(mission: Mission, path: Path) -> Iterate:
         InputError: if the table cannot be read, is not ascending, does not cover the flight or is
             plainly not in metres and seconds.
     """
-    return from_states(mission, _read_table(path), f"--init {path}")
+    entry = f"{entry} {path}"
+    return from_states(mission, _read_table(path, entry), entry)
 
 
 def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
@@ -174,8 +177,14 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
     Raises:
         InputError: as `from_table`.
     """
-    if table.ndim != 2 or table.shape[1] != 7 or not np.all(np.isfinite(table)):
-        raise InputError(entry, f"an array of shape {table.shape}", "must be finite, shape (n, 7)")
+    if table.dtype.kind not in "iuf" or table.ndim != 2 or table.shape[1] != len(COLUMNS):
+        raise InputError(
+            entry,
+            f"an array of shape {table.shape} and {table.dtype}",
+            f"must be numbers, shape (n, 7): {', '.join(COLUMNS.values())}",
+        )
+    if not np.all(np.isfinite(table)):
+        raise InputError(entry, "an array of numbers that are not finite", "must be finite")
     time, states = table[:, 0], table[:, 1:]
     end = mission.times_s[-1]
     if len(time) < 2 or np.any(np.diff(time) <= 0.0):
@@ -227,8 +236,8 @@ def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> No
         )
 
 
-def _read_table(path: Path) -> Array:
-    text = read_text(path, f"--init {path}", "file")
+def _read_table(path: Path, entry: str) -> Array:
+    text = read_text(path, entry, "file")
     try:
         lines = [line for line in text.splitlines() if not line.startswith("#")]
         reader = csv.DictReader(lines)
@@ -237,10 +246,10 @@ def _read_table(path: Path) -> Array:
         missing = [long for short, long in COLUMNS.items() if (short in given) == (long in given)]
         table = np.array([[float(row[name]) for name in names] for row in reader])
     except (ValueError, TypeError, csv.Error) as error:
-        raise InputError(f"--init {path}", str(error), "must be a table of numbers") from None
+        raise InputError(entry, str(error), "must be a table of numbers") from None
     if missing or not len(table) or not np.all(np.isfinite(table)):
         raise InputError(
-            f"--init {path}",
+            entry,
             f"columns {', '.join(names) or 'none that is known'}",
             f"must be a solution file or a CSV of finite numbers with {', '.join(COLUMNS.values())}",
         )

@@ -34,31 +34,31 @@ class Status(Enum):
     INFEASIBLE = Outcome(
         "infeasible",
         "Infeasible: stationary at the least violation that was found from here.",
-        "Relax the constraints that are violated, ask a lower p_chance, or start from another --init.",
+        "Relax the constraints that are violated, ask a lower p_chance, or begin from another init.",
         3,
     )
     MAX_ITERATIONS = Outcome(
         "max_iterations",
         "Not converged: the iteration limit came first.",
-        "Start from this solution with --init.",
+        "Begin from this solution, as init.",
         4,
     )
     STALLED = Outcome(
         "stalled",
         "Not converged: the trust region collapsed before the iterate became stationary.",
-        "Start from another --init; if it recurs the linearisation is poor: use a finer grid.",
+        "Begin from another init; if it recurs the linearisation is poor: use a finer grid.",
         4,
     )
     SOLVER_FAILED = Outcome(
         "solver_failed",
         "Not converged: the conic solver gave no usable answer in any trust region tried.",
-        "Check the scenario's magnitudes, or start from another --init.",
+        "Check the scenario's magnitudes, or begin from another init.",
         4,
     )
     INTERRUPTED = Outcome(
         "interrupted",
         "Interrupted: this is the best iterate so far; it need not be a solution.",
-        "Go on from it with --init.",
+        "Go on from it, as init.",
         130,
     )
 

@@ -8,7 +8,9 @@ import pickle
 import runpy
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +21,9 @@ from scp_recon.compare import main as compare
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Plan
 from scp_recon.solution.file import Solution, read_solution
+
+door: Any = sr
+"""The front door to whoever gives it what its types forbid."""
 
 PROJECT = Path(__file__).parents[2]
 
@@ -98,11 +103,71 @@ def test_planning_starts_from_files_and_tables(default_plan: Plan, tmp_path: Pat
     saved = sr.save(default_plan, str(tmp_path / "mine"))
     assert read_solution(saved).verification is not None
     table = np.column_stack([default_plan.times_s, default_plan.states])
-    for init in (str(tmp_path / "mine"), saved, table):
+    for init in (str(tmp_path / "mine"), saved, table, default_plan):
         found = sr.plan(init=init)
         assert found.total_dv_m_s == pytest.approx(default_plan.total_dv_m_s, rel=1e-4)
-    with pytest.raises(InputError, match=r"shape \(n, 7\)"):
-        sr.plan(init=table[:, :5])
+    assert found.provenance.init == "a plan"
+    with pytest.raises(InputError, match=r"shape \(154, 6\).*shape \(n, 7\): t_s, x_m"):
+        sr.plan(init=default_plan.states)
+    three = sr.load_scenario().replace({"burns.times_s": [0.0, 8000.0, 34842.0]})
+    with pytest.raises(InputError, match=r"^init: got 4 burns; must have 3"):
+        sr.plan(three, init=default_plan)
+
+
+def test_a_solvers_name_may_be_small() -> None:
+    assert sr.plan(problem="P3", solver="clarabel").provenance.solver == "CLARABEL"
+
+
+BAD_CALLS: dict[str, tuple[str, Callable[[Plan, Path], object]]] = {
+    "a problem in small letters": ("problem", lambda *_: door.plan(problem="p3")),
+    "no problem": ("problem", lambda *_: door.plan(problem=None)),
+    "a formulation": ("formulation", lambda *_: door.plan(formulation="frozen")),
+    "an algorithm": ("algorithm", lambda *_: door.plan(algorithm="SCvx")),
+    "a solver": ("solver", lambda *_: door.plan(solver="simplex")),
+    "a solver that is no name": ("solver", lambda *_: door.plan(solver=1)),
+    "rounds below none": ("facet_rounds", lambda *_: door.plan(facet_rounds=-1)),
+    "rounds in parts": ("facet_rounds", lambda *_: door.plan(facet_rounds=1.5)),
+    "true rounds": ("facet_rounds", lambda *_: door.plan(facet_rounds=True)),
+    "a scenario that is a number": ("scenario", lambda *_: door.plan(5)),
+    "no scenario": ("scenario", lambda *_: door.plan(None)),
+    "no start": ("init", lambda *_: door.plan(init=None)),
+    "a list as start": ("init", lambda *_: door.plan(init=[[0.0] * 7] * 3)),
+    "a start that is no file": ("init lukewarm", lambda *_: door.plan(init="lukewarm")),
+    "words as states": ("init", lambda *_: door.plan(init=np.array([["0"] * 7] * 3))),
+    "states that are not finite": ("init", lambda *_: door.plan(init=np.full((3, 7), np.nan))),
+    "no flights": ("samples", lambda plan, _: door.fly(plan, samples=0)),
+    "too few flights": ("samples", lambda plan, _: door.fly(plan, samples=1)),
+    "flights in parts": ("samples", lambda plan, _: door.fly(plan, samples=99.5)),
+    "a seed below zero": ("seed", lambda plan, _: door.fly(plan, seed=-1)),
+    "a truth": ("truth", lambda plan, _: door.fly(plan, truth="flat")),
+    "errors": ("errors", lambda plan, _: door.fly(plan, errors="none")),
+    "no workers": ("workers", lambda plan, _: door.fly(plan, workers=0)),
+    "a flight of a folder": ("plan", lambda *_: door.fly("runs/mine")),
+    "a check of a folder": ("plan", lambda *_: door.check("runs/mine")),
+    "nothing saved": ("plan", lambda _, folder: door.save(None, folder)),
+    "a folder that is a file": ("folder", lambda plan, folder: door.save(plan, folder / "file")),
+    "nothing side by side": ("plans", lambda *_: door.side_by_side()),
+    "none beside a plan": ("plan", lambda plan, _: door.side_by_side(plan, None)),
+}
+"""The entry that the message names, and the call."""
+
+
+@pytest.mark.parametrize("name", BAD_CALLS)
+def test_a_wrong_argument_is_named_before_any_work(
+    name: str, default_plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        raise AssertionError("work was begun")
+
+    monkeypatch.setattr(front_door.planner, "plan", work)
+    for done in ("make_solution", "verify", "summarise"):
+        monkeypatch.setattr(front_door, done, work)
+    (tmp_path / "file").write_text("x", "utf-8")
+    entry, call = BAD_CALLS[name]
+    with pytest.raises(InputError) as caught:
+        call(default_plan, tmp_path)
+    assert caught.value.entry == entry
+    assert "--" not in str(caught.value)
 
 
 def test_flights_are_counted_with_intervals(default_plan: Plan) -> None:

@@ -116,7 +116,7 @@ def test_given_burns_are_rolled_out(mission: Mission, default_plan: Plan) -> Non
 def test_other_numbers_of_burns_are_refused(mission: Mission, shape: tuple[int, int]) -> None:
     with pytest.raises(InputError) as caught:
         initial_guess.from_burns(mission, np.zeros(shape))
-    assert caught.value.entry == "--init"
+    assert caught.value.entry == "init"
     assert "4" in caught.value.allowed
 
 
