@@ -57,7 +57,7 @@ def require_finite(*parts: Array) -> None:
         raise LinearisationError("the dynamics have no finite derivatives at the iterate")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Linearisation:
     """An iterate with the derivatives of its arcs. Derived quantities are computed lazily and cached.
 

@@ -29,7 +29,7 @@ class Polytopes:
     cone_facets: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Facets:
     """Affine chance constraints a'r_k + q ||S_k'a|| <= b on positions, m of them.
 

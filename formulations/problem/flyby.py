@@ -32,7 +32,7 @@ class ArcDerivatives(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StateConstraint:
     """The position at `nodes` stays in, or out of, a region with the given probability.
 
@@ -63,7 +63,7 @@ class StateConstraint:
         return inside if self.keep == "in" else -inside
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FlybyProblem:
     """Boundary states, burns, uncertainty and constraints on a grid of `n_nodes`; nondimensional.
 
@@ -135,7 +135,7 @@ class FlybyProblem:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Iterate:
     """Burns (m, 3) and node means (n_nodes, 6), which may have defects."""
 

@@ -54,7 +54,7 @@ class Units:
         return np.repeat([self.length_m, self.speed_m_s], 3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mission:
     """A scenario with its geometry resolved. States J2000, body-centred, SI.
 

@@ -31,7 +31,7 @@ TERMINAL_KEPT = 5000
 """Final states kept for the normality test, whose distribution is tabulated up to there."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FlightConfig:
     """What is flown.
 
@@ -66,7 +66,7 @@ class FlightConfig:
         return np.union1d(even, self.mission.times_s[self.mission.window_nodes])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FlightBlock:
     """What one block of flights contributes."""
 
@@ -110,7 +110,7 @@ def run_block(config: FlightConfig, job: tuple[int, int]) -> FlightBlock:
     )
 
 
-@dataclass
+@dataclass(eq=False)
 class FlightTally:
     """Running totals of the flights of a configuration.
 

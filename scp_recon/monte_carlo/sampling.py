@@ -27,7 +27,7 @@ HARMONICS_DEGREE = 8
 """The paper's ground truth."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Flights:
     """Sampled flights.
 

@@ -15,7 +15,7 @@ from scp_recon.physics.forces import ForceModel
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dynamics:
     """Flow map of a grid, in the units of `forces`.
 

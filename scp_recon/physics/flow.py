@@ -20,7 +20,7 @@ from scp_recon.physics.forces import ForceModel, accelerations, gravity_curvatur
 Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FlowDerivatives:
     """Arc-wise end states and sensitivities.
 

@@ -32,7 +32,7 @@ from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NlpStage(Stage):
     """A stage that IPOPT solved.
 
@@ -90,7 +90,8 @@ def plan(
     """
     arcs = casadi_arcs(mission.dynamics)
     runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
-    provenance = Provenance(variant, "interior point", "IPOPT", init)
+    algorithm = "interior point, elastic" if elastic else "interior point"
+    provenance = Provenance(variant, algorithm, "IPOPT", init, "ipopt")
     return runner.run(lambda: runner.plan(guess, problem), provenance)
 
 

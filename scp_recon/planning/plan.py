@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from html import escape
 from typing import Literal
@@ -33,7 +33,7 @@ def scale(mission: Mission, unit: Unit) -> float:
     return {"m": units.length_m, "m/s": units.speed_m_s, "sigma": 1.0}[unit]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stage:
     """A run of the SCP, or of IPOPT, on one problem.
 
@@ -91,20 +91,24 @@ class Provenance:
         algorithm: around it.
         solver: conic solver, or IPOPT.
         init: where it began: "cold", "warm", a file.
+        method: sequential convex programming, or the nonlinear programs by IPOPT.
     """
 
     formulation: str
     algorithm: str
     solver: str
     init: str
+    method: Literal["scp", "ipopt"] = "scp"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
 
-    A plan is data: it pickles and copies, and it equals another one of the same scenario and provenance
-    that went through the same stages to the same flight. Timings do not count.
+    A plan is data: it pickles and copies, its arrays are read-only, and it equals another one of the
+    same scenario and provenance that went through the same stages to the same flight, to the last bit.
+    Timings do not count. A solver that was kept from an earlier plan may differ in the last digits from
+    a new one, and so may their plans.
     """
 
     mission: Mission
@@ -124,6 +128,10 @@ class Plan:
         """Of the burns."""
         return hash(self.final.result.lin.iterate.burns.tobytes())
 
+    def __getstate__(self) -> dict[str, object]:
+        """What it was made with; copies work out the rest anew, read-only like here."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
     @property
     def status(self) -> Status:
         """How it ended."""
@@ -132,12 +140,12 @@ class Plan:
     @property
     def times_s(self) -> Array:
         """Times of the nodes past the epoch, s, shape (n,)."""
-        return self.mission.times_s
+        return _read_only(self.mission.times_s.view())
 
     @cached_property
     def burns_m_s(self) -> Array:
         """Burns, J2000, m/s, shape (m, 3)."""
-        return self.final.result.lin.iterate.burns * self.mission.units.speed_m_s
+        return _read_only(self.final.result.lin.iterate.burns * self.mission.units.speed_m_s)
 
     @cached_property
     def states(self) -> Array:
@@ -145,13 +153,13 @@ class Plan:
 
         After the burn where one falls on the node.
         """
-        return self.final.result.lin.iterate.mean * self.mission.units.state
+        return _read_only(self.final.result.lin.iterate.mean * self.mission.units.state)
 
     @cached_property
     def covariances(self) -> Array:
         """Covariances at the nodes in the same units, shape (n, 6, 6)."""
         factor = self.final.result.lin.factor * self.mission.units.state[:, None]
-        return np.asarray(factor @ factor.transpose(0, 2, 1))
+        return _read_only(factor @ factor.transpose(0, 2, 1))
 
     @property
     def total_dv_m_s(self) -> float:
@@ -168,11 +176,11 @@ class Plan:
         return found
 
     def __str__(self) -> str:
-        """Status, delta-v, burns and margins."""
-        scenario = self.mission.scenario
+        """Status and what may help, delta-v, burns and margins."""
+        scenario, outcome = self.mission.scenario, self.status.value
         problem = self.final.problem
         lines = [
-            f"{scenario.name}, {problem}: {self.status.value.message}",
+            f"{scenario.name}, {problem}: {outcome.message} {outcome.remedy}".rstrip(),
             f"total delta-v {self.total_dv_m_s:.6f} m/s, asked p_chance {scenario.risk.p_chance:g}",
             "burn   time s      x m/s      y m/s      z m/s   size m/s",
         ]
@@ -205,3 +213,8 @@ class Plan:
             for s in (*self.stages, self.final)
         ]
         return self.mission.scenario, self.provenance, runs, flown
+
+
+def _read_only(array: Array) -> Array:
+    array.setflags(write=False)
+    return array

@@ -9,7 +9,7 @@ algorithm decides: `scvx`, `ptr` or `scvx_star`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import NamedTuple, Protocol, Self
 
@@ -80,7 +80,7 @@ class Timing:
             setattr(self, name, getattr(self, name) + seconds)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class State:
     """What the algorithm carries from one iteration to the next.
 
@@ -239,14 +239,14 @@ def record_of_trial(
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Result:
     """How a run ended and where."""
 
     status: Status
     lin: Linearisation
     records: tuple[Record, ...]
-    timing: Timing = field(compare=False)
+    timing: Timing
 
 
 def run(

@@ -210,3 +210,24 @@ def test_paths_on_different_grids_are_held_against_each_other_at_one_time() -> N
     difference = np.abs(coarse.burns_m_s - fine.burns_m_s).max()
     assert isinstance(apart, float)
     assert apart < 0.02 + 60_000.0 * difference
+
+
+def test_what_a_plan_is_made_of_is_equal_only_to_itself(default_plan: Plan) -> None:
+    """What holds arrays has no equality of its parts: asking must not end in a traceback."""
+    again = copy.deepcopy(default_plan)
+    for part in (
+        lambda plan: plan.mission,
+        lambda plan: plan.mission.problem,
+        lambda plan: plan.mission.problem.constraints[0],
+        lambda plan: plan.mission.dynamics,
+        lambda plan: plan.final,
+        lambda plan: plan.final.facets,
+        lambda plan: plan.final.result,
+        lambda plan: plan.final.result.lin,
+        lambda plan: plan.final.result.lin.iterate,
+        lambda plan: plan.final.result.lin.arcs,
+    ):
+        one, other = part(default_plan), part(again)
+        assert one == one
+        assert one != other
+        assert len({one, other}) == 2
