@@ -11,6 +11,7 @@ The names below are imported when they are first used, so that the commands star
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ __all__ = ["check", "fly", "load_scenario", "plan", "save", "side_by_side"]
 
 
 def __getattr__(name: str) -> Any:
-    """PEP 562."""
+    """A name of the front door, which is imported when it is first asked for."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from scp_recon import front_door
@@ -29,5 +30,6 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """For completion."""
-    return sorted([*globals(), *__all__])
+    """For completion: the front door, and the modules that are imported."""
+    modules = [name for name, value in globals().items() if isinstance(value, ModuleType)]
+    return sorted({*modules, *__all__})

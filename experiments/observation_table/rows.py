@@ -148,7 +148,7 @@ def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> So
     # No iteration was allowed, which is what the status says of a plan that is none.
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
     stage = Stage(init, result, merit, None, SCvx().feasible)
-    provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, init)
+    provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, init, "none")
     solution = make_solution(Plan(mission, provenance, (stage,), stage, Timing(), 0.0))
     return solution.model_copy(update={"message": message})
 

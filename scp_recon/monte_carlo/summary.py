@@ -146,6 +146,20 @@ class Summary(File):
                 raise ValueError(f"{name} must have {', '.join((*SCIENCE, ALL))}")
         return self
 
+    def __str__(self) -> str:
+        """What was flown, and each constraint's probability where it is lowest."""
+        flown = f"{self.samples} flights, seed {self.seed}, {self.truth}, {self.errors} errors"
+        lines = [
+            f"P({name}) {p.estimate.value:.4f}, {p.estimate.low:.4f} to {p.estimate.high:.4f}, "
+            f"at {p.worst_t_s:.0f} s"
+            for name, p in self.probability.items()
+        ]
+        return "\n".join([flown, *lines])
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<Summary: {str(self).partition(chr(10))[0]}>"
+
     def is_of(self, solution: Solution) -> bool:
         """Whether it was the solution's plan that was flown."""
         return self.plan_hash == solution.plan_hash

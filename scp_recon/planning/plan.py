@@ -91,14 +91,15 @@ class Provenance:
         algorithm: around it.
         solver: conic solver, or IPOPT.
         init: where it began: "cold", "warm", a file.
-        method: sequential convex programming, or the nonlinear programs by IPOPT.
+        method: sequential convex programming, the nonlinear programs by IPOPT, or none where nothing
+            was optimised.
     """
 
     formulation: str
     algorithm: str
     solver: str
     init: str
-    method: Literal["scp", "ipopt"] = "scp"
+    method: Literal["scp", "ipopt", "none"] = "scp"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 import numpy.typing as npt
 
 from scp_recon.physics.flow import interpolate
-from scp_recon.solution.file import Solution
+from scp_recon.scenario.schema import Scenario
+from scp_recon.solution.file import Solution, Verification
 
 Array = npt.NDArray[np.float64]
 
+DIFFERS = "differs from the first in"
+"""Row of the sections in which a scenario is not the first plan's: how far figures can be compared."""
 ABSENT = ""
 """A cell where a plan has no such figure."""
 
@@ -30,8 +34,15 @@ class Comparison:
     rows: tuple[tuple[str, str, tuple[float | str | None, ...]], ...]
 
     def __getitem__(self, name: str) -> tuple[float | str | None, ...]:
-        """Every plan's figure of that name."""
-        return next(figures for row, _, figures in self.rows if row == name)
+        """Every plan's figure of that name.
+
+        Raises:
+            KeyError: naming what there is.
+        """
+        known = {row: figures for row, _, figures in self.rows}
+        if name not in known:
+            raise KeyError(f"{name!r}; there are {', '.join(known)}")
+        return known[name]
 
     def cells(self) -> list[list[str]]:
         """As text, with a heading."""
@@ -48,6 +59,10 @@ class Comparison:
             lines.append("  ".join([head.ljust(widths[0]), *columns]).rstrip())
         return "\n".join(lines)
 
+    def _repr_html_(self) -> str:
+        """For a notebook."""
+        return f"<pre>{escape(str(self))}</pre>"
+
 
 def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
     """Hold plans against each other, and their paths against the first one's.
@@ -57,9 +72,12 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
         solutions: as many.
     """
     rows: list[tuple[str, str, tuple[float | str | None, ...]]] = [
+        ("scenario", "", tuple(s.scenario.name for s in solutions)),
+        (DIFFERS, "", tuple(_differences(solutions[0].scenario, s.scenario) for s in solutions)),
         ("status", "", tuple(s.status for s in solutions)),
+        ("verified", "", tuple(_verdict(s.verification) for s in solutions)),
         ("p_chance asked", "", tuple(s.scenario.risk.p_chance for s in solutions)),
-        ("total delta-v", "m/s", tuple(s.total_dv_m_s for s in solutions)),
+        ("total delta-v", "m/s", tuple(_total_dv(s) for s in solutions)),
     ]
     for i in range(max(len(s.burns) for s in solutions)):
         sizes = [np.linalg.norm(s.burns_m_s, axis=1) for s in solutions]
@@ -74,6 +92,25 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
     apart = tuple(largest_distance_m(solutions[0], other) for other in solutions)
     rows.append(("farthest from the first", "m", apart))
     return Comparison(tuple(names), tuple(rows))
+
+
+def _differences(first: Scenario, other: Scenario) -> str | None:
+    """Sections of a scenario, the name apart, that are not the first one's."""
+    names = [
+        n for n in Scenario.model_fields if n != "name" and getattr(first, n) != getattr(other, n)
+    ]
+    return ", ".join(names) or None
+
+
+def _verdict(verification: Verification | None) -> str:
+    if verification is None:
+        return "not checked"
+    return "yes" if verification.ok else f"no: {', '.join(verification.failed)}"
+
+
+def _total_dv(solution: Solution) -> float:
+    """Of the burns: what a file says of it may be wrong."""
+    return float(np.linalg.norm(solution.burns_m_s, axis=1).sum())
 
 
 def _item(values: Array, i: int) -> float | None:

@@ -29,6 +29,7 @@ SCHEMA, READABLE = "scp_recon.solution/2", ("scp_recon.solution/1", "scp_recon.s
 FILE_NAME = "solution.json"
 Number = Annotated[float, Field(ge=-1e30, le=1e30)]
 """Of what is worked with: its square and its quotients stay finite."""
+Share = Annotated[float, Field(ge=0, le=1)]
 Direction = Annotated[tuple[Number, Number, Number], Field(strict=False)]
 """A list will do, whose numbers have to be numbers all the same."""
 
@@ -159,9 +160,9 @@ class JointProbability(Part):
 
     name: str
     worst_t_s: float
-    estimate: float
-    low: float
-    high: float
+    estimate: Share
+    low: Share
+    high: Share
 
 
 class Verification(Part):
@@ -179,6 +180,19 @@ class Verification(Part):
     failed: list[str]
     ok: bool
 
+    def __str__(self) -> str:
+        """The verdict, and the lowest probabilities."""
+        lines = ["verified" if self.ok else f"not verified: {', '.join(self.failed)}"]
+        lines += [
+            f"P({p.name}) {p.estimate:.4f}, {p.low:.4f} to {p.high:.4f}, at {p.worst_t_s:.0f} s"
+            for p in self.probabilities
+        ]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<Verification: {str(self).partition(chr(10))[0]}>"
+
 
 class UnitScales(Part):
     """Units in which violations of different kinds are compared."""
@@ -188,12 +202,16 @@ class UnitScales(Part):
 
 
 class Solution(File):
-    """Everything about one plan; its file can be solved again from itself."""
+    """Everything about one plan; its file can be solved again from itself.
+
+    Older files say no `method`.
+    """
 
     status: Line
     message: Line
     problem: Literal["P3", "P2"]
     init: str
+    method: Literal["scp", "ipopt", "none"] | None = None
     formulation: Line
     algorithm: Line
     solver: Line

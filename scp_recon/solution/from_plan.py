@@ -35,6 +35,7 @@ def make_solution(plan: Plan) -> Solution:
         message=f"{outcome.message} {outcome.remedy}".strip(),
         problem=plan.final.problem,
         init=made.init,
+        method=made.method,
         formulation=made.formulation,
         algorithm=made.algorithm,
         solver=made.solver,

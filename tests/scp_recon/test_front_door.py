@@ -9,6 +9,8 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
+from inspect import ismodule
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,8 @@ from scp_recon import front_door
 from scp_recon.compare import main as compare
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Plan
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution, Verification, read_solution
 
 door: Any = sr
 """The front door to whoever gives it what its types forbid."""
@@ -83,7 +86,10 @@ def test_a_plan_is_data(default_plan: Plan) -> None:
     for again in (pickle.loads(pickle.dumps(default_plan)), copy.deepcopy(default_plan)):
         assert again == default_plan
         assert hash(again) == hash(default_plan)
-    again.burns_m_s  # noqa: B018 -- computed anew in the copy
+        for plan in (default_plan, again):
+            for array in (plan.burns_m_s, plan.times_s, plan.states, plan.covariances):
+                with pytest.raises(ValueError, match="read-only"):
+                    array[0] = 0.0
     assert default_plan != sr.plan(init="warm")
     assert default_plan != 3
 
@@ -178,6 +184,32 @@ def test_flights_are_counted_with_intervals(default_plan: Plan) -> None:
     assert emission.high is not None
     assert 0.9 < emission.low < emission.value < emission.high <= 1.0
     assert sr.fly(default_plan, samples=500, seed=1) == flights
+    assert repr(flights) == "<Summary: 500 flights, seed 1, planner, componentwise errors>"
+    first, *lines = str(flights).splitlines()
+    assert first in repr(flights)
+    assert len(lines) == len(flights.probability)
+    assert any(f"P(emission) {emission.value:.4f}, {emission.low:.4f}" in line for line in lines)
+
+
+def test_a_verdict_prints_itself_in_a_few_lines(verification: Verification) -> None:
+    assert repr(verification) == "<Verification: verified>"
+    assert str(verification).splitlines()[0] == "verified"
+    assert all(p.name in str(verification) for p in verification.probabilities)
+    failed = verification.model_copy(update={"ok": False, "failed": ["status", "P(phase)"]})
+    assert repr(failed) == "<Verification: not verified: status, P(phase)>"
+
+
+def test_an_infeasible_plan_prints_what_may_help(default_plan: Plan) -> None:
+    result = replace(default_plan.final.result, status=Status.INFEASIBLE)
+    lost = replace(default_plan, final=replace(default_plan.final, result=result))
+    assert Status.INFEASIBLE.value.remedy in str(lost)
+    assert "--" not in str(lost)
+
+
+def test_completion_offers_the_front_door_and_modules() -> None:
+    offered = dir(sr)
+    assert set(sr.__all__) <= set(offered)
+    assert {name for name in offered if not ismodule(getattr(sr, name))} == set(sr.__all__)
 
 
 def test_plans_stand_side_by_side(
@@ -198,6 +230,31 @@ def test_plans_stand_side_by_side(
     assert "total delta-v m/s" in printed
     assert "P(emission)" in printed
     assert compare([str(tmp_path / "none")]) == 2
+    assert table["verified"] == ("yes", "yes")
+    assert table["scenario"] == ("recon_b", "recon_b")
+    assert table["differs from the first in"] == (None, None)
+    assert "total delta-v" in table._repr_html_()
+    with pytest.raises(KeyError, match=r"'delta-v'; there are scenario, .*total delta-v"):
+        table["delta-v"]
+
+
+def test_a_comparison_says_what_was_verified_and_of_which_scenario(
+    solution: Solution, verification: Verification
+) -> None:
+    """Figures are those of the burns; what stands beside them says how far they can be compared."""
+    failed = verification.model_copy(update={"ok": False, "failed": ["status", "violation"]})
+    other = solution.scenario.replace({"name": "later", "epoch.tdb": "2020-01-22T00:00:00"})
+    bolder = solution.scenario.replace({"risk.p_chance": 0.6, "grid.step_max_s": 100.0})
+    table = sr.side_by_side(
+        solution,
+        solution.model_copy(update={"verification": failed, "total_dv_m_s": 1e-3}),
+        solution.model_copy(update={"verification": verification, "scenario": bolder}),
+        solution.model_copy(update={"scenario": other}),
+    )
+    assert table["verified"] == ("not checked", "no: status, violation", "yes", "not checked")
+    assert table["scenario"] == ("recon_b", "recon_b", "recon_b", "later")
+    assert table["differs from the first in"] == (None, None, "risk, grid", "epoch")
+    assert set(table["total delta-v"]) == {solution.total_dv_m_s}
 
 
 def test_paths_on_different_grids_are_held_against_each_other_at_one_time() -> None:

@@ -362,6 +362,11 @@ def test_further_choices_are_numbered_on() -> None:
     assert names == ["P2", *(f"P2.{n}" for n in range(2, len(names) + 1))]
 
 
+def how_made(found: Plan) -> tuple[str | None, ...]:
+    s = make_solution(found)
+    return s.method, s.formulation, s.algorithm, s.solver, s.init
+
+
 def test_a_plan_knows_how_it_was_made(mission: Mission) -> None:
     found = plan(
         mission,
@@ -372,13 +377,16 @@ def test_a_plan_knows_how_it_was_made(mission: Mission) -> None:
         init="mine",
         problem="P3",
     )
-    solution = make_solution(found)
-    made = solution.formulation, solution.algorithm, solution.solver, solution.init
-    assert made == ("frozen-stm", "ptr", "QOCO", "mine")
-    by_ipopt = ipopt.plan(mission, initial_guess.cold(mission), variant="shooting", problem="P3")
-    solution = make_solution(by_ipopt)
-    made = solution.formulation, solution.algorithm, solution.solver, solution.init
-    assert made == ("shooting", "interior point", "IPOPT", "given")
+    assert how_made(found) == ("scp", "frozen-stm", "ptr", "QOCO", "mine")
+    for elastic, algorithm in ((False, "interior point"), (True, "interior point, elastic")):
+        by_ipopt = ipopt.plan(
+            mission,
+            found.final.result.lin.iterate,
+            variant="shooting",
+            problem="P3",
+            elastic=elastic,
+        )
+        assert how_made(by_ipopt) == ("ipopt", "shooting", algorithm, "IPOPT", "given")
 
 
 # --- planning again -----------------------------------------------------------------------------

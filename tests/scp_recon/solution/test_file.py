@@ -41,7 +41,8 @@ def data(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Data:
 def test_every_promised_key_is_there(data: Data) -> None:
     # docs/solution_file.md.
     assert set(data) >= {
-        *("schema", "status", "message", "problem", "init", "formulation", "algorithm", "solver"),
+        *("schema", "status", "message", "problem", "init"),
+        *("method", "formulation", "algorithm", "solver"),
         *("total_dv_m_s", "burns", "nodes", "stages", "constraints", "violation", "iterations"),
         *("timing_s", "verification", "scenario"),
     }
@@ -77,7 +78,6 @@ def test_it_is_plain_json_with_the_schema_first(verified: Solution, tmp_path: Pa
     parsed = json.loads(text, parse_constant=no_constant)
     assert next(iter(parsed)) == "schema"
     assert parsed["schema"] == SCHEMA
-    assert parsed["schema"] == SCHEMA
 
 
 def test_its_scenario_is_the_whole_validated_input(data: Data, solution: Solution) -> None:
@@ -101,6 +101,26 @@ def test_keys_of_a_later_minor_version_are_tolerated(data: Data, tmp_path: Path)
     file = tmp_path / "solution.json"
     file.write_text(json.dumps({**data, "note": "added later"}), "utf-8")
     assert read_solution(file).total_dv_m_s == data["total_dv_m_s"]
+
+
+def test_a_file_from_before_methods_had_a_name_is_read(data: Data, tmp_path: Path) -> None:
+    file = tmp_path / "solution.json"
+    older = {key: value for key, value in data.items() if key != "method"}
+    file.write_text(json.dumps(older), "utf-8")
+    assert data["method"] == "scp"
+    assert read_solution(file).method is None
+
+
+@pytest.mark.parametrize("key", ["estimate", "low", "high"])
+@pytest.mark.parametrize("value", [-5.0, -1e-9, 1.0 + 1e-9])
+def test_a_probability_beyond_its_bounds_is_refused(
+    key: str, value: float, data: Data, tmp_path: Path
+) -> None:
+    changed = json.loads(json.dumps(data))
+    changed["verification"]["probabilities"][0][key] = value
+    (tmp_path / "solution.json").write_text(json.dumps(changed), "utf-8")
+    with pytest.raises(InputError, match=rf"verification\.probabilities\.0\.{key}"):
+        read_solution(tmp_path)
 
 
 # --- which plan it is ---------------------------------------------------------------------------
