@@ -16,6 +16,7 @@ COMMANDS = {
     f"scp_recon.{name}" for name in ("solve", "verify", "montecarlo", "simulate", "compare")
 }
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
+WINGS = (*LIBRARY, "experiments", "paper_figs", "benchmarks")
 
 
 def module_name(path: Path) -> str:
@@ -70,8 +71,14 @@ FLOORS = (
     *(f"scp_recon.{name}" for name in ("planning", "solution", "monte_carlo", "spacecraft")),
     *(f"scp_recon.{name}" for name in ("spacecraft.basilisk", "verification", "cli", "front_door")),
     "scp_recon",  # the lazy front door, and the commands
+    *(f"experiments.{name}" for name in ("studies", "observation_table", "compare_solvers")),
+    "experiments",
+    *(f"paper_figs.{name}" for name in ("inputs", "drawing", "paper", "studies")),
+    *("paper_figs", "benchmarks"),
 )
 """Folders, and modules that stand alone, from the lowest up: the README's tree read backwards."""
+PACKAGES = {"scp_recon", *UPPER_FLOORS}
+"""By their own name no more than the package around what is imported of it."""
 
 
 def floor_of(module: str) -> str | None:
@@ -80,23 +87,45 @@ def floor_of(module: str) -> str | None:
     return max(found, key=len, default=None)
 
 
+def floors_above(own: str, imported: set[str]) -> set[str]:
+    """Those of the imported modules that are above one's own floor."""
+    floors = {floor for name in imported - PACKAGES if (floor := floor_of(name))}
+    return {floor for floor in floors if FLOORS.index(floor) > FLOORS.index(own)}
+
+
 @pytest.mark.parametrize(
-    "path", [path for package in LIBRARY for path in modules(package)], ids=module_name
+    "path",
+    [path for package in WINGS for path in modules(package)],
+    ids=module_name,
 )
 def test_folders_import_downwards_only(path: Path) -> None:
     own = floor_of(module_name(path))
     if own is None:
         assert path.name == "__init__.py"
         return
-    imported = {floor for name in imports(path) if (floor := floor_of(name))}
-    # `import scp_recon` itself is the package around them all.
-    assert all(FLOORS.index(floor) <= FLOORS.index(own) for floor in imported - {"scp_recon"})
+    assert not floors_above(own, imports(path))
+
+
+def test_every_module_and_command_has_its_floor() -> None:
+    """A command is on the top floor of its wing, so that nothing below may import it."""
+    assert {floor_of(command) for command in COMMANDS} == {"scp_recon"}
+    assert floors_above("scp_recon.cli", COMMANDS) == {"scp_recon"}
+    assert not floors_above("scp_recon.cli", {"scp_recon", "scp_recon.errors"})
+    files = [path for package in WINGS for path in modules(package)]
+    floors = {floor_of(module_name(path)) for path in files}
+    assert floors - {None} == set(FLOORS)
+
+
+@pytest.mark.parametrize("wing", WINGS[2:])
+def test_studies_figures_and_timings_use_the_library_and_not_each_other(wing: str) -> None:
+    for path in modules(wing):
+        assert not roots(path) & (set(UPPER_FLOORS) - {wing}), path
 
 
 def test_there_are_no_circles() -> None:
     graph = {
         module_name(path): imports(path)
-        for package in (*LIBRARY, "paper_figs")
+        for package in WINGS
         for path in sorted((PROJECT / package).rglob("*.py"))
     }
     graph = {name: targets & graph.keys() - {name} for name, targets in graph.items()}
