@@ -51,7 +51,7 @@ class Unguarded:
         new = State(trial.lin, trial.merit, state.radius, state.charge)
         return new, record_of_trial(subproblem, state, new, k, trial)
 
-    def terminate(self, state: State, record: Record) -> Status | None:  # noqa: ARG002 -- of the protocol
+    def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:  # noqa: ARG002 -- of the protocol
         """Stop where the convex program has no feasible point, or the burns stand still.
 
         A feasible point costs its delta-v and no more, and no burn is larger than dv_max: where the

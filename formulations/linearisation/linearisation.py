@@ -61,7 +61,8 @@ def require_finite(*parts: Array) -> None:
 class Linearisation:
     """An iterate with the derivatives of its arcs. Derived quantities are computed lazily and cached.
 
-    Its problem is what the iterate flies: its boundary states count wherever it is judged.
+    Its problem is what the iterate flies: its boundary states and initial covariance count wherever it
+    is judged.
     """
 
     problem: FlybyProblem

@@ -14,8 +14,9 @@ from formulations.rows.cones import Margins, Rows
 class MeritFunction:
     """What an iterate of P3 or P2 costs and violates, nonlinearly.
 
-    The boundary states are those of the linearisation's own problem, so that one function judges
-    flights from any initial state; all else, limits and constraints, is this one's.
+    Boundary states and initial covariance are those of the linearisation's own problem, so that one
+    function judges flights from any initial state. Limits on the burns and constraints are this one's.
+    Grid, burn nodes and execution error have to be the same in both.
 
     Args:
         problem: the flyby problem.

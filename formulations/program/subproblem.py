@@ -2,9 +2,9 @@
 
     min  sum ||dv_i|| + w (sum of buffers + ||virtual control||_1)
 
-or with another charge for violations and steps, see `penalty`. What an iterate costs and violates is
-said here, from the nonlinear dynamics. The program around it is written in `model`; what a formulation
-adds to it is in `condensed` and `lifted`.
+or with another charge for violations and steps, see `penalty`. What an iterate costs and violates,
+from the nonlinear dynamics, is said in `merit`; the program around it is written in `model`, and what a
+formulation adds to it in `condensed` and `lifted`.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class Subproblem(ABC):
     """A formulation of P3 or P2 around an iterate.
 
     Attributes:
-        merit: what it approximates. The boundary states are those of the linearisation that it is
-            updated with; all else is the merit function's problem's.
+        merit: what it approximates; it says what counts of the problem of the linearisation that it
+            is updated with, and what of its own.
     """
 
     merit: MeritFunction

@@ -53,7 +53,7 @@ class ExactPenalty:
             feasible=max(self.feasible, resolution),
         )
 
-    def terminate(self, state: State, record: Record) -> Status | None:
+    def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:
         """Stop when stationary; small steps alone prove nothing."""
         if state.failures > self.FAILURES_MAX:
             return Status.SOLVER_FAILED
@@ -61,7 +61,7 @@ class ExactPenalty:
         if state.stationary and not violated:
             return Status.CONVERGED
         if state.stationary:
-            return Status.INFEASIBLE if self._heavier(state) is None else None
+            return Status.INFEASIBLE if self._heavier(subproblem, state) is None else None
         return Status.STALLED if state.radius < self.COLLAPSED else None
 
     def _negligible(self, record: Record) -> float:
@@ -83,19 +83,19 @@ class ExactPenalty:
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:
         """Stationary but violated: the penalty may not have been exact, so weigh it more."""
-        weight = self._heavier(state) if state.stationary else None
+        weight = self._heavier(subproblem, state) if state.stationary else None
         if weight is None:
             return state
         merit = subproblem.merit(state.lin, weight)
         return State(state.lin, merit, self.initial_radius, PenaltyParameters(weight))
 
-    def _heavier(self, state: State) -> float | None:
+    def _heavier(self, subproblem: Subproblem, state: State) -> float | None:
         """The next weight, if a heavier one may tell more.
 
         No plan that keeps the limits costs more than all burns at their largest. A merit above that is
         above any such plan's; below it the weight may still be less than a multiplier.
         """
-        weight, problem = state.charge.weight, state.lin.problem
+        weight, problem = state.charge.weight, subproblem.merit.problem
         if weight < self.weight_max:
             return self.weight_max
         if state.merit > problem.n_burns * problem.dv_max or weight >= self.weight_limit:

@@ -139,7 +139,7 @@ class Algorithm(Protocol):
         """The same, for rows that tell no more than a relative reduction of the merit."""
         ...
 
-    def terminate(self, state: State, record: Record) -> Status | None:
+    def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:
         """How to stop, or None to go on."""
         ...
 
@@ -266,7 +266,7 @@ def run(
             state, record = algorithm.step(subproblem, dynamics, state, k, timing)
             records.append(record)
             observe(record)
-            stop = algorithm.terminate(state, record)
+            stop = algorithm.terminate(subproblem, state, record)
             if stop is not None:
                 status = stop
                 break

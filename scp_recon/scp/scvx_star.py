@@ -77,7 +77,7 @@ class SCvxStar(SCvx):
         """Whether there is hope, the multipliers tell."""
         return self._negligible(record)
 
-    def _heavier(self, state: State) -> float | None:
+    def _heavier(self, subproblem: Subproblem, state: State) -> float | None:  # noqa: ARG002 -- as inherited
         """Weights grow with the multipliers; the largest is the last."""
         return self.weight_max if state.charge.weight < self.weight_max else None
 

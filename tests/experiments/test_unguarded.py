@@ -60,7 +60,7 @@ def steps(mission: Mission, rows: ChanceRows, start: Linearisation) -> list[tupl
     for k in range(1, algorithm.max_iterations + 1):
         state, record = algorithm.step(subproblem, mission.dynamics, state, k, Timing())
         found.append((state, record))
-        if algorithm.terminate(state, record):
+        if algorithm.terminate(subproblem, state, record):
             return found
     raise AssertionError("no verdict")
 
@@ -82,7 +82,8 @@ def test_a_frozen_covariance_has_no_feasible_point_where_the_problem_has_one(
     start = full.stages[0].result.lin
     found = steps(mission, rows, start)
     algorithm = Unguarded(mission.problem)
-    assert algorithm.terminate(*found[-1]) is Status.INFEASIBLE
+    subproblem = make_subproblem(mission.problem, rows, "frozen-covariance")
+    assert algorithm.terminate(subproblem, *found[-1]) is Status.INFEASIBLE
     iterates = [start, *(state.lin for state, _ in found)]
     solved, infeasible = 0, 2  # words of linprog
     assert feasible_points(mission, rows, iterates[0]) == solved

@@ -12,7 +12,8 @@ from formulations.program.penalty import PenaltyParameters
 from formulations.program.subproblem import Step
 from scp_recon.scp import ptr, scvx
 from scp_recon.scp.algorithms import ALGORITHMS
-from scp_recon.scp.loop import State, Timing, Trial
+from scp_recon.scp.loop import Record, State, Timing, Trial
+from scp_recon.scp.status import Status
 
 STEP = 0.1
 
@@ -82,3 +83,19 @@ def test_the_step_from_a_guess_is_taken_whatever_it_leads_to(
 ) -> None:
     before, after = after_a_step(monkeypatch, algorithm, 1.0, -1e3, at(0.0, flown=False))
     assert after.lin is not before.lin
+
+
+@pytest.mark.parametrize(("dv_max", "verdict"), [(0.1, Status.INFEASIBLE), (10.0, None)])
+def test_the_dearest_plan_is_told_by_the_limits_of_the_merit(
+    dv_max: float, verdict: Status | None
+) -> None:
+    """Above two burns of that size no plan can be; the iterate's own problem has other limits."""
+    algorithm = scvx.SCvx()
+    subproblem: Any = SimpleNamespace(
+        merit=SimpleNamespace(problem=SimpleNamespace(n_burns=2, dv_max=dv_max))
+    )
+    lin: Any = SimpleNamespace(problem=SimpleNamespace(n_burns=2, dv_max=1.0))
+    charge = PenaltyParameters(algorithm.weight_max)
+    state = State(lin, 1.0, 1.0, charge, stationary=True)
+    record = Record(1, 1.0, 0.0, 0.0, True, 1.0, 0.2, 0.1, 0.0, 0.0, 0.0)
+    assert algorithm.terminate(subproblem, state, record) is verdict

@@ -157,7 +157,7 @@ def test_multipliers_end_at_the_price_of_the_final_state(
 
     for k in itertools.count(1):
         state, record = algorithm.step(subproblem, mission.dynamics, state, k, Timing())
-        if algorithm.terminate(state, record):
+        if algorithm.terminate(subproblem, state, record):
             break
     assert state.charge.multipliers is not None
     step = np.zeros(6)

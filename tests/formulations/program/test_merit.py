@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given, settings
 
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.flyby import Iterate
+from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.merit import MeritFunction
 from formulations.program.penalty import PenaltyParameters, augmented_value, exact_value
 from formulations.registry import make_subproblem
 from formulations.rows.deterministic import DeterministicRows
+from tests.formulations.program.support import every_row
 from tests.helpers import Array, constrain, generators, random_flyby
 
 some = settings(max_examples=10)
@@ -127,3 +128,65 @@ def test_a_subproblem_costs_its_iterates_as_any_evaluation() -> None:
     assert subproblem.merit(lin, 3.0) == evaluation(lin, 3.0)
     moved = Linearisation(lin.problem, Iterate(2.0 * lin.iterate.burns, lin.iterate.mean), lin.arcs)
     assert subproblem.merit(moved, 3.0) == evaluation(moved, 3.0)
+
+
+def strange_flight(rng: np.random.Generator) -> tuple[FlybyProblem, Linearisation]:
+    """A problem, and a flight of one with other ends, another covariance and other limits."""
+    flyby = constrain(rng, random_flyby(rng, nodes=8, burns=4))
+    size = float(np.median(np.linalg.norm(flyby.burns, axis=1)))
+    problem = replace(flyby.problem, dv_max=0.8 * size)
+    strange = replace(
+        problem,
+        initial_state=problem.initial_state + 0.1 * rng.normal(size=6),
+        final_state=problem.final_state + 0.1 * rng.normal(size=6),
+        initial_factor=2.0 * problem.initial_factor,
+        dv_max=50.0 * size,
+        sun=problem.sun[::-1],
+        constraints=(),
+    )
+    burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
+    return problem, flyby.waves.linearise(strange, flyby.waves.rollout(strange, burns))
+
+
+@some
+@given(generators)
+def test_a_flight_from_elsewhere_is_judged_by_its_own_ends_and_the_merits_limits(
+    rng: np.random.Generator,
+) -> None:
+    problem, flight = strange_flight(rng)
+    allowed = replace(
+        flight.problem, dv_max=problem.dv_max, sun=problem.sun, constraints=problem.constraints
+    )
+    same = replace(flight, problem=allowed)  # as if it had been told everything
+    rows = every_row(same, "P2")
+    merit = MeritFunction(problem, rows)
+    found, expected = merit.violations(flight), MeritFunction(allowed, rows).violations(same)
+    assert list(found) == list(expected)
+    for name, amounts in found.items():
+        assert np.array_equal(amounts, expected[name])
+    sizes = np.linalg.norm(flight.iterate.burns, axis=1)
+    assert found["dv_max"] == pytest.approx(np.maximum(sizes - problem.dv_max, 0.0))
+    miss = flight.iterate.mean[-1] - flight.problem.final_state
+    assert merit.excess(flight)[:6] == pytest.approx(miss)
+    facets = every_row(same, "P2").margins(flight)
+    own = replace(flight, problem=replace(flight.problem, initial_factor=problem.initial_factor))
+    narrow = every_row(same, "P2").margins(own)
+    assert any(np.any(facets[name].margin < narrow[name].margin) for name in facets)
+
+
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+def test_a_subproblem_is_of_the_same_mind(formulation: str) -> None:
+    problem, flight = strange_flight(np.random.default_rng(3))
+    allowed = replace(
+        flight.problem, dv_max=problem.dv_max, sun=problem.sun, constraints=problem.constraints
+    )
+    same = replace(flight, problem=allowed)
+    rows = every_row(same, "P2")
+    steps = []
+    for at, lin in ((problem, flight), (allowed, same)):
+        subproblem = make_subproblem(at, rows, formulation)
+        subproblem.update(lin)
+        steps.append(subproblem.solve(1.0, 10.0))
+    assert steps[0].merit == pytest.approx(steps[1].merit)
+    assert steps[0].burns == pytest.approx(steps[1].burns, abs=1e-6)
+    assert np.linalg.norm(steps[0].burns, axis=1).max() < 2.0 * problem.dv_max
