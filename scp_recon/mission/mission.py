@@ -119,7 +119,10 @@ class Mission:
             initial_state=initial,
             final_state=_boundary_state(scenario, rotation, "final"),
             schedule=schedule,
-            times_s=make_grid((*scenario.burns.times_s, *window), scenario.grid.step_max_s),
+            times_s=make_grid(
+                (*scenario.burns.times_s, *window, *scenario.grid.nodes_s),
+                scenario.grid.step_max_s,
+            ),
             units=Units.of_orbit(initial, body.gm_m3_s2),
         )
 

@@ -20,6 +20,12 @@ def check_plausible(scenario: Scenario) -> None:
             the flight begins or ends inside the body or turns about it faster than the planner's steps.
     """
     duration, step = scenario.duration_s, scenario.grid.step_max_s
+    if max(scenario.grid.nodes_s, default=0.0) > duration:
+        raise InputError(
+            "grid.nodes_s",
+            f"{max(scenario.grid.nodes_s):g} s",
+            f"must be inside the flight of {duration:g} s",
+        )
     if duration / step > NODES_MAX:
         raise InputError(
             "grid.step_max_s",

@@ -102,6 +102,29 @@ class Provenance:
     method: Literal["scp", "ipopt", "none"] = "scp"
 
 
+@dataclass(frozen=True)
+class Certificate:
+    """What nonlinear flights of an exact plan reach, at every second.
+
+    Attributes:
+        samples: flights.
+        seed: of their errors, which planning has not seen.
+        reached: probability, of the node where it is least or of whole flights.
+        low: lower end of its confidence interval.
+        high: upper end.
+        at_nodes: the same probability of the nodes alone.
+        rounds: plans made until this one.
+    """
+
+    samples: int
+    seed: int
+    reached: float
+    low: float
+    high: float
+    at_nodes: float
+    rounds: int
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
@@ -118,6 +141,8 @@ class Plan:
     final: Stage
     timing: Timing
     total_s: float
+    aim: float | None = None
+    certificate: Certificate | None = None
 
     def __eq__(self, other: object) -> bool:
         """Whether another plan is the same but for the time it took."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
 from typing import Final, Literal
@@ -51,12 +51,13 @@ def plan(
     formulation: str = "condensed",
     algorithm: str = "scvx",
     solver: str = "CLARABEL",
+    aim: float | None = None,
     facet_rounds: int = 0,
     init: str = "given",
     observe: Observer | None = None,
 ) -> Plan:
     """Plan a mission once: `Planner.plan` with its arguments and those of `Planner`."""
-    planner = Planner(mission, formulation=formulation, algorithm=algorithm, solver=solver)
+    planner = Planner(mission, formulation=formulation, algorithm=algorithm, solver=solver, aim=aim)
     return planner.plan(
         guess, problem=problem, facet_rounds=facet_rounds, init=init, observe=observe
     )
@@ -72,6 +73,7 @@ class Planner:
         formulation: one of `formulations.registry.FORMULATIONS`.
         algorithm: a key of `algorithms.ALGORITHMS`.
         solver: one of `formulations.program.solvers.installed()`.
+        aim: probability that exact constraints are held to; what the scenario asks, if not given.
     """
 
     def __init__(
@@ -81,8 +83,10 @@ class Planner:
         formulation: str = "condensed",
         algorithm: str = "scvx",
         solver: str = "CLARABEL",
+        aim: float | None = None,
     ) -> None:
         self.mission: Final = mission
+        self.aim: Final = mission.scenario.risk.p_chance if aim is None else aim
         self.formulation: Final = formulation
         self.solver: Final = solver
         self.algorithm_name: Final = algorithm
@@ -115,7 +119,8 @@ class Planner:
         """
         stages = ScpStages(self, self.mission, self.algorithm)
         runner = StageRunner(self.mission, stages, observe, facet_rounds)
-        return runner.run(lambda: runner.plan(guess, problem), self._provenance(init))
+        plan = runner.run(lambda: runner.plan(guess, problem), self._provenance(init))
+        return replace(plan, aim=self._aim)
 
     def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.
@@ -151,7 +156,11 @@ class Planner:
             start = runner.start(last.final.result.lin.iterate)
             return runner.choose_again(runner.restore("P2", rows, start))
 
-        return runner.run(again, self._provenance("plan"))
+        return replace(runner.run(again, self._provenance("plan")), aim=self._aim)
+
+    @property
+    def _aim(self) -> float | None:
+        return self.aim if self.mission.scenario.risk.allocation == "exact" else None
 
     def _provenance(self, init: str) -> Provenance:
         return Provenance(self.formulation, self.algorithm_name, self.solver, init)
@@ -216,13 +225,13 @@ class ScpStages:
                 "'exact'",
                 f"goes with the formulation condensed, not with {self.planner.formulation}",
             )
-        problem, risk = self.mission.problem, self.mission.scenario.risk
-        if risk.scope == "node":
-            return [("", NodeRows(problem, risk.p_chance))]
+        problem, aim = self.mission.problem, self.planner.aim
+        if self.mission.scenario.risk.scope == "node":
+            return [("", NodeRows(problem, aim))]
         return [
-            (".node", NodeRows(problem, risk.p_chance, COARSE)),
-            (".coarse", FlightRows(problem, risk.p_chance, FEW_LINES, COARSE)),
-            ("", FlightRows(problem, risk.p_chance, LINES, FINE)),
+            (".node", NodeRows(problem, aim, COARSE)),
+            (".coarse", FlightRows(problem, aim, FEW_LINES, COARSE)),
+            ("", FlightRows(problem, aim, LINES, FINE)),
         ]
 
     def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:

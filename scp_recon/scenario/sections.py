@@ -178,6 +178,7 @@ class PolytopeSection(Section):
 
 
 class Grid(Section):
-    """Longest spacing of the nodes; burns and window edges are nodes besides."""
+    """Longest spacing of the nodes; burns and window edges are nodes besides, and so are `nodes_s`."""
 
     step_max_s: Annotated[float, Field(ge=1, le=1e7)]
+    nodes_s: Annotated[tuple[FlightTime, ...], Field(max_length=1000)] = ()

@@ -69,7 +69,10 @@ FLOORS = (
     *(f"formulations.{name}" for name in ("nlp", "registry")),
     *(f"scp_recon.{name}" for name in ("errors", "files", "scenario", "physics", "mission", "scp")),
     *(f"scp_recon.{name}" for name in ("planning", "solution", "monte_carlo", "spacecraft")),
-    *(f"scp_recon.{name}" for name in ("spacecraft.basilisk", "verification", "cli", "front_door")),
+    *(
+        f"scp_recon.{name}"
+        for name in ("spacecraft.basilisk", "verification", "certification", "cli", "front_door")
+    ),
     "scp_recon",  # the lazy front door, and the commands
     *(f"experiments.{name}" for name in ("studies", "observation_table", "compare_solvers")),
     "experiments",

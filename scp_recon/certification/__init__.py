@@ -1,0 +1,1 @@
+"""Plans whose promise is what nonlinear flights reach."""
