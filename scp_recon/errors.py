@@ -42,10 +42,9 @@ def whole_number(entry: str, given: object, low: int, high: int) -> int:
     Raises:
         InputError: if it is none, or beyond them.
     """
-    if not isinstance(given, Integral) or isinstance(given, bool) or not low <= given <= high:
-        allowed = f"must be a whole number from {low} to {high}"
-        raise InputError(entry, shortened(given), allowed)
-    return int(given)
+    if isinstance(given, Integral) and not isinstance(given, bool) and low <= int(given) <= high:
+        return int(given)
+    raise InputError(entry, shortened(given), f"must be a whole number from {low} to {high}")
 
 
 def shortened(given: object) -> str:

@@ -16,8 +16,9 @@ from scipy.special import ndtr
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball
 from scp_recon.mission.mission import Mission
+from scp_recon.scp.status import Status
 from scp_recon.solution.file import FacetTable, Solution, Violation, ViolationAmount
-from scp_recon.solution.times import strange_times
+from scp_recon.solution.times import TIME_ERROR_S, strange_times
 
 Array = npt.NDArray[np.float64]
 
@@ -42,13 +43,14 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
     if solution.problem == "P2" and not _are_sound(mission, solution.facets):
         return [*found, "facets"]
     margins = _margins(mission, solution)
-    stored = {c.name: c for c in solution.constraints}
-    if stored.keys() != margins.keys() or any(
-        abs(stored[name].worst_margin - margin.min()) > MARGIN_ERROR[_unit(name)]
-        for name, margin in margins.items()
-    ):
+    if not _are_results(mission, solution, margins):
         found.append("constraints")
-    if not (_is_violation(mission, solution, margins) and _adds_up(mission, solution.violation)):
+    converged = solution.status == Status.CONVERGED.value.name
+    if (
+        (converged and solution.violation.by_constraint)
+        or not _is_violation(mission, solution, margins)
+        or not _adds_up(mission, solution.violation)
+    ):
         found.append("violation")
     return found
 
@@ -82,6 +84,34 @@ def _margins(mission: Mission, solution: Solution) -> dict[str, Array]:
     room -= np.array(facets.quantile) * np.sqrt(np.maximum(variance, 0.0))
     name = np.array(facets.constraint)
     return margins | {c.name: room[name == c.name] for c in problem.constraints}
+
+
+def _nodes(mission: Mission, solution: Solution) -> dict[str, npt.NDArray[np.intp]]:
+    """Node of every row of `_margins`."""
+    problem, facets = mission.problem, solution.facets
+    nodes = dict.fromkeys(("dv_max", "dv_battery"), problem.burn_nodes)
+    if solution.problem == "P3" or facets is None:
+        return nodes | {c.name: c.nodes for c in problem.constraints}
+    name, node = np.array(facets.constraint), np.array(facets.node, dtype=np.intp)
+    return nodes | {c.name: node[name == c.name] for c in problem.constraints}
+
+
+def _are_results(mission: Mission, solution: Solution, margins: dict[str, Array]) -> bool:
+    """Whether each constraint is told once, with its kind and its margin where that is smallest."""
+    stored, nodes = {c.name: c for c in solution.constraints}, _nodes(mission, solution)
+    if len(stored) != len(solution.constraints) or stored.keys() != margins.keys():
+        return False
+    kinds = {c.name: f"keep_{c.keep}" for c in mission.problem.constraints}
+    for name, margin in margins.items():
+        told, unit = stored[name], _unit(name)
+        there = np.abs(mission.times_s[nodes[name]] - told.worst_t_s) <= TIME_ERROR_S
+        facets = there.sum() if solution.problem == "P2" and name in kinds else 0
+        least = np.array([margin.min(), margin[there].min(initial=np.inf)])
+        if np.abs(told.worst_margin - least).max() > MARGIN_ERROR[unit]:
+            return False
+        if (told.kind, told.unit, told.facets) != (kinds.get(name, "burn"), unit, facets):
+            return False
+    return True
 
 
 def _inside(constraint: StateConstraint, position: Array, length: float) -> Array:

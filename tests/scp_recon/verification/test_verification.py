@@ -192,6 +192,38 @@ def burn_margin(data: dict[str, Any]) -> None:
     entry["worst_margin"] += 1e-6
 
 
+def worst_time(data: dict[str, Any]) -> None:
+    data["constraints"][3]["worst_t_s"] = -99.0
+
+
+def another_nodes_time(data: dict[str, Any]) -> None:
+    entry = next(c for c in data["constraints"] if c["name"] == "dv_max")
+    entry["worst_t_s"] = 25_000.0 if entry["worst_t_s"] != 25_000.0 else 0.0
+
+
+def count_of_facets(data: dict[str, Any]) -> None:
+    data["constraints"][2]["facets"] += 1
+
+
+def kind_of_constraint(data: dict[str, Any]) -> None:
+    entry = data["constraints"][2]
+    entry["kind"] = "keep_in" if entry["kind"] != "keep_in" else "keep_out"
+
+
+def unit_of_a_margin(data: dict[str, Any]) -> None:
+    data["constraints"][2]["unit"] = "m/s"
+
+
+def constraint_told_twice(data: dict[str, Any]) -> None:
+    data["constraints"].append(data["constraints"][2])
+
+
+def violation_in_a_rounding(data: dict[str, Any]) -> None:
+    """Too small to contradict the margins: but where something is violated nothing has converged."""
+    amount = {"max": 1e-3, "total": 1e-1, "unit": "m"}
+    data["violation"] = {"max": 1e-3, "total": 1e-1, "by_constraint": {"safety_radius": amount}}
+
+
 def constraint_left_out(data: dict[str, Any]) -> None:
     del data["constraints"][2]
 
@@ -263,7 +295,13 @@ def facet_of_another(data: dict[str, Any]) -> None:
     [
         *((c, "constraints") for c in (constraint_margin, burn_margin)),
         *((c, "constraints") for c in (constraint_left_out, constraint_made_up)),
+        *((c, "constraints") for c in (worst_time, another_nodes_time, count_of_facets)),
+        *(
+            (c, "constraints")
+            for c in (kind_of_constraint, unit_of_a_margin, constraint_told_twice)
+        ),
         *((c, "violation") for c in (violation_made_up, violation_of_nothing)),
+        (violation_in_a_rounding, "violation"),
         *((c, "violation") for c in (violation_in_sum, violation_of_next_to_nothing)),
         (empty_violation, "violation"),
         *((c, "facets") for c in (no_facets, fewer_facets, facets_of_nothing, more_risk)),
