@@ -32,7 +32,7 @@ class SubproblemMaker(Protocol):
 
 
 def subproblem_maker(formulation: str) -> SubproblemMaker:
-    """What makes a formulation's subproblems, in CVXPY, which takes a second to import: here.
+    """What makes a formulation's subproblems. CVXPY takes a second to import, so it is imported here.
 
     Args:
         formulation: one of `FORMULATIONS`.

@@ -34,7 +34,10 @@ from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
 PROJECT = Path(__file__).parents[1]
-PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").glob("*.md"))]
+PAGES = [
+    *(PROJECT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *sorted((PROJECT / "docs").glob("*.md")),
+]
 
 # --- what is shown --------------------------------------------------------------------------------
 
@@ -71,7 +74,7 @@ def shown() -> dict[str, str]:
     for page in PAGES:
         text = page.read_text("utf-8")
         lines = [line for block in blocks(text) for line in block.splitlines()]
-        lines = [line for line in lines if COMMAND.match(line)]
+        lines = [part for line in lines for part in line.split(" && ") if COMMAND.match(part)]
         lines += [" ".join(line.split()) for line in INLINE.findall(text)]
         for line in lines:
             found.setdefault(normal(line), page.name)
@@ -392,12 +395,24 @@ def test_scenarios_that_are_shown_are_read(tmp_path: Path) -> None:
         assert load_scenario(tmp_path / "mine.toml") != load_scenario()
 
 
-def test_python_that_is_shown_runs(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One snippet after the other, as in one session, with fewer flights."""
-    snippets = snippets_of("README.md")["python"]
-    assert snippets
+SHOWING_PYTHON = {
+    page: found
+    for page in (str(path.relative_to(PROJECT)) for path in PAGES)
+    if (found := snippets_of(page)["python"])
+}
+
+
+@pytest.mark.parametrize("page", SHOWING_PYTHON)
+def test_python_that_is_shown_runs(
+    page: str, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One snippet of a page after the other, as in one session, with fewer flights."""
     monkeypatch.chdir(workspace.folder)
     names: dict[str, object] = {}
-    for block in snippets:
+    for block in SHOWING_PYTHON[page]:
         few = re.sub(r"samples=[\d_]+", "samples=500", block)
-        exec(compile(few, "README.md", "exec"), names)
+        exec(compile(few, page, "exec"), names)
+
+
+def test_the_readme_shows_python() -> None:
+    assert "README.md" in SHOWING_PYTHON

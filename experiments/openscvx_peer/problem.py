@@ -47,7 +47,7 @@ def pose(mission: Mission, start: Iterate, stride: int) -> Problem:
     """P3 of a mission, nondimensional; of the nodes outside the window every `stride`-th is kept."""
     import openscvx as ox
 
-    p, units = mission.problem, mission.units
+    units = mission.units
     nodes = np.union1d(mission.window_nodes, mission.burn_nodes)
     nodes = np.union1d(nodes, np.arange(0, len(mission.times_s), stride))
     times = mission.times_s[nodes]
@@ -56,35 +56,9 @@ def pose(mission: Mission, start: Iterate, stride: int) -> Problem:
     burn_nodes = np.searchsorted(nodes, mission.burn_nodes)
     at = burn_nodes.tolist()
 
-    position, velocity = ox.State("position", shape=(3,)), ox.State("velocity", shape=(3,))
-    spent = ox.State("spent", shape=(1,))
-    for state, part in ((position, slice(0, 3)), (velocity, slice(3, 6))):
-        state.min, state.max = [-3.0] * 3, [3.0] * 3
-        state.initial, state.final = p.initial_state[part], p.final_state[part]
-        state.guess = start.mean[nodes, part]
-    size_max = p.dv_max * p.n_burns
-    spent.min, spent.max, spent.initial = [0.0], [size_max], [0.0]
-    spent.final = [ox.Minimize(start.total_dv)]
-    spent.guess = np.linspace(0.0, start.total_dv, count)[:, None]
-    burn = ox.Control("burn", shape=(3,), parameterization="impulsive", nodes=at)
-    size = ox.Control("size", shape=(1,), parameterization="impulsive", nodes=at)
-    burn.min, burn.max = [-p.dv_max] * 3, [p.dv_max] * 3
-    size.min, size.max = [0.0], [p.dv_max]
-    burn.guess, size.guess = np.zeros((count, 3)), np.zeros((count, 1))
-    burn.guess[at] = start.burns
-    size.guess[at] = np.linalg.norm(start.burns, axis=1, keepdims=True)
-    end = float(t[-1])
-    # Its default asks arcs of at least three tenths of the mean, which the window's are not.
-    shortest = 0.5 * float(np.diff(t).min()) * (count - 1)
-    time = ox.Time(
-        initial=0.0,
-        final=end,
-        min=0.0,
-        max=end,
-        guess=t,
-        time_dilation_min=min(shortest, 0.3 * end),
-    )
-
+    position, velocity, spent = _states(ox, mission, start, nodes)
+    burn, size = _impulses(ox, mission, start, count, at)
+    time = _time(ox, t)
     constraints = [
         *((time[0] == float(t[k])).convex().at([k]) for k in range(1, count - 1)),
         *((ox.linalg.Norm(burn) <= size[0]).convex().at([k]) for k in at),
@@ -113,6 +87,49 @@ def pose(mission: Mission, start: Iterate, stride: int) -> Problem:
             "float_dtype": "float64",
         },
         burn_nodes,
+    )
+
+
+def _states(ox: Any, mission: Mission, start: Iterate, nodes: npt.NDArray[np.intp]) -> list[Any]:
+    """Position, velocity, and the delta-v spent, whose end is the cost."""
+    p = mission.problem
+    position, velocity = ox.State("position", shape=(3,)), ox.State("velocity", shape=(3,))
+    spent = ox.State("spent", shape=(1,))
+    for state, part in ((position, slice(0, 3)), (velocity, slice(3, 6))):
+        state.min, state.max = [-3.0] * 3, [3.0] * 3
+        state.initial, state.final = p.initial_state[part], p.final_state[part]
+        state.guess = start.mean[nodes, part]
+    spent.min, spent.max, spent.initial = [0.0], [p.dv_max * p.n_burns], [0.0]
+    spent.final = [ox.Minimize(start.total_dv)]
+    spent.guess = np.linspace(0.0, start.total_dv, len(nodes))[:, None]
+    return [position, velocity, spent]
+
+
+def _impulses(ox: Any, mission: Mission, start: Iterate, count: int, at: list[int]) -> list[Any]:
+    """The burns, and the bounds on their sizes."""
+    dv_max = mission.problem.dv_max
+    burn = ox.Control("burn", shape=(3,), parameterization="impulsive", nodes=at)
+    size = ox.Control("size", shape=(1,), parameterization="impulsive", nodes=at)
+    burn.min, burn.max = [-dv_max] * 3, [dv_max] * 3
+    size.min, size.max = [0.0], [dv_max]
+    burn.guess, size.guess = np.zeros((count, 3)), np.zeros((count, 1))
+    burn.guess[at] = start.burns
+    size.guess[at] = np.linalg.norm(start.burns, axis=1, keepdims=True)
+    return [burn, size]
+
+
+def _time(ox: Any, times: Array) -> Any:
+    """Time, which is a state; it passes the nodes at `times`."""
+    end = float(times[-1])
+    # Its default asks arcs of at least three tenths of the mean, which the window's are not.
+    shortest = 0.5 * float(np.diff(times).min()) * (len(times) - 1)
+    return ox.Time(
+        initial=0.0,
+        final=end,
+        min=0.0,
+        max=end,
+        guess=times,
+        time_dilation_min=min(shortest, 0.3 * end),
     )
 
 

@@ -39,10 +39,10 @@ SLOTS = 32
 """For each size of cone, to begin with."""
 
 FEW = 8
-"""Times as many rows may be missed as there are slots for, of a solver that is quick to ask again."""
+"""How many missed rows may wait for one free slot, where the solver is kept and quick to ask again."""
 
 MISSED = 1e-9
-"""Violation of a row that takes no part at which it has to: the conic solver's own tolerance."""
+"""Violation from which on a row that was left out is put in: the conic solver's own tolerance."""
 
 
 class ConeSize(NamedTuple):

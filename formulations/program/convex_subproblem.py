@@ -50,7 +50,7 @@ class ConvexSubproblem(Subproblem):
         says nothing about where it will point. A first answer without its planes does, and bounds what
         any direction promises. If that answer lies in a cone, two more follow: with planes towards it,
         and with planes towards where the burn points already, which is no worse than no step. The
-        better of the two counts. From a guess there is no step to compare with: the first answer is it.
+        better of the two counts. From a guess there is no step to compare with, and the first counts.
         """
         charge = charge if isinstance(charge, PenaltyParameters) else PenaltyParameters(charge)
         burns = self._at.iterate.burns

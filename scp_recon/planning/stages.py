@@ -79,7 +79,7 @@ class StageRunner:
     _choices: dict[str, int] = field(default_factory=dict)
 
     def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
-        """Do it; an interrupted plan ends with the best stage so far, if there is one."""
+        """Run the stages of a plan; an interrupted one ends with the best stage so far, if any."""
         started = perf_counter()
         try:
             final = work()

@@ -74,7 +74,7 @@ class SCvxStar(SCvx):
         return state
 
     def _worth(self, charge: PenaltyParameters, record: Record) -> float:  # noqa: ARG002 -- as inherited
-        """Whether there is hope, the multipliers tell."""
+        """The same at every weight: the multipliers tell whether violations can be removed."""
         return self._negligible(record)
 
     def _heavier(self, subproblem: Subproblem, state: State) -> float | None:  # noqa: ARG002 -- as inherited

@@ -25,7 +25,7 @@ class Sensors:
 
     @property
     def models(self) -> list[sysModel.SysModel]:
-        """All of them."""
+        """Star tracker, gyro and Sun sensors, as Basilisk's tasks take them."""
         return [self.star_tracker, self.gyro, *self.suns]
 
 
