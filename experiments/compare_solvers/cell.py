@@ -14,7 +14,7 @@ from experiments.compare_solvers.cases import IPOPT, UNGUARDED, Cell, Method, st
 from experiments.compare_solvers.row import Row, empty_row
 from experiments.compare_solvers.unguarded import Unguarded
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import choose_facets, included_rows
+from formulations.problem.facets import choose_facets
 from formulations.problem.flyby import Iterate
 from formulations.program.merit import MeritFunction
 from formulations.rows.chance import ChanceRows
@@ -22,7 +22,14 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Plan, Provenance
-from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Planner, ScpStages, plan
+from scp_recon.planning.planner import (
+    CLEARANCE_M,
+    PROGRAM_NODES_MAX,
+    Planner,
+    ScpStages,
+    plan,
+    screened,
+)
 from scp_recon.planning.stages import RowsSolver, StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.scvx import SCvx
@@ -154,9 +161,7 @@ def _from_p3(mission: Mission, cell: Cell) -> _Found:
     p3 = plan(mission, start_of(mission, cell), problem="P3").final.result.lin
     problem = mission.problem
     facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
-    margin = facets.margin(p3.iterate.mean, p3.factor)
-    clearance = CLEARANCE_M / mission.units.length_m
-    included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
+    included = screened(mission, facets, p3, CLEARANCE_M, PROGRAM_NODES_MAX)
     runner = StageRunner(mission, _solver_of_rows(mission, cell.method))
     provenance = Provenance(
         cell.method.formulation, cell.method.algorithm, cell.method.solver, "p3"

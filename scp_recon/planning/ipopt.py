@@ -13,7 +13,7 @@ import numpy as np
 from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp.program import Arcs, Start
 from formulations.nlp.solve import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
-from formulations.problem.facets import Facets, included_rows
+from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
 from formulations.program.merit import MeritFunction
 from formulations.rows.chance import ChanceRows
@@ -25,7 +25,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import acceleration
 from scp_recon.planning.plan import Plan, Provenance, Stage
-from scp_recon.planning.planner import CLEARANCE_M
+from scp_recon.planning.planner import CLEARANCE_M, screened
 from scp_recon.planning.stages import Observer, StageRunner
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.scvx import SCvx
@@ -118,13 +118,9 @@ class IpoptStages:
     def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """P2's constraints on given facets, screened as the planner screens them."""
         mission = self.mission
-        margin = facets.margin(lin.iterate.mean, lin.factor)
-        clearance = CLEARANCE_M / mission.units.length_m if self.variant.screened else np.inf
-        return ChanceRows(
-            mission.problem,
-            facets,
-            included_rows(facets, margin, clearance, mission.problem.n_nodes),
-        )
+        clearance_m = CLEARANCE_M if self.variant.screened else np.inf
+        included = screened(mission, facets, lin, clearance_m, mission.problem.n_nodes)
+        return ChanceRows(mission.problem, facets, included)
 
     def exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
         """There are none."""

@@ -9,6 +9,7 @@ from time import perf_counter
 from typing import Final, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, included_rows
@@ -61,6 +62,22 @@ def plan(
     return planner.plan(
         guess, problem=problem, facet_rounds=facet_rounds, init=init, observe=observe
     )
+
+
+def screened(
+    mission: Mission, facets: Facets, lin: Linearisation, clearance_m: float, nodes_max: int
+) -> npt.NDArray[np.bool_]:
+    """Facets that take part in the program of P2 to begin with, shape (facets,).
+
+    Args:
+        mission: of the facets.
+        facets: all of them.
+        lin: where they are looked at.
+        clearance_m: distance from binding beyond which they stay out.
+        nodes_max: nodes that they may be at, those nearest to binding.
+    """
+    margin = facets.margin(lin.iterate.mean, lin.factor)
+    return included_rows(facets, margin, clearance_m / mission.units.length_m, nodes_max)
 
 
 class Planner:
@@ -172,11 +189,9 @@ class Planner:
 
     def p2_rows(self, facets: Facets, lin: Linearisation, clearance_m: float) -> ChanceRows:
         """P2's constraints, those in the program that an iterate comes near; the last are kept."""
-        margin = facets.margin(lin.iterate.mean, lin.factor)
-        clearance = clearance_m / self.mission.units.length_m
         lifted = self.formulation == "lifted"
         nodes_max = PROGRAM_NODES_MAX if lifted else self.mission.problem.n_nodes
-        included = included_rows(facets, margin, clearance, nodes_max)
+        included = screened(self.mission, facets, lin, clearance_m, nodes_max)
         kept = self._p2_rows
         if kept is None or kept.facets is not facets or np.any(kept.included != included):
             self._p2_rows = kept = ChanceRows(self.mission.problem, facets, included)

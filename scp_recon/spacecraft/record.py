@@ -98,12 +98,8 @@ def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
 
 
 def inputs_digest(solution: Solution, vehicle: Vehicle) -> str:
-    """SHA-256 of what is flown: scenario, burns and vehicle; flights of the same differ by the seed."""
-    inputs = {
-        "scenario": solution.scenario.model_dump(mode="json"),
-        "burns": solution.burns_m_s.tolist(),
-        "vehicle": vehicle.model_dump(mode="json"),
-    }
+    """SHA-256 of what is flown: plan and vehicle; flights of the same differ by the seed."""
+    inputs = {"plan_hash": solution.plan_hash, "vehicle": vehicle.model_dump(mode="json")}
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
 

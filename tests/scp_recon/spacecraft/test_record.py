@@ -77,3 +77,9 @@ def test_the_digest_knows_every_entry_of_the_vehicle(
     other = vehicle.model_copy(update={"errors": errors})
     digests = {inputs_digest(short_solution, v) for v in (vehicle, vehicle, other)}
     assert len(digests) == 2
+    first, *others = short_solution.burns
+    moved = first.model_copy(update={"dv_m_s": (*first.dv_m_s[:2], first.dv_m_s[2] + 1e-9)})
+    elsewhere = short_solution.model_copy(update={"burns": [moved, *others]})
+    assert inputs_digest(elsewhere, vehicle) not in digests
+    again = short_solution.model_copy(update={"message": "planned again"})
+    assert inputs_digest(again, vehicle) in digests
