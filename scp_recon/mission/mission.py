@@ -14,7 +14,9 @@ import numpy.typing as npt
 from formulations.problem.facets import Polytopes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
+from scp_recon.mission.checks import check_given, check_window
 from scp_recon.mission.constraints import state_constraints
+from scp_recon.mission.given import Given
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.plausibility import check_plausible
 from scp_recon.mission.schedule import Schedule, find_window, make_schedule
@@ -23,6 +25,7 @@ from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.warning import ScenarioWarning
 
 Array = npt.NDArray[np.float64]
 
@@ -67,6 +70,7 @@ class Mission:
         schedule: window and attitude modes.
         times_s: nodes of the grid, shape (n,).
         units: of the nondimensional problem.
+        warnings: what is hardly as it was meant, and goes with every verdict.
     """
 
     scenario: Scenario
@@ -77,6 +81,7 @@ class Mission:
     schedule: Schedule
     times_s: Array
     units: Units
+    warnings: tuple[ScenarioWarning, ...] = ()
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> Mission:
@@ -84,7 +89,7 @@ class Mission:
 
         Raises:
             InputError: if there is no window, a firing time breaks a rule of the schedule, or
-                entries do not make sense together (`plausibility`).
+                entries do not make sense together (`plausibility`, `checks`).
         """
         check_plausible(scenario)
         body = scenario.body
@@ -102,6 +107,8 @@ class Mission:
             np.array(scenario.site.position_body_m), unit(scenario.site.normal_body)
         )
 
+        warnings = check_given(Given(scenario, rotation, site))
+
         def incidence(time: Array) -> Array:
             track = geometry.track(site, rotation, time)
             return geometry.incidence(track, sun_direction(scenario, time))
@@ -110,6 +117,7 @@ class Mission:
             return geometry.local_solar_time(site, rotation, sun_direction(scenario, time), time)
 
         window = find_window(scenario, incidence, solar_time)
+        warnings += check_window(scenario, window, incidence, solar_time)
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
         initial = _boundary_state(scenario, rotation, "initial")
         return cls(
@@ -124,6 +132,7 @@ class Mission:
                 scenario.grid.step_max_s,
             ),
             units=Units.of_orbit(initial, body.gm_m3_s2),
+            warnings=warnings,
         )
 
     def with_initial_state(self, state: Array) -> Mission:

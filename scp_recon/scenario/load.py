@@ -10,6 +10,7 @@ from typing import Any
 
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
+from scp_recon.scenario.inheritance import check_inherited
 from scp_recon.scenario.schema import Scenario, merge, nested
 
 BYTES_MAX = 1_000_000
@@ -31,7 +32,7 @@ def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ())
         InputError: naming the entry, what was given and what is allowed.
     """
     name = "recon_b" if path is None else str(path)
-    data = _packaged(name) if name in base_names() else _read(Path(name))
+    data = packaged(name) if name in base_names() else _read(Path(name))
     return validate_scenario(data, overrides)
 
 
@@ -44,7 +45,10 @@ def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) ->
     merged = _with_base(data)
     for override in overrides:
         merged = merge(merged, _parse_override(override))
-    return Scenario.validated(merged)
+    scenario = Scenario.validated(merged)
+    if (base := _before(data)) is not None:
+        check_inherited(base.model_dump(), scenario.model_dump())
+    return scenario
 
 
 def base_names() -> list[str]:
@@ -55,7 +59,8 @@ def base_names() -> list[str]:
     )
 
 
-def _packaged(name: str) -> dict[str, Any]:
+def packaged(name: str) -> dict[str, Any]:
+    """Tables of a scenario in the package."""
     return tomllib.loads((files("scp_recon") / "data" / f"{name}.toml").read_text(encoding="utf-8"))
 
 
@@ -77,7 +82,17 @@ def _with_base(data: Mapping[str, Any]) -> dict[str, Any]:
         return own
     if data["base"] not in base_names():
         raise InputError("base", repr(data["base"]), f"must be one of {', '.join(base_names())}")
-    return merge(_packaged(data["base"]), own)
+    return merge(packaged(data["base"]), own)
+
+
+def _before(data: Mapping[str, Any]) -> Scenario | None:
+    """What overrides and a derived file change: the base, or the file's own scenario if it is whole."""
+    if "base" in data:
+        return Scenario.validated(packaged(data["base"]))
+    try:
+        return Scenario.validated(data)
+    except InputError:
+        return None
 
 
 def _parse_override(override: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from scp_recon.errors import InputError
 from scp_recon.scenario.fields import Name, Section
+from scp_recon.scenario.inheritance import check_inherited
 from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.sections import (
     Battery,
@@ -81,7 +82,9 @@ class Scenario(Section):
         data: dict[str, Any] = self.model_dump(mode="json")
         for entry, value in changes.items():
             data = merge(data, nested(entry.split("."), value))
-        return self.validated(data)
+        replaced = self.validated(data)
+        check_inherited(self.model_dump(), replaced.model_dump())
+        return replaced
 
 
 def nested(keys: Sequence[str], value: Any) -> dict[str, Any]:

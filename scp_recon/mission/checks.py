@@ -1,0 +1,90 @@
+"""Whether a mission is hardly what was meant: units, axes, and entries that contradict each other.
+
+Every check computes what the other entries make of one of them. What no body and no flight about one
+reaches is refused, as kilometres in the place of metres are; what is unlikely becomes a warning.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.errors import InputError
+from scp_recon.mission import body_checks, flight_checks, sun_checks
+from scp_recon.mission.given import Given
+from scp_recon.mission.schedule import SCAN_STEP_S
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.warning import ScenarioWarning
+
+Array = npt.NDArray[np.float64]
+Times = Callable[[Array], Array]
+
+CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
+    body_checks.copied,
+    body_checks.density,
+    body_checks.spin,
+    body_checks.known_body,
+    body_checks.site_position,
+    body_checks.site_normal,
+    sun_checks.distance,
+    sun_checks.orbit,
+    flight_checks.safety,
+    flight_checks.site_distances,
+    flight_checks.boundary,
+    flight_checks.burn_size,
+    flight_checks.limit_angles,
+    flight_checks.spacecraft,
+)
+"""What a mission is held to, in this order; a check that knows an ephemeris belongs after `orbit`."""
+WINDOW_SLACK = 0.05
+"""In degrees, or hours: a window given to the nearest second is no other one."""
+
+
+def check_given(given: Given) -> tuple[ScenarioWarning, ...]:
+    """Run every check of `CHECKS`.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    return tuple(found for check in CHECKS for found in check(given))
+
+
+def check_window(
+    scenario: Scenario, window: tuple[float, float], incidence: Times, local_solar_time: Times
+) -> tuple[ScenarioWarning, ...]:
+    """Hold a window that was given to the limits it stands in for, between its edges too.
+
+    Args:
+        scenario: gives the limits.
+        window: s.
+        incidence: solar incidence at the site in rad, of times in s.
+        local_solar_time: at the site in h, of times in s.
+
+    Raises:
+        InputError: if the site is dark at some time in it.
+    """
+    limits, entry = scenario.observation, "observation.window_s"
+    if limits.window_s is None:
+        return ()
+    first, last = window
+    times = np.linspace(first, last, int(np.ceil((last - first) / SCAN_STEP_S)) + 1)
+    angles, hours = np.rad2deg(incidence(times)), local_solar_time(times)
+    worst, given = float(angles.max()), f"[{first:g}, {last:g}] s"
+    at = float(times[np.argmax(angles)])
+    if worst >= 90.0:
+        dark = f"{given}, in which incidence reaches {worst:.1f} deg at {at:.0f} s"
+        limit = f"the limit is {limits.incidence_max_deg:g} deg"
+        raise InputError(entry, dark, f"must keep the site in the light, below 90 deg; {limit}")
+    found = []
+    if worst > limits.incidence_max_deg + WINDOW_SLACK:
+        text = f"{given}, in which incidence reaches {worst:.1f} deg at {at:.0f} s"
+        expected = f"observation.incidence_max_deg is {limits.incidence_max_deg:g} deg"
+        found.append(ScenarioWarning.of(entry, text, expected))
+    low, high = limits.local_solar_time_min_h, limits.local_solar_time_max_h
+    if hours.min() < low - WINDOW_SLACK or hours.max() > high + WINDOW_SLACK:
+        text = f"{given}, in which it is {hours.min():.2f} to {hours.max():.2f} h local solar time"
+        expected = f"observation.local_solar_time_min_h and _max_h are {low:g} and {high:g} h"
+        found.append(ScenarioWarning.of(entry, text, expected))
+    return tuple(found)
