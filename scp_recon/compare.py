@@ -16,6 +16,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from scp_recon.cli.warnings import show_warnings
+from scp_recon.errors import printable
 from scp_recon.solution.comparison import compare
 from scp_recon.solution.file import read_solution
 
@@ -31,7 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _compare(paths: Sequence[Path], console: Console) -> int:
-    found = compare([str(path) for path in paths], [read_solution(path) for path in paths])
+    solutions = [read_solution(path) for path in paths]
+    found = compare([str(path) for path in paths], solutions)
     heading, *rows = found.cells()
     table = Table(box=None, header_style="bold", pad_edge=False)
     for number, name in enumerate(heading):
@@ -39,6 +42,8 @@ def _compare(paths: Sequence[Path], console: Console) -> int:
     for row in rows:
         table.add_row(*map(Text, row))
     console.print(table)
+    for path, solution in zip(paths, solutions, strict=True):
+        show_warnings(console, solution.warnings, of=printable(str(path)))
     return 0
 
 

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from scp_recon.cli.keeping import keep_plan
 from scp_recon.errors import InputError, one_of, shortened, whole_number
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
@@ -134,6 +135,9 @@ def check(plan: Plan) -> Verification:
 def save(plan: Plan, folder: str | Path) -> Path:
     """Verify a plan and write its `solution.json` into a folder, whole or not at all.
 
+    A plan that is not verified goes beside a verified one that is there, as `solution_unverified.json`;
+    what was made of another plan is set aside (`old_montecarlo.json`).
+
     Raises:
         InputError: if it is no plan, or the folder cannot be written.
     """
@@ -141,7 +145,7 @@ def save(plan: Plan, folder: str | Path) -> Path:
     path = Path(folder)
     check_writable(path, FILE_NAME, "folder")
     try:
-        return _solution(plan).write(path)
+        return keep_plan(_solution(plan), path)[0]
     except OSError as error:
         raise unwritable(path, "folder", error) from None
 

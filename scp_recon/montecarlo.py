@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command, show_written
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -16,7 +16,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from scp_recon.cli.flight_tables import show_summary
+from scp_recon.cli.keeping import check_holds
 from scp_recon.cli.options import SEED, int_between
+from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import (
@@ -24,10 +26,13 @@ from scp_recon.monte_carlo.flights import (
     SAMPLES_MIN,
     WORKERS_MAX,
     FlightConfig,
+    FlightTally,
     fly_many,
 )
 from scp_recon.monte_carlo.summary import FILE_NAME, summarise
+from scp_recon.monte_carlo.verdict import probability_asked, shortfalls
 from scp_recon.solution.file import read_solution
+from scp_recon.solution.runs import folder_of, only_run_in, resolve_run
 
 
 def parser() -> argparse.ArgumentParser:
@@ -87,35 +92,44 @@ def _width(text: str) -> float:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line; 4 where what was asked is not met."""
     options = parser().parse_args(arguments)
     return run_command(lambda console: _fly(options, console))
 
 
 def _fly(options: argparse.Namespace, console: Console) -> int:
-    solution = read_solution(options.solution)
-    folder = options.solution if options.solution.is_dir() else options.solution.parent
-    check_writable(folder, FILE_NAME, "folder")
+    home = resolve_run(options.solution)
+    solution, folder = read_solution(home), folder_of(home)
     mission = Mission.from_scenario(solution.scenario)
     config = FlightConfig(mission, solution.burns_m_s, options.seed, options.truth, options.errors)
+    check_writable(folder, FILE_NAME, "folder")
+    check_holds(folder, solution, "folder")
+    with only_run_in(folder, "folder"):
+        summary = summarise(_flown(options, config), solution)
+        try:
+            path = summary.write(folder)
+        except OSError as error:
+            raise unwritable(folder, "folder", error) from None
+    show_summary(console, summary, probability_asked(solution))
+    show_warnings(console, [*solution.warnings, *mission.warnings])
+    failed = shortfalls(summary, solution)
+    show_verdict(console, "as asked", failed)
+    show_written(console, path)
+    return NOT_VERIFIED if failed else 0
+
+
+def _flown(options: argparse.Namespace, config: FlightConfig) -> FlightTally:
+    """Fly, with a bar that grows."""
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("flights", total=options.samples)
-        flown = fly_many(
+        return fly_many(
             config,
             samples=options.samples,
             until=options.until,
             workers=options.workers,
             progress=lambda done: bar.update(task, completed=done),
         )
-    summary = summarise(flown, solution)
-    try:
-        path = summary.write(folder)
-    except OSError as error:
-        raise unwritable(folder, "folder", error) from None
-    show_summary(console, summary)
-    show_written(console, path)
-    return 0
 
 
 if __name__ == "__main__":

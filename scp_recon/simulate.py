@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command, show_written
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -17,12 +17,17 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
 from rich.table import Table
 
+from scp_recon.cli.keeping import check_holds
 from scp_recon.cli.options import SEED
+from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.files import check_writable, unwritable
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.runs import folder_of, only_run_in, resolve_run
 from scp_recon.spacecraft.basilisk.optional import needing_basilisk
+from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.record import FILE_NAME, make_record, write_record
-from scp_recon.spacecraft.vehicle import load_vehicle
+from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
+from scp_recon.spacecraft.verdict import shortfalls
 
 
 def parser() -> argparse.ArgumentParser:
@@ -45,32 +50,44 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; 0, 2 after bad input or without Basilisk, 130 if interrupted."""
+    """Run the command line; 0, 2 after bad input or without Basilisk, 4 if less than asked is kept."""
     options = parser().parse_args(arguments)
     return run_command(lambda console: _simulate(options, console))
 
 
 def _simulate(options: argparse.Namespace, console: Console) -> int:
     with needing_basilisk("python -m scp_recon.simulate"):
-        from scp_recon.spacecraft.basilisk.simulation import simulate
-    solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
-    home = options.solution if options.solution.is_dir() else options.solution.parent
-    folder = options.out or home
+        import scp_recon.spacecraft.basilisk.simulation  # noqa: F401
+    home = resolve_run(options.solution)
+    solution, vehicle = read_solution(home), load_vehicle(options.vehicle)
+    folder = options.out or folder_of(home)
     check_writable(folder, FILE_NAME, "--out")
+    check_holds(folder, solution, "--out")
+    with only_run_in(folder, "--out"):
+        flight = _flight(options, solution, vehicle)
+        record = make_record(flight, solution, options.seed)
+        try:
+            path = write_record(record, folder)
+        except OSError as error:
+            raise unwritable(folder, "--out", error) from None
+    show(console, record.summary)
+    show_warnings(console, [*solution.warnings, *flight.plan.mission.warnings])
+    failed = shortfalls(record.summary, solution)
+    show_verdict(console, "as asked", failed)
+    show_written(console, path)
+    return NOT_VERIFIED if failed else 0
+
+
+def _flight(options: argparse.Namespace, solution: Solution, vehicle: Vehicle) -> Flight:
+    """Fly, with a bar that grows."""
+    from scp_recon.spacecraft.basilisk.simulation import simulate
+
     columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task("flight", total=solution.scenario.duration_s)
-        flight = simulate(
+        return simulate(
             solution, vehicle, options.seed, progress=lambda time: bar.update(task, completed=time)
         )
-    record = make_record(flight, solution, options.seed)
-    try:
-        path = write_record(record, folder)
-    except OSError as error:
-        raise unwritable(folder, "--out", error) from None
-    show(console, record.summary)
-    show_written(console, path)
-    return 0
 
 
 def show(console: Console, summary: dict[str, Any]) -> None:

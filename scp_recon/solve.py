@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import (
+    NOT_VERIFIED,
+    exit_on_sigint,
+    run_command,
+    show_line,
+    show_written,
+)
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -18,9 +24,10 @@ from rich.console import Console
 from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
 from scp_recon.cli import plan_tables
+from scp_recon.cli.keeping import UNVERIFIED, run_folder, written
 from scp_recon.cli.options import int_between
+from scp_recon.cli.warnings import show_warnings
 from scp_recon.errors import InputError, one_of
-from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.method import (
@@ -40,6 +47,7 @@ from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import FILE_NAME, Solution, read_solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.runs import point_to
 from scp_recon.solution.start import is_solution, start_from
 from scp_recon.verification.reintegration import verify
 
@@ -89,9 +97,9 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--out",
         type=_folder,
-        default=Path("runs") / "latest",
         metavar="DIR",
-        help="folder for solution.json (default: runs/latest)",
+        help="folder for solution.json (default: runs/NAME/UTC with the scenario's name, to which "
+        "runs/latest then points); a verified plan there gives way to a verified one only",
     )
     return p
 
@@ -144,12 +152,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _solve(options: argparse.Namespace, console: Console) -> int:
     make_plan = _method(options)
     mission, start = _inputs(options)
-    check_writable(options.out, FILE_NAME, "--out")
+    with run_folder(options.out, mission.scenario.name) as folder:
+        status = _plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
+    if options.out is None and status != Status.INTERRUPTED.value.exit_code:
+        point_to(folder)
+    return status
+
+
+def _plan_into(
+    folder: Path, mission: Mission, make_plan: Callable[[Observer], Plan], console: Console
+) -> int:
+    """Plan, verify, show and write; the exit status."""
     plan_tables.show_mission(console, mission)
     console.print()
     try:
         with plan_tables.live_iterations(console, mission) as observe:
-            result = make_plan(mission, start, observe)
+            result = make_plan(observe)
         solution = make_solution(result)
     except ValidationError:  # which only numbers that are not finite can cause
         raise InputError(
@@ -158,15 +176,20 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
             "the units of body, boundary and burns must fit together",
         ) from None
     # Written before it is verified, so that an interrupt from here on loses nothing.
-    path = _write(solution, options.out)
+    path, aside = written(solution, folder)
     plan_tables.show_solution(console, solution)
     status = Status.named(solution.status)
     if status is Status.INTERRUPTED:
+        show_warnings(console, solution.warnings)
         show_written(console, path)
         return status.value.exit_code
     verification = verify(mission, solution)
-    path = _write(solution.model_copy(update={"verification": verification}), options.out)
-    plan_tables.show_verification(console, mission, verification)
+    path, more = written(solution.model_copy(update={"verification": verification}), folder)
+    plan_tables.show_verification(console, mission, verification, mission.warnings)
+    for old in [*aside, *more]:
+        show_line(console, f"set aside, as it is of another plan: {old}")
+    if path.name == UNVERIFIED:
+        show_line(console, f"kept, as it is verified: {folder / FILE_NAME}")
     show_written(console, path)
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
 
@@ -235,13 +258,6 @@ def _scenario(options: argparse.Namespace, given: Solution | None) -> Scenario:
     if options.scenario is None and given is not None:
         return validate_scenario(given.scenario.model_dump(mode="json"), options.overrides)
     return load_scenario(options.scenario, options.overrides)
-
-
-def _write(solution: Solution, folder: Path) -> Path:
-    try:
-        return solution.write(folder)
-    except OSError as error:
-        raise unwritable(folder, "--out", error) from None
 
 
 if __name__ == "__main__":

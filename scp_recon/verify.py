@@ -35,7 +35,9 @@ def _verify(path: Path, console: Console) -> int:
     mission = Mission.from_scenario(solution.scenario)
     plan_tables.show_solution(console, solution)
     verification = verify(mission, solution)
-    plan_tables.show_verification(console, mission, verification)
+    plan_tables.show_verification(
+        console, mission, verification, [*solution.warnings, *mission.warnings]
+    )
     return 0 if verification.ok else NOT_VERIFIED
 
 

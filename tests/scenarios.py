@@ -51,7 +51,7 @@ def scenarios(draw: st.DrawFn) -> tuple[str, ...]:
         f"site.position_body_m={turned(site.position_body_m, turn)}",
         f"site.normal_body={turned(site.normal_body, turn)}",
         f"observation.site_distance_max_m={near(750, 40)}",
-        f"safety.radius_min_m={near(400, 150)}",
+        f"safety.radius_min_m={near(420, 130)}",
         f"uncertainty.execution_error={draw(shares(0.12))}",
         f"uncertainty.initial_sigma_fraction={draw(shares(0.012))}",
         f"risk.p_chance={draw(st.floats(0.55, 0.9))}",

@@ -82,6 +82,10 @@ def run_command(action: Callable[[Console], int]) -> int:
 
 
 def show_written(console: Console, path: Path) -> None:
-    """Where a result is; one line, however long and whatever the name."""
-    text = printable(f"written: {path}")
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    """Where a result is."""
+    show_line(console, f"written: {path}")
+
+
+def show_line(console: Console, text: str) -> None:
+    """One line, however long and whatever names are in it."""
+    console.print(printable(text), markup=False, highlight=False, soft_wrap=True)

@@ -9,8 +9,14 @@ from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.summary import Interval, Spread, Summary, Terminal
 
 
-def show_summary(console: Console, summary: Summary) -> None:
-    """The figures that matter, with their intervals."""
+def show_summary(console: Console, summary: Summary, asked: float | None = None) -> None:
+    """The figures that matter, with their intervals.
+
+    Args:
+        console: to print to.
+        summary: what to show.
+        asked: probability of every joint constraint, if one was.
+    """
     first, last = summary.window_s
     console.print(
         f"{summary.samples} flights, truth {summary.truth}, errors {summary.errors}, "
@@ -18,7 +24,7 @@ def show_summary(console: Console, summary: Summary) -> None:
         highlight=False,
     )
     console.print(_times_held(summary))
-    console.print(_probabilities(summary))
+    console.print(_probabilities(summary, asked))
     for label, spread, digits in (
         ("all hold from", summary.entry_s, 0),
         ("all hold until", summary.exit_s, 0),
@@ -42,10 +48,11 @@ def _times_held(summary: Summary) -> Table:
     return table
 
 
-def _probabilities(summary: Summary) -> Table:
-    table = _table("joint constraint", "lowest probability", "at s")
+def _probabilities(summary: Summary, asked: float | None) -> Table:
+    table = _table("joint constraint", "lowest probability", "at s", "asked")
     for name, lowest in summary.probability.items():
-        table.add_row(_label(name), _shown(lowest, 4), f"{lowest.worst_t_s:.0f}")
+        limit = "" if asked is None or name == ALL else f"{asked:g}"
+        table.add_row(_label(name), _shown(lowest, 4), f"{lowest.worst_t_s:.0f}", limit)
     return table
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -11,12 +11,21 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from scp_recon.cli.warnings import show_verdict, show_warnings
+from scp_recon.mission.constraints import observation_limits
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.stages import Observer
+from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution, Verification
 from scp_recon.solution.from_plan import iteration_record
+from scp_recon.verification.reintegration import (
+    COVARIANCE_LIMIT,
+    DEFECT_LIMIT_M,
+    POSITION_LIMIT_M,
+    VELOCITY_LIMIT_M_S,
+)
 
 
 def show_mission(console: Console, mission: Mission) -> None:
@@ -155,18 +164,27 @@ def show_solution(console: Console, solution: Solution) -> None:
     console.print(table)
 
 
-def show_verification(console: Console, mission: Mission, verification: Verification) -> None:
-    """Re-integration, mean margins between the nodes, joint probabilities."""
+def show_verification(
+    console: Console,
+    mission: Mission,
+    verification: Verification,
+    warnings: Iterable[ScenarioWarning] = (),
+) -> None:
+    """Re-integration, mean margins between the nodes, joint probabilities, warnings and the verdict."""
     v = verification
     console.print(
         f"\nre-integrated: final state {v.terminal_position_error_m:.1e} m and "
         f"{v.terminal_velocity_error_m_s:.1e} m/s off, nodes {v.max_defect:.1e} m off, covariance "
-        f"{v.covariance_error:.1e} off (relative)",
+        f"{v.covariance_error:.1e} off (relative)\n"
+        f"allowed:       final state {POSITION_LIMIT_M:.1e} m and "
+        f"{VELOCITY_LIMIT_M_S:.1e} m/s off, nodes {DEFECT_LIMIT_M:.1e} m off, covariance "
+        f"{COVARIANCE_LIMIT:.1e} off",
         highlight=False,
     )
+    asked = _asked(mission)
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("original constraint on the mean")
-    for heading in ("worst margin", "at s"):
+    for heading in ("asked", "worst margin", "at s"):
         table.add_column(heading, justify="right")
     for m in v.mean_margins:
         margin = {
@@ -174,7 +192,7 @@ def show_verification(console: Console, mission: Mission, verification: Verifica
             "m/s": f"{m.worst_margin:+.4f} m/s",
             "rad": f"{np.rad2deg(m.worst_margin):+.2f} deg",
         }[m.unit]
-        table.add_row(m.name, margin, f"{m.worst_t_s:.0f}")
+        table.add_row(m.name, asked.get(m.name, ""), margin, f"{m.worst_t_s:.0f}")
     console.print(table)
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column(f"Monte Carlo, {v.samples} flights")
@@ -189,12 +207,25 @@ def show_verification(console: Console, mission: Mission, verification: Verifica
             f"{mission.scenario.risk.p_chance:g}",
         )
     console.print(table)
-    if v.ok:
-        console.print("[bold green]verified[/bold green]")
-    else:
-        console.print(f"[bold red]not verified[/bold red]: {', '.join(v.failed)}")
-        if "status" not in v.failed and _between_nodes(mission, v):
-            console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
+    show_warnings(console, warnings)
+    show_verdict(console, "verified", v.failed)
+    if v.failed and "status" not in v.failed and _between_nodes(mission, v):
+        console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
+
+
+def _asked(mission: Mission) -> dict[str, str]:
+    """The limit behind every margin."""
+    scenario = mission.scenario
+    found = {
+        "safety_radius": f"at least {scenario.safety.radius_min_m:g} m",
+        "dv_max": f"at most {scenario.burns.dv_max_m_s:g} m/s",
+        "dv_battery": f"at least {scenario.battery.delta_v_cone_deg:g} deg",
+    }
+    for limit in observation_limits(scenario):
+        value = limit.value if limit.unit == "m" else float(np.rad2deg(limit.value))
+        sense = "at least" if limit.sense == "min" else "at most"
+        found[limit.name] = f"{sense} {value:g} {'m' if limit.unit == 'm' else 'deg'}"
+    return found
 
 
 def _between_nodes(mission: Mission, v: Verification) -> bool:

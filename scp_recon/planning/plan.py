@@ -202,7 +202,7 @@ class Plan:
         return found
 
     def __str__(self) -> str:
-        """Status and what may help, delta-v, burns and margins."""
+        """Status and what may help, delta-v, burns, margins and warnings."""
         scenario, outcome = self.mission.scenario, self.status.value
         problem = self.final.problem
         lines = [
@@ -220,6 +220,7 @@ class Plan:
             f"{name:20} {round(margin, 4) + 0.0:+12.4f} {unit}"
             for name, (margin, unit) in self.worst_margins.items()
         ]
+        lines += [f"warning: {warning}" for warning in self.mission.warnings]
         return "\n".join(lines)
 
     def __repr__(self) -> str:

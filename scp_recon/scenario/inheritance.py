@@ -44,9 +44,10 @@ def _check_sun(base: Tables, changed: Tables) -> None:
     before, after = (tables["epoch"]["tdb"] for tables in (base, changed))
     moved = abs((after - before).total_seconds()) * _sun_rate(base)
     if math.degrees(moved) > SUN_MOVED_DEG:
+        was, now = (moment.isoformat(timespec="seconds") for moment in (before, after))
         raise InputError(
-            " and ".join(kept),
-            f"the Sun of {before.isoformat(timespec='seconds')} TDB at the epoch {after.isoformat(timespec='seconds')} TDB",
+            kept[0],
+            f"the Sun of {was} TDB at the epoch {now} TDB",
             f"must be given for the new epoch: the Sun has moved by {_turn(moved)} about the body",
         )
 

@@ -20,8 +20,10 @@ from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.fields import Line, Speed
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 from scp_recon.solution.part import File, Part, read_file
+from scp_recon.solution.runs import resolve_run
 from scp_recon.solution.times import strange_times
 
 SCHEMA, READABLE = "scp_recon.solution/2", ("scp_recon.solution/1", "scp_recon.solution/2")
@@ -226,6 +228,7 @@ class Solution(File):
     timing_s: TimingSummary
     units: UnitScales
     verification: Verification | None
+    warnings: tuple[ScenarioWarning, ...] = ()
     scenario: Scenario
 
     @model_validator(mode="after")
@@ -249,24 +252,29 @@ class Solution(File):
         canonical = json.dumps(plan, sort_keys=True, allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
-    def write(self, folder: Path) -> Path:
-        """Write `solution.json` into a folder; an old file stays whole until the new one is.
+    def write(self, folder: Path, name: str = FILE_NAME) -> Path:
+        """Write it into a folder; an old file stays whole until the new one is.
+
+        Args:
+            folder: which is there.
+            name: of the file.
 
         Raises:
             OSError: if the folder cannot be written.
         """
         entries: dict[str, Any] = {"schema": SCHEMA, **self.model_dump(mode="json")}
         lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in entries.items()]
-        return write_atomically(folder / FILE_NAME, "{\n" + ",\n".join(lines) + "\n}\n")
+        return write_atomically(folder / name, "{\n" + ",\n".join(lines) + "\n}\n")
 
 
 def read_solution(path: Path) -> Solution:
-    """Read a solution file, or the one in a folder.
+    """Read a solution file, or the one in a folder; `runs/latest` is that of the last finished run.
 
     Raises:
         InputError: if there is none, it is of another version, it is damaged, or its parts do not
             fit together.
     """
+    path = resolve_run(path)
     file = path / FILE_NAME if path.is_dir() else path
     solution = read_file(file, Solution, READABLE, "solution")
     try:

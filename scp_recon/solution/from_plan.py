@@ -61,6 +61,7 @@ def make_solution(plan: Plan) -> Solution:
         timing_s=_timing(plan),
         units=UnitScales(length_m=mission.units.length_m, time_s=mission.units.time_s),
         verification=None,
+        warnings=mission.warnings,
         scenario=mission.scenario,
     )
 

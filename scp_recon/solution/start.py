@@ -13,6 +13,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.solution.file import read_solution
+from scp_recon.solution.runs import resolve_run
 
 Array = npt.NDArray[np.float64]
 
@@ -49,6 +50,7 @@ def start_from(mission: Mission, init: Plan | str | Path | Array, entry: str = "
 
 def is_solution(path: Path) -> bool:
     """A folder, or a file of JSON under whatever name: a table never begins with a brace."""
+    path = resolve_run(path)
     try:
         if path.is_dir() or path.suffix == ".json":
             return True

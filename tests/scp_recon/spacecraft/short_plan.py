@@ -15,9 +15,9 @@ from scp_recon.solution.file import (
 )
 
 SHORT = (
-    "burns.times_s=[0.0, 3120.0]",
-    "observation.window_s=[1310.0, 1510.0]",
-    "schedule={attitude_s=600.0, heating_s=300.0, recharge_s=100.0}",
+    "burns.times_s=[0.0, 3270.0]",
+    "observation.window_s=[1410.0, 1560.0]",
+    "schedule={attitude_s=650.0, heating_s=300.0, recharge_s=100.0}",
 )
 
 
