@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
-from typing import Any
 
 import numpy as np
 from scipy.constants import G
 
 from scp_recon.errors import InputError
-from scp_recon.mission.given import Given, angle_deg, between
+from scp_recon.mission.given import Given, angle_deg, between, packaged_tables
 from scp_recon.physics.frames import Rotation
 from scp_recon.scenario.inheritance import check_inherited
-from scp_recon.scenario.load import base_names, packaged
-from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.load import base_names
 from scp_recon.scenario.warning import ScenarioWarning
 
 SITE_RADII, SITE_RADII_REFUSED = (0.3, 2.0), (0.1, 5.0)
@@ -33,7 +30,7 @@ def copied(given: Given) -> Iterator[ScenarioWarning]:
     """Entries taken from a packaged scenario that do not fit the others any more."""
     here = given.scenario.model_dump()
     for name in base_names():
-        there = _packaged(name)
+        there = packaged_tables(name)
         check_inherited(there, here)
         if here["body"]["name"] == there["body"]["name"]:
             continue
@@ -51,7 +48,7 @@ def known_body(given: Given) -> Iterator[ScenarioWarning]:
     """A body of a packaged scenario's name has that one's gravity, radius, pole and spin."""
     body = given.scenario.body
     for name in base_names():
-        known = _packaged(name)["body"]
+        known = packaged_tables(name)["body"]
         if body.name.casefold() != known["name"].casefold():
             continue
         for entry, most in (
@@ -121,8 +118,3 @@ def site_normal(given: Given) -> Iterator[ScenarioWarning]:
     if off > NORMAL_OFF_DEG:
         expected = f"at most {NORMAL_OFF_DEG:g} deg would be no surprise"
         yield ScenarioWarning.of("site.normal_body", text, expected)
-
-
-@cache
-def _packaged(name: str) -> dict[str, Any]:
-    return Scenario.validated(packaged(name)).model_dump()

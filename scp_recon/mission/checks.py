@@ -30,6 +30,7 @@ CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
     body_checks.site_normal,
     sun_checks.distance,
     sun_checks.orbit,
+    sun_checks.known_orbit,
     flight_checks.safety,
     flight_checks.site_distances,
     flight_checks.boundary,
@@ -37,7 +38,7 @@ CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
     flight_checks.limit_angles,
     flight_checks.spacecraft,
 )
-"""What a mission is held to, in this order; a check that knows an ephemeris belongs after `orbit`."""
+"""What a mission is held to, in this order; one that knows an ephemeris belongs after `known_orbit`."""
 WINDOW_SLACK = 0.05
 """In degrees, or hours: a window given to the nearest second is no other one."""
 

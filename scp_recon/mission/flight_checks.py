@@ -48,6 +48,13 @@ def site_distances(given: Given) -> Iterator[ScenarioWarning]:
             f"{high:g} m",
             f"must be at least {clear:g} m: outside the safety radius no point is nearer to the site",
         )
+    far = FAR_RADII * given.scenario.body.reference_radius_m
+    if low > far:
+        yield ScenarioWarning.of(
+            "observation.site_distance_min_m",
+            f"{low:g} m",
+            f"at most {far:g} m, {FAR_RADII:g} reference radii, would be no surprise",
+        )
     if high > RATIO_MAX * low:
         yield ScenarioWarning.of(
             "observation.site_distance_min_m",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +13,7 @@ import numpy.typing as npt
 from scp_recon.errors import InputError
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import Rotation
+from scp_recon.scenario.load import packaged
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 
@@ -67,3 +70,9 @@ def between(
 def angle_deg(vector: Array, direction: Array) -> float:
     """From a unit direction to a vector."""
     return float(np.rad2deg(geometry.angle(np.asarray(vector), direction)))
+
+
+@cache
+def packaged_tables(name: str) -> dict[str, Any]:
+    """Tables of a packaged scenario, validated."""
+    return Scenario.validated(packaged(name)).model_dump()

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.constants import au
 
 from scp_recon.errors import InputError
-from scp_recon.mission.given import Given, between
+from scp_recon.mission.given import Given, angle_deg, between, packaged_tables
+from scp_recon.scenario.load import base_names
 from scp_recon.scenario.warning import ScenarioWarning
+
+Array = npt.NDArray[np.float64]
 
 GM_SUN_KM3_S2 = 1.32712440018e11
 """IERS Conventions 2010, table 1.1."""
@@ -22,6 +27,8 @@ UNBOUND = 2.0
 """Square of the speed over that of escape, beyond which nothing in the Solar System moves."""
 ECCENTRICITY_MAX, INCLINATION_MAX_DEG = 0.9, 50.0
 """Few asteroids are beyond either; a Sun whose axes are swapped often is."""
+SAME_AXIS, SAME_PLANE_DEG, SAME_ECCENTRICITY = 0.01, 0.2, 0.02
+"""How far a known body's orbit may be off: room for what the planets do to it in some years."""
 
 
 def distance(given: Given) -> Iterator[ScenarioWarning]:
@@ -34,37 +41,78 @@ def distance(given: Given) -> Iterator[ScenarioWarning]:
     )
 
 
-def orbit(given: Given) -> Iterator[ScenarioWarning]:
-    """Position and velocity make an osculating orbit about the Sun: its size, shape and plane.
+@dataclass(frozen=True)
+class Orbit:
+    """Osculating orbit about the Sun.
 
-    Semi-major axis by the vis-viva equation, eccentricity and plane from the angular momentum; Bate,
-    Mueller & White, Fundamentals of Astrodynamics, section 2.4.
+    Attributes:
+        axis_au: semi-major axis, negative of what leaves the Solar System.
+        eccentricity: vector to the perihelion as long as the eccentricity, shape (3,), J2000.
+        normal: unit vector of the angular momentum, shape (3,), J2000; zero of a straight fall.
     """
-    position = np.array(given.scenario.sun.body_position_km)
-    velocity = np.array(given.scenario.sun.body_velocity_km_s)
-    away, speed = float(np.linalg.norm(position)), float(np.linalg.norm(velocity))
+
+    axis_au: float
+    eccentricity: Array
+    normal: Array
+
+    @classmethod
+    def of(cls, position_km: npt.ArrayLike, velocity_km_s: npt.ArrayLike) -> Orbit:
+        """From a heliocentric state: Bate, Mueller & White, Fundamentals of Astrodynamics, 2.4."""
+        position, velocity = (np.asarray(x, dtype=float) for x in (position_km, velocity_km_s))
+        away = np.linalg.norm(position)
+        momentum = np.cross(position, velocity)
+        size = np.linalg.norm(momentum)
+        energy = 2.0 / away - velocity @ velocity / GM_SUN_KM3_S2
+        return cls(
+            axis_au=float(1.0 / energy / AU_KM) if energy else np.inf,
+            eccentricity=np.cross(velocity, momentum) / GM_SUN_KM3_S2 - position / away,
+            normal=momentum / size if size else momentum,
+        )
+
+
+def orbit(given: Given) -> Iterator[ScenarioWarning]:
+    """Position and velocity make an osculating orbit about the Sun: its size, shape and plane."""
+    sun = given.scenario.sun
+    away = float(np.linalg.norm(sun.body_position_km))
+    speed = float(np.linalg.norm(sun.body_velocity_km_s))
     escape = float(np.sqrt(2.0 * GM_SUN_KM3_S2 / away))
     entry, text = "sun.body_velocity_km_s", f"{speed:.4g} km/s at {away / AU_KM:.3g} au"
     if speed**2 > UNBOUND * escape**2:
         most = np.sqrt(UNBOUND) * escape
         raise InputError(entry, text, f"must be below {most:.3g} km/s: escape takes {escape:.3g}")
-    axis = 1.0 / (2.0 / away - speed**2 / GM_SUN_KM3_S2) / AU_KM
-    if not AXIS_AU[0] <= axis <= AXIS_AU[1]:
-        shown = f"an orbit of semi-major axis {axis:.3g} au" if axis > 0.0 else "no closed orbit"
+    found = Orbit.of(sun.body_position_km, sun.body_velocity_km_s)
+    if not AXIS_AU[0] <= found.axis_au <= AXIS_AU[1]:
+        closed = 0.0 < found.axis_au < np.inf
+        shown = (
+            f"an orbit of semi-major axis {found.axis_au:.3g} au" if closed else "no closed orbit"
+        )
         rule = f"{AXIS_AU[0]:g} to {AXIS_AU[1]:g} au would be no surprise"
         yield ScenarioWarning.of(entry, f"{text}, {shown}", rule)
-    momentum = np.cross(position, velocity)
-    eccentricity = float(
-        np.linalg.norm(np.cross(velocity, momentum) / GM_SUN_KM3_S2 - position / away)
-    )
-    if eccentricity > ECCENTRICITY_MAX:
+    if (eccentricity := float(np.linalg.norm(found.eccentricity))) > ECCENTRICITY_MAX:
         rule = f"below {ECCENTRICITY_MAX:g} would be no surprise; are the axes in order?"
         yield ScenarioWarning.of(entry, f"{text}, an eccentricity of {eccentricity:.2f}", rule)
     north = np.array([0.0, -np.sin(OBLIQUITY_RAD), np.cos(OBLIQUITY_RAD)])
-    size = float(np.linalg.norm(momentum))
-    tilt = (
-        float(np.rad2deg(np.arccos(np.clip(momentum @ north / size, -1.0, 1.0)))) if size else 0.0
-    )
-    if tilt > INCLINATION_MAX_DEG:
+    if (tilt := angle_deg(found.normal, north)) > INCLINATION_MAX_DEG:
         rule = f"below {INCLINATION_MAX_DEG:g} deg would be no surprise; J2000, axes in order?"
-        yield ScenarioWarning.of(entry, f"an orbit {tilt:.0f} deg off the ecliptic", rule)
+        yield ScenarioWarning.of(entry, f"an orbit {tilt:.1f} deg off the ecliptic", rule)
+
+
+def known_orbit(given: Given) -> Iterator[ScenarioWarning]:
+    """A body of a packaged scenario's name is on that one's orbit, wherever on it."""
+    body, sun = given.scenario.body, given.scenario.sun
+    found = Orbit.of(sun.body_position_km, sun.body_velocity_km_s)
+    for name in base_names():
+        tables = packaged_tables(name)
+        if body.name.casefold() != tables["body"]["name"].casefold():
+            continue
+        known = Orbit.of(tables["sun"]["body_position_km"], tables["sun"]["body_velocity_km_s"])
+        tilt = angle_deg(found.normal, known.normal)
+        off = float(np.linalg.norm(found.eccentricity - known.eccentricity))
+        same = abs(found.axis_au / known.axis_au - 1.0) <= SAME_AXIS
+        if not same or tilt > SAME_PLANE_DEG or off > SAME_ECCENTRICITY:
+            yield ScenarioWarning.of(
+                "sun.body_position_km",
+                f"with the velocity an orbit of {found.axis_au:.3f} au, its plane {tilt:.2f} deg and "
+                f"its eccentricity vector {off:.3f} off that of {body.name}",
+                f"{known.axis_au:.3f} au, and within {SAME_PLANE_DEG:g} deg and {SAME_ECCENTRICITY:g}",
+            )

@@ -103,7 +103,7 @@ def test_panels_generate_by_their_law(perfect: Flight) -> None:
 def test_loads_add_up_to_the_papers(perfect: Flight, vehicle: Vehicle) -> None:
     assert (vehicle.loads.warm_up_w, vehicle.loads.observation_w) == (115.0, 90.0)
     # The heater starts half an hour before the burn, here in the middle of the observation.
-    times = np.array([100.0, 720.0, 1319.0, 1320.0, 1600.0, 3000.0, 3121.0])
+    times = np.array([100.0, 800.0, 1469.0, 1470.0, 1600.0, 3000.0, 3271.0])
     expected = [46.0, 46.0 + 19.0 + 25.0, 90.0, 90.0 + 50.0, 46.0 + 50.0, 115.0, 75.0]
     assert mode_loads(perfect.plan, times).tolist() == expected
 

@@ -1,0 +1,144 @@
+"""A plan is not lost to a failed run, and what is made of a plan stays with it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from scp_recon import compare, montecarlo, solve, verify
+from scp_recon.cli.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
+from scp_recon.errors import InputError
+from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
+from scp_recon.solution.file import Solution, Verification, read_solution
+from scp_recon.solution.runs import only_run_in
+from tests.scp_recon.support import run_solve
+
+HOPELESS = ("--set", "burns.dv_max_m_s=0.02", "--set", "grid.step_max_s=1000.0")
+
+
+@pytest.fixture(scope="module")
+def verified(solution: Solution, verification: Verification) -> Solution:
+    return solution.model_copy(update={"verification": verification})
+
+
+def another(solution: Solution) -> Solution:
+    burns = [burn.model_copy(update={"dv_m_s": (0.0, 0.0, 0.1)}) for burn in solution.burns]
+    return solution.model_copy(update={"burns": burns})
+
+
+def test_an_infeasible_run_leaves_a_verified_plan_alone(verified: Solution, tmp_path: Path) -> None:
+    before = verified.write(tmp_path).read_bytes()
+    run = run_solve(tmp_path, *HOPELESS)
+    assert run.exit_code == 3
+    assert (tmp_path / "solution.json").read_bytes() == before
+    assert read_solution(tmp_path / UNVERIFIED).status == "infeasible"
+    assert f"written: {tmp_path / UNVERIFIED}" in run.output
+    assert f"kept, as it is verified: {tmp_path / 'solution.json'}" in run.output
+    # The next verified plan takes the place of both.
+    keep_plan(another(verified), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["solution.json"]
+
+
+def test_a_plan_that_is_not_verified_gives_way_to_any(solution: Solution, tmp_path: Path) -> None:
+    solution.write(tmp_path)
+    path, _ = keep_plan(another(solution), tmp_path)
+    assert path.name == "solution.json"
+    assert read_solution(tmp_path).plan_hash == another(solution).plan_hash
+
+
+def test_results_of_another_plan_are_set_aside(
+    verified: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    verified.write(tmp_path)
+    assert montecarlo.main([str(tmp_path), "--samples", "40"]) in (0, 4)
+    keep_plan(verified, tmp_path)
+    assert read_summary(tmp_path).is_of(verified)
+    (tmp_path / "simulation.npz").write_bytes(b"of nobody knows which")
+    _, aside = keep_plan(another(verified), tmp_path)
+    assert {path.name for path in aside} == {f"old_{FILE_NAME}", "old_simulation.npz"}
+    assert read_summary(tmp_path / f"old_{FILE_NAME}").is_of(verified)
+    assert not (tmp_path / FILE_NAME).exists()
+    assert capsys.readouterr().err.count("error") == 0
+
+
+def test_a_result_does_not_go_beside_another_plan(verified: Solution, tmp_path: Path) -> None:
+    another(verified).write(tmp_path)
+    with pytest.raises(InputError, match="holds another plan"):
+        check_holds(tmp_path, verified, "--out")
+
+
+def test_two_runs_into_one_folder_are_refused_before_the_work(tmp_path: Path) -> None:
+    with only_run_in(tmp_path, "--out"):
+        run = run_solve(tmp_path, "--problem", "P3")
+    assert run.exit_code == 2
+    assert "is at work" in run.errors
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_folder_a_run_has_one_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert solve.main(["--problem", "P3", "--set", "name=my plan"]) == 0
+    (mine,) = (tmp_path / "runs" / "my_plan").iterdir()
+    assert (tmp_path / "runs" / "latest").resolve() == mine
+    assert solve.main(list(HOPELESS)) == 3
+    assert read_solution(Path("runs/latest")).status == "infeasible"
+    assert read_solution(mine).status == "converged"
+    assert verify.main(["runs/latest"]) == 4
+    assert compare.main(["runs/latest", str(mine)]) == 0
+    assert capsys.readouterr().err == ""
+    assert solve.main(["--out", "runs/latest"]) == 2
+    assert "points to the last finished run" in capsys.readouterr().err
+
+
+def test_an_interrupted_run_is_not_the_latest_and_leaves_no_empty_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ctrl_c(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(solve, "plan", ctrl_c)
+    assert solve.main([]) == 130
+    assert not (tmp_path / "runs" / "latest").exists()
+    assert list((tmp_path / "runs" / "recon_b").iterdir()) == []
+
+
+def test_a_folder_of_the_user_is_not_removed(tmp_path: Path) -> None:
+    with run_folder(tmp_path / "mine", "name"):
+        pass
+    assert (tmp_path / "mine").is_dir()
+
+
+# --- warnings ------------------------------------------------------------------------------------
+
+STRANGE = "observation.emission_min_deg=0.349"
+
+
+def test_warnings_go_with_the_plan_to_every_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = run_solve(tmp_path, "--set", STRANGE, "--set", "grid.step_max_s=500.0")
+    assert run.exit_code == 0  # a warning is no failure
+    said = "observation.emission_min_deg: got 0.349 deg"
+    lines = run.output.rstrip().splitlines()
+    assert lines[-2] == "verified"
+    assert lines[-3].startswith(f"warning: {said}")
+    data = json.loads((tmp_path / "solution.json").read_text("utf-8"))
+    assert [warning["entry"] for warning in data["warnings"]] == ["observation.emission_min_deg"]
+    capsys.readouterr()
+    assert verify.main([str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count(f"warning: {said}") == 1
+    assert montecarlo.main([str(tmp_path), "--samples", "200"]) == 0
+    assert capsys.readouterr().out.count(f"warning: {said}") == 1
+    assert compare.main([str(tmp_path)]) == 0
+    assert f"warning of {tmp_path}: {said}" in capsys.readouterr().out
+    # A file of before there were warnings has none, and verify finds them again.
+    del data["warnings"]
+    (tmp_path / "solution.json").write_text(json.dumps(data), "utf-8")
+    assert read_solution(tmp_path).warnings == ()
+    assert verify.main([str(tmp_path)]) == 0
+    assert capsys.readouterr().out.count(f"warning: {said}") == 1

@@ -1,0 +1,50 @@
+"""A simulated flight ends with a verdict: what was kept beside what was asked."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from scp_recon.solution.file import Solution
+from scp_recon.spacecraft.verdict import shortfalls
+
+LEG = {"mode": "delta-V", "start_s": 100.0, "duration_s": 900.0, "required_s": 900.0}
+KEPT: dict[str, Any] = {
+    "least_charge": 0.9,
+    "floor_charge": 0.3,
+    "energy_wh": {"short": 0.0},
+    "legs": [LEG | {"ok": True, "settled_s": 300.0, "settled_in_time": True}],
+}
+
+
+def leg(**changes: object) -> dict[str, Any]:
+    return {"legs": [KEPT["legs"][0] | changes]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, []),
+        ({"least_charge": 0.3}, []),
+        ({"least_charge": 0.0}, ["least state of charge 0.000, asked 0.30"]),
+        ({"energy_wh": {"short": 2.5}}, ["2.5 Wh short, asked 0"]),
+        (
+            leg(ok=False, duration_s=800.0),
+            ["delta-V mode from 100 s 800 s long, asked 900 s"],
+        ),
+        (
+            leg(settled_s=None, settled_in_time=False),
+            ["delta-V mode from 100 s steady never, asked 650 s"],
+        ),
+    ],
+)
+def test_what_is_not_kept_stands_beside_what_was_asked(
+    changes: dict[str, Any], said: list[str], short_solution: Solution
+) -> None:
+    assert shortfalls(KEPT | changes, short_solution) == said
+
+
+def test_a_plan_that_did_not_converge_is_named(short_solution: Solution) -> None:
+    stalled = short_solution.model_copy(update={"status": "stalled"})
+    assert shortfalls(KEPT, stalled) == ["the plan is stalled, asked converged"]
