@@ -210,7 +210,7 @@ QUICK = {
     "python -m scp_recon.simulate runs/mine": simulated("runs/short"),
     "python -m scp_recon.simulate runs/latest": simulated("runs/short --seed 1"),
     "python -m scp_recon.simulate SOLUTION": simulated("runs/short/solution.json"),
-    "python -m scp_recon.simulate SOLUTION --out DIR": simulated("runs/short --out runs/dir"),
+    "python -m scp_recon.simulate SOLUTION --out DIR": simulated("runs/short --out runs/flight"),
     # the studies
     TABLE: Quick(f"{TABLE} {FEW}"),
     f"{TABLE} --as-flown FILE": Quick(f"{TABLE} --as-flown flight.bsp {FEW}", needs="spiceypy"),

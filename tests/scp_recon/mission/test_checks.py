@@ -51,7 +51,11 @@ def test_what_physics_rules_out_is_refused(overrides: list[str], entry: str, wor
 
 
 WARNED = [
-    (["site.normal_body=[0.9, 0.3, 0.3]"], "site.normal_body", "36"),
+    (
+        ["site.normal_body=[0.1, 0.8, 0.3]"],
+        "site.normal_body",
+        "deg off the direction from the centre",
+    ),
     (["body.name=Other"], "body.gm_m3_s2", "that of Bennu"),
     (["body.name=Other"], "sun.body_position_km", "that of Bennu"),
     (["body.gm_m3_s2=0.5"], "body.gm_m3_s2", "73.3 kg/m^3"),
@@ -84,9 +88,7 @@ def test_a_window_beyond_the_files_own_limit_is_told_with_the_worst_incidence() 
         "observation.window_s=[13140.0, 17200.0]", "burns.times_s=[0, 8000, 25000, 34842]"
     ).warnings
     assert warning.entry == "observation.window_s"
-    # The day there lasts from -60 to 60 deg in 3397 s; ten minutes on it is well past.
-    assert "incidence reaches 7" in warning.given
-    assert "at 17200 s" in warning.given
+    assert "incidence reaches 68.6 deg at 17200 s" in warning.given
     assert warning.expected == "observation.incidence_max_deg is 60 deg"
 
 
@@ -115,7 +117,7 @@ def test_a_copied_file_is_as_a_derived_one(tmp_path: Path) -> None:
         Mission.from_scenario(load_scenario(file))
 
 
-def test_overrides_of_ones_own_file_are_held_to_it(tmp_path: Path) -> None:
+def test_changes_of_ones_own_scenario_are_held_to_it() -> None:
     """Though nothing of it is a packaged scenario's."""
     data = tomllib.loads((files("scp_recon") / "data" / "recon_b.toml").read_text("utf-8"))
     data["site"]["normal_body"] = [0.4, 0.5, 0.7]
@@ -127,7 +129,7 @@ def test_overrides_of_ones_own_file_are_held_to_it(tmp_path: Path) -> None:
 
 def test_small_moves_keep_sun_and_normal(scenario: Scenario) -> None:
     moved = [x + 1.0 for x in scenario.site.position_body_m]
-    near = {"site.position_body_m": moved, "epoch.tdb": "2020-01-21T20:40:00"}
+    near = {"site.position_body_m": moved, "epoch.tdb": "2020-01-21T20:34:00"}
     assert Mission.from_scenario(scenario.replace(near)).warnings == ()
 
 
