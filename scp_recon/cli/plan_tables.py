@@ -172,15 +172,20 @@ def show_verification(
 ) -> None:
     """Re-integration, mean margins between the nodes, joint probabilities, warnings and the verdict."""
     v = verification
-    console.print(
-        f"\nre-integrated: final state {v.terminal_position_error_m:.1e} m and "
-        f"{v.terminal_velocity_error_m_s:.1e} m/s off, nodes {v.max_defect:.1e} m off, covariance "
-        f"{v.covariance_error:.1e} off (relative)\n"
-        f"allowed:       final state {POSITION_LIMIT_M:.1e} m and "
-        f"{VELOCITY_LIMIT_M_S:.1e} m/s off, nodes {DEFECT_LIMIT_M:.1e} m off, covariance "
-        f"{COVARIANCE_LIMIT:.1e} off",
-        highlight=False,
-    )
+    console.print()
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column("re-integrated")
+    for heading in ("off by", "allowed"):
+        table.add_column(heading, justify="right")
+    for name, off, most, unit in (
+        ("final position", v.terminal_position_error_m, POSITION_LIMIT_M, " m"),
+        ("final velocity", v.terminal_velocity_error_m_s, VELOCITY_LIMIT_M_S, " m/s"),
+        ("nodes", v.max_defect, DEFECT_LIMIT_M, " m"),
+        ("sampled flights", v.sample_error_m, DEFECT_LIMIT_M, " m"),
+        ("covariance, relative", v.covariance_error, COVARIANCE_LIMIT, ""),
+    ):
+        table.add_row(name, f"{off:.1e}{unit}", f"{most:.1e}{unit}")
+    console.print(table)
     asked = _asked(mission)
     table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("original constraint on the mean")
