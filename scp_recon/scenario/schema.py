@@ -9,12 +9,12 @@ from typing import Any, Self
 from pydantic import ValidationError
 
 from scp_recon.errors import InputError
+from scp_recon.scenario.body import Body, Sun
 from scp_recon.scenario.fields import Name, Section
 from scp_recon.scenario.inheritance import check_inherited
 from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.sections import (
     Battery,
-    Body,
     Boundary,
     Burns,
     Epoch,
@@ -24,17 +24,17 @@ from scp_recon.scenario.sections import (
     Risk,
     Safety,
     ScheduleRules,
-    SiteSection,
     Spacecraft,
-    Sun,
     Uncertainty,
 )
+from scp_recon.scenario.site import SiteSection
 
 
 class Scenario(Section):
     """Everything that defines a planning problem."""
 
     name: Name
+    """Name of the scenario, for tables, figures and folders."""
     epoch: Epoch
     body: Body
     sun: Sun

@@ -9,16 +9,13 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from scp_recon.scenario.fields import (
-    Angle,
     ConeAngle,
     FlightTime,
-    Name,
     NonNegative,
     NonZeroVector,
     Positive,
     Section,
     Share,
-    Vector,
     Velocity,
 )
 
@@ -27,6 +24,7 @@ class Epoch(Section):
     """Time zero of the flight."""
 
     tdb: datetime
+    """TDB at the first burn, such as 2020-01-21T20:33:17.184; no time zone."""
 
     @field_validator("tdb")
     @classmethod
@@ -36,59 +34,39 @@ class Epoch(Section):
         return tdb
 
 
-class Body(Section):
-    """The asteroid: gravity and IAU rotation."""
-
-    name: Name
-    gm_m3_s2: Annotated[float, Field(ge=1e-6, le=1e20)]
-    j2: Annotated[float, Field(ge=-1, le=1)]
-    reference_radius_m: Positive
-    pole_ra_deg: Angle
-    pole_dec_deg: Annotated[float, Field(ge=-90, le=90)]
-    prime_meridian_deg: Angle
-    prime_meridian_rate_deg_day: Angle
-    prime_meridian_acceleration_deg_day2: Angle
-
-
-class Sun(Section):
-    """Heliocentric state of the body at the epoch, J2000, and the solar constant at 1 au."""
-
-    body_position_km: NonZeroVector
-    body_velocity_km_s: Velocity
-    solar_constant_w_m2: Positive
-
-
-class SiteSection(Section):
-    """What is observed; body-fixed."""
-
-    name: Name
-    position_body_m: Vector
-    normal_body: NonZeroVector
-
-
 class Spacecraft(Section):
     """Cannonball for solar radiation pressure."""
 
     mass_kg: Positive
+    """Mass in kg."""
     srp_area_m2: NonNegative
+    """Area that the Sun lights in m^2."""
     reflectivity_coefficient: NonNegative
+    """Cannonball coefficient C_R: 1 absorbs, 2 reflects everything."""
 
 
 class Boundary(Section):
     """Mean states before the first and after the last burn, body-centred."""
 
     frame: Literal["sun_north", "j2000"]
+    """Axes of the four vectors, at the epoch for all of them; origin in the body."""
     initial_position_m: NonZeroVector
+    """Mean position before the first burn in m, in boundary.frame."""
     initial_velocity_m_s: Velocity
+    """Mean velocity before the first burn in m/s, in boundary.frame."""
     final_position_m: NonZeroVector
+    """Mean position after the last burn in m, in boundary.frame."""
     final_velocity_m_s: Velocity
+    """Mean velocity after the last burn in m/s, in boundary.frame."""
 
 
 class Burns(Section):
     """Firing times, the first at zero and the last at the end of the flight."""
 
     times_s: Annotated[tuple[FlightTime, ...], Field(min_length=2, max_length=64)]
+    """Firing times in s after the epoch, the first at 0."""
     dv_max_m_s: Annotated[float, Field(ge=1e-9, le=1e6)]
+    """Largest size of a burn in m/s."""
 
     @field_validator("times_s")
     @classmethod
@@ -102,15 +80,25 @@ class Observation(Section):
     """Limits on the observation geometry; those without a bound are left out."""
 
     site_distance_min_m: Positive
+    """Least distance from the site in m."""
     site_distance_max_m: Positive
+    """Greatest distance from the site in m."""
     emission_min_deg: ConeAngle
+    """Least angle at the site between its normal and the spacecraft in deg."""
     emission_max_deg: ConeAngle
+    """Greatest of these angles in deg."""
     phase_min_deg: ConeAngle
+    """Least angle at the site between the Sun and the spacecraft in deg."""
     phase_max_deg: ConeAngle | None = None
+    """Greatest of these angles in deg; no limit if left out."""
     incidence_max_deg: Annotated[float, Field(gt=0, le=180)]
+    """Greatest angle at the site between its normal and the Sun in deg."""
     local_solar_time_min_h: Annotated[float, Field(ge=0, le=24)]
+    """Earliest local solar time at the site in h, 12 at the Sun's crossing of its meridian."""
     local_solar_time_max_h: Annotated[float, Field(ge=0, le=24)]
+    """Latest local solar time at the site in h."""
     window_s: tuple[float, float] | None = None
+    """Start and end of the observation in s after the epoch; computed from the lighting if left out."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -127,28 +115,36 @@ class Safety(Section):
     """Distance from the body's centre throughout the flight."""
 
     radius_min_m: Positive
+    """Least distance from the body's centre in m."""
 
 
 class Battery(Section):
     """Half-angles about the Sun line: of burns (both ways) and, from the site, while observing."""
 
     delta_v_cone_deg: ConeAngle
+    """Half-angle in deg of the cones about the Sun line, both ways, that burns keep out of."""
     observation_cone_deg: ConeAngle
+    """Half-angle in deg of the cone at the site about the Sun line that the flight keeps out of."""
 
 
 class ScheduleRules(Section):
     """Worst-case durations: slew to steady state, thruster heating, recharge from empty."""
 
     attitude_s: FlightTime
+    """Slew until steady in s."""
     heating_s: FlightTime
+    """Heating of the thruster before a burn in s."""
     recharge_s: FlightTime
+    """Recharge of the battery from empty in s."""
 
 
 class Uncertainty(Section):
     """Initial 1-sigma as a fraction of each J2000 component, and of each burn component."""
 
     initial_sigma_fraction: Share
+    """1 sigma of each component of the initial state in J2000, as a fraction of it."""
     execution_error: Share
+    """1 sigma of each component of a burn, as a fraction of it."""
 
 
 class Risk(Section):
@@ -160,8 +156,11 @@ class Risk(Section):
     """
 
     p_chance: Annotated[float, Field(gt=0.5, le=1 - 1e-9)]
+    """Least probability of what `scope` names."""
     allocation: Literal["uniform", "exact"] = "uniform"
+    """How risk is spent: evenly over facets (Boole), or as the probabilities of the sets themselves."""
     scope: Literal["node", "flight"] = "node"
+    """What has to hold with it: each joint constraint at each node, or all of them in a whole flight."""
 
     @model_validator(mode="after")
     def _flights_are_exact(self) -> Self:
@@ -174,11 +173,15 @@ class PolytopeSection(Section):
     """What stands for balls and cones in P2."""
 
     ball: Literal["paper", "tangent"] | Annotated[int, Field(ge=4, le=512)]
+    """For distances: "paper" (24 facets), "tangent" (at the line of sight), or a number of facets."""
     cone: Literal["paper"] | Annotated[int, Field(ge=3, le=512)]
+    """For angles: "paper" (4 facets), or a number of facets."""
 
 
 class Grid(Section):
     """Longest spacing of the nodes; burns and window edges are nodes besides, and so are `nodes_s`."""
 
     step_max_s: Annotated[float, Field(ge=1, le=1e7)]
+    """Longest spacing of the nodes in s."""
     nodes_s: Annotated[tuple[FlightTime, ...], Field(max_length=1000)] = ()
+    """Further nodes, in s past the epoch."""

@@ -1,0 +1,114 @@
+"""The tables `[body]` and `[sun]`: the asteroid, its rotation, its gravity and where the Sun is."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from scp_recon.scenario.fields import (
+    Angle,
+    Line,
+    Name,
+    NonZeroVector,
+    Positive,
+    Section,
+    Velocity,
+)
+
+PERIOD_MIN_H = 0.01
+"""Faster than any asteroid that has been seen turning."""
+DEGREE_MAX = 20
+"""Of a gravity field: a file's coefficients above it are left out."""
+
+Path = Annotated[Line, Field(min_length=1, max_length=4000)]
+Degree = Annotated[int, Field(ge=1, le=DEGREE_MAX)]
+Order = Annotated[int, Field(ge=0, le=DEGREE_MAX)]
+Coefficient = Annotated[float, Field(ge=-1, le=1)]
+
+
+class GravityField(Section):
+    """Spherical harmonics for the truth that the Monte Carlo flies."""
+
+    reference_radius_m: Positive
+    """Radius in m that the coefficients refer to."""
+    coefficients: Annotated[
+        tuple[tuple[Degree, Order, Coefficient, Coefficient], ...],
+        Field(min_length=1, max_length=300),
+    ]
+    """Rows degree, order, C, S: fully normalised (4 pi), body-fixed."""
+
+    @model_validator(mode="after")
+    def _each_once(self) -> Self:
+        pairs = [(n, m) for n, m, _, _ in self.coefficients]
+        if len(set(pairs)) != len(pairs) or any(m > n for n, m in pairs):
+            raise ValueError("must have each degree and order once, the order at most the degree")
+        return self
+
+
+class Body(Section):
+    """The asteroid: gravity and IAU rotation."""
+
+    name: Name
+    """Name. That of a packaged body (Bennu, Eros) gives what is left out."""
+    gm_m3_s2: Annotated[float, Field(ge=1e-6, le=1e20)]
+    """Gravitational parameter GM in m^3/s^2."""
+    j2: Annotated[float, Field(ge=-1, le=1)]
+    """Unnormalised J2 at reference_radius_m, about the spin pole."""
+    reference_radius_m: Positive
+    """Radius in m that J2 refers to; the flight stays outside it."""
+    pole_ra_deg: Angle
+    """Right ascension of the spin pole in deg, J2000."""
+    pole_dec_deg: Annotated[float, Field(ge=-90, le=90)]
+    """Declination of the spin pole in deg, J2000."""
+    prime_meridian_deg: Angle
+    """W0 in deg of the IAU's W = W0 + W1 d + W2 d^2, d in TDB days past J2000. Follows from
+    prime_meridian_at_epoch_deg."""
+    prime_meridian_rate_deg_day: Angle
+    """W1 in deg/day. Follows from rotation_period_h."""
+    prime_meridian_acceleration_deg_day2: Angle
+    """W2 in deg/day^2; zero where a period is given instead."""
+    rotation_period_h: Annotated[float, Field(ge=-1e6, le=1e6)] | None = None
+    """Sidereal spin period in h: positive for right-handed about the pole, as the IAU defines an
+    asteroid's pole, negative for the other way."""
+    prime_meridian_at_epoch_deg: Angle | None = None
+    """Angle W of the prime meridian at epoch.tdb in deg, in place of W0."""
+    radii_m: tuple[Positive, Positive, Positive] | None = None
+    """Semi-axes of the ellipsoid in m along body-fixed x, y, z: for sites by latitude and longitude,
+    and to check positions and normals."""
+    shape_file: Path | None = None
+    """Shape model for the site: OBJ (with shape_unit), or SPICE DSK (.bds, extra [spice]); body-fixed,
+    origin in the centre of mass. Relative to this file."""
+    shape_unit: Literal["m", "km"] | None = None
+    """Unit of the OBJ's coordinates, which the format does not tell."""
+    pck_file: Path | None = None
+    """SPICE text PCK (extra [spice]) that gives pole, prime meridian and radii of naif_id. Relative to
+    this file."""
+    naif_id: Annotated[int, Field(ge=1, le=99_999_999)] | None = None
+    """NAIF's number of the body in kernels, 2101955 for Bennu."""
+    gravity_file: Path | None = None
+    """Gravity field by degree and order, fully normalised: ICGEM .gfc or PDS SHA table (.sha, .tab).
+    The planner keeps its J2, the Monte Carlo flies it. Relative to this file."""
+    gravity: GravityField | None = None
+    """The field itself, as gravity_file gives it."""
+
+    @model_validator(mode="after")
+    def _turns(self) -> Self:
+        period = self.rotation_period_h
+        if period is not None and abs(period) < PERIOD_MIN_H:
+            raise ValueError(f"rotation_period_h must be at least {PERIOD_MIN_H:g} h either way")
+        return self
+
+
+class Sun(Section):
+    """Heliocentric state of the body at the epoch, J2000, and the solar constant at 1 au."""
+
+    body_position_km: NonZeroVector
+    """Position of the body from the Sun's centre at the epoch in km, J2000. Computed for packaged
+    bodies, and from spk_files."""
+    body_velocity_km_s: Velocity
+    """Velocity of the body about the Sun at the epoch in km/s, J2000. Computed likewise."""
+    solar_constant_w_m2: Positive = 1361.0
+    """Solar irradiance at 1 au in W/m^2."""
+    spk_files: Annotated[tuple[Path, ...], Field(min_length=1, max_length=20)] | None = None
+    """SPICE SPK kernels (extra [spice]) that hold body.naif_id and the Sun. Relative to this file."""
