@@ -41,7 +41,7 @@ from scp_recon.planning.method import (
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.planning.stages import Observer
-from scp_recon.scenario.load import base_names, load_scenario, validate_scenario
+from scp_recon.scenario.load import base_names, load_scenario, override
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
@@ -61,7 +61,8 @@ def parser() -> argparse.ArgumentParser:
         "--scenario",
         type=Path,
         metavar="FILE",
-        help=f"TOML file, complete or with base = one of {', '.join(base_names())} (default: recon_b)",
+        help=f"TOML file, complete or with base = a file or one of {', '.join(base_names())} (default: "
+        "recon_b)",
     )
     p.add_argument(
         "--set",
@@ -256,7 +257,7 @@ def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:
 
 def _scenario(options: argparse.Namespace, given: Solution | None) -> Scenario:
     if options.scenario is None and given is not None:
-        return validate_scenario(given.scenario.model_dump(mode="json"), options.overrides)
+        return override(given.scenario, options.overrides)
     return load_scenario(options.scenario, options.overrides)
 
 

@@ -55,10 +55,5 @@ class Section(BaseModel):
     """A table of the scenario: frozen, strict, nothing unknown, nothing infinite."""
 
     model_config = ConfigDict(
-        frozen=True,
-        strict=True,
-        extra="forbid",
-        allow_inf_nan=False,
-        ser_json_inf_nan="null",
-        use_attribute_docstrings=True,
+        frozen=True, strict=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Self
 
 from pydantic import ValidationError
@@ -11,8 +11,9 @@ from pydantic import ValidationError
 from scp_recon.errors import InputError
 from scp_recon.scenario.body import Body, Sun
 from scp_recon.scenario.fields import Name, Section
-from scp_recon.scenario.inheritance import check_inherited
+from scp_recon.scenario.inherit import inherit, merge, nested
 from scp_recon.scenario.messages import input_error
+from scp_recon.scenario.resolve import resolve
 from scp_recon.scenario.sections import (
     Battery,
     Boundary,
@@ -79,27 +80,16 @@ class Scenario(Section):
         Raises:
             InputError: naming the entry, what was given and what is allowed.
         """
-        data: dict[str, Any] = self.model_dump(mode="json")
+        layer: dict[str, Any] = {}
         for entry, value in changes.items():
-            data = merge(data, nested(entry.split("."), value))
-        replaced = self.validated(data)
-        check_inherited(self.model_dump(), replaced.model_dump())
-        return replaced
+            layer = merge(layer, nested(entry.split("."), value))
+        return self.changed(layer)
 
+    def changed(self, layer: Mapping[str, Any]) -> Self:
+        """The same scenario with what some nested tables say anew, and with what follows from it.
 
-def nested(keys: Sequence[str], value: Any) -> dict[str, Any]:
-    """A value in the tables that some keys name, the outermost first."""
-    first, *rest = keys
-    return {first: nested(rest, value) if rest else value}
-
-
-def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables with some entries changed; tables are merged, everything else replaced."""
-    merged = dict(base)
-    for key, value in changes.items():
-        old = merged.get(key)
-        if isinstance(old, dict) and isinstance(value, dict):
-            merged[key] = merge(old, value)
-        else:
-            merged[key] = value
-    return merged
+        Raises:
+            InputError: naming the entry, what was given and what is allowed.
+        """
+        data = inherit(self.model_dump(mode="json", exclude_none=True), layer)
+        return self.validated(resolve(data, layer))

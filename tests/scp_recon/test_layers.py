@@ -67,7 +67,8 @@ def test_scp_recon_imports_nothing_from_the_floors_above(path: Path) -> None:
 FLOORS = (
     *(f"formulations.{name}" for name in ("risk", "problem", "linearisation", "rows", "program")),
     *(f"formulations.{name}" for name in ("nlp", "registry")),
-    *(f"scp_recon.{name}" for name in ("errors", "files", "scenario", "physics", "mission", "scp")),
+    *(f"scp_recon.{name}" for name in ("errors", "files", "environment", "scenario", "physics")),
+    *(f"scp_recon.{name}" for name in ("mission", "scp")),
     *(f"scp_recon.{name}" for name in ("planning", "solution", "monte_carlo", "spacecraft")),
     *(
         f"scp_recon.{name}"

@@ -1,0 +1,52 @@
+"""What is given as well as it can be computed: told in one message where the two do not agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.errors import InputError
+
+
+def fill(table: dict[str, Any], values: Mapping[str, Any]) -> None:
+    """Enter what is not given."""
+    for key, value in values.items():
+        if table.get(key) is None:
+            table[key] = value
+
+
+def has(table: Mapping[str, Any], *keys: str) -> bool:
+    """Whether all of these are given."""
+    return all(table.get(key) is not None for key in keys)
+
+
+def lacks(table: Mapping[str, Any], *keys: str) -> bool:
+    """Whether none of these is given."""
+    return all(table.get(key) is None for key in keys)
+
+
+def check(entry: str, given: object, near: bool, computed: object, why: str) -> None:
+    """Refuse what is not near what was computed.
+
+    Raises:
+        InputError: if it is not.
+    """
+    if not near:
+        raise InputError(entry, _shown(given), f"must agree with {_shown(computed)}, {why}")
+
+
+def angle_deg(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
+    """Angle between two vectors, deg."""
+    a, b = np.asarray(a, dtype=float), np.asarray(b, dtype=float)
+    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, float | int):
+        return f"{value:g}"
+    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
+        return f"[{', '.join(f'{float(x):g}' for x in value)}]"
+    return str(value)

@@ -1,0 +1,117 @@
+"""Where a site is and which way it faces, on the ellipsoid or on a shape model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scp_recon.environment.shape_file import read_shape
+from scp_recon.environment.surface import (
+    Array,
+    Ellipsoid,
+    Mesh,
+    OpenShapeError,
+    Surface,
+    coordinates_of,
+    direction_of,
+)
+from scp_recon.errors import InputError
+from scp_recon.scenario.resolution.agreement import angle_deg, check, has
+
+DIRECTION_TOLERANCE_DEG, NORMAL_TOLERANCE_DEG = 0.1, 30.0
+"""Of a position beside its coordinates, and of a normal beside the surface's: terrain is rough."""
+OFF_ELLIPSOID, OFF_MESH, OFF_RADII = 1.5, 1.05, 1.3
+"""Factor by which a position may be off the surface, and a shape off the body's radii."""
+
+
+def resolve_site(site: dict[str, Any], body: dict[str, Any]) -> None:
+    """Enter position and normal.
+
+    Args:
+        site: table to enter them in.
+        body: for its radii and shape.
+
+    Raises:
+        InputError: if the shape cannot be used, there is none, or entries contradict one another.
+    """
+    given = site.get("position_body_m")
+    if given is None and not has(site, "latitude_deg", "longitude_deg"):
+        return  # which the schema tells
+    surface = _surface(site, body)
+    if given is not None:
+        direction = np.array(given, dtype=float) / max(np.linalg.norm(given), np.finfo(float).tiny)
+        if has(site, "latitude_deg", "longitude_deg"):
+            _check_coordinates(site, direction)
+    elif surface is not None:
+        direction = direction_of(site["latitude_deg"], site["longitude_deg"])
+    else:
+        raise InputError(
+            "site.latitude_deg",
+            f"{site['latitude_deg']:g} on a body without a shape",
+            "needs body.radii_m or body.shape_file, or a packaged body's name",
+        )
+    if surface is None:
+        if has(site, "normal_body"):
+            _check_outward(site, direction)
+        return
+    try:
+        position, normal = surface.at(direction)
+    except OpenShapeError as error:
+        where = "latitude {:.2f} deg, longitude {:.2f} deg".format(*coordinates_of(direction))
+        raise InputError("body.shape_file", f"{error}: {where}", "must be closed") from None
+    if given is None:
+        site["position_body_m"] = position.tolist()
+    else:
+        _check_distance(given, position, OFF_MESH if isinstance(surface, Mesh) else OFF_ELLIPSOID)
+    if has(site, "normal_body"):
+        apart = angle_deg(site["normal_body"], normal)
+        why = f"the surface's there, to {NORMAL_TOLERANCE_DEG:g} deg (or be left out)"
+        near = apart <= NORMAL_TOLERANCE_DEG
+        check("site.normal_body", site["normal_body"], near, normal, why)
+    else:
+        site["normal_body"] = normal.tolist()
+
+
+def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
+    radii = np.array(body["radii_m"], dtype=float) if has(body, "radii_m") else None
+    if not has(body, "shape_file"):
+        if has(site, "normal_radius_m"):
+            raise InputError(
+                "site.normal_radius_m",
+                f"{site['normal_radius_m']:g}",
+                "goes with body.shape_file only",
+            )
+        return None if radii is None else Ellipsoid(radii)
+    path = Path(body["shape_file"])
+    mesh = read_shape(path, body.get("shape_unit"), site.get("normal_radius_m") or 0.0)
+    if radii is not None:
+        ratio = mesh.half_extents_m / radii
+        why = f"body.radii_m along x, y and z, within a factor of {OFF_RADII:g}: mind unit and axes"
+        near = bool(np.all((ratio <= OFF_RADII) & (ratio >= 1.0 / OFF_RADII)))
+        check("body.shape_file", [*mesh.half_extents_m], near, radii, why)
+    return mesh
+
+
+def _check_coordinates(site: dict[str, Any], direction: Array) -> None:
+    coordinates = site["latitude_deg"], site["longitude_deg"]
+    near = angle_deg(direction, direction_of(*coordinates)) <= DIRECTION_TOLERANCE_DEG
+    why = f"the direction of position_body_m, to {DIRECTION_TOLERANCE_DEG:g} deg"
+    check("site.latitude_deg, longitude_deg", coordinates, near, coordinates_of(direction), why)
+
+
+def _check_distance(given: Any, position: Array, factor: float) -> None:
+    size, surface = float(np.linalg.norm(given)), float(np.linalg.norm(position))
+    check(
+        "site.position_body_m",
+        f"{size:g} m from the centre",
+        surface / factor <= size <= surface * factor,
+        f"{surface:g} m",
+        f"where the surface is, within a factor of {factor:g}",
+    )
+
+
+def _check_outward(site: dict[str, Any], direction: Array) -> None:
+    if angle_deg(site["normal_body"], direction) >= 90.0:
+        raise InputError("site.normal_body", str(site["normal_body"]), "must point outward")

@@ -1,0 +1,133 @@
+"""From what the user knows to the numbers that planning needs: the one place where they are computed.
+
+Rotation, gravity, Sun and site are each a subject. What is given as well as it can be computed is
+checked against it. A subject that lacks something is left as it is: the schema tells what is missing.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from scp_recon.environment.catalogue import DAY_S, J2000_TDB, packaged_body
+from scp_recon.scenario.body import Body, Sun
+from scp_recon.scenario.fields import Section
+from scp_recon.scenario.inherit import entries, found
+from scp_recon.scenario.resolution.gravity import resolve_gravity
+from scp_recon.scenario.resolution.rotation import resolve_rotation
+from scp_recon.scenario.resolution.site import resolve_site
+from scp_recon.scenario.resolution.sun import resolve_sun
+from scp_recon.scenario.site import SiteSection
+
+Tables = dict[str, Any]
+
+SUBJECTS: dict[str, tuple[str, ...]] = {
+    "rotation": (
+        "body.pole_",
+        "body.prime_",
+        "body.rotation_",
+        "body.pck_",
+        "body.naif_",
+        "body.name",
+    ),
+    "gravity": ("body.gm_", "body.j2", "body.reference_", "body.gravity", "body.name"),
+    "sun": ("sun.", "epoch.", "body.name", "body.naif_"),
+    "site": ("site.", "body.name", "body.radii_", "body.shape_", "body.pck_"),
+}
+"""What each subject is computed from and checked against: beginnings of entries."""
+FILES = ("body.shape_file", "body.pck_file", "body.gravity_file")
+
+
+def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> Tables:
+    """Nested tables with everything computed that can be.
+
+    Args:
+        data: nested tables of a scenario, its base merged in.
+        changes: what in them is new, where the rest has been resolved before: other subjects are left
+            alone, so that what they were computed from need not be there any more.
+
+    Raises:
+        InputError: if a file cannot be used, an epoch is outside what is known, or what is given
+            contradicts what is computed.
+    """
+    tables: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in data.items()}
+    wanted = set(SUBJECTS) if changes is None else _touched(changes)
+    body, days = tables.get("body"), _days(tables)
+    if not isinstance(body, dict) or not _well_formed(body, Body):
+        return tables
+    known = packaged_body(body.get("name"))
+    if known is not None:
+        body.setdefault("naif_id", known.entries["naif_id"])
+    steps: dict[str, Callable[[], None]] = {
+        "rotation": lambda: resolve_rotation(body, known, days),
+        "gravity": lambda: resolve_gravity(body, known),
+        "sun": lambda: _table(tables, "sun", Sun, lambda sun: resolve_sun(sun, body, known, days)),
+        "site": lambda: _table(tables, "site", SiteSection, lambda site: resolve_site(site, body)),
+    }
+    for subject, step in steps.items():
+        if subject in wanted:
+            step()
+    return tables
+
+
+def anchored(data: Mapping[str, Any], folder: Path) -> Tables:
+    """Nested tables whose files, named relative to a folder, are named for good."""
+    tables: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in data.items()}
+
+    def anchor(name: Any) -> Any:
+        return str((folder / name).absolute()) if isinstance(name, str) and name else name
+
+    for entry in FILES:
+        table, _, key = entry.partition(".")
+        if found(tables, entry) is not None:
+            tables[table][key] = anchor(tables[table][key])
+    kernels = found(tables, "sun.spk_files")
+    if isinstance(kernels, list | tuple):
+        tables["sun"]["spk_files"] = [anchor(name) for name in kernels]
+    return tables
+
+
+def _touched(changes: Mapping[str, Any]) -> set[str]:
+    changed = list(entries(changes))
+    return {
+        subject
+        for subject, beginnings in SUBJECTS.items()
+        if any(entry.startswith(beginnings) for entry in changed)
+    }
+
+
+def _table(
+    tables: Tables, name: str, schema: type[Section], step: Callable[[dict[str, Any]], None]
+) -> None:
+    """Resolve a table, which may be missing if all of it can be computed."""
+    table = tables.get(name, {})
+    if isinstance(table, dict) and _well_formed(table, schema):
+        step(table)
+        if table:
+            tables[name] = table
+
+
+def _well_formed(table: Mapping[str, Any], schema: type[Section]) -> bool:
+    """Whether nothing is wrong with a table but that entries are missing."""
+    try:
+        schema.model_validate_json(json.dumps(table, default=str))
+    except ValidationError as error:
+        kinds = {problem["type"] for problem in error.errors(include_url=False)}
+        return kinds <= {"missing"}
+    except (ValueError, RecursionError):
+        return False
+    return True
+
+
+def _days(tables: Mapping[str, Any]) -> float | None:
+    """TDB days past J2000 of the epoch; None if it is missing or no date."""
+    try:
+        tdb = datetime.fromisoformat(str(found(tables, "epoch.tdb")))
+        return (tdb - J2000_TDB).total_seconds() / DAY_S
+    except (ValueError, TypeError):
+        return None
