@@ -109,7 +109,7 @@ def fly(
         plan: to fly.
         samples: flights.
         seed: of all draws.
-        truth: dynamics flown, the planner's or degree-8 harmonics.
+        truth: dynamics flown, the planner's or harmonics.
         errors: of the burns, the paper's or Gates'.
         workers: processes; the result does not depend on their number.
 

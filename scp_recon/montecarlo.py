@@ -56,7 +56,8 @@ def parser() -> argparse.ArgumentParser:
         "--truth",
         choices=("planner", "harmonics"),
         default="planner",
-        help="point mass with J2, or the degree-8 field turning with the body (default: planner)",
+        help="point mass with J2, or harmonics turning with the body: of body.gravity_file, or "
+        "degree 8 of a packaged field (default: planner)",
     )
     p.add_argument(
         "--errors",

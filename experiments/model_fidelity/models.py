@@ -12,7 +12,7 @@ import numpy.typing as npt
 from experiments.model_fidelity.arcs import Firing, Model
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
-from scp_recon.monte_carlo.sampling import HARMONICS_DEGREE
+from scp_recon.mission.truth import HARMONICS_DEGREE
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.solution.file import Solution

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.truth import truth_field
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
-from scp_recon.physics.harmonics import HarmonicField
 
 Array = npt.NDArray[np.float64]
 TruthModel = Literal["planner", "harmonics"]
@@ -22,9 +22,6 @@ Flow = Callable[[Array, Array, float, float], tuple[Array, Array]]
 
 BLOCK = 1000
 """Flights drawn from one seed: a flight is the same however many others are flown, and where."""
-
-HARMONICS_DEGREE = 8
-"""The paper's ground truth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +67,7 @@ def fly_block(
         block: which draws.
         flights: at most `BLOCK`.
         seed: of all blocks.
-        truth: point mass with J2, or the degree-8 field turning with the body.
+        truth: point mass with J2, or the field of `truth_field` turning with the body.
         errors: of the burns.
     """
     draws = np.random.default_rng([seed, block]).standard_normal((BLOCK, 6 + burns_m_s.size))
@@ -144,7 +141,7 @@ def _flow(mission: Mission, truth: TruthModel) -> Flow:
 
     if truth == "planner":
         return planner
-    field = HarmonicField.bennu(mission.scenario.body.gm_m3_s2, HARMONICS_DEGREE)
+    field = truth_field(mission.scenario)
     srp = forces.srp[:, None]
 
     def harmonics(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from math import factorial, sqrt
@@ -33,13 +34,20 @@ class HarmonicField:
         """Flight field of Bennu to a degree of at most 10."""
         text = (files("scp_recon") / "data" / "gravity" / "bennu.toml").read_text(encoding="utf-8")
         data = tomllib.loads(text)
+        rows = [(n, m, c, s) for n, m, c, s in data["coefficients"] if n <= degree]
+        return cls.of_rows(gm, data["reference_radius_m"], degree, rows)
+
+    @classmethod
+    def of_rows(
+        cls, gm: float, radius: float, degree: int, rows: Iterable[tuple[int, int, float, float]]
+    ) -> HarmonicField:
+        """From fully normalised coefficients: rows of degree, order, C, S, up to a degree."""
         c, s = np.zeros((degree + 1, degree + 1)), np.zeros((degree + 1, degree + 1))
         c[0, 0] = 1.0
-        for n, m, c_bar, s_bar in data["coefficients"]:
-            if n <= degree:
-                norm = _normalisation(n, m)
-                c[n, m], s[n, m] = norm * c_bar, norm * s_bar
-        return cls(gm, data["reference_radius_m"], c, s)
+        for n, m, c_bar, s_bar in rows:
+            norm = _normalisation(n, m)
+            c[n, m], s[n, m] = norm * c_bar, norm * s_bar
+        return cls(gm, radius, c, s)
 
     def normalised(self) -> tuple[Array, Array]:
         """Fully normalised coefficients, shape (n + 1, n + 1) each."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -25,7 +25,14 @@ def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
     """
     allowed: dict[tuple[str, str], list[str]] = {}
     found = [dict(problem) for problem in error.errors(include_url=False)]
-    problems = [problem for problem in found if not _follows_from_another(problem, found)]
+    missing = _missing(found, schema)
+    problems = [
+        problem
+        for problem in found
+        if not _is_missing(problem) and not _follows_from_another(problem, found)
+    ]
+    if not problems:
+        return InputError(missing[0], "nothing", _all_of(missing[1:], "required, as are", missing))
     entries = {tuple(_location(problem)) for problem in problems}
     for problem in problems:
         entry, given, rule = _describe(problem, schema)
@@ -38,7 +45,44 @@ def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
     more = [f"{e}: got {g}; {', or '.join(allowed[e, g])}" for e, g in others]
     if len(more) >= MAX_PROBLEMS_SHOWN:
         more[MAX_PROBLEMS_SHOWN - 1 :] = [f"... and {len(entries) - MAX_PROBLEMS_SHOWN} more"]
+    if missing:
+        more.append(_all_of(missing, "missing:", missing))
     return InputError(entry, given, "\n".join([", or ".join(allowed[entry, given]), *more]))
+
+
+INSTEAD = {
+    "body.": "body: the name of a packaged body gives the rest; so do pck_file, gravity_file, and "
+    "rotation_period_h with prime_meridian_at_epoch_deg. Another body inherits nothing.",
+    "sun.": "sun: computed for packaged bodies, and from spk_files. Another epoch inherits no Sun.",
+    "site.": "site: latitude_deg and longitude_deg will do on a shape, which is body.radii_m, "
+    "body.shape_file or a packaged body's. Another body inherits no site.",
+}
+"""What may be said in the place of missing entries, by how these begin."""
+
+
+def _missing(problems: Iterable[dict[str, Any]], schema: type[BaseModel]) -> list[str]:
+    """Every entry that is missing, those of missing tables one by one."""
+    entries: list[str] = []
+    for location in (problem["loc"] for problem in problems if _is_missing(problem)):
+        field = _field(list(location), schema)
+        model = field.annotation if field else None
+        inside = getattr(model, "model_fields", {})
+        keys = [key for key, item in inside.items() if item.is_required()]
+        entry = ".".join(map(str, location))
+        entries += [f"{entry}.{key}" for key in keys] or [entry]
+    return entries
+
+
+def _is_missing(problem: dict[str, Any]) -> bool:
+    """An entry, and not an item of a list of fixed length."""
+    return problem["type"] == "missing" and not isinstance(problem["loc"][-1], int)
+
+
+def _all_of(listed: Sequence[str], words: str, missing: Sequence[str]) -> str:
+    """A list of entries, and what would do in their place."""
+    sentence = f"{words} {', '.join(listed)}" if listed else "required"
+    hints = [hint for table, hint in INSTEAD.items() if any(e.startswith(table) for e in missing)]
+    return "\n".join([f"{sentence} (or name a base)", *hints])
 
 
 def _describe(problem: dict[str, Any], schema: type[BaseModel]) -> tuple[str, str, str]:
@@ -52,11 +96,9 @@ def _describe(problem: dict[str, Any], schema: type[BaseModel]) -> tuple[str, st
             _suggestion(location, schema),
         )
     location = _location(problem)
-    if kind == "missing" and isinstance(location[-1], int):  # of a list of fixed length
+    if kind == "missing":  # of a list of fixed length
         location = location[:-1]
     entry = ".".join(map(str, location)) or "scenario"
-    if kind == "missing" and not isinstance(problem["loc"][-1], int):
-        return entry, "nothing", "this entry is required (or name a base)"
     given = "these values" if isinstance(problem["input"], dict) else _shown(problem["input"])
     message = _rule(problem, location, schema)
     return entry, given, message if "must" in message else f"must be {message}"

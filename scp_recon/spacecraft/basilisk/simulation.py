@@ -13,9 +13,8 @@ from Basilisk.utilities import SimulationBaseClass, macros
 from scipy.spatial.transform import Rotation
 
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.sampling import HARMONICS_DEGREE
+from scp_recon.mission.truth import truth_field
 from scp_recon.physics.frames import unit
-from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.basilisk.control import build_flight_software
 from scp_recon.spacecraft.basilisk.plant import STEP_S, Start, build_plant
@@ -151,7 +150,7 @@ class Simulator:
         times_s: Array,
     ) -> None:
         self.plan, self.times_s = plan, times_s
-        field = HarmonicField.bennu(plan.mission.scenario.body.gm_m3_s2, HARMONICS_DEGREE)
+        field = truth_field(plan.mission.scenario)
         self.plant = build_plant(plan.mission, plan.vehicle, start, field=field)
         sensors = build_sensors(
             self.plant.hub.scStateOutMsg,

@@ -95,7 +95,7 @@ UNITS = ("_m", "_km", "_s", "_h", "_deg", "_kg", "_m2", "_m_s", "_km_s")
 COMPOUND_UNITS = ("_m3_s2", "_w_m2", "_deg_day", "_deg_day2")
 DIMENSIONLESS = {
     *("j2", "reflectivity_coefficient", "normal_body", "initial_sigma_fraction"),
-    *("execution_error", "p_chance", "ball", "cone"),
+    *("execution_error", "p_chance", "ball", "cone", "naif_id", "coefficients"),
 }
 
 

@@ -1,32 +1,45 @@
-"""Whether a truth can be flown for a mission: the packaged gravity field is one body's."""
+"""The gravity that is flown where the planner's J2 is held against the truth."""
 
 from __future__ import annotations
 
 from scp_recon.errors import InputError
-from scp_recon.monte_carlo.sampling import TruthModel
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.scenario.schema import Scenario
 
+HARMONICS_DEGREE = 8
+"""Of the packaged field: the paper's ground truth."""
 FIELD_BODY, FIELD_GM_M3_S2 = "Bennu", 4.89044967462
 """Of the packaged field: Chesley et al. 2020."""
 SAME_GM, SAME_J2 = 0.01, 0.1
-"""How far a scenario's GM and J2 may be off the field's, relative."""
+"""How far a scenario's GM and J2 may be off the packaged field's, relative."""
 
 
-def check_truth(scenario: Scenario, truth: TruthModel) -> None:
-    """Refuse to fly one body's field about another.
+def truth_field(scenario: Scenario) -> HarmonicField:
+    """The field of `body.gravity_file` in full, else that of the packaged body to degree 8; SI.
 
     Raises:
-        InputError: if the harmonics are asked for and the body's name, GM, reference radius or J2 is
-            not that of the packaged field.
+        InputError: if the body has neither, or its GM, reference radius or J2 is not that of the
+            packaged field: no other body's field is flown in its place.
     """
-    if truth != "harmonics":
-        return
     body = scenario.body
-    field = HarmonicField.bennu(body.gm_m3_s2, 2)
+    if body.gravity is not None:
+        rows = body.gravity.coefficients
+        degree = max(n for n, _, _, _ in rows)
+        return HarmonicField.of_rows(body.gm_m3_s2, body.gravity.reference_radius_m, degree, rows)
+    if body.name.casefold() == FIELD_BODY.casefold():
+        field = HarmonicField.bennu(body.gm_m3_s2, HARMONICS_DEGREE)
+        _check_is_packaged(body, field)
+        return field
+    raise InputError(
+        "body.gravity_file",
+        f"nothing for {body.name}",
+        "must name a gravity field (.gfc, or a PDS SHA table) for harmonics of this body to be flown",
+    )
+
+
+def _check_is_packaged(body: Body, field: HarmonicField) -> None:
     j2 = -float(field.c[2, 0])
     for entry, given, expected, same in (
-        ("name", body.name, FIELD_BODY, body.name.casefold() == FIELD_BODY.casefold()),
         (
             "gm_m3_s2",
             f"{body.gm_m3_s2:g}",

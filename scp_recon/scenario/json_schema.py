@@ -1,0 +1,101 @@
+"""The JSON schema of scenario files, with which editors complete and check them.
+
+What an entry is stands below its field as a docstring; it is read here, and not whenever the tables are
+made, which would take longer than making them.
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import itertools
+import sys
+from typing import Any
+
+from pydantic import BaseModel
+
+from scp_recon.environment.catalogue import body_names
+from scp_recon.scenario.load import base_names
+from scp_recon.scenario.schema import Scenario
+
+DRAFT = "http://json-schema.org/draft-07/schema#"
+"""What taplo and Even Better TOML read; Pydantic writes 2020-12, which names two things otherwise."""
+
+
+def json_schema() -> dict[str, Any]:
+    """Of a scenario file: the entries of `Scenario`, none of them required, and `base`.
+
+    None is required because a base, or a computation, may give it; the program tells what is missing.
+    """
+    schema = Scenario.model_json_schema()
+    models = {model.__name__: model for model in _models(Scenario)}
+    definitions = _as_draft_7(schema.pop("$defs"))
+    for name, table in [("Scenario", schema), *definitions.items()]:
+        table.pop("required", None)
+        told = _docstrings(models[name])
+        for key, entry in table["properties"].items():
+            entry.pop("title", None)
+            if "description" not in entry and key in told:
+                entry["description"] = told[key]
+    base = {
+        "description": "What this file changes: a packaged scenario "
+        f"({', '.join(base_names())}), or a scenario file relative to this one.",
+        "type": "string",
+    }
+    definitions["Body"]["properties"]["name"]["examples"] = body_names()
+    properties = {"base": base, **_as_draft_7(schema["properties"])}
+    return {
+        "$schema": DRAFT,
+        "title": "scp_recon scenario",
+        "description": "Units are in the names of the entries; angles are in degrees.",
+        "type": "object",
+        "additionalProperties": False,
+        "properties": properties,
+        "definitions": definitions,
+    }
+
+
+def _as_draft_7(part: Any) -> Any:
+    """`$defs` are `definitions` there, and `prefixItems` are `items`."""
+    if isinstance(part, dict):
+        return {
+            "items" if key == "prefixItems" else key: _as_draft_7(value)
+            for key, value in part.items()
+        }
+    if isinstance(part, list):
+        return [_as_draft_7(item) for item in part]
+    return part.replace("#/$defs/", "#/definitions/") if isinstance(part, str) else part
+
+
+def _models(model: type[BaseModel]) -> set[type[BaseModel]]:
+    """A model and those that its fields are made of."""
+    found = {model}
+    for field in model.model_fields.values():
+        for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if inspect.isclass(kind) and issubclass(kind, BaseModel):
+                found |= _models(kind)
+    return found
+
+
+def _docstrings(model: type[BaseModel]) -> dict[str, str]:
+    """What stands below each field of a model in its source, and the summary of a table's class."""
+    tree = ast.parse(inspect.getsource(sys.modules[model.__module__]))
+    body = next(
+        node.body
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and node.name == model.__name__
+    )
+    told = {
+        name: field.annotation.__doc__ or ""
+        for name, field in model.model_fields.items()
+        if inspect.isclass(field.annotation) and issubclass(field.annotation, BaseModel)
+    }
+    for field, below in itertools.pairwise(body):
+        if (
+            isinstance(field, ast.AnnAssign)
+            and isinstance(field.target, ast.Name)
+            and isinstance(below, ast.Expr)
+            and isinstance(below.value, ast.Constant)
+        ):
+            told[field.target.id] = inspect.cleandoc(str(below.value.value)).replace("\n", " ")
+    return told
