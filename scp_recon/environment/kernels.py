@@ -50,8 +50,10 @@ def read_pck(path: Path, naif_id: int, days: float) -> PckRotation:
     with _kernels(entry, [path]) as spice:
 
         def values(item: str) -> list[float]:
-            found = spice.bodfnd(naif_id, item)
-            return [float(x) for x in spice.bodvcd(naif_id, item, 10)[1]] if found else []
+            if not spice.bodfnd(naif_id, item):
+                return []
+            count, padded = spice.bodvcd(naif_id, item, 10)
+            return [float(x) for x in padded[:count]]
 
         pole_ra, pole_dec, meridian = (values(item) for item in ("POLE_RA", "POLE_DEC", "PM"))
         radii = values("RADII")

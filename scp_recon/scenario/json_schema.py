@@ -56,11 +56,12 @@ def json_schema() -> dict[str, Any]:
 
 
 def _as_draft_7(part: Any) -> Any:
-    """`$defs` are `definitions` there, and `prefixItems` are `items`."""
+    """`$defs` are `definitions` there, and `prefixItems` are `items`; its date-time has a time zone."""
     if isinstance(part, dict):
         return {
             "items" if key == "prefixItems" else key: _as_draft_7(value)
             for key, value in part.items()
+            if key != "format"
         }
     if isinstance(part, list):
         return [_as_draft_7(item) for item in part]

@@ -1,0 +1,271 @@
+"""From what the user knows to numbers: site, body, Sun and gravity, and what contradicts them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.environment.surface import direction_of
+from scp_recon.errors import InputError
+from scp_recon.mission.truth import truth_field
+from scp_recon.physics.frames import J2000_TDB, Rotation
+from scp_recon.scenario.load import load_scenario, override, validate_scenario
+from scp_recon.scenario.resolution.agreement import angle_deg
+from scp_recon.scenario.schema import Scenario
+from tests.scp_recon.environment.test_gravity_file import BARE, GFC
+from tests.scp_recon.environment.test_surface import box, write_obj
+
+ROCK: dict[str, Any] = {
+    "name": "Rock",
+    "gm_m3_s2": 5.0,
+    "j2": 0.04,
+    "reference_radius_m": 290.0,
+    "pole_ra_deg": 85.0,
+    "pole_dec_deg": -60.0,
+    "rotation_period_h": 4.3,
+    "prime_meridian_at_epoch_deg": 317.6,
+    "radii_m": [280.0, 270.0, 250.0],
+}
+PLACE = {"name": "Place", "latitude_deg": 56.0, "longitude_deg": 42.0}
+STATE = {
+    "body_position_km": [151091819.0, -4888099.83, -3401500.27],
+    "body_velocity_km_s": [-4.30313922, 26.81106478, 15.16848766],
+}
+
+
+def rock(*overrides: str, **tables: dict[str, Any]) -> Scenario:
+    """Reconnaissance B about another body."""
+    data = {"base": "recon_b", "body": ROCK, "site": PLACE, "sun": STATE, **tables}
+    return validate_scenario(data, overrides)
+
+
+def refused(*overrides: str, **tables: dict[str, Any]) -> InputError:
+    with pytest.raises(InputError) as caught:
+        rock(*overrides, **tables)
+    return caught.value
+
+
+def w_deg(scenario: Scenario) -> float:
+    """Prime meridian at the epoch."""
+    body = scenario.body
+    coefficients = (
+        body.prime_meridian_deg,
+        body.prime_meridian_rate_deg_day,
+        body.prime_meridian_acceleration_deg_day2,
+    )
+    rotation = Rotation.from_iau(
+        body.pole_ra_deg, body.pole_dec_deg, coefficients, scenario.epoch.tdb
+    )
+    return float(np.rad2deg(rotation.meridian))
+
+
+# --- rotation -----------------------------------------------------------------------------------
+
+
+@given(
+    period=st.floats(0.05, 1e3) | st.floats(-1e3, -0.05),
+    meridian=st.floats(-360.0, 360.0),
+    epoch=st.datetimes(datetime(1990, 1, 1), datetime(2060, 1, 1)),
+)
+def test_a_period_is_a_rate_and_the_meridian_is_met_at_the_epoch(
+    period: float, meridian: float, epoch: datetime
+) -> None:
+    body = ROCK | {"rotation_period_h": period, "prime_meridian_at_epoch_deg": meridian}
+    found = rock(body=body, epoch={"tdb": epoch.isoformat()})
+    assert found.body.prime_meridian_rate_deg_day * period / 24.0 == pytest.approx(360.0)
+    apart = (w_deg(found) - meridian + 180.0) % 360.0 - 180.0
+    days = abs((epoch - J2000_TDB).total_seconds()) / 86_400.0
+    assert abs(apart) < 1e-12 * abs(8640.0 / period) * days + 1e-9
+
+
+def test_a_packaged_body_needs_only_its_name(scenario: Scenario) -> None:
+    tables = {"base": "recon_b", "body": {"name": "Bennu"}}
+    bare = scenario.model_dump(mode="json", exclude_none=True)
+    del bare["sun"]
+    bare["body"] = {"name": "bennu"}
+    found = validate_scenario(bare)
+    given_body, body = scenario.body.model_dump(), found.body.model_dump()
+    assert body | {"name": "Bennu"} == given_body
+    assert validate_scenario(tables) == scenario
+    assert angle_deg(found.sun.body_position_km, scenario.sun.body_position_km) < 0.01
+
+
+def test_what_is_given_beside_the_name_wins_group_by_group() -> None:
+    heavier = load_scenario(None, ["body.gm_m3_s2=6.0"])
+    assert (heavier.body.gm_m3_s2, heavier.body.pole_ra_deg) == (6.0, 85.46097)
+    bare = {"base": "recon_b", "body": {"name": "Eros", "j2": 0.1}, "site": PLACE}
+    with pytest.raises(InputError) as caught:  # J2 of another radius than the packaged one's
+        validate_scenario(bare)
+    assert caught.value.entry == "body.reference_radius_m"
+
+
+# --- site ---------------------------------------------------------------------------------------
+
+
+@given(latitude=st.floats(-90.0, 90.0), longitude=st.floats(-180.0, 180.0))
+def test_a_site_by_coordinates_is_the_one_by_its_position(
+    latitude: float, longitude: float
+) -> None:
+    place = {"name": "Place", "latitude_deg": latitude, "longitude_deg": longitude}
+    site = rock(site=place).site
+    assert angle_deg(site.position_body_m, direction_of(latitude, longitude)) < 1e-9
+    assert np.linalg.norm(site.normal_body) == pytest.approx(1.0)
+    again = rock(site={"name": "Place", "position_body_m": list(site.position_body_m)}).site
+    np.testing.assert_allclose(again.normal_body, site.normal_body, atol=1e-9)
+
+
+def test_a_site_on_a_shape_file_beside_the_scenario(tmp_path: Path) -> None:
+    write_obj(tmp_path / "box.obj", box(np.array([0.28, 0.27, 0.25])))
+    text = (
+        'base = "recon_b"\n[body]\nname = "Bennu"\nshape_file = "box.obj"\nshape_unit = "km"\n'
+        "[site]\nlatitude_deg = 80.0\nlongitude_deg = 10.0\n"
+    )
+    (tmp_path / "mine.toml").write_text(text, "utf-8")
+    found = load_scenario(tmp_path / "mine.toml")
+    assert found.site.position_body_m[2] == pytest.approx(250.0)
+    np.testing.assert_allclose(found.site.normal_body, [0.0, 0.0, 1.0], atol=1e-12)
+    # Resolved once: nothing but a new site needs the file again.
+    (tmp_path / "box.obj").unlink()
+    assert found.replace({"risk.p_chance": 0.8}).site == found.site
+    assert override(found, ["burns.dv_max_m_s=0.3"]).site == found.site
+    assert Scenario.model_validate_json(found.model_dump_json()) == found
+    with pytest.raises(InputError) as caught:
+        found.replace({"site.latitude_deg": 70.0})
+    assert "shape" in caught.value.entry
+
+
+@pytest.mark.parametrize("axes", list(itertools.permutations(range(3)))[1:])
+def test_swapped_axes_and_other_units_of_a_shape_are_refused(
+    axes: tuple[int, ...], tmp_path: Path
+) -> None:
+    half = np.array([400.0, 280.0, 150.0])
+    body = ROCK | {"radii_m": half.tolist(), "shape_unit": "m"}
+    straight = write_obj(tmp_path / "straight.obj", box(half))
+    assert rock(body=body | {"shape_file": str(straight)}).site.position_body_m
+    swapped = write_obj(tmp_path / "swapped.obj", box(half[list(axes)]))
+    for file, unit in ((swapped, "m"), (straight, "km")):
+        error = refused(body=body | {"shape_file": str(file), "shape_unit": unit})
+        assert error.entry == "body.shape_file"
+        assert "unit and axes" in error.allowed
+
+
+@pytest.mark.parametrize(
+    ("site", "entry"),
+    [
+        ({"position_body_m": [0.091, 0.082, 0.181]}, "site.position_body_m"),  # km
+        ({"position_body_m": [91.0, 82.0, 181.0], **PLACE, "latitude_deg": 57.0}, "site.latitude_deg"),
+        ({"position_body_m": [91.0, 82.0, 181.0], "normal_body": [0.0, -1.0, 0.0]}, "site.normal_body"),
+        ({"latitude_deg": 56.0, "longitude_deg": 42.0, "normal_radius_m": 5.0}, "site.normal_radius_m"),
+        ({"latitude_deg": 100.0, "longitude_deg": 42.0}, "site.latitude_deg"),
+        ({"latitude_deg": 56.0}, "site"),
+    ],
+)  # fmt: skip
+def test_a_site_that_contradicts_itself_is_refused(site: dict[str, Any], entry: str) -> None:
+    assert refused(site={"name": "Place"} | site).entry.startswith(entry)
+
+
+def test_coordinates_need_a_shape() -> None:
+    body = {key: value for key, value in ROCK.items() if key != "radii_m"}
+    assert "body.radii_m" in refused(body=body).allowed
+
+
+# --- the Sun ------------------------------------------------------------------------------------
+
+
+@given(
+    epoch=st.datetimes(datetime(2012, 1, 2), datetime(2035, 12, 30)),
+)
+def test_another_epoch_has_its_own_sun(epoch: datetime) -> None:
+    found = load_scenario(None, [f"epoch.tdb={epoch.isoformat()}"])
+    again = found.replace({"epoch.tdb": "2020-01-21T20:33:17.184"})
+    position = np.array(found.sun.body_position_km)
+    assert 0.88 < np.linalg.norm(position) / 149_597_870.7 < 1.37  # perihelion and aphelion
+    assert angle_deg(again.sun.body_position_km, STATE["body_position_km"]) < 0.01
+
+
+@given(off=st.floats(0.2, 179.0), turn=st.floats(0.0, 6.3))
+def test_a_sun_that_contradicts_the_packaged_one_is_refused(off: float, turn: float) -> None:
+    sun = np.array(STATE["body_position_km"])
+    along = sun / np.linalg.norm(sun)
+    one = np.cross(along, [0.0, 0.0, 1.0]) / np.linalg.norm(np.cross(along, [0.0, 0.0, 1.0]))
+    across = math.cos(turn) * one + math.sin(turn) * np.cross(along, one)
+    angle = math.radians(off)
+    moved = np.linalg.norm(sun) * (math.cos(angle) * along + math.sin(angle) * across)
+    with pytest.raises(InputError) as caught:
+        load_scenario(None, [f"sun.body_position_km={moved.tolist()}"])
+    assert caught.value.entry == "sun.body_position_km"
+
+
+@given(factor=st.sampled_from([1e-3, 1e3]) | st.floats(1.02, 1e3) | st.floats(1e-3, 0.98))
+def test_a_sun_in_another_unit_is_refused(factor: float) -> None:
+    moved = [factor * x for x in STATE["body_position_km"]]
+    with pytest.raises(InputError, match="Bennu"):
+        load_scenario(None, [f"sun.body_position_km={moved}"])
+
+
+def test_an_epoch_without_a_known_sun_is_refused() -> None:
+    with pytest.raises(InputError, match="2012 to 2035"):
+        load_scenario(None, ["epoch.tdb=2050-01-01T00:00:00"])
+    error = refused("epoch.tdb=2021-01-01T00:00:00", "body.prime_meridian_at_epoch_deg=3.0")
+    assert error.entry == "sun.body_position_km"
+    assert "Another epoch inherits no Sun" in error.allowed
+
+
+# --- gravity ------------------------------------------------------------------------------------
+
+
+def test_a_gravity_file_gives_j2_to_the_planner_and_the_field_to_the_truth(tmp_path: Path) -> None:
+    (tmp_path / "field.gfc").write_text(GFC, "utf-8")
+    light = {k: v for k, v in ROCK.items() if k not in ("gm_m3_s2", "j2", "reference_radius_m")}
+    found = rock(body=light | {"gravity_file": str(tmp_path / "field.gfc")})
+    assert found.body.gm_m3_s2 == pytest.approx(4.89)
+    assert found.body.j2 == pytest.approx(math.sqrt(5.0) * 0.0192)
+    field = truth_field(found)
+    assert (field.gm, field.radius, len(field.c)) == (found.body.gm_m3_s2, 290.0, 4)
+    c_bar, s_bar = field.normalised()
+    assert (c_bar[2, 2], s_bar[3, 1]) == (pytest.approx(0.003), pytest.approx(-5e-4))
+    # It is in the scenario: the truth flies it where the file is not.
+    (tmp_path / "field.gfc").unlink()
+    again = Scenario.model_validate_json(found.model_dump_json())
+    np.testing.assert_array_equal(truth_field(again.replace({"risk.p_chance": 0.8})).c, field.c)
+
+
+def test_j2_refers_to_the_radius_that_is_given(tmp_path: Path) -> None:
+    (tmp_path / "field.gfc").write_text(GFC, "utf-8")
+    light = {k: v for k, v in ROCK.items() if k not in ("gm_m3_s2", "j2")}
+    body = light | {"gravity_file": str(tmp_path / "field.gfc"), "reference_radius_m": 145.0}
+    assert rock(body=body).body.j2 == pytest.approx(4.0 * math.sqrt(5.0) * 0.0192)
+
+
+@pytest.mark.parametrize(("entry", "value"), [("j2", 0.05), ("gm_m3_s2", 4.89e-9)])
+def test_what_contradicts_the_gravity_file_is_refused(
+    entry: str, value: float, tmp_path: Path
+) -> None:
+    (tmp_path / "field.gfc").write_text(GFC, "utf-8")
+    agreeing = {"gm_m3_s2": 4.89, "j2": math.sqrt(5.0) * 0.0192}
+    body = ROCK | agreeing | {"gravity_file": str(tmp_path / "field.gfc")}
+    assert rock(body=body).body.j2 == agreeing["j2"]
+    assert refused(body=body | {entry: value}).entry.endswith(entry)
+
+
+def test_a_table_without_radius_takes_the_bodys(tmp_path: Path) -> None:
+    (tmp_path / "field.tab").write_text(BARE, "utf-8")
+    body = ROCK | {"j2": math.sqrt(5.0) * 0.0192, "gravity_file": str(tmp_path / "field.tab")}
+    gravity = rock(body=body).body.gravity
+    assert gravity is not None
+    assert gravity.reference_radius_m == ROCK["reference_radius_m"]
+
+
+def test_no_other_bodys_field_is_flown(scenario: Scenario) -> None:
+    assert len(truth_field(scenario).c) == 9
+    with pytest.raises(InputError) as caught:
+        truth_field(rock())
+    assert caught.value.entry == "body.gravity_file"
