@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from scp_recon.errors import InputError
 from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.scenario.body import Body
 from scp_recon.scenario.schema import Scenario
 
 HARMONICS_DEGREE = 8

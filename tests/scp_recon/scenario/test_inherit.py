@@ -15,6 +15,13 @@ from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.scenario.test_resolution import PLACE, rock
 
 
+def test_the_documented_example_loads(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "scenario.md").read_text("utf-8")
+    (tmp_path / "mine.toml").write_text(page.split("```toml\n")[1].split("```")[0], "utf-8")
+    found = load_scenario(tmp_path / "mine.toml")
+    assert (found.name, found.site.latitude_deg) == ("next_year", 50.0)
+
+
 def chain(folder: Path, *texts: str) -> Path:
     """Files that are each the base of the next; the last one."""
     for number, text in enumerate(texts):
