@@ -59,12 +59,12 @@ class Drawing:
         tail, head = self.screen @ begin, self.screen @ (begin + to)
         self.axes.annotate(
             "",
-            head,
-            tail,
+            (head[0], head[1]),
+            (tail[0], tail[1]),
             arrowprops={"arrowstyle": "-|>", "color": color, "lw": 1.3, "shrinkA": 0, "shrinkB": 0},
         )
-        along = head - tail
-        along = along / max(np.linalg.norm(along), 1e-9)
+        along: Array = head - tail
+        along = along / np.hypot(*along)
         side = "left" if along[0] > 0.5 else "right" if along[0] < -0.5 else "center"
         self.text(head + [0.06, 0.12] * along, label, color, side)
 
@@ -82,7 +82,7 @@ class Drawing:
 
     def text(self, at: Array, label: str, color: str = "k", side: str = "center") -> None:
         """A label about a point of the screen, or beside it."""
-        self.axes.text(*at, label, color=color, ha=side, va="center", path_effects=HALO)
+        self.axes.text(at[0], at[1], label, color=color, ha=side, va="center", path_effects=HALO)
 
 
 def draw() -> Figure:

@@ -63,15 +63,16 @@ def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -
     known = packaged_body(body.get("name"))
     if known is not None:
         body.setdefault("naif_id", known.entries["naif_id"])
-    steps: dict[str, Callable[[], None]] = {
-        "rotation": lambda: resolve_rotation(body, known, days),
-        "gravity": lambda: resolve_gravity(body, known),
-        "sun": lambda: _table(tables, "sun", Sun, lambda sun: resolve_sun(sun, body, known, days)),
-        "site": lambda: _table(tables, "site", SiteSection, lambda site: resolve_site(site, body)),
-    }
-    for subject, step in steps.items():
-        if subject in wanted:
-            step()
+    if "rotation" in wanted:
+        resolve_rotation(body, known, days)
+    if known is not None:  # where no kernel has told them
+        body.setdefault("radii_m", known.entries["radii_m"])
+    if "gravity" in wanted:
+        resolve_gravity(body, known)
+    if "sun" in wanted:
+        _table(tables, "sun", Sun, lambda sun: resolve_sun(sun, body, known, days))
+    if "site" in wanted:
+        _table(tables, "site", SiteSection, lambda site: resolve_site(site, body))
     return tables
 
 

@@ -160,7 +160,7 @@ class Risk(Section):
     allocation: Literal["uniform", "exact"] = "uniform"
     """How risk is spent: evenly over facets (Boole), or as the probabilities of the sets themselves."""
     scope: Literal["node", "flight"] = "node"
-    """What has to hold with it: each joint constraint at each node, or all of them in a whole flight."""
+    """What has to hold: each joint constraint at each node, or all of them in a whole flight."""
 
     @model_validator(mode="after")
     def _flights_are_exact(self) -> Self:

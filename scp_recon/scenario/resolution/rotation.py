@@ -43,8 +43,6 @@ def resolve_rotation(body: dict[str, Any], known: PackagedBody | None, days: flo
         if lacks(body, *MERIDIAN, "rotation_period_h"):
             spin = MERIDIAN if lacks(body, "prime_meridian_at_epoch_deg") else MERIDIAN[1:]
             fill(body, {key: known.entries[key] for key in spin})
-        if lacks(body, "radii_m"):
-            fill(body, {"radii_m": known.entries["radii_m"]})
     if has(body, "rotation_period_h"):
         rate = 360.0 * 24.0 / body["rotation_period_h"]
         fill(body, {MERIDIAN[1]: rate, MERIDIAN[2]: 0.0})
