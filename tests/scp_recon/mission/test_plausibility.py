@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 
 from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.schema import Scenario
 from tests import reliability
 from tests.scp_recon.support import mission_of
 
@@ -13,7 +15,7 @@ from tests.scp_recon.support import mission_of
     ("override", "entry", "words"),
     [
         ("grid.step_max_s=1.0", "grid.step_max_s", "at most 3000 nodes"),
-        ("sun.body_position_km=[1.0, 0.0, 0.0]", "sun.body_velocity_km_s", "half its 1 km"),
+        ("sun.body_position_km=[1.0, 0.0, 0.0]", "sun.body_position_km", "elements of Bennu"),
         ("body.reference_radius_m=1140.0", "boundary.final_position_m", "outside the body"),
         # kilometres in the place of metres, and km^3/s^2 converted the wrong way round
         (
@@ -30,3 +32,10 @@ def test_it_is_refused_by_name(override: str, entry: str, words: str) -> None:
     assert caught.value.entry == entry
     assert words in str(caught.value)
     reliability.count(reliability.BAD_INPUTS)
+
+
+def test_a_body_that_could_reach_the_sun_is_refused(scenario: Scenario) -> None:
+    sun = scenario.sun.model_copy(update={"body_position_km": (1.0, 0.0, 0.0)})
+    with pytest.raises(InputError, match="half its 1 km") as caught:
+        Mission.from_scenario(scenario.model_copy(update={"sun": sun}))
+    assert caught.value.entry == "sun.body_velocity_km_s"

@@ -19,6 +19,7 @@ from scp_recon.physics.forces import (
     gravity_curvature,
     gravity_gradient,
 )
+from scp_recon.scenario.load import load_scenario
 from tests import reference
 from tests.scp_recon.support import Array, mission_of
 
@@ -186,9 +187,10 @@ def test_radiation_pressure_pushes_away_from_the_sun(mission: Mission) -> None:
 
 
 def test_sun_distance_is_the_recorded_one(mission: Mission) -> None:
-    pressure_at_one_au = mission_of(
-        "sun.body_position_km=[149597870.7, 0.0, 0.0]", "boundary.frame=j2000", *WINDOW_GIVEN
-    ).forces.srp
+    scenario = load_scenario(None, ["boundary.frame=j2000", *WINDOW_GIVEN])
+    sun = scenario.sun.model_copy(update={"body_position_km": (149_597_870.7, 0.0, 0.0)})
+    moved = Mission.from_scenario(scenario.model_copy(update={"sun": sun}))
+    pressure_at_one_au = moved.forces.srp
     ratio = np.linalg.norm(pressure_at_one_au) / np.linalg.norm(mission.forces.srp)
     assert ratio == pytest.approx(reference.SUN_DISTANCE_AU**2, rel=1e-7)
 
