@@ -23,3 +23,20 @@ def int_between(low: int, high: int, words: str = "") -> Callable[[str], int]:
 
 SEED = int_between(0, 2**63 - 1, "0 to 2^63 - 1")
 """Of random numbers."""
+
+
+def number_between(low: float, high: float) -> Callable[[str], float]:
+    """A type of option: numbers within bounds."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(
+                f"got {text!r}; must be a number from {low:g} to {high:g}"
+            )
+        return value
+
+    return parse

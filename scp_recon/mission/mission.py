@@ -6,7 +6,7 @@ The border of `formulations`: SI and J2000 on this side, nondimensional on the o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +18,10 @@ from scp_recon.mission.checks import check_given, check_window
 from scp_recon.mission.constraints import state_constraints
 from scp_recon.mission.given import Given
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
+from scp_recon.mission.lighting import Lighting
 from scp_recon.mission.plausibility import check_plausible
 from scp_recon.mission.schedule import Schedule, find_window, make_schedule
+from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import ForceModel, cannonball_srp
@@ -92,32 +94,12 @@ class Mission:
                 entries do not make sense together (`plausibility`, `checks`).
         """
         check_plausible(scenario)
-        body = scenario.body
-        rotation = Rotation.from_iau(
-            body.pole_ra_deg,
-            body.pole_dec_deg,
-            (
-                body.prime_meridian_deg,
-                body.prime_meridian_rate_deg_day,
-                body.prime_meridian_acceleration_deg_day2,
-            ),
-            scenario.epoch.tdb,
-        )
-        site = geometry.Site(
-            np.array(scenario.site.position_body_m), unit(scenario.site.normal_body)
-        )
-
+        rotation, site = rotation_of(scenario), site_of(scenario)
         warnings = check_given(Given(scenario, rotation, site))
-
-        def incidence(time: Array) -> Array:
-            track = geometry.track(site, rotation, time)
-            return geometry.incidence(track, sun_direction(scenario, time))
-
-        def solar_time(time: Array) -> Array:
-            return geometry.local_solar_time(site, rotation, sun_direction(scenario, time), time)
-
-        window = find_window(scenario, incidence, solar_time)
-        warnings += check_window(scenario, window, incidence, solar_time)
+        lighting = Lighting(site, rotation, partial(sun_direction, scenario))
+        step = scan_step_s(rotation.rate, (0.0, scenario.duration_s))
+        window = find_window(scenario, lighting.incidence, lighting.local_solar_time, step)
+        warnings += check_window(scenario, window, lighting.incidence, lighting.local_solar_time)
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
         initial = _boundary_state(scenario, rotation, "initial")
         return cls(
@@ -131,7 +113,7 @@ class Mission:
                 (*scenario.burns.times_s, *window, *scenario.grid.nodes_s),
                 scenario.grid.step_max_s,
             ),
-            units=Units.of_orbit(initial, body.gm_m3_s2),
+            units=Units.of_orbit(initial, scenario.body.gm_m3_s2),
             warnings=warnings,
         )
 
@@ -241,6 +223,26 @@ class Mission:
     def arc_substeps(self) -> int:
         """Runge-Kutta steps per arc, so that none is longer than `RK4_STEP_MAX_S`."""
         return max(1, int(np.ceil(np.max(np.diff(self.times_s)) / RK4_STEP_MAX_S)))
+
+
+def rotation_of(scenario: Scenario) -> Rotation:
+    """Attitude of the scenario's body from its epoch on."""
+    body = scenario.body
+    return Rotation.from_iau(
+        body.pole_ra_deg,
+        body.pole_dec_deg,
+        (
+            body.prime_meridian_deg,
+            body.prime_meridian_rate_deg_day,
+            body.prime_meridian_acceleration_deg_day2,
+        ),
+        scenario.epoch.tdb,
+    )
+
+
+def site_of(scenario: Scenario) -> geometry.Site:
+    """The scenario's site, body-fixed."""
+    return geometry.Site(np.array(scenario.site.position_body_m), unit(scenario.site.normal_body))
 
 
 def sun_direction(scenario: Scenario, time_s: npt.ArrayLike) -> Array:

@@ -9,20 +9,23 @@ from enum import StrEnum
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
 
 from scp_recon.errors import InputError
+from scp_recon.mission.advice import legal_times, other_windows
+from scp_recon.mission.legal_burns import before_burn_s, burns_before, sun_leg_s
+from scp_recon.mission.lighting import lighting_slack
+from scp_recon.mission.windows import SCAN_STEP_S, all_windows, whole_windows
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.sections import ScheduleRules
 
 Array = npt.NDArray[np.float64]
-SCAN_STEP_S = 20.0
 
 
 def find_window(
     scenario: Scenario,
     incidence: Callable[[Array], Array],
     local_solar_time: Callable[[Array], Array],
+    step_s: float = SCAN_STEP_S,
 ) -> tuple[float, float]:
     """First complete interval of the flight in which the site is lit well enough; s.
 
@@ -30,9 +33,11 @@ def find_window(
         scenario: gives the limits, or the window itself.
         incidence: solar incidence at the site in rad, of times in s.
         local_solar_time: at the site in h, of times in s.
+        step_s: of the scan for windows.
 
     Raises:
-        InputError: if the given window is not inside the flight, or there is none.
+        InputError: if the given window is not inside the flight, or there is none; it names the
+            windows near the flight and the epoch shifts that would bring them into it.
     """
     limits, end = scenario.observation, scenario.duration_s
     if limits.window_s is not None:
@@ -45,34 +50,16 @@ def find_window(
             )
         return first, last
 
-    def slack(time: Array) -> Array:
-        """Smallest distance from a limit, hours and degrees alike: only its sign matters."""
-        hour = local_solar_time(time)
-        return np.minimum.reduce(
-            [
-                limits.incidence_max_deg - np.rad2deg(incidence(time)),
-                hour - limits.local_solar_time_min_h,
-                limits.local_solar_time_max_h - hour,
-            ]
-        )
-
-    times = np.linspace(0.0, end, int(np.ceil(end / SCAN_STEP_S)) + 1)
-    lit = slack(times) >= 0.0
-    edges = np.flatnonzero(lit[1:] != lit[:-1])
-    opening = [k for k in edges if lit[k + 1]]
-    for k in opening:
-        closing = [j for j in edges if j > k]
-        if closing:
-            first, last = (
-                brentq(lambda t: float(slack(np.array(t))), times[j], times[j + 1], xtol=1e-6)
-                for j in (k, closing[0])
-            )
-            return first, last
+    slack = lighting_slack(limits, incidence, local_solar_time)
+    flight = 0.0, end
+    if whole := whole_windows(all_windows(slack, flight, step_s), flight):
+        return whole[0]
     raise InputError(
         "observation",
         f"incidence at most {limits.incidence_max_deg:g} deg and local solar time "
         f"{limits.local_solar_time_min_h:g} to {limits.local_solar_time_max_h:g} h",
-        f"the flight of {end:g} s must contain a whole window in which both hold",
+        f"the flight of {end:g} s must contain a whole window in which both hold; "
+        + other_windows(scenario, slack, incidence, step_s),
     )
 
 
@@ -120,16 +107,14 @@ def make_schedule(
     Raises:
         InputError: if a firing time breaks one of these rules, naming the rule.
     """
-    before_burn = rules.attitude_s + rules.heating_s
-    sun_leg = rules.attitude_s + rules.recharge_s
-    middle = 0.5 * (window_s[0] + window_s[1])
+    before_burn, sun_leg = before_burn_s(rules), sun_leg_s(rules)
     observation = Leg(Mode.OBSERVATION, window_s[0] - rules.attitude_s, window_s[1])
     burns = [Leg(Mode.DELTA_V, time - before_burn, time) for time in times_s[1:]]
+    before = burns_before(times_s, window_s)
     # Everything that is not sun-pointing, in order, with the first burn as an instant at zero.
     busy = [Leg(Mode.DELTA_V, 0.0, 0.0)]
-    busy += [leg for leg in burns if leg.end_s <= middle]
-    observation_at = len(busy)
-    busy += [observation] + [leg for leg in burns if leg.end_s > middle]
+    busy += [*burns[:before], observation, *burns[before:]]
+    observation_at = before + 1
 
     intervals = [(0.0, 0.0)]
     for index in range(1, len(busy)):
@@ -144,7 +129,8 @@ def make_schedule(
         if leg.start_s - previous.end_s < sun_leg - 1e-6:
             # The burn that ends the short leg; before the observation, the one that starts it.
             burn = index if index < observation_at else index - 1
-            raise _too_short(burn, times_s, window_s, intervals, previous, leg, sun_leg)
+            legal = legal_times(times_s, window_s, rules)
+            raise _too_short(burn, times_s, window_s, intervals, previous, leg, sun_leg, legal)
         if leg.start_s > previous.end_s:
             legs.append(Leg(Mode.SUN_POINTING, previous.end_s, leg.start_s))
         legs.append(leg)
@@ -159,6 +145,7 @@ def _too_short(
     previous: Leg,
     leg: Leg,
     sun_leg: float,
+    legal: str,
 ) -> InputError:
     rule = (
         f"rule 'a sun-pointing leg lasts at least one slew and one recharge, {sun_leg:g} s' is "
@@ -167,7 +154,7 @@ def _too_short(
     )
     if burn == 0:  # which cannot move: the window has to
         given = f"[{window_s[0]:g}, {window_s[1]:g}] s"
-        return InputError("observation.window_s", given, f"{rule}; it must open later")
+        return InputError("observation.window_s", given, f"{rule}; {legal}")
     early, late = intervals[burn]
     if early > late:
         moved = "nowhere"
@@ -178,5 +165,5 @@ def _too_short(
     return InputError(
         f"burns.times_s.{burn}",
         f"{times_s[burn]:g} s",
-        f"{rule}; with the others kept this burn may be {moved}",
+        f"{rule}; with the others kept this burn may be {moved}; {legal}",
     )

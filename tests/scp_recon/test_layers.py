@@ -14,7 +14,7 @@ PROJECT = Path(__file__).parents[2]
 LIBRARY = ("formulations", "scp_recon")
 COMMANDS = {
     f"scp_recon.{name}"
-    for name in ("solve", "verify", "montecarlo", "simulate", "compare", "schema")
+    for name in ("solve", "verify", "montecarlo", "simulate", "compare", "schema", "windows")
 }
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
 WINGS = (*LIBRARY, "experiments", "paper_figs", "benchmarks")

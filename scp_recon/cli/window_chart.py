@@ -1,0 +1,127 @@
+"""A chart of lighting windows and of where burns may be about them."""
+
+from __future__ import annotations
+
+from io import BytesIO
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from scp_recon.errors import InputError
+from scp_recon.mission.survey import LitWindow, Survey
+from scp_recon.scenario.schema import Scenario
+
+HOUR_S = 3600.0
+ROWS_MAX = 12
+"""Windows that are drawn: more rows cannot be read."""
+BURN_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
+WINDOW_COLOUR = "0.15"
+
+
+def draw(scenario: Scenario, survey: Survey, ending: str) -> bytes:
+    """A picture of the first windows: incidence over time, and a row of legal burn times for each.
+
+    Args:
+        scenario: whose windows they are.
+        survey: what was found.
+        ending: of the file, which is the format.
+
+    Raises:
+        InputError: if the ending is no picture's.
+    """
+    shown = survey.windows[:ROWS_MAX]
+    figure = Figure(figsize=(9.0, 4.2 + 0.34 * len(shown)), layout="constrained", dpi=130)
+    known = figure.canvas.get_supported_filetypes()
+    if ending.lower().removeprefix(".") not in known:
+        allowed = ", ".join(f".{name}" for name in known)
+        raise InputError("--chart", repr(ending), f"the file's name must end in one of {allowed}")
+    heights = [2.4, 0.8 + 0.34 * max(1, len(shown))]
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=heights)
+    some = "" if len(shown) == len(survey.windows) else f", first {ROWS_MAX} of them"
+    figure.suptitle(
+        f"{_plain(scenario.body.name)}, {_plain(scenario.site.name)}: "
+        f"{len(survey.windows)} lighting windows{some}"
+    )
+    _incidence(above, scenario, survey, shown)
+    _rows(below, shown)
+    below.set_xlabel(f"hours past {scenario.epoch.tdb.isoformat(timespec='seconds')} TDB")
+    _legend(figure, len(scenario.burns.times_s))
+    picture = BytesIO()
+    figure.savefig(picture, format=ending.lower()[1:], metadata=_undated(ending))
+    return picture.getvalue()
+
+
+def _plain(text: str) -> str:
+    return text.replace("$", r"\$")
+
+
+def _undated(ending: str) -> dict[str, None] | None:
+    """The same bytes every time."""
+    return {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(ending.lower())
+
+
+def _incidence(
+    axes: Axes, scenario: Scenario, survey: Survey, shown: tuple[LitWindow, ...]
+) -> None:
+    first, last = survey.span_s
+    if len(shown) < len(survey.windows):
+        last = shown[-1].edges_s[1] + 0.5 * (shown[-1].edges_s[1] - shown[0].edges_s[0]) / ROWS_MAX
+    times = np.linspace(first, last, 4000)
+    incidence = np.rad2deg(survey.lighting.incidence(times))
+    for window in shown:
+        axes.axvspan(*(edge / HOUR_S for edge in window.edges_s), color="gold", alpha=0.45, lw=0)
+    axes.plot(times / HOUR_S, incidence, color="0.3", lw=1.2)
+    limit = scenario.observation.incidence_max_deg
+    axes.axhline(limit, color="tab:red", lw=1.0, ls="--")
+    axes.annotate(
+        f"limit {limit:g} deg", (1.0, limit), xycoords=("axes fraction", "data"), color="tab:red",
+        xytext=(-4, 3), textcoords="offset points", ha="right", fontsize=8,
+    )  # fmt: skip
+    axes.set_ylabel("incidence, deg")
+    axes.set_ylim(0.0, 180.0)
+    axes.set_yticks(range(0, 181, 30))
+    hours = scenario.observation
+    axes.set_title(
+        f"windows (shaded): incidence at most {limit:g} deg, local solar time "
+        f"{hours.local_solar_time_min_h:g} to {hours.local_solar_time_max_h:g} h",
+        fontsize=9,
+    )
+
+
+def _rows(axes: Axes, shown: tuple[LitWindow, ...]) -> None:
+    """One row for each window: a thin bar for each burn, one below the other, and the window."""
+    count = len(shown[0].burns_s) if shown else 0
+    thick = 0.8 / max(1, count)
+    for row, window in enumerate(shown):
+        first, last = (edge / HOUR_S for edge in window.edges_s)
+        axes.barh(row, last - first, 0.8, first, color=WINDOW_COLOUR)
+        for i, (early, late) in enumerate(window.burns_s):
+            if early <= late:
+                place = row - 0.4 + (i + 0.5) * thick
+                colour = BURN_COLOURS[i % len(BURN_COLOURS)]
+                # An instant is seen too.
+                axes.barh(place, (late - early) / HOUR_S, thick, early / HOUR_S, color=colour,
+                          edgecolor=colour, lw=1.0)  # fmt: skip
+    axes.set_yticks(range(len(shown)), [f"{k + 1}" for k in range(len(shown))])
+    axes.set_ylim(len(shown) - 0.4, -0.6)
+    axes.set_ylabel("window")
+    axes.grid(axis="x", color="0.9")
+    axes.set_axisbelow(True)
+    times = [edge / HOUR_S for window in shown for interval in window.burns_s for edge in interval]
+    if times:
+        axes.set_xlim(min(times) - 1.0, max(times) + 1.0)
+    axes.set_title("where each burn may be, for a flight that observes in that window", fontsize=9)
+
+
+def _legend(figure: Figure, count: int) -> None:
+    names = [Patch(color=WINDOW_COLOUR, label="window")]
+    names += [
+        Patch(
+            color=BURN_COLOURS[i % len(BURN_COLOURS)],
+            label=f"burn {i + 1}" + (" = epoch" if i == 0 else ""),
+        )
+        for i in range(count)
+    ]
+    figure.legend(handles=names, loc="outside lower center", ncols=7, fontsize=8, frameon=False)

@@ -1,0 +1,133 @@
+"""All lighting windows of a scenario over a span of time, and the legal burn times of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+from scp_recon.errors import InputError
+from scp_recon.mission.legal_burns import (
+    Interval,
+    burns_before,
+    legal_burns,
+    legal_shifts,
+    middle_gap,
+)
+from scp_recon.mission.lighting import Lighting, OfTime, lighting_slack
+from scp_recon.mission.mission import rotation_of, site_of
+from scp_recon.mission.windows import Window, all_windows, scan_step_s, whole_windows
+from scp_recon.physics.frames import unit
+from scp_recon.physics.orbit import two_body
+from scp_recon.scenario.schema import Scenario
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LitWindow:
+    """A window, its lighting, and when a flight of the scenario's duration may use it.
+
+    Times are seconds past the scenario's epoch.
+
+    Attributes:
+        edges_s: first and last time.
+        least_incidence_rad: smallest angle between the site's normal and the Sun in it.
+        local_solar_time_h: at its edges.
+        burns_s: where each burn may be if the epoch moves and the others give way; the first is the
+            flight's epoch. Empty intervals have their first above their second.
+        shifts_s: by which the epoch may move so that the burns are legal as they are, by the index
+            of the burn before the window.
+    """
+
+    edges_s: Window
+    least_incidence_rad: float
+    local_solar_time_h: tuple[float, float]
+    burns_s: tuple[Interval, ...]
+    shifts_s: tuple[tuple[int, Interval], ...]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was found in a span.
+
+    Attributes:
+        lighting: of the site, the body's orbit being two-body motion.
+        span_s: searched, in seconds past the scenario's epoch.
+        windows: those that the span's ends do not cut.
+        always: whether the site keeps the limits throughout the span.
+        before: burns between the first one and the window, in `LitWindow.burns_s`.
+    """
+
+    lighting: Lighting
+    span_s: Window
+    windows: tuple[LitWindow, ...]
+    always: bool
+    before: int
+
+
+def survey(scenario: Scenario, span_s: Window) -> Survey:
+    """Find all windows of a span.
+
+    The body moves by `orbit.two_body` from the scenario's heliocentric state, so that the span may be
+    long; a mission's straight line is for one flight. Burns stand about a window as they do about the
+    flight's own, and if it has none in the middle of the flight.
+
+    Args:
+        scenario: site, body, Sun, limits, burns and rules; its flight need not be legal.
+        span_s: seconds past its epoch.
+
+    Raises:
+        InputError: if the body turns too often in the span, or falls into the Sun.
+    """
+    rotation, duration = rotation_of(scenario), scenario.duration_s
+    flight = 0.0, duration
+    longest = min(span_s[0], 0.0), max(span_s[1], duration)
+    step = scan_step_s(rotation.rate, longest)
+    lighting = Lighting(site_of(scenario), rotation, _to_sun(scenario, longest))
+    slack = lighting_slack(scenario.observation, lighting.incidence, lighting.local_solar_time)
+    times, given = scenario.burns.times_s, scenario.observation.window_s
+    own = [given] if given else whole_windows(all_windows(slack, flight, step), flight)
+    before = min(burns_before(times, own[0]), len(times) - 2) if own else middle_gap(times)
+    found = all_windows(slack, span_s, step)
+    windows = [
+        LitWindow(
+            edges_s=edges,
+            least_incidence_rad=_least(lighting.incidence, edges),
+            local_solar_time_h=_at_edges(lighting.local_solar_time, edges),
+            burns_s=tuple(
+                legal_burns(edges, duration, before, len(times) - 1 - before, scenario.schedule)
+            ),
+            shifts_s=tuple(legal_shifts(edges, times, scenario.schedule)),
+        )
+        for edges in whole_windows(found, span_s)
+    ]
+    return Survey(lighting, span_s, tuple(windows), found == [span_s], before)
+
+
+def _to_sun(scenario: Scenario, span_s: Window) -> OfTime:
+    sun = scenario.sun
+    try:
+        position = two_body(sun.body_position_km, sun.body_velocity_km_s, span_s)
+    except ValueError as error:
+        given = f"{list(sun.body_position_km)} km"
+        raise InputError("sun.body_position_km", given, f"must be an orbit: {error}") from None
+    return lambda time_s: -unit(position(time_s))
+
+
+def _at_edges(of_time: OfTime, edges: Sequence[float]) -> tuple[float, float]:
+    first, last = of_time(np.array(edges)).tolist()
+    return first, last
+
+
+def _least(of_time: OfTime, edges: Window) -> float:
+    """Smallest value in a window, by a scan and a search about its lowest look."""
+    looks = np.linspace(*edges, 101)
+    values = of_time(looks)
+    k = int(np.argmin(values))
+    bracket = looks[max(k - 1, 0)], looks[min(k + 1, len(looks) - 1)]
+    found = minimize_scalar(lambda t: float(of_time(np.array(t))), bounds=bracket, method="bounded")
+    return min(float(values[k]), float(found.fun))

@@ -1,0 +1,102 @@
+"""All intervals of a span of time in which a site is lit within limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq, minimize_scalar
+
+from scp_recon.errors import InputError
+from scp_recon.mission.lighting import OfTime
+
+Array = npt.NDArray[np.float64]
+Window = tuple[float, float]
+"""First and last time, s."""
+
+SCAN_STEP_S = 20.0
+SCANS_PER_ROTATION = 500
+"""At least: where lighting turns by less than a degree from one look to the next."""
+SCANS_MAX = 2_000_000
+"""Four hundred and sixty days of a body that turns in more than 2.8 hours."""
+SCANS_AT_ONCE = 50_000
+
+
+def scan_step_s(rate_rad_s: float, span_s: Window) -> float:
+    """How finely to look for windows on a body that turns at a rate.
+
+    Raises:
+        InputError: if that would be more than `SCANS_MAX` looks in the span.
+    """
+    step = min(SCAN_STEP_S, 2.0 * np.pi / max(abs(rate_rad_s), 1e-12) / SCANS_PER_ROTATION)
+    if (length := span_s[1] - span_s[0]) > SCANS_MAX * step:
+        period = 2.0 * np.pi / max(abs(rate_rad_s), 1e-12)
+        raise InputError(
+            "body",
+            f"a rotation in {period:g} s",
+            f"must turn at most {SCANS_MAX // SCANS_PER_ROTATION} times in the {length:g} s that are "
+            f"searched for windows, which must be shorter than {SCANS_MAX * SCAN_STEP_S:g} s",
+        )
+    return step
+
+
+def all_windows(slack: OfTime, span_s: Window, step_s: float) -> list[Window]:
+    """Every interval of a span in which a function is not negative, its edges to 1e-6 s.
+
+    The function is scanned; where it comes near zero between two looks its extreme is searched for, so
+    that what is shorter than a step is not missed while the function is unimodal there. An interval
+    that begins with the span, or ends with it, is cut there; the others are whole.
+
+    Args:
+        slack: continuous where it is near zero, of times in s.
+        span_s: first and last time.
+        step_s: of the scan; well below the time in which the function turns.
+    """
+    first, last = span_s
+    times = np.linspace(first, last, max(1, int(np.ceil((last - first) / step_s))) + 1)
+    parts = np.array_split(times, int(np.ceil(len(times) / SCANS_AT_ONCE)))
+    values = np.concatenate([slack(part) for part in parts])
+    times, values = _with_extremes(slack, times, values)
+    lit = values >= 0.0
+    edges = [_edge(slack, *times[k : k + 2].tolist()) for k in np.flatnonzero(lit[1:] != lit[:-1])]
+    if lit[0]:
+        edges.insert(0, first)
+    if lit[-1]:
+        edges.append(last)
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
+def whole_windows(windows: list[Window], span_s: Window) -> list[Window]:
+    """Those that the ends of the span do not cut."""
+    return [w for w in windows if w[0] > span_s[0] and w[1] < span_s[1]]
+
+
+def _with_extremes(slack: OfTime, times: Array, values: Array) -> tuple[Array, Array]:
+    """The scan, and besides the extremes between its looks that lie on the other side of zero."""
+    places, extra = [], []
+    for sign in (1.0, -1.0):
+        f = np.pad(sign * values, 1, mode="edge")
+        here, rise = f[1:-1], np.abs(np.diff(f))
+        # A concave function rises from its highest sample by less than it rose to it.
+        near = here + 2.0 * np.maximum(rise[:-1], rise[1:]) >= 0.0
+        peaks = (here <= 0.0) & (here >= f[:-2]) & (here >= f[2:]) & near
+        for k in np.flatnonzero(peaks).tolist():
+            bracket = float(times[max(k - 1, 0)]), float(times[min(k + 1, len(times) - 1)])
+            found = minimize_scalar(
+                lambda t, sign=sign: -sign * float(slack(np.array(t))),
+                bounds=bracket,
+                method="bounded",
+                options={"xatol": 1e-7},
+            )
+            if (value := -sign * found.fun) * sign > 0.0:
+                places.append(float(found.x))
+                extra.append(value)
+    at = np.searchsorted(times, places)
+    return np.insert(times, at, places), np.insert(values, at, extra)
+
+
+def _edge(slack: OfTime, before: float, after: float) -> float:
+    """Where the function changes its sign."""
+    ends = [float(slack(np.array(t))) for t in (before, after)]
+    if ends[0] * ends[1] > 0.0:  # it is zero at one of them, but for rounding
+        return before if abs(ends[0]) < abs(ends[1]) else after
+    return float(brentq(lambda t: float(slack(np.array(t))), before, after, xtol=1e-6))

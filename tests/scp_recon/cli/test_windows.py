@@ -1,0 +1,119 @@
+"""`python -m scp_recon.windows`: table, CSV, chart, and what it refuses."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import pytest
+
+from scp_recon import windows
+from scp_recon.mission.mission import Mission
+
+
+def run(*arguments: str) -> int:
+    try:
+        return windows.main(arguments)
+    except SystemExit as end:  # argparse ends this way
+        return int(end.code or 0)
+
+
+@pytest.fixture(autouse=True)
+def _wide(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+def test_windows_are_printed_with_their_lighting_and_their_burns(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run("recon_b", "--span-days", "0.5") == 0
+    said = capsys.readouterr().out
+    for words in (
+        "2020-01-22T00:12:17  13140.2  16537.5  3397.3",
+        "48.87  8.48 to 13.75",
+        "-5105 to 1740     1495 to 8340    23137 to 29982    29737 to 36582",
+        "-1863 to 340",
+    ):
+        assert words in said
+
+
+def test_the_table_holds_the_same_numbers(tmp_path: Path, mission: Mission) -> None:
+    path = tmp_path / "w.csv"
+    assert run("recon_b", "--span-days", "1", "--csv", str(path)) == 0
+    rows = list(csv.DictReader(path.read_text("utf-8").splitlines()))
+    edges = [float(rows[0][name]) for name in ("opens_s", "closes_s")]
+    assert edges == pytest.approx(mission.schedule.window_s, abs=0.01)
+    for row in rows:
+        for i in range(1, 5):
+            assert float(row[f"burn_{i}_earliest_s"]) < float(row[f"burn_{i}_latest_s"])
+
+
+def test_a_span_may_begin_before_the_epoch(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("recon_b", "--from", "2020-01-20T00:00:00", "--span-days", "0.3") == 0
+    assert "2020-01-20T" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_a_chart_is_drawn_the_same_every_time(tmp_path: Path, ending: str) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    paths = [tmp_path / f"{name}.{ending}" for name in "ab"]
+    for path in paths:
+        assert run("recon_b", "--span-days", "0.5", "--chart", str(path)) == 0
+    if ending == "png":  # whose writer names no moments or random marks
+        assert paths[0].read_bytes() == paths[1].read_bytes()
+    assert min(path.stat().st_size for path in paths) > 5000
+
+
+def test_a_site_without_windows_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    dark, always = tmp_path / "dark.toml", tmp_path / "always.toml"
+    dark.write_text('base = "recon_b"\n[observation]\nincidence_max_deg = 5.0\n', "utf-8")
+    always.write_text(
+        'base = "recon_b"\n[observation]\nincidence_max_deg = 180.0\nlocal_solar_time_min_h = 0.0\n'
+        "local_solar_time_max_h = 24.0\n",
+        "utf-8",
+    )
+    assert run(str(dark), "--chart", str(tmp_path / "dark.png")) == 0
+    assert "no whole window" in capsys.readouterr().out
+    assert run(str(always)) == 0
+    assert "the limits hold throughout" in capsys.readouterr().out
+
+
+def test_a_scenario_whose_burns_are_illegal_still_has_its_windows(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "recon_b"\n[burns]\ntimes_s = [0.0, 13500.0, 40000.0]\n', "utf-8")
+    assert run(str(path)) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nothing.toml"], "nothing.toml"),
+        (["recon_b", "--span-days", "1000"], "0.01 to 100"),
+        (["recon_b", "--span-days", "nan"], "0.01 to 100"),
+        (["recon_b", "--from", "yesterday"], "must be a date"),
+        (["recon_b", "--from", "2020-01-21T20:33:17Z"], "without a zone"),
+        (["recon_b", "--from", "2029-01-01"], "within 100 days"),
+        (["recon_b", "--csv", "no/such/folder/w.csv"], "--csv"),
+        (["recon_b", "--span-days", "0.1", "--chart", "w.doc"], "--chart"),
+    ],
+)
+def test_bad_input_is_told_in_one_message(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*arguments) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert "Traceback" not in said
+
+
+def test_without_matplotlib_a_chart_says_what_it_needs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delitem(sys.modules, "scp_recon.cli.window_chart", raising=False)
+    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert run("recon_b", "--chart", "w.png") == 2
+    assert "scp_recon[report]" in capsys.readouterr().err

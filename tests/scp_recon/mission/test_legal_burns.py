@@ -1,0 +1,166 @@
+"""Where burns may be: against a linear program, and against what the schedule accepts."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from scp_recon.errors import InputError
+from scp_recon.mission.legal_burns import legal_burns, legal_shifts, legal_starts
+from scp_recon.mission.schedule import make_schedule
+from scp_recon.scenario.sections import ScheduleRules
+from tests.scp_recon.support import mission_of
+
+durations = st.floats(0.0, 3000.0)
+rule_sets = st.builds(
+    ScheduleRules, attitude_s=durations, heating_s=durations, recharge_s=durations
+)
+counts = st.integers(0, 3), st.integers(1, 3)
+
+
+def by_linear_program(
+    window: tuple[float, float], duration: float, before: int, rules: ScheduleRules, count: int
+) -> list[tuple[float, float]] | None:
+    """Least and largest time of each burn under the rules of section V.A, all burns variables."""
+    rows, bounds = [], []
+    sun = rules.attitude_s + rules.recharge_s
+    heat = rules.attitude_s + rules.heating_s
+
+    def at_least(gap: float, later: int | None, earlier: int | None, known: float = 0.0) -> None:
+        row = np.zeros(count)
+        if later is not None:
+            row[later] = -1.0
+        if earlier is not None:
+            row[earlier] = 1.0
+        rows.append(row)
+        bounds.append(known - gap)
+
+    for i in range(count - 1):
+        if i != before:
+            at_least(sun + heat, i + 1, i)
+    at_least(sun, None, before, window[0] - rules.attitude_s)
+    at_least(sun + heat, before + 1, None, -window[1])
+    whole = np.zeros(count)
+    whole[[0, -1]] = -1.0, 1.0
+    found = []
+    for i in range(count):
+        ends = []
+        for sign in (1.0, -1.0):
+            cost = np.zeros(count)
+            cost[i] = sign
+            answer = linprog(
+                cost, np.array(rows), bounds, whole[None], [duration], bounds=(None, None)
+            )
+            if answer.status != 0:
+                return None
+            ends.append(float(answer.x[i]))
+        found.append((ends[0], ends[1]))
+    return found
+
+
+@given(
+    window=st.tuples(st.floats(0.0, 4e4), st.floats(10.0, 2e4)),
+    duration=st.floats(1e3, 1e5),
+    before=counts[0],
+    after=counts[1],
+    rules=rule_sets,
+)
+def test_intervals_are_those_of_a_linear_program(
+    window: tuple[float, float], duration: float, before: int, after: int, rules: ScheduleRules
+) -> None:
+    edges = window[0], window[0] + window[1]
+    early, late = legal_starts(edges, duration, before, after, rules)
+    assume(abs(early - late) > 1e-3)
+    expected = by_linear_program(edges, duration, before, rules, before + after + 1)
+    if early > late:
+        assert expected is None
+        return
+    found = legal_burns(edges, duration, before, after, rules)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+@given(
+    gaps=st.lists(st.floats(6600.0, 20_000.0), min_size=1, max_size=4),
+    window=st.tuples(st.floats(-1e5, 1e5), st.floats(100.0, 8000.0)),
+    share=st.floats(0.001, 0.999),
+)
+def test_a_shift_within_its_interval_is_legal_and_one_beyond_is_not(
+    gaps: list[float], window: tuple[float, float], share: float
+) -> None:
+    times = (0.0, *np.cumsum(gaps).tolist())
+    rules = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
+    edges = window[0], window[0] + window[1]
+    shifts = legal_shifts(edges, times, rules)
+    assert len(shifts) == sum(gap >= window[1] + 11_400.0 for gap in gaps)
+    for _, (low, high) in shifts:
+        inside = low + share * (high - low)
+        make_schedule(times, (edges[0] - inside, edges[1] - inside), rules)
+        for outside in (low - 1.0, high + 1.0):
+            with pytest.raises(InputError):
+                make_schedule(times, (edges[0] - outside, edges[1] - outside), rules)
+
+
+# --- in the messages ----------------------------------------------------------------------------
+
+
+def message(*overrides: str) -> str:
+    with pytest.raises(InputError) as caught:
+        mission_of(*overrides)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("epoch", "fault"),
+    [
+        ("2020-01-21T20:33:17.184", "must contain a whole window"),
+        ("2020-01-21T23:33:17.184", "is broken"),
+    ],
+)
+def test_following_the_message_makes_the_flight_legal(epoch: str, fault: str) -> None:
+    """By the shift that is told, where there is no window in the flight or it is too early."""
+    burns = "burns.times_s=[0.0, 15500.0]"
+    said = message(burns, f"epoch.tdb={epoch}")
+    assert fault in said
+    shifts = re.findall(r"epoch\.tdb moved by ([+-]\d+) to ([+-]\d+) s", said)
+    low, high = min(shifts, key=lambda pair: abs(int(pair[0])))
+    moved = np.datetime64(epoch) + np.timedelta64((int(low) + int(high)) // 2, "s")
+    mission_of(burns, f"epoch.tdb={moved}")
+
+
+def test_a_window_longer_than_any_gap_between_burns_is_said_to_be() -> None:
+    said = message("burns.times_s=[0.0, 8000.0, 12000.0]")
+    assert "windows near it, in seconds past epoch.tdb:" in said
+    assert "13140.2 to 16537.5 s: no gap between burns is long enough" in said
+    assert "14797 s" in said
+
+
+def test_a_site_that_is_always_lit_is_told_to_give_its_window() -> None:
+    said = message(
+        "observation.incidence_max_deg=180",
+        "observation.local_solar_time_min_h=0",
+        "observation.local_solar_time_max_h=24",
+    )
+    assert "give observation.window_s" in said
+
+
+def test_a_site_that_is_never_lit_enough_is_told_the_least_incidence() -> None:
+    assert "least incidence is 48.9 deg" in message("observation.incidence_max_deg=10")
+
+
+def test_a_burn_that_breaks_a_rule_is_told_the_window_and_where_each_burn_may_be() -> None:
+    said = message("burns.times_s=[0.0, 6000.0, 25000.0, 34842.0]")
+    assert "the window is 13140.2 to 16537.5 s" in said
+    assert (
+        "burns.times_s.1 from 6600.0 to 8340.2 s, 2 from 23137.5 to 28242.0 s, 3 from 29737.5 s on"
+        in said
+    )
+    short = message("burns.times_s=[0.0, 8000.0, 20000.0, 23000.0]")
+    assert "with 2 burns after it the last is legal from 29737.5 s on" in short
+    mission_of("burns.times_s=[0.0, 8000.0, 23137.6, 29737.6]")
+    crowded = message("burns.times_s=[0.0, 6000.0, 8000.0, 34842.0]")
+    assert "with 2 burns before it has to open at 18000.0 s or later" in crowded

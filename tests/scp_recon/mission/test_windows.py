@@ -1,0 +1,198 @@
+"""All lighting windows of a span: none missed, none invented, edges where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import timedelta
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given
+from hypothesis import strategies as st
+
+from scp_recon.errors import InputError
+from scp_recon.mission.lighting import Lighting, lighting_slack
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.survey import survey
+from scp_recon.mission.windows import SCAN_STEP_S, all_windows, scan_step_s, whole_windows
+from scp_recon.physics.frames import DAY_S, Rotation
+from scp_recon.physics.geometry import Site
+from scp_recon.physics.orbit import two_body
+from scp_recon.scenario.load import load_scenario
+from tests.scp_recon.mission.test_schedule import independent_incidence
+from tests.scp_recon.support import Array
+
+SPAN = (-5000.0, 60_000.0)
+
+
+def waves(*terms: tuple[float, float, float]) -> Callable[[Array], Array]:
+    """A sum of cosines: size, period in s, phase."""
+    return lambda t: sum(
+        (a * np.cos(2.0 * np.pi * t / period + phase) for a, period, phase in terms),
+        np.full_like(t, -0.3, dtype=float),
+    )
+
+
+wave = st.tuples(st.floats(0.05, 1.0), st.floats(3000.0, 40_000.0), st.floats(0.0, 6.3))
+
+
+@given(terms=st.lists(wave, min_size=1, max_size=3))
+def test_windows_are_those_of_dense_sampling(terms: list[tuple[float, float, float]]) -> None:
+    slack = waves(*terms)
+    dense = np.linspace(*SPAN, 40_001)
+    lit = slack(dense) >= 0.0
+    found = all_windows(slack, SPAN, SCAN_STEP_S)
+    covered = np.zeros_like(lit)
+    for first, last in found:
+        covered |= (dense >= first) & (dense <= last)
+    clear = np.abs(slack(dense)) > 1e-7
+    np.testing.assert_array_equal(covered[clear], lit[clear])
+    edges = [edge for window in found for edge in window if edge not in SPAN]
+    np.testing.assert_allclose(slack(np.array(edges)), 0.0, atol=1e-7)
+
+
+@given(at=st.floats(100.0, 900.0), width=st.floats(1e-3, 30.0), lit=st.booleans())
+def test_what_is_shorter_than_a_step_is_found(at: float, width: float, lit: bool) -> None:
+    """A window, or a shade within one, whose function is smooth on the scale of the step."""
+    sign = 1.0 if lit else -1.0
+
+    def slack(t: Array) -> Array:
+        return sign * 1e-4 * ((0.5 * width) ** 2 - (t - at) ** 2)
+
+    found = all_windows(slack, (0.0, 1000.0), SCAN_STEP_S)
+    edges = [at - 0.5 * width, at + 0.5 * width]
+    expected = edges if lit else [0.0, *edges, 1000.0]
+    np.testing.assert_allclose(np.ravel(found), expected, atol=1e-5)
+
+
+@given(at=st.floats(100.0, 900.0), width=st.floats(1e-3, 30.0))
+@example(at=100.0, width=1.0)
+def test_a_window_between_two_limits_is_found_however_short(at: float, width: float) -> None:
+    """One limit begins to hold shortly before another ceases to: a corner, not a smooth peak."""
+
+    def slack(t: Array) -> Array:
+        return np.minimum(0.01 * (t - at), 0.03 * (at + width - t))
+
+    (window,) = all_windows(slack, (0.0, 1000.0), SCAN_STEP_S)
+    assert window == pytest.approx((at, at + width), abs=1e-5)
+
+
+def test_the_ends_of_the_span_cut_windows() -> None:
+    slack = waves((1.0, 10_000.0, 0.0))
+    found = all_windows(slack, (0.0, 20_000.0), SCAN_STEP_S)
+    assert found[0][0] == 0.0
+    assert found[-1][1] == 20_000.0
+    assert len(whole_windows(found, (0.0, 20_000.0))) == len(found) - 2 == 1
+    assert all_windows(lambda t: np.ones_like(t), (0.0, 1.0), 20.0) == [(0.0, 1.0)]
+    assert all_windows(lambda t: -np.ones_like(t), (0.0, 1.0), 20.0) == []
+
+
+def test_a_limit_met_at_an_instant_of_the_scan_is_an_edge() -> None:
+    found = all_windows(lambda t: np.minimum(t - 40.0, 80.0 - t), (0.0, 100.0), 20.0)
+    assert found == [pytest.approx((40.0, 80.0), abs=1e-9)]
+
+
+@given(
+    period_h=st.floats(0.2, 60.0),
+    meridian=st.floats(0.0, 6.2),
+    limit=st.floats(5.0, 85.0),
+    hours=st.tuples(st.floats(6.5, 11.5), st.floats(12.5, 17.5)),
+    retrograde=st.booleans(),
+)
+def test_at_the_equator_with_the_sun_above_it_incidence_is_the_hour_angle(
+    period_h: float, meridian: float, limit: float, hours: tuple[float, float], retrograde: bool
+) -> None:
+    rate = 2.0 * np.pi / (3600.0 * period_h) * (-1.0 if retrograde else 1.0)
+    rotation = Rotation(0.0, np.pi / 2.0, meridian, rate, 0.0)
+    site = Site(np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0]))
+    # With this pole the prime meridian is at right ascension 90 deg + W.
+    to_sun = np.array([0.0, 1.0, 0.0])
+    lighting = Lighting(site, rotation, lambda t: np.broadcast_to(to_sun, (*np.shape(t), 3)))
+    observation = load_scenario(
+        None,
+        [
+            f"observation.incidence_max_deg={limit}",
+            f"observation.local_solar_time_min_h={hours[0]}",
+            f"observation.local_solar_time_max_h={hours[1]}",
+        ],
+    ).observation
+    period = 3600.0 * period_h
+    span = 0.0, 3.2 * period
+    slack = lighting_slack(observation, lighting.incidence, lighting.local_solar_time)
+    # The hour angle is W: within the limit about noon, and between the hours.
+    low = max(-limit, 15.0 * (hours[0] - 12.0))
+    high = min(limit, 15.0 * (hours[1] - 12.0))
+    expected = []
+    for turn in range(-5, 6):
+        edges = sorted((2.0 * np.pi * turn + np.deg2rad(a) - meridian) / rate for a in (low, high))
+        if edges[0] > span[0] and edges[1] < span[1]:
+            expected.append(tuple(edges))
+    expected.sort()
+    assume(all(min(abs(e - s) for e in w for s in span) > 1e-3 for w in expected))
+    found = whole_windows(all_windows(slack, span, scan_step_s(rate, span)), span)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_a_body_that_turns_too_often_to_be_searched_is_refused() -> None:
+    assert scan_step_s(2.0 * np.pi / 15_466.0, (0.0, 34_842.0)) == SCAN_STEP_S
+    assert scan_step_s(0.0, (0.0, 34_842.0)) == SCAN_STEP_S
+    assert scan_step_s(-2.0 * np.pi / 1000.0, (0.0, 34_842.0)) == pytest.approx(2.0)
+    with pytest.raises(InputError, match="rotation in 1 s"):
+        scan_step_s(2.0 * np.pi, (0.0, 34_842.0))
+
+
+# --- the survey ---------------------------------------------------------------------------------
+
+
+def test_the_first_window_of_the_survey_is_the_missions(mission: Mission) -> None:
+    """But for the curvature of the orbit, which a mission leaves out: 2 ms of time at most."""
+    found = survey(mission.scenario, (0.0, DAY_S))
+    assert found.windows[0].edges_s == pytest.approx(mission.schedule.window_s, abs=0.002)
+    assert found.before == 1
+    assert not found.always
+
+
+def test_windows_of_the_survey_are_lit_and_nothing_else_is(mission: Mission) -> None:
+    span = 10.0 * DAY_S, 11.0 * DAY_S
+    found = survey(mission.scenario, span)
+    times = np.linspace(*span, 20_000)
+    incidence = np.rad2deg(found.lighting.incidence(times))
+    inside = np.zeros(len(times), dtype=bool)
+    for w in found.windows:
+        here = (times >= w.edges_s[0]) & (times <= w.edges_s[1])
+        assert np.rad2deg(w.least_incidence_rad) == pytest.approx(incidence[here].min(), abs=1e-4)
+        assert w.least_incidence_rad <= np.deg2rad(incidence[here].min())
+        inside |= here
+    complete = (times > found.windows[0].edges_s[0]) & (times < found.windows[-1].edges_s[1])
+    assert np.all(incidence[inside] <= 60.0)
+    assert np.all(incidence[complete & ~inside] > 60.0)
+    # The Sun has moved on: what a straight line would give differs by less than the orbit curves.
+    straight = independent_incidence(mission.scenario, times)
+    assert 0.05 < np.abs(straight - incidence).max() < 3.0
+
+
+def test_a_flight_moved_to_another_window_observes_in_it(mission: Mission) -> None:
+    """The epoch's shift is legal at the edges of its interval, and not beyond."""
+    window = survey(mission.scenario, (0.0, DAY_S)).windows[2]
+    sun = mission.scenario.sun
+    ((_, (low, high)),) = window.shifts_s
+    for shift, legal in ((low + 1.0, True), (high - 1.0, True), (low - 1.0, False)):
+        tdb = mission.scenario.epoch.tdb + timedelta(seconds=shift)
+        there = two_body(sun.body_position_km, sun.body_velocity_km_s, (0.0, shift))(shift)
+        moved = mission.scenario.replace(
+            {"epoch.tdb": tdb.isoformat(), "sun.body_position_km": there.tolist()}
+        )
+        if legal:
+            edges = Mission.from_scenario(moved).schedule.window_s
+            assert edges == pytest.approx([e - shift for e in window.edges_s], abs=0.2)
+        else:
+            observed = [e - shift for e in window.edges_s]
+            given = moved.replace({"observation.window_s": observed})
+            with pytest.raises(InputError):
+                Mission.from_scenario(given)
+
+
+def test_a_body_that_falls_into_the_sun_has_no_windows() -> None:
+    falling = load_scenario(None, ["sun.body_velocity_km_s=[0, 0, 0]"])
+    with pytest.raises(InputError, match="Sun's centre"):
+        survey(falling, (0.0, 100.0 * DAY_S))
