@@ -10,12 +10,11 @@ if __name__ == "__main__":
 import argparse
 import sys
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 
 from rich.console import Console
 
-from scp_recon.cli.options import number_between
+from scp_recon.cli.options import date_tdb, number_between
 from scp_recon.cli.window_tables import as_csv, show_survey
 from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically
@@ -34,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("scenario", metavar="SCENARIO", help="TOML file, or recon_b")
     p.add_argument(
         "--from",
-        type=_date,
+        type=date_tdb,
         metavar="TDB",
         dest="begin",
         help="where the span begins, TDB, e.g. 2020-01-21T20:33:17 (default: the scenario's epoch)",
@@ -54,18 +53,6 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--csv", type=Path, metavar="FILE", help="write them as a table")
     return p
-
-
-def _date(text: str) -> datetime:
-    try:
-        found = datetime.fromisoformat(text)
-    except ValueError:
-        found = None
-    if found is None or found.tzinfo is not None:
-        raise argparse.ArgumentTypeError(
-            f"got {text!r}; must be a date and time such as 2020-01-21T20:33:17, TDB, without a zone"
-        )
-    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from datetime import datetime
 
 LONGEST = 20
 """Digits: longer numbers are beyond every bound, and slow to read."""
@@ -40,3 +41,16 @@ def number_between(low: float, high: float) -> Callable[[str], float]:
         return value
 
     return parse
+
+
+def date_tdb(text: str) -> datetime:
+    """A type of option: a date and time in TDB."""
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        found = None
+    if found is None or found.tzinfo is not None:
+        raise argparse.ArgumentTypeError(
+            f"got {text!r}; must be a date and time such as 2020-01-21T20:33:17, TDB, without a zone"
+        )
+    return found

@@ -30,7 +30,7 @@ def test_windows_are_printed_with_their_lighting_and_their_burns(
     assert run("recon_b", "--span-days", "0.5") == 0
     said = capsys.readouterr().out
     for words in (
-        "2020-01-22T00:12:17  13140.2  16537.5  3397.3",
+        "2020-01-22T00:12:17  13140.2  16537.5",
         "48.87  8.48 to 13.75",
         "-5105 to 1740     1495 to 8340    23137 to 29982    29737 to 36582",
         "-1863 to 340",
