@@ -193,6 +193,10 @@ QUICK = {
     "python -m scp_recon.solve --out DIR": Quick(
         "python -m scp_recon.solve --out runs/dir --problem P3"
     ),
+    # where it may go
+    "python -m scp_recon.windows recon_b": Quick(),
+    "python -m scp_recon.windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
+    "--chart windows.png": Quick(needs="matplotlib"),
     # its result
     "python -m scp_recon.verify runs/mine": Quick(),
     "python -m scp_recon.compare runs/latest runs/mine": Quick(),
