@@ -9,10 +9,10 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicHermiteSpline
 
+from scp_recon.environment.catalogue import GM_SUN_KM3_S2
+
 Array = npt.NDArray[np.float64]
 
-GM_SUN_KM3_S2 = 132_712_440_041.279
-"""DE440: Park et al. 2021, table 2."""
 NEAREST_KM = 1e7
 """To the Sun's centre, 0.067 au: no known asteroid comes nearer, where the cubics are too long."""
 NODE_STEP_S = 3600.0

@@ -32,6 +32,8 @@ SAMPLES, SEED, FLIGHTS_CHECKED = 10_000, 0, 3
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
 COVARIANCE_LIMIT = 1e-6
+SAMPLE_LIMIT = 1e-6
+"""Of the initial radius, where that is more than a centimetre: 1 sigma is of the order of 1e-2."""
 MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
 """Between nodes a constraint that binds at them may dip below by this much."""
 NO_BURN_M_S = 1e-6
@@ -65,7 +67,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         POSITION_LIMIT_M,
         VELOCITY_LIMIT_M_S,
         DEFECT_LIMIT_M,
-        DEFECT_LIMIT_M,
+        max(DEFECT_LIMIT_M, SAMPLE_LIMIT * mission.units.length_m),
         COVARIANCE_LIMIT,
     )
     failed = [

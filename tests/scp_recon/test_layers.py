@@ -14,7 +14,9 @@ PROJECT = Path(__file__).parents[2]
 LIBRARY = ("formulations", "scp_recon")
 COMMANDS = {
     f"scp_recon.{name}"
-    for name in ("solve", "verify", "montecarlo", "simulate", "compare", "schema", "windows")
+    for name in (
+        *("solve", "verify", "montecarlo", "simulate", "compare", "schema", "windows", "new"),
+    )
 }
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
 WINGS = (*LIBRARY, "experiments", "paper_figs", "benchmarks")
@@ -69,7 +71,7 @@ FLOORS = (
     *(f"formulations.{name}" for name in ("risk", "problem", "linearisation", "rows", "program")),
     *(f"formulations.{name}" for name in ("nlp", "registry")),
     *(f"scp_recon.{name}" for name in ("errors", "files", "environment", "scenario", "physics")),
-    *(f"scp_recon.{name}" for name in ("mission", "scp")),
+    *(f"scp_recon.{name}" for name in ("mission", "draft", "scp")),
     *(f"scp_recon.{name}" for name in ("planning", "solution", "monte_carlo", "spacecraft")),
     *(
         f"scp_recon.{name}"

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from scp_recon.physics.orbit import GM_SUN_KM3_S2, two_body
+from scp_recon.environment.catalogue import GM_SUN_KM3_S2
+from scp_recon.physics.orbit import two_body
 from tests.helpers import random_rotation
 
 AU_KM = 149_597_870.7

@@ -1,0 +1,87 @@
+"""`python -m scp_recon.new`: a file that solves, or that says what to change."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from scp_recon import new
+from scp_recon.draft import drafting, text
+from scp_recon.front_door import plan
+from scp_recon.scenario.load import load_scenario
+
+BENNU = ("--body", "Bennu", "--site", "55.9,41.8", "--epoch", "2020-01-21T20:33:17")
+STONE = (
+    *("--body", "Stone", "--site", "35,150", "--epoch", "2024-05-01", "--gm", "30.0"),
+    *("--radius", "448", "--period", "7.6326", "--pole=96.40,-66.40"),
+    "--orbit=150000000,90000000,40000000,-13.5,21.0,9.0",
+)
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: str) -> int:
+    try:
+        return new.main(arguments)
+    except SystemExit as end:  # argparse ends this way
+        return int(end.code or 0)
+
+
+@pytest.mark.parametrize("options", [BENNU, STONE], ids=["packaged", "by numbers"])
+def test_what_is_written_solves(
+    options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("mine", *options) == 0
+    said = capsys.readouterr().out
+    assert "verified" in said
+    assert "total delta-v" in said
+    # What was planned is what the file holds, to the last digit.
+    (line,) = [line for line in said.splitlines() if line.startswith("total delta-v")]
+    total = plan(load_scenario("mine.toml")).total_dv_m_s
+    assert line.startswith(f"total delta-v {total:.6f} m/s")
+
+
+def test_what_cannot_be_flown_is_written_with_what_to_change(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(drafting, "HALF_WIDTHS_H", (4.0,))
+    monkeypatch.setattr(text, "DISTANCES", (1.7, 1.75))  # 15 m wide at 500
+    assert run("mine", *BENNU) == 3
+    assert "not verified" in capsys.readouterr().out
+    written = Path("mine.toml").read_text("utf-8")
+    assert "To change, in this order" in written
+    assert tomllib.loads(written)["name"] == "mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((*BENNU[:2], *BENNU[4:]), "--site"),
+        ((*BENNU[:3], "95,0", *BENNU[4:]), "within 90 deg"),
+        ((*BENNU[:3], "north", *BENNU[4:]), "2 numbers with commas"),
+        ((*BENNU, "--gm", "5"), "--gm must be left out"),
+        (("--body", "Stone", *BENNU[2:]), "needs --gm, --radius, --period, --pole, --orbit"),
+        ((*BENNU[:5], "soon"), "must be a date"),
+        ((*BENNU[:5], "1850-01-01"), "epoch.tdb"),
+    ],
+)
+def test_bad_input_is_told_in_one_message(
+    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("mine", *arguments) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert "Traceback" not in said
+    assert not Path("mine.toml").exists()
+
+
+def test_an_existing_file_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("mine.toml").write_text("mine", "utf-8")
+    assert run("mine", *BENNU) == 2
+    assert "must not exist yet" in capsys.readouterr().err
+    assert Path("mine.toml").read_text("utf-8") == "mine"
