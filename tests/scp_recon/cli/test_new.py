@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from scp_recon import new
-from scp_recon.draft import drafting, text
+from scp_recon.draft import drafting
+from scp_recon.draft.text import Draft
 from scp_recon.front_door import plan
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
 
 BENNU = ("--body", "Bennu", "--site", "55.9,41.8", "--epoch", "2020-01-21T20:33:17")
 STONE = (
-    *("--body", "Stone", "--site", "35,150", "--epoch", "2024-05-01", "--gm", "30.0"),
-    *("--radius", "448", "--period", "7.6326", "--pole=96.40,-66.40"),
+    *("--body", "Stone", "--site", "35,0", "--epoch", "2024-05-01", "--gm", "2.36"),
+    *("--radius", "165", "--period", "12.1324", "--pole=90.53,-66.30"),
     "--orbit=150000000,90000000,40000000,-13.5,21.0,9.0",
 )
 
@@ -49,10 +52,18 @@ def test_what_is_written_solves(
 def test_what_cannot_be_flown_is_written_with_what_to_change(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """As if the planner had found nothing: what is infeasible takes it long to tell."""
+    planned = new._planned
+
+    def infeasible(draft: Draft) -> new.Planned:
+        found = planned(draft)
+        status = {"status": Status.INFEASIBLE.value.name}
+        return replace(found, solution=found.solution.model_copy(update=status))
+
     monkeypatch.setattr(drafting, "HALF_WIDTHS_H", (4.0,))
-    monkeypatch.setattr(text, "DISTANCES", (1.7, 1.75))  # 15 m wide at 500
+    monkeypatch.setattr(new, "_planned", infeasible)
     assert run("mine", *BENNU) == 3
-    assert "not verified" in capsys.readouterr().out
+    assert "infeasible" in capsys.readouterr().out
     written = Path("mine.toml").read_text("utf-8")
     assert "To change, in this order" in written
     assert tomllib.loads(written)["name"] == "mine"
