@@ -194,7 +194,7 @@ QUICK = {
         "python -m scp_recon.solve --out runs/dir --problem P3"
     ),
     # where it may go
-    "python -m scp_recon.new mission --body Bennu --site=20,150 --epoch 2020-01-21T20:33:17": Quick(),
+    "python -m scp_recon.new mission --body Bennu --site 20,150 --epoch 2020-01-21T20:33:17": Quick(),
     "python -m scp_recon.windows recon_b": Quick(),
     "python -m scp_recon.windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
     "--chart windows.png": Quick(needs="matplotlib"),
