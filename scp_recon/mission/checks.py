@@ -14,7 +14,7 @@ import numpy.typing as npt
 from scp_recon.errors import InputError
 from scp_recon.mission import body_checks, flight_checks, sun_checks
 from scp_recon.mission.given import Given
-from scp_recon.mission.schedule import SCAN_STEP_S
+from scp_recon.mission.windows import SCAN_STEP_S
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 
