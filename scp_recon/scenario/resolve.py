@@ -118,8 +118,9 @@ def _well_formed(table: Mapping[str, Any], schema: type[Section]) -> bool:
     try:
         schema.model_validate_json(json.dumps(table, default=str))
     except ValidationError as error:
-        kinds = {problem["type"] for problem in error.errors(include_url=False)}
-        return kinds <= {"missing"}
+        # An item that a list lacks is missing too, but deeper.
+        problems = error.errors(include_url=False)
+        return all(item["type"] == "missing" and len(item["loc"]) == 1 for item in problems)
     except (ValueError, RecursionError):
         return False
     return True

@@ -172,6 +172,11 @@ def test_a_site_that_contradicts_itself_is_refused(site: dict[str, Any], entry: 
     assert refused(site={"name": "Place"} | site).entry.startswith(entry)
 
 
+@pytest.mark.parametrize("entry", ["sun.body_position_km", "site.position_body_m", "body.radii_m"])
+def test_a_vector_of_two_is_told_and_nothing_is_computed_from_it(entry: str) -> None:
+    assert refused(f"{entry}=[1.0, 2.0]").entry == entry
+
+
 def test_coordinates_need_a_shape() -> None:
     body = {key: value for key, value in ROCK.items() if key != "radii_m"}
     assert "body.radii_m" in refused(body=body).allowed
