@@ -211,7 +211,9 @@ QUICK = {
         "python -m scp_recon.montecarlo runs/latest --samples 500"
     ),
     "python -m paper_figs.flyby runs/mine flyby.svg": Quick(needs="matplotlib"),
-    "python -m paper_figs.frames docs/frames.png": Quick(needs="matplotlib"),
+    "python -m paper_figs.frames docs/frames.png": Quick(
+        "python -m paper_figs.frames frames.png", needs="matplotlib"
+    ),
     "python -m scp_recon.schema docs/scenario.schema.json": Quick(),
     # the spacecraft
     "python -m scp_recon.simulate runs/mine": simulated("runs/short"),
