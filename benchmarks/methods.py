@@ -115,7 +115,7 @@ def replan(mission: Mission, repeats: int) -> Timed:
     planner.replan(last, mission.initial_state)
     first = perf_counter() - first
     for _ in range(REPLANS):
-        state = mission.initial_state + mission.initial_sigma * rng.standard_normal(6)
+        state = mission.initial_state + mission.initial_factor @ rng.standard_normal(6)
         begin = perf_counter()
         found = planner.replan(last, state)
         again.append(perf_counter() - begin)

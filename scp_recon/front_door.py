@@ -100,7 +100,7 @@ def fly(
     seed: int = 0,
     *,
     truth: TruthModel = "planner",
-    errors: ErrorModel = "componentwise",
+    errors: ErrorModel | None = None,
     workers: int = 1,
 ) -> Summary:
     """Fly a plan many times with errors: `flights.probability["emission"]` has value, low and high.
@@ -110,7 +110,7 @@ def fly(
         samples: flights.
         seed: of all draws.
         truth: dynamics flown, the planner's or harmonics.
-        errors: of the burns, the paper's or Gates'.
+        errors: of the burns, "componentwise" or "gates"; the scenario's without it.
         workers: processes; the result does not depend on their number.
 
     Raises:

@@ -62,8 +62,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--errors",
         choices=("componentwise", "gates"),
-        default="componentwise",
-        help="of the burns: the paper's, or magnitude and pointing (default: componentwise)",
+        help="of the burns: by component, or magnitude and pointing (default: the scenario's)",
     )
     p.add_argument(
         "--seed",

@@ -11,6 +11,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.execution_errors import ComponentwiseErrors
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball, Cone
 
@@ -126,7 +127,7 @@ def random_flyby(
         initial_state=rng.normal(size=6),
         final_state=np.zeros(6),
         initial_factor=0.02 * rng.normal(size=(6, int(rng.integers(1, 7)))),
-        execution_error=float(rng.uniform(0.01, 0.1)),
+        execution_errors=ComponentwiseErrors(float(rng.uniform(0.01, 0.1))),
         dv_max=3.0,
         sun=random_unit(rng, burns),
         dv_cone=float(rng.uniform(0.1, 0.5)),

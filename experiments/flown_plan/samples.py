@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.uncertainty import execution_errors
 from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.outcome import distance_in_sigmas
 from scp_recon.spacecraft.vehicle import Vehicle
@@ -20,12 +21,12 @@ def sample_distances(
 ) -> Array:
     """Distances of sampled positions at the nodes from the mean, in sigmas of the planned covariance.
 
-    The initial state errs by component as the scenario says.
+    The initial state errs as the scenario says.
 
     Args:
         solution: plan.
-        vehicle: whose thruster errs in the size of each burn; without one each component of a burn
-            errs by itself, as the planner expects.
+        vehicle: whose thruster errs in the size of each burn; without one burns err as the planner
+            expects.
         samples: how many.
         seed: of all.
 
@@ -33,19 +34,18 @@ def sample_distances(
         Shape (samples, nodes).
     """
     mission, planned = Mission.from_scenario(solution.scenario), solution.burns_m_s
-    units, found = mission.units, []
+    units, model, found = mission.units, execution_errors(mission.scenario), []
     for block, first in enumerate(range(0, samples, BLOCK)):
         rng = np.random.default_rng([seed, block])
-        draws = rng.standard_normal((min(BLOCK, samples - first), 6 + planned.size))
-        errors = draws[:, 6:].reshape(-1, *planned.shape)
+        numbers = planned.size if vehicle else model.draws(len(planned))
+        draws = rng.standard_normal((min(BLOCK, samples - first), 6 + numbers))
         if vehicle is None:
-            errors = solution.scenario.uncertainty.execution_error * errors
+            executed = model.execute(planned, draws[:, 6:])
         else:
-            errors = vehicle.errors.chemical_thruster * errors[..., :1]
-        initial = mission.initial_state + draws[:, :6] * mission.initial_sigma
-        states = mission.dynamics.rollout(
-            initial / units.state, planned * (1.0 + errors) / units.speed_m_s
-        )
+            sizes = draws[:, 6:].reshape(-1, *planned.shape)[..., :1]
+            executed = planned * (1.0 + vehicle.errors.chemical_thruster * sizes)
+        initial = mission.initial_state + draws[:, :6] @ mission.initial_factor.T
+        states = mission.dynamics.rollout(initial / units.state, executed / units.speed_m_s)
         positions = np.moveaxis(states, 0, 1)[..., :3] * units.length_m
         found.append(distance_in_sigmas(positions, solution))
     return np.concatenate(found)

@@ -245,10 +245,12 @@ def verdicts(entries: Sequence[Measured], solution: Solution) -> list[str]:
             f"All sources in the whole spacecraft give {_shown(total)} m, the path's two in the "
             f"planner's dynamics {_shown(path)} m: the intervals {'' if agree else 'do not '}overlap."
         )
-    uncertainty = solution.scenario.uncertainty
+    u, said = solution.scenario.uncertainty, "its scenario's uncertainty"
+    if u.initial_sigma_fraction is not None and u.execution_error is not None:
+        initial, burns = 100 * u.initial_sigma_fraction, 100 * u.execution_error
+        said = f"{initial:g} % and {burns:g} % of each component"
     words.append(
-        f"The plan's covariance, with {100 * uncertainty.initial_sigma_fraction:g} % and "
-        f"{100 * uncertainty.execution_error:g} % of each component, says "
+        f"The plan's covariance, with {said}, says "
         f"{planned_rms_m(solution):.0f} m; the vehicle's errors give {found[BOTH].rms.value:.0f} m."
     )
     for error_sources in (INITIAL, CHEMICAL):

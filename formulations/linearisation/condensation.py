@@ -77,6 +77,8 @@ def _factor_sensitivity(lin: Linearisation, nodes: Nodes, *, curvature: bool) ->
     last = int(nodes.max(initial=0))
     bent = _composed_tensor(lin, last) if curvature else None
     start = np.zeros((problem.n_burns, 6, c, q))
+    errors = problem.execution_errors
+    shared, of_errors = errors.shared, errors.jacobian(lin.iterate.burns)
 
     def reached(at: Nodes) -> Array:
         leg = legs.of[at]
@@ -92,9 +94,9 @@ def _factor_sensitivity(lin: Linearisation, nodes: Nodes, *, curvature: bool) ->
             break
         if i > 0:
             start[i] = reached(problem.burn_nodes[i : i + 1])[0]
-        for axis in range(3):
-            column = problem.columns_of_burn(i).start + axis
-            start[i, 3 + axis, column, 3 * i + axis] = problem.execution_error
+        by = slice(3 * i, 3 * i + 3)
+        start[i, 3:, problem.shared_columns, by] += of_errors[i, :, :shared]
+        start[i, 3:, problem.columns_of_burn(i), by] += of_errors[i, :, shared:]
     derivative = reached(nodes)
     burn = np.searchsorted(problem.burn_nodes, nodes)
     here = problem.burn_nodes[burn] == nodes

@@ -1,8 +1,9 @@
 """Covariance lifting: the factor S with Sigma = S S', and its full linearisation.
 
-    S_{k+1} = [A_k S_k, beta B diag(dv_i)],   S_0 = [Sigma_0^{1/2}, beta B diag(dv_0)]
+    S_{k+1} = [A_k S_k, B C(dv_i)],   S_0 = [Sigma_0^{1/2}, B C(dv_0)]
 
-For given STMs the factor is affine in the burns, so that a facet's standard deviation ||S'a|| is
+with the columns C of the burns' errors (`execution_errors`). Where these are proportional to the burn,
+for given STMs the factor is affine in the burns, so that a facet's standard deviation ||S'a|| is
 convex and nothing is relaxed. The STMs depend on the mean; the product rule
 
     dS_{k+1} = A_k dS_k + (T_k . dmu_k) S_k
@@ -33,11 +34,13 @@ def propagate_factor(
     """
     legs = problem.legs
     start = np.zeros((problem.n_burns, 6, problem.factor_columns))
-    start[0, :, : problem.initial_factor.shape[1]] = problem.initial_factor
+    start[0, :, : problem.first_factor.shape[1]] = problem.first_factor
+    shared, columns = problem.execution_errors.shared, problem.execution_errors.columns(burns)
     for i in range(problem.n_burns):
         if i > 0:
             start[i] = affine_map_from_last_burn[legs.ends[i - 1]] @ start[i - 1]
-        start[i, 3:, problem.columns_of_burn(i)] = problem.execution_error * np.diag(burns[i])
+        start[i, 3:, problem.shared_columns] += columns[i, :, :shared]
+        start[i, 3:, problem.columns_of_burn(i)] = columns[i, :, shared:]
     factor = affine_map_from_last_burn @ start[legs.of]
     factor[problem.burn_nodes] = start
     return factor

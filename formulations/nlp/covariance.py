@@ -1,10 +1,12 @@
 """The covariance as unknowns of an NLP: all its entries, the unique ones, or a factor.
 
-    Sigma_{k+1} = A_k Sigma_k A_k' + beta^2 B diag(dv_i)^2 B'
-    S_{k+1} = [A_k S_k, beta B diag(dv_i)]
+    Sigma_{k+1} = A_k Sigma_k A_k' + B C(dv_i) C(dv_i)' B'
+    S_{k+1} = [A_k S_k, B C(dv_i)]
 
-Every form is a vector of entries per node, after the burn where one falls on it. An arc carries the
-entries; a burn appends zeros where the form grows by it, and adds its `kick`.
+with the columns C of a burn's errors. Columns that burns share are carried as columns in every form,
+beside the covariance of all else. Every form is a vector of entries per node, after the burn where one
+falls on it. An arc carries the entries; a burn appends zeros where the form grows by it, and adds its
+`kick`.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
+from formulations.nlp.execution import own_columns, own_covariance, shared_columns
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.regions import Array
 
@@ -57,13 +60,14 @@ class Covariance:
     Nothing but feasibility keeps an iterate of it positive semidefinite.
 
     Args:
-        problem: gives the execution error.
+        problem: gives the execution errors.
         unique: whether the entries above the diagonal stand for those below.
         unit: of a standard deviation.
     """
 
     def __init__(self, problem: FlybyProblem, *, unique: bool, unit: float = 1.0) -> None:
-        self._error, self._unit = problem.execution_error, unit
+        self._errors, self._unit = problem.execution_errors, unit
+        self._shared, self._initial_columns = self._errors.shared, problem.initial_factor.shape[1]
         # Entry of each element, and the element that each entry is read from.
         self._entry = np.arange(36).reshape(6, 6)
         self._element = np.divmod(np.arange(36), 6)
@@ -73,58 +77,75 @@ class Covariance:
             self._entry.T[self._element] = np.arange(21)
 
     def size(self, burns: int) -> int:  # noqa: ARG002 -- of the protocol
-        """All the same."""
-        return len(self._element[0])
+        """All the same; six more per column that burns share."""
+        return len(self._element[0]) + 6 * self._shared
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
-        """A Sigma A'."""
+        """A Sigma A', and A times shared columns."""
         before = ca.reshape(entries[self._entry.ravel().tolist()], 6, 6).T
         after = stm @ before @ stm.T
-        return ca.vertcat(*(after[int(i), int(j)] for i, j in zip(*self._element, strict=True)))
+        carried = (after[int(i), int(j)] for i, j in zip(*self._element, strict=True))
+        shared = ca.reshape(entries[len(self._element[0]) :], 6, self._shared)
+        return ca.vertcat(*carried, ca.vec(stm @ shared))
 
     def kick(self, burn: ca.MX, burns: int) -> ca.MX:  # noqa: ARG002 -- of the protocol
-        """Beta^2 dv^2 on the diagonal of the velocity."""
-        diagonal = np.diag(self._entry)[3:]
-        place = np.zeros((self.size(0), 3))
-        place[diagonal, range(3)] = (self._error / self._unit) ** 2
-        return ca.sparsify(ca.DM(place)) @ burn**2
+        """C C' on the velocity, and shared columns as they are."""
+        added = own_covariance(self._errors, burn) / self._unit**2
+        zero = ca.MX(1, 1)
+        entries = [
+            added[int(i) - 3, int(j) - 3] if min(i, j) >= 3 else zero
+            for i, j in zip(*self._element, strict=True)
+        ]
+        shared = ca.vertcat(ca.MX(3, self._shared), shared_columns(self._errors, burn) / self._unit)
+        return ca.vertcat(*entries, ca.vec(shared))
 
     def pack(self, factor: Array, burns: int) -> Array:  # noqa: ARG002 -- of the protocol
-        """S S'."""
-        return (factor @ factor.T)[self._element] / self._unit**2
+        """S S' of the columns that burns do not share, and those that they do."""
+        first = self._initial_columns
+        shared = factor[:, first : first + self._shared]
+        covariance = factor @ factor.T - shared @ shared.T
+        return np.r_[covariance[self._element] / self._unit**2, shared.T.ravel() / self._unit]
 
     def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """Root of a'Sigma a, in which the entries are linear."""
-        weights = np.zeros((len(normal), self.size(0)))
+        """Root of a'Sigma a, in which the entries of the covariance are linear."""
+        count = len(self._element[0])
+        weights = np.zeros((len(normal), count))
         for i, j in np.ndindex(3, 3):
             weights[:, self._entry[i, j]] += normal[:, i] * normal[:, j]
-        return root(self._unit**2 * (ca.sparsify(ca.DM(weights)) @ entries))
+        square = ca.sparsify(ca.DM(weights)) @ entries[:count]
+        if self._shared:
+            shared = ca.reshape(entries[count:], 6, self._shared)[:3, :]
+            square += ca.sum2((ca.DM(normal) @ shared) ** 2)
+        return root(self._unit**2 * square)
 
 
 class Factor:
-    """S by columns: the initial ones, and three per burn at or before the node.
+    """S by columns: the initial ones, those that burns share, and each burn's at or before the node.
 
     Args:
-        problem: gives the execution error and the initial columns.
+        problem: gives the execution errors and the initial columns.
         unit: of the entries.
     """
 
     def __init__(self, problem: FlybyProblem, *, unit: float = 1.0) -> None:
-        self._error, self._unit = problem.execution_error, unit
-        self._initial_columns = problem.initial_factor.shape[1]
+        self._errors, self._unit = problem.execution_errors, unit
+        self._columns = problem.columns_before
+        self._before = problem.shared_columns.start
 
     def size(self, burns: int) -> int:
         """Six per column."""
-        return 6 * (self._initial_columns + 3 * burns)
+        return 6 * self._columns(burns)
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
         """A S."""
         return ca.vec(stm @ ca.reshape(entries, 6, entries.numel() // 6))
 
     def kick(self, burn: ca.MX, burns: int) -> ca.MX:
-        """Columns beta B diag(dv) after those that were there."""
-        columns = ca.vertcat(ca.MX(3, 3), self._error / self._unit * ca.diag(burn))
-        return ca.vertcat(ca.MX(self.size(burns), 1), ca.vec(columns))
+        """Own columns B C(dv) after those that were there, and shared ones on top of them."""
+        shared, own = shared_columns(self._errors, burn), own_columns(self._errors, burn)
+        between = self._columns(burns) - self._before - self._errors.shared
+        columns = ca.horzcat(ca.MX(3, self._before), shared, ca.MX(3, between), own)
+        return ca.vec(ca.vertcat(ca.MX(3, columns.shape[1]), columns)) / self._unit
 
     def pack(self, factor: Array, burns: int) -> Array:
         """Column by column."""
@@ -148,4 +169,5 @@ def initial_deviation(problem: FlybyProblem) -> float:
     deviation = float(np.linalg.norm(problem.initial_factor, 2))
     if deviation > CERTAIN:
         return deviation
-    return max(problem.execution_error * problem.dv_max, CERTAIN)
+    largest = np.array([[problem.dv_max, 0.0, 0.0]])
+    return max(float(np.linalg.norm(problem.execution_errors.columns(largest))), CERTAIN)

@@ -212,7 +212,7 @@ def _burn_part(
     given = np.zeros(layout.size[0])
     given[:6] = problem.initial_state
     if spread is not None:
-        entries = spread.pack(problem.initial_factor, 0)
+        entries = spread.pack(problem.first_factor, 0)
         given[6 : 6 + len(entries)] = entries
     parts[0] += given
     return ca.vertcat(*parts)

@@ -49,7 +49,7 @@ def _roll_out(
 ) -> list[ca.MX]:
     """States y = (mean, entries of the factor) of every node after its burn; entries up to `last`."""
     burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
-    entries = spread.pack(problem.initial_factor, 0) if spread else np.zeros(0)
+    entries = spread.pack(problem.first_factor, 0) if spread else np.zeros(0)
     y = ca.MX(np.concatenate([problem.initial_state, entries]))
     node = [_burnt(y, spread, burns[:, 0], 0)]
     cuts = sorted({*burn_at, max(last, 0)})

@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from formulations.problem.execution_errors import ExecutionErrors
 from formulations.problem.legs import Legs
 from formulations.problem.legs import Nodes as Nodes
 from formulations.problem.regions import Array, Cone, Region
@@ -76,7 +77,7 @@ class FlybyProblem:
         initial_state: mean before the first burn, shape (6,).
         final_state: mean after the last burn, shape (6,).
         initial_factor: S with S S' the covariance before the first burn, shape (6, c).
-        execution_error: beta, 1-sigma of each burn component as a fraction of it.
+        execution_errors: of the burns.
         dv_max: largest burn.
         sun: unit vectors to the Sun at each burn, shape (m, 3).
         dv_cone: half-angle of the double cone about the Sun line that burns stay out of.
@@ -88,7 +89,7 @@ class FlybyProblem:
     initial_state: Array
     final_state: Array
     initial_factor: Array
-    execution_error: float
+    execution_errors: ExecutionErrors
     dv_max: float
     sun: Array
     dv_cone: float
@@ -104,15 +105,29 @@ class FlybyProblem:
         """The arcs between the burns."""
         return Legs(self.n_nodes, self.burn_nodes)
 
+    @cached_property
+    def first_factor(self) -> Array:
+        """The factor before the first burn with its columns that all burns share, still zero."""
+        return np.pad(self.initial_factor, ((0, 0), (0, self.execution_errors.shared)))
+
     @property
     def factor_columns(self) -> int:
-        """Columns of the covariance factor: the initial ones and three per burn."""
-        return self.initial_factor.shape[1] + 3 * self.n_burns
+        """Columns of the covariance factor: initial ones, those that burns share, each burn's own."""
+        return self.columns_before(self.n_burns)
+
+    def columns_before(self, burns: int) -> int:
+        """Columns of the covariance factor that so many burns leave."""
+        return self.first_factor.shape[1] + self.execution_errors.own * burns
+
+    @property
+    def shared_columns(self) -> slice:
+        """The factor's columns that the execution errors of all burns fill."""
+        first = self.initial_factor.shape[1]
+        return slice(first, first + self.execution_errors.shared)
 
     def columns_of_burn(self, burn: int) -> slice:
-        """The factor's columns that the execution error of one burn fills."""
-        first = self.initial_factor.shape[1] + 3 * burn
-        return slice(first, first + 3)
+        """The factor's columns that the execution error of one burn alone fills."""
+        return slice(self.columns_before(burn), self.columns_before(burn + 1))
 
     def defects(self, iterate: Iterate, arcs: Array) -> Array:
         """Defects F_k(mu_k) + B dv - mu_{k+1} per arc, and last mu_N - x_f; shape (n_nodes, 6)."""
@@ -151,7 +166,7 @@ class Iterate:
 def factor_columns_used(problem: FlybyProblem, nodes: Nodes) -> int:
     """Factor columns that can be non-zero in the position at any of the ascending `nodes`.
 
-    A burn's error shifts positions only after its node, so later burns' columns stay zero.
+    A burn's error shifts positions only after its node, so later burns' own columns stay zero.
     """
     burns_before = int(np.searchsorted(problem.burn_nodes, nodes[-1])) if len(nodes) else 0
-    return problem.initial_factor.shape[1] + 3 * burns_before
+    return problem.columns_before(burns_before)

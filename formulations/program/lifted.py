@@ -1,12 +1,13 @@
 """Lifted: mean, covariance factor and virtual control as explicit variables, sparse.
 
     mu_{k+1} = mu^_{k+1} + A_k (mu_k - mu^_k) + d_k + B (dv_i - dv^_i)
-    S_{k+1}  = [A_k S_k + (T_k . (mu_k - mu^_k)) S^_k, beta B diag(dv_i)]
+    S_{k+1}  = [A_k S_k + (T_k . (mu_k - mu^_k)) S^_k, B (C^_i + C'^_i . (dv_i - dv^_i))]
 
-with hats for the iterate and d for its defects. Nodes are those that a constraint or a burn touches;
-the arcs between are composed, which is exact to the order of the linearisation and keeps the program
-a tenth of its size. The dynamics are one product of a block-sparse parameter with all states stacked
-(every mean, then every factor, row-major), so that the sparsity is constant.
+with hats for the iterate, d for its defects and C for the columns of a burn's errors. Nodes are those
+that a constraint or a burn touches; the arcs between are composed, which is exact to the order of the
+linearisation and keeps the program a tenth of its size. The dynamics are one product of a block-sparse
+parameter with all states stacked (every mean, then every factor, row-major), so that the sparsity is
+constant.
 
 The virtual control is the miss of the final state. Any burns have a trajectory, so that this is all
 the linearised dynamics can miss; on other arcs it would promise to move the path at the price of a
@@ -17,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from time import perf_counter
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -28,6 +30,7 @@ from formulations.problem.regions import Array
 from formulations.program.compiled import CompiledProgram
 from formulations.program.composed_arcs import compose
 from formulations.program.convex_subproblem import ConvexSubproblem
+from formulations.program.lifted_errors import LiftedErrors
 from formulations.program.model import StateModel, Values, sparse_parameter, write_model
 from formulations.program.output_rows import keep_out_values, write_rows
 from formulations.program.penalty import Penalty, PenaltyParameters
@@ -96,20 +99,28 @@ class LiftedDynamics:
         self._factor_arcs = int(np.searchsorted(self._nodes, nodes[-1])) if self._columns else 0
         self._mean_size = 6 * (self._arcs + 1)
         self._size = self._mean_size + 6 * self._columns * (self._factor_arcs + 1)
+        # Rows of the states that no arc ends in: the mean and the factor at the first node.
+        self._ends = np.r_[6 : self._mean_size, self._mean_size + 6 * self._columns : self._size]
+        self._starts = np.setdiff1d(np.arange(self._size), self._ends)
+        self._burns = np.searchsorted(self._nodes, problem.burn_nodes)
+        where = (self._burns, self._mean_size, self._columns, self._factor_arcs, self._size)
+        self._errors = LiftedErrors(problem, *where)
 
     def write(
         self, burns: cp.Variable
     ) -> tuple[cp.Expression, cp.Expression, list[cp.Constraint], dict[str, cp.Parameter]]:
         """Position and factor rows of the used nodes, (3 n, 1 + c); miss; equations; parameters."""
-        n, columns = self._mean_size, self._columns
+        n, columns, ends, starts = self._mean_size, self._columns, self._ends, self._starts
         states, virtual = cp.Variable(self._size), cp.Variable(6)
-        # Rows of the states that no arc ends in: the mean and the factor at the first node.
-        ends = np.r_[6:n, n + 6 * columns : self._size]
-        starts = np.setdiff1d(np.arange(self._size), ends)
         entries, stepping = sparse_parameter((len(ends), self._size), *self._pattern())
         constant, start = cp.Parameter(len(ends)), cp.Parameter(len(starts))
         final = cp.Parameter(6)
-        kicks = self._kicks(self._size)
+        parameters = {"stepping": entries, "constant": constant, "start": start, "final": final}
+        kicks: Any = self._kicks()
+        if not self._errors.affine:
+            shape = (self._size, burns.size)
+            parameters["errors"], errors = sparse_parameter(shape, *self._errors.places)
+            kicks = kicks + errors
         constraints: list[cp.Constraint] = [
             states[starts] == start + kicks[starts] @ burns,
             states[ends] == stepping @ states + constant + kicks[ends] @ burns,
@@ -117,7 +128,6 @@ class LiftedDynamics:
         ]
         pick = self._pick(np.searchsorted(self._nodes, self._used), self._size)
         outputs = cp.reshape(pick @ states, (3 * len(self._used), 1 + columns), order="C")
-        parameters = {"stepping": entries, "constant": constant, "start": start, "final": final}
         return outputs, virtual, constraints, parameters
 
     def _pattern(self) -> tuple[Nodes, Nodes]:
@@ -136,19 +146,12 @@ class LiftedDynamics:
         rows = np.concatenate([mean_row.ravel(), factor_row.ravel(), factor_row.ravel()])
         return rows, np.concatenate([mean_entry.ravel(), own.ravel(), from_mean.ravel()])
 
-    def _kicks(self, size: int) -> sp.csr_array:
-        """B dv on the means and beta B diag(dv) on the factors, (states, 3 burns)."""
-        problem = self._problem
-        entries: list[tuple[int, int, float]] = []
-        for burn, node in enumerate(np.searchsorted(self._nodes, problem.burn_nodes).tolist()):
-            for axis in range(3):
-                entries.append((6 * node + 3 + axis, 3 * burn + axis, 1.0))
-                column = problem.columns_of_burn(burn).start + axis
-                if column < self._columns and node <= self._factor_arcs:
-                    row = self._mean_size + (6 * node + 3 + axis) * self._columns + column
-                    entries.append((row, 3 * burn + axis, problem.execution_error))
-        rows, columns, values = zip(*entries, strict=True)
-        return sp.csr_array((values, (rows, columns)), shape=(size, 3 * problem.n_burns))
+    def _kicks(self) -> sp.csr_array:
+        """B dv on the means and, where that is linear, B C(dv) on the factors, (states, 3 burns)."""
+        rows = np.add.outer(6 * self._burns + 3, np.arange(3)).ravel()
+        entries = np.ones(len(rows)), (rows, np.arange(len(rows)))
+        kicks = sp.csr_array(entries, shape=(self._size, len(rows)))
+        return kicks + self._errors.constant(self._problem) if self._errors.affine else kicks
 
     def _pick(self, nodes: Nodes, size: int) -> sp.csr_array:
         """Position rows (mean, factor columns) of the used nodes among the stacked states."""
@@ -165,7 +168,7 @@ class LiftedDynamics:
             LinearisationError: if they are not finite.
         """
         n, c, arcs = self._factor_arcs, self._columns, compose(lin, self._nodes)
-        start = lin.problem.initial_factor[:, :c]
+        start = lin.problem.first_factor[:, :c]
         start = np.pad(start, ((0, 0), (0, c - start.shape[1])))
         own = np.broadcast_to(arcs.stm[:n, :, None, :], (n, 6, c, 6))
         factor = lin.factor[self._nodes[:n], :, :c]
@@ -174,12 +177,18 @@ class LiftedDynamics:
         mean = lin.iterate.mean[self._nodes]
         factor_constant = arcs.shift_stm[:n] @ factor - np.einsum("kicl,kl->kic", curved, mean[:n])
         mean_constant = self._mean_constant(lin, mean, arcs.stm, arcs.shift)
-        return {
+        values = {
             "stepping": np.concatenate([arcs.stm.ravel(), own.ravel(), curved.ravel()]),
             "constant": np.concatenate([mean_constant.ravel(), factor_constant.ravel()]),
             "start": np.r_[lin.problem.initial_state, start.ravel()],
             "final": lin.problem.final_state,
         }
+        if not self._errors.affine:
+            left = self._errors.remainder(lin.problem, lin.iterate)
+            values["constant"] += left[self._ends]
+            values["start"] += left[self._starts]
+            values["errors"] = self._errors.derivative(lin.problem, lin.iterate.burns)
+        return values
 
     def _mean_constant(self, lin: Linearisation, mean: Array, stm: Array, shift: Array) -> Array:
         """mu^_{k+1} - A_k mu^_k + d_k - B dv^_i, (arcs, 6)."""

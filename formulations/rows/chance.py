@@ -76,7 +76,7 @@ class ChanceRows:
             nodes = np.flatnonzero(components == p)
             rows = np.flatnonzero(np.isin(carried.node, self.nodes[nodes]))
             pick = self.pick[rows][:, (3 * nodes[:, None] + np.arange(3)).ravel()]
-            c = self.problem.initial_factor.shape[1] + int(p)
+            c = self.problem.columns_before(int(p) // 3)
             spread = np.concatenate(
                 [s.factor_jacobian[nodes, :3, :c, :p], s.factor_constant[nodes, :3, :c, None]], -1
             )

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics import geometry
+from scp_recon.scenario.uncertainty import Uncertainty
 
 Array = npt.NDArray[np.float64]
 
@@ -67,8 +68,6 @@ def observed(
 
 def planned_positions(mission: Mission, burns_m_s: Array, times_s: Array) -> Array:
     """Positions when nothing errs, J2000, m, shape (n, 3)."""
-    nothing = mission.scenario.uncertainty.model_copy(
-        update={"initial_sigma_fraction": 0.0, "execution_error": 0.0}
-    )
-    certain = Mission.from_scenario(mission.scenario.model_copy(update={"uncertainty": nothing}))
+    nothing = {"uncertainty": Uncertainty.none()}
+    certain = Mission.from_scenario(mission.scenario.model_copy(update=nothing))
     return sample_positions(certain, burns_m_s, times_s, 1, SEED)[:, 0]

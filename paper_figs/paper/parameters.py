@@ -82,9 +82,16 @@ def _model(mission: Mission) -> Iterable[Line]:
     s = mission.scenario
     yield "site, body-fixed", "r_site", f"[{_listed(s.site.position_body_m)}] m"
     yield "site normal, body-fixed", "r_s_perp", f"[{_listed(s.site.normal_body)}]"
-    yield "execution error, 1 sigma", "beta", f"{s.uncertainty.execution_error:g}"
-    fraction = s.uncertainty.initial_sigma_fraction
-    yield "initial covariance, J2000", "Sigma_t0", f"{fraction**2:g} diag(x_0 o x_0)"
+    error, fraction = s.uncertainty.execution_error, s.uncertainty.initial_sigma_fraction
+    if error is None:
+        yield "execution errors, 1 sigma", "C", s.uncertainty.execution
+    else:
+        yield "execution error, 1 sigma", "beta", f"{error:g}"
+    if fraction is None:
+        sigmas = ", ".join(f"{sigma:g}" for sigma in mission.initial_sigma)
+        yield "initial 1 sigma, J2000, m and m/s", "Sigma_t0", f"[{sigmas}]"
+    else:
+        yield "initial covariance, J2000", "Sigma_t0", f"{fraction**2:g} diag(x_0 o x_0)"
     yield "gravity", "GM", f"{s.body.gm_m3_s2:.6f} m^3/s^2"
     yield "oblateness, unnormalised", "J_2", f"{s.body.j2:.6f} at {s.body.reference_radius_m:g} m"
     craft = s.spacecraft

@@ -38,7 +38,7 @@ def show_mission(console: Console, mission: Mission) -> None:
         + Text(
             f": {scenario.body.name}, site {scenario.site.name}, "
             f"boundary states in {scenario.boundary.frame}, p_chance {scenario.risk.p_chance:g}, "
-            f"execution error {scenario.uncertainty.execution_error:g}",
+            f"{scenario.uncertainty.execution}",
             style="not bold",
         )
     )

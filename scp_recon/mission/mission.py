@@ -21,6 +21,7 @@ from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.lighting import Lighting
 from scp_recon.mission.plausibility import check_plausible
 from scp_recon.mission.schedule import Schedule, find_window, make_schedule
+from scp_recon.mission.uncertainty import execution_errors, initial_factor
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.dynamics import Dynamics
@@ -102,6 +103,8 @@ class Mission:
         warnings += check_window(scenario, window, lighting.incidence, lighting.local_solar_time)
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
         initial = _boundary_state(scenario, rotation, "initial")
+        execution_errors(scenario)
+        initial_factor(scenario, initial, rotation, sun_direction(scenario, 0.0))
         return cls(
             scenario=scenario,
             rotation=rotation,
@@ -162,9 +165,15 @@ class Mission:
         )
 
     @cached_property
+    def initial_factor(self) -> Array:
+        """S with S S' the covariance before the first burn, shape (6, 6)."""
+        sun = self.sun_direction(0.0)
+        return initial_factor(self.scenario, self.initial_state, self.rotation, sun)
+
+    @property
     def initial_sigma(self) -> Array:
         """1-sigma of each component before the first burn, shape (6,)."""
-        return self.scenario.uncertainty.initial_sigma_fraction * np.abs(self.initial_state)
+        return np.linalg.norm(self.initial_factor, axis=1)
 
     @property
     def burn_nodes(self) -> npt.NDArray[np.intp]:
@@ -186,8 +195,8 @@ class Mission:
             burn_nodes=self.burn_nodes,
             initial_state=self.initial_state / units.state,
             final_state=self.final_state / units.state,
-            initial_factor=np.diag(self.initial_sigma / units.state),
-            execution_error=scenario.uncertainty.execution_error,
+            initial_factor=self.initial_factor / units.state[:, None],
+            execution_errors=execution_errors(scenario, units.speed_m_s),
             dv_max=scenario.burns.dv_max_m_s / units.speed_m_s,
             sun=self.sun_direction(np.array(scenario.burns.times_s)),
             dv_cone=float(np.deg2rad(scenario.battery.delta_v_cone_deg)),

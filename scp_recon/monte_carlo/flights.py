@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.truth import truth_field
+from scp_recon.mission.uncertainty import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, TruthModel, fly_block
@@ -41,23 +42,25 @@ class FlightConfig:
         burns_m_s: planned burns, shape (m, 3).
         seed: of all draws.
         truth: dynamics flown.
-        errors: of the burns.
+        errors: of the burns, the scenario's without it.
 
     Raises:
-        InputError: if seed, truth or errors are none.
+        InputError: if seed, truth or errors are none, or cannot be flown in this scenario.
     """
 
     mission: Mission
     burns_m_s: Array
     seed: int = 0
     truth: TruthModel = "planner"
-    errors: ErrorModel = "componentwise"
+    errors: ErrorModel | None = None
 
     def __post_init__(self) -> None:
         """Refuse what would fail in the flights, and another body's gravity."""
         whole_number("seed", self.seed, 0, SEED_MAX)
         one_of("truth", self.truth, get_args(TruthModel))
-        one_of("errors", self.errors, get_args(ErrorModel))
+        if self.errors is not None:
+            one_of("errors", self.errors, get_args(ErrorModel))
+        errors_of_kind(self.mission.scenario, self.errors)
         if self.truth == "harmonics":
             truth_field(self.mission.scenario)
 

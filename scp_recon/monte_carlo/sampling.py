@@ -12,6 +12,7 @@ import numpy.typing as npt
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.truth import truth_field
+from scp_recon.mission.uncertainty import errors_of_kind
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
 
@@ -50,15 +51,16 @@ def fly_block(
     flights: int = BLOCK,
     seed: int = 0,
     truth: TruthModel = "planner",
-    errors: ErrorModel = "componentwise",
+    errors: ErrorModel | None = None,
 ) -> Flights:
     """Fly the first `flights` of a block of draws.
 
-    The initial state is Gaussian about the mission's. A burn is executed as dv (1 + beta w) by
-    component with w standard normal (Echigo et al., eq. 3), or by Gates' model with a proportional
-    error of the magnitude, beta, and of the pointing, beta rad about each axis across: the isotropic
-    counterpart of the same size. A flight is integrated from burn to burn in steps that nothing else
-    decides, and interpolated where it is looked at.
+    The initial state is Gaussian about the mission's. A burn is executed with the errors that the
+    scenario gives and the planner counts on: as dv (1 + beta w) by component with w standard normal
+    (Echigo et al., eq. 3), or by Gates' model. Gates' stands in for the former on request, with a
+    proportional error of the magnitude, beta, and of the pointing, beta rad about each axis across: the
+    isotropic counterpart of the same size. A flight is integrated from burn to burn in steps that
+    nothing else decides, and interpolated where it is looked at.
 
     Args:
         mission: dynamics and uncertainty.
@@ -68,12 +70,16 @@ def fly_block(
         flights: at most `BLOCK`.
         seed: of all blocks.
         truth: point mass with J2, or the field of `truth_field` turning with the body.
-        errors: of the burns.
+        errors: of the burns, the scenario's without it.
+
+    Raises:
+        InputError: if the scenario's errors have no such counterpart.
     """
-    draws = np.random.default_rng([seed, block]).standard_normal((BLOCK, 6 + burns_m_s.size))
-    draws = draws[:flights]
-    state = mission.initial_state + draws[:, :6] * mission.initial_sigma
-    executed = _execute(mission, burns_m_s, draws[:, 6:].reshape(-1, *burns_m_s.shape), errors)
+    model = errors_of_kind(mission.scenario, errors)
+    numbers = 6 + model.draws(len(burns_m_s))
+    draws = np.random.default_rng([seed, block]).standard_normal((BLOCK, numbers))[:flights]
+    state = mission.initial_state + draws[:, :6] @ mission.initial_factor.T
+    executed = model.execute(burns_m_s, draws[:, 6:])
     fly = _flow(mission, truth)
     burn_at = dict(zip(mission.scenario.burns.times_s, range(len(burns_m_s)), strict=True))
     stops = make_grid(mission.scenario.burns.times_s, RK4_STEP_MAX_S)
@@ -113,20 +119,6 @@ def sample_positions(
         for first in range(0, samples, BLOCK)
     ]
     return np.concatenate(blocks, axis=1)
-
-
-def _execute(mission: Mission, planned: Array, draws: Array, errors: ErrorModel) -> Array:
-    """Executed burns, shape (flights, m, 3)."""
-    beta = mission.scenario.uncertainty.execution_error
-    if errors == "componentwise":
-        return planned * (1.0 + beta * draws)
-    size = np.linalg.norm(planned, axis=1, keepdims=True)
-    along = np.divide(planned, size, out=np.zeros_like(planned), where=size > 0.0)
-    # Rows of a frame with the burn first; the draws are its magnitude and its two pointing errors.
-    first = np.cross(along, np.eye(3)[np.argmin(np.abs(along), axis=1)])
-    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), np.finfo(float).tiny)
-    frame = np.stack([along, first, np.cross(along, first)], axis=1)
-    return planned + beta * size * np.einsum("fmi,mij->fmj", draws, frame)
 
 
 def _flow(mission: Mission, truth: TruthModel) -> Flow:

@@ -208,7 +208,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         samples=flown.samples,
         seed=config.seed,
         truth=config.truth,
-        errors=config.errors,
+        errors=config.errors or config.mission.scenario.uncertainty.errors,
         confidence=CONFIDENCE,
         planned_dv_m_s=solution.total_dv_m_s,
         window_s=config.mission.schedule.window_s,

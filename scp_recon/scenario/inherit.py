@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any
 
+from scp_recon.scenario.uncertainty import without_other_ways
+
 Tables = dict[str, Any]
 
 POLE = ("body.pole_ra_deg", "body.pole_dec_deg")
@@ -55,6 +57,9 @@ def inherit(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
         New nested tables; those of `base` are not changed.
     """
     kept: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in base.items()}
+    given = changes.get("uncertainty")
+    if isinstance(given, Mapping) and isinstance(kept.get("uncertainty"), dict):
+        kept["uncertainty"] = without_other_ways(kept["uncertainty"], given)
     changed = {entry for entry in entries(changes) if differs(base, changes, entry)}
     followers = [gone for said, gone in FOLLOWS if changed & set(said)]
     if changed & set(SURFACE) and found(base, COORDINATES[0]) is not None:

@@ -160,7 +160,8 @@ def _field(location: list[str | int], schema: type[BaseModel]) -> FieldInfo | No
     for part in location:
         if isinstance(part, str):
             field = getattr(model, "model_fields", {}).get(part)
-            model = field.annotation if field else None
+            kinds = (field.annotation, *get_args(field.annotation)) if field else ()
+            model = next((kind for kind in kinds if hasattr(kind, "model_fields")), None)
     return field
 
 

@@ -26,9 +26,9 @@ from scp_recon.scenario.sections import (
     Safety,
     ScheduleRules,
     Spacecraft,
-    Uncertainty,
 )
 from scp_recon.scenario.site import SiteSection
+from scp_recon.scenario.uncertainty import Uncertainty
 
 
 class Scenario(Section):

@@ -15,7 +15,6 @@ from scp_recon.scenario.fields import (
     NonZeroVector,
     Positive,
     Section,
-    Share,
     Velocity,
 )
 
@@ -136,15 +135,6 @@ class ScheduleRules(Section):
     """Heating of the thruster before a burn in s."""
     recharge_s: FlightTime
     """Recharge of the battery from empty in s."""
-
-
-class Uncertainty(Section):
-    """Initial 1-sigma as a fraction of each J2000 component, and of each burn component."""
-
-    initial_sigma_fraction: Share
-    """1 sigma of each component of the initial state in J2000, as a fraction of it."""
-    execution_error: Share
-    """1 sigma of each component of a burn, as a fraction of it."""
 
 
 class Risk(Section):

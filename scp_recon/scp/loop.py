@@ -8,7 +8,8 @@ algorithm decides: `scvx`, `ptr` or `scvx_star`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import NamedTuple, Protocol, Self
@@ -174,7 +175,9 @@ def trial_step(
 ) -> Trial:
     """Linearise, solve within a radius, and fly the answer.
 
-    Standing still is always possible: an answer that is worse by its own model is none.
+    Standing still is always possible: an answer that is worse by its own model is none. Where a burn
+    has vanished whose errors begin with a jump, the program is solved with that burn executed too
+    (`ExecutionErrors.otherwise`), and the best answer counts.
 
     Args:
         subproblem: to solve.
@@ -187,12 +190,11 @@ def trial_step(
     Raises:
         SubproblemError: if there is no answer.
     """
-    start = perf_counter()
-    subproblem.update(state.lin)
-    timing.linearise += perf_counter() - start
-    answer = subproblem.solve(radius, state.charge)
-    timing.canonicalise += answer.canonicalise_s
-    timing.conic_solver += answer.solver_s
+    answer = _answer(subproblem, state.lin, radius, state.charge, timing)
+    for lin in _otherwise(subproblem, state.lin):
+        with suppress(SubproblemError):
+            other = _answer(subproblem, lin, radius, state.charge, timing)
+            answer = min(answer, other, key=lambda step: step.merit)
     worst = state.merit + slack * max(1.0, abs(state.merit))
     if state.lin.is_dynamically_feasible and answer.merit > worst:
         raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
@@ -202,6 +204,31 @@ def trial_step(
     merit = subproblem.merit(lin, state.charge)
     step = float(abs(answer.burns - state.lin.iterate.burns).max())
     return Trial(answer, lin, merit, state.merit - answer.merit, state.merit - merit, step)
+
+
+def _answer(
+    subproblem: Subproblem,
+    lin: Linearisation,
+    radius: float,
+    charge: PenaltyParameters,
+    timing: Timing,
+) -> Step:
+    start = perf_counter()
+    subproblem.update(lin)
+    timing.linearise += perf_counter() - start
+    answer = subproblem.solve(radius, charge)
+    timing.canonicalise += answer.canonicalise_s
+    timing.conic_solver += answer.solver_s
+    return answer
+
+
+def _otherwise(subproblem: Subproblem, lin: Linearisation) -> Iterator[Linearisation]:
+    """The iterate under other models of its burns' errors, if the rows feel them."""
+    if subproblem.merit.rows.with_factor:
+        for errors in lin.problem.execution_errors.otherwise(lin.iterate.burns):
+            yield Linearisation(
+                replace(lin.problem, execution_errors=errors), lin.iterate, lin.arcs
+            )
 
 
 def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:

@@ -25,6 +25,7 @@ from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import JointProbability, MeanMargin, Solution, Verification
 from scp_recon.verification.consistency import inconsistencies
+from scp_recon.verification.spread import Spread
 
 Array = npt.NDArray[np.float64]
 
@@ -103,15 +104,14 @@ class _Flown:
 def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown:
     """Burn to burn, so that the integrator never steps over a jump; from a state before them."""
     firing = mission.scenario.burns.times_s
-    beta = mission.scenario.uncertainty.execution_error
     scale = np.concatenate([mission.units.state, np.ones(36)])
     times = np.union1d(times, firing)
     states = np.full((len(times), 6), DIVERGED)  # for what the integrator does not reach
     covariances = np.full((len(times), 6, 6), DIVERGED)
-    state, covariance = initial.copy(), np.diag(mission.initial_sigma**2)
+    state, spread = initial.copy(), Spread.before_burns(mission)
     for i, begin in enumerate(firing):
         state[3:] += burns[i]
-        covariance[3:, 3:] += np.diag((beta * burns[i]) ** 2)
+        spread = spread.after_burn(mission, burns[i])
         if i + 1 == len(firing):
             break
         # The leg's last time is overwritten by the next leg's first, after the burn.
@@ -129,9 +129,9 @@ def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown
             return _Flown(times, states, covariances)
         stm = answer.y[6:].T.reshape(-1, 6, 6)
         states[leg] = answer.y[:6].T
-        covariances[leg] = stm @ covariance @ stm.transpose(0, 2, 1)
-        state, covariance = states[leg][-1].copy(), covariances[leg][-1].copy()
-    states[-1], covariances[-1] = state, covariance
+        covariances[leg] = stm @ spread.covariance @ stm.transpose(0, 2, 1)
+        state, spread = states[leg][-1].copy(), spread.carried(stm[-1])
+    states[-1], covariances[-1] = state, spread.covariance
     return _Flown(times, states, covariances)
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.execution_errors import ComponentwiseErrors
 from formulations.problem.facets import Polytopes, choose_facets
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball
@@ -131,6 +132,8 @@ def differentiated(problem: FlybyProblem, waves: Waves, burns: Array) -> tuple[A
     z = ca.SX.sym("z", 3 * problem.n_burns)
     x = ca.SX.sym("x", 6)
     mean, columns = ca.DM(problem.initial_state), problem.factor_columns
+    assert isinstance(problem.execution_errors, ComponentwiseErrors)
+    beta = problem.execution_errors.fraction
     factor = ca.SX.zeros(6, columns)
     factor[:, : problem.initial_factor.shape[1]] = problem.initial_factor
     means, factors = [], []
@@ -146,7 +149,7 @@ def differentiated(problem: FlybyProblem, waves: Waves, burns: Array) -> tuple[A
             burn = z[3 * i : 3 * i + 3]
             mean = mean + ca.vertcat(ca.SX.zeros(3), burn)
             first = problem.columns_of_burn(int(i)).start
-            factor[3:, first : first + 3] = problem.execution_error * ca.diag(burn)
+            factor[3:, first : first + 3] = beta * ca.diag(burn)
         means.append(mean)
         factors.append(ca.vec(factor.T))
     by_mean, by_factor = (ca.jacobian(ca.vertcat(*part), z) for part in (means, factors))

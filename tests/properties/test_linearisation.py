@@ -69,12 +69,12 @@ def test_the_factors_square_obeys_the_covariance_recursion(
     problem, burns = flyby.problem, some_burns(rng, flyby.problem)
     stm = rng.normal(size=(problem.n_nodes - 1, 6, 6))
     lifted = covariance(propagate_factor(problem, problem.legs.compose(stm), burns))
-    beta, expected = problem.execution_error, covariance(problem.initial_factor)
+    errors, expected = problem.execution_errors, covariance(problem.initial_factor)
     for k in range(problem.n_nodes):
         if k > 0:
             expected = stm[k - 1] @ expected @ stm[k - 1].T
         for burn in burns[problem.burn_nodes == k]:
-            expected[3:, 3:] += beta**2 * np.diag(burn) ** 2
+            expected[3:, 3:] += covariance(errors.columns(burn[None])[0])
         assert lifted[k] == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
 
 
@@ -284,7 +284,8 @@ def test_composed_arcs_give_the_condensed_map_at_their_nodes(
         factor = arcs.stm[arc] @ factor + bent @ lin.factor[first]
         for i in np.flatnonzero(problem.burn_nodes == last):
             mean[3:] += burns[i] - lin.iterate.burns[i]
-            factor[3:, problem.columns_of_burn(i)] += problem.execution_error * np.diag(burns[i])
+            columns = problem.execution_errors.columns(burns[i : i + 1])[0]
+            factor[3:, problem.columns_of_burn(i)] += columns
         assert mean == pytest.approx(expected[0][last], **EXACT)
         assert factor == pytest.approx(expected[1][last], **EXACT)
 

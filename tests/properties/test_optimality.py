@@ -87,7 +87,7 @@ def fly(mission: Mission, burns: Array) -> tuple[Array, Array]:
             covariance = stm @ covariance @ stm.swapaxes(1, 2)
         for burn in burns.swapaxes(0, 1)[problem.burn_nodes == k]:
             mean = mean + np.pad(burn, ((0, 0), (3, 0)))
-            error = np.pad(problem.execution_error * burn, ((0, 0), (3, 0)))
+            error = np.pad(mission.scenario.uncertainty.execution_error * burn, ((0, 0), (3, 0)))
             covariance = covariance + error[:, :, None] ** 2 * np.eye(6)
         means.append(mean)
         covariances.append(covariance)

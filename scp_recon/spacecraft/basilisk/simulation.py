@@ -54,12 +54,12 @@ class Draws:
     def of(
         cls,
         plan: FlightPlan,
-        initial_sigma: Array,
+        initial_factor: Array,
         periods: int,
         seed: int,
         sources: Collection[Source],
     ) -> Draws:
-        """Draw the errors of the sources."""
+        """Draw the errors of the sources; the initial state's by a factor (6, 6) of its covariance."""
         children = np.random.SeedSequence(seed).spawn(len(Source))
         stream = dict(zip(Source, children, strict=True))
 
@@ -69,7 +69,7 @@ class Draws:
 
         errors, thrusters = plan.vehicle.errors, len(plan.vehicle.micro_thrusters.directions)
         return cls(
-            initial=initial_sigma * normal(Source.INITIAL_STATE, 6),
+            initial=initial_factor @ normal(Source.INITIAL_STATE, 6),
             burns=errors.chemical_thruster * normal(Source.CHEMICAL_THRUSTER, len(plan.firings)),
             pulses=errors.micro_thruster_n * normal(Source.MICRO_THRUSTER, periods, thrusters),
             seeds={s.value: int(c.generate_state(1)[0]) for s, c in stream.items()},
@@ -92,7 +92,8 @@ def simulate(
         vehicle: what flies it.
         seed: of all errors.
         sources: those that err; every other is perfect.
-        initial_sigma_fraction: 1-sigma of the initial state by component, the scenario's without it.
+        initial_sigma_fraction: 1-sigma of the initial state by component, the scenario's uncertainty
+            without it.
         progress: told the simulated time in s now and then.
 
     Raises:
@@ -101,11 +102,10 @@ def simulate(
     mission = Mission.from_scenario(solution.scenario)
     plan = FlightPlan.of(solution, mission, vehicle)
     times = CONTROL_PERIOD_S * np.arange(round(plan.end_s / CONTROL_PERIOD_S) + 1.0)
-    fraction = initial_sigma_fraction
-    if fraction is None:
-        fraction = solution.scenario.uncertainty.initial_sigma_fraction
-    sigma = fraction * np.abs(mission.initial_state)
-    draws = Draws.of(plan, sigma, len(times), seed, sources)
+    factor = mission.initial_factor
+    if initial_sigma_fraction is not None:
+        factor = np.diag(initial_sigma_fraction * np.abs(mission.initial_state))
+    draws = Draws.of(plan, factor, len(times), seed, sources)
     commands = plan.attitudes(times)
     start = Start(
         mission.initial_state + draws.initial,

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from formulations.problem.execution_errors import ComponentwiseErrors
 from formulations.problem.flyby import StateConstraint
 from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
@@ -75,7 +76,7 @@ def test_problem_is_the_scenario_in_units(mission: Mission) -> None:
     np.testing.assert_allclose(problem.final_state * units.state, mission.final_state)
     assert problem.dv_max * units.speed_m_s == pytest.approx(scenario.burns.dv_max_m_s)
     assert np.rad2deg(problem.dv_cone) == pytest.approx(23.3)
-    assert problem.execution_error == 0.08
+    assert problem.execution_errors == ComponentwiseErrors(0.08)
     np.testing.assert_allclose(problem.sun, mission.sun_direction(scenario.burns.times_s))
     np.testing.assert_allclose(
         mission.dynamics.durations * units.time_s, np.diff(mission.times_s), rtol=1e-12

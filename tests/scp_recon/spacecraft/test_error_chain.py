@@ -41,8 +41,8 @@ def test_what_moves_the_path_is_what_was_drawn(
 ) -> None:
     """Velocities gained in the burns against those of the flight without errors."""
     flight = simulate(short_solution, vehicle, 3, sources=PATH)
-    plan, sigma = flight.plan, short_mission.initial_sigma
-    draws = Draws.of(plan, sigma, len(flight.times_s), 3, PATH)
+    plan, factor = flight.plan, short_mission.initial_factor
+    draws = Draws.of(plan, factor, len(flight.times_s), 3, PATH)
     off = flight.states[0] - short_mission.initial_state
     np.testing.assert_allclose(off, draws.initial, rtol=1e-9, atol=1e-15)
     for firing, error in zip(plan.firings, draws.burns, strict=True):
@@ -69,7 +69,7 @@ def test_coasting_is_the_field_of_degree_eight_and_light_on_the_plates(
     state = np.concatenate([400.0 * unit(state[:3]), state[3:]])
     attitude, times = Rotation.from_euler("xyz", [0.3, -0.5, 1.1]), np.arange(41.0)
     plan = FlightPlan(short_mission, vehicle, (), (Leg(Mode.SUN_POINTING, 0.0, 40.0),), ())
-    draws = Draws.of(plan, np.zeros(6), len(times), 0, ())
+    draws = Draws.of(plan, np.zeros((6, 6)), len(times), 0, ())
     start = Start(state, attitude, np.zeros(3), np.zeros(4))
     sigmas = sensor_sigmas(vehicle.errors, ())
     sim = Simulator(plan, Rotation.concatenate([attitude] * 41), start, draws, sigmas, times)
@@ -106,7 +106,7 @@ def test_pulses_that_err_move_the_end(
         commands = whole.attitudes(times)
         rate = (commands[0].inv() * commands[1]).as_rotvec()
         start = Start(short_mission.initial_state, commands[0], rate, np.zeros(4))
-        draws = Draws.of(plan, np.zeros(6), len(times), 0, {Source.MICRO_THRUSTER})
+        draws = Draws.of(plan, np.zeros((6, 6)), len(times), 0, {Source.MICRO_THRUSTER})
         sim = Simulator(plan, commands, start, draws, sensor_sigmas(errors, ()), times)
         sim.run()
         state = sim.plant.hub.scStateOutMsg.read()

@@ -160,13 +160,13 @@ def test_leaving_a_source_out_leaves_the_draws_of_the_others(
     short_solution: Solution, short_mission: Mission, vehicle: Vehicle
 ) -> None:
     plan = FlightPlan.of(short_solution, short_mission, vehicle)
-    sigma = short_mission.initial_sigma
-    every = Draws.of(plan, sigma, 100, 5, frozenset(Source))
+    sigma, factor = short_mission.initial_sigma, short_mission.initial_factor
+    every = Draws.of(plan, factor, 100, 5, frozenset(Source))
     assert np.abs(every.initial / sigma).max() < 5.0
     assert every.pulses.std() == pytest.approx(vehicle.errors.micro_thruster_n, rel=0.15)
     for source in Source:
-        one = Draws.of(plan, sigma, 100, 5, {source})
-        rest = Draws.of(plan, sigma, 100, 5, frozenset(Source) - {source})
+        one = Draws.of(plan, factor, 100, 5, {source})
+        rest = Draws.of(plan, factor, 100, 5, frozenset(Source) - {source})
         for a, b, c in zip(
             (every.initial, every.burns, every.pulses),
             (one.initial, one.burns, one.pulses),
@@ -184,7 +184,7 @@ def short_run(
     """The first minutes, with errors and spinning wheels."""
     plan = FlightPlan.of(solution, mission, vehicle)
     times = np.arange(float(periods))
-    draws = Draws.of(plan, mission.initial_sigma, periods, 1, frozenset(Source))
+    draws = Draws.of(plan, mission.initial_factor, periods, 1, frozenset(Source))
     commands = plan.attitudes(times)
     start = Start(mission.initial_state, commands[100], np.zeros(3), np.array(speeds))
     sim = Simulator(
@@ -219,7 +219,7 @@ def test_a_burn_of_zero_is_no_burn(
     plan = FlightPlan.of(solution, short_mission, vehicle)
     times = np.arange(30.0)
     commands = plan.attitudes(times)
-    draws = Draws.of(plan, short_mission.initial_sigma, len(times), 1, ())
+    draws = Draws.of(plan, short_mission.initial_factor, len(times), 1, ())
     start = Start(short_mission.initial_state, commands[0], np.zeros(3), np.zeros(4))
     sigmas = sensor_sigmas(vehicle.errors, ())
     only = replace(plan, firings=plan.firings[:1])

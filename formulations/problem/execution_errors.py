@@ -1,0 +1,260 @@
+"""Execution errors: columns C(v) with C C' the covariance that a burn v adds to the velocity.
+
+A model has `own` columns, of errors that each burn draws anew, and `shared` ones before them, of errors
+that are drawn once for all burns: these fill the same columns of the covariance factor at every burn.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from formulations.problem.regions import Array
+
+VANISHED = 1e-3
+"""Of the larger fixed error: a burn below it counts as not executed."""
+
+
+class ExecutionErrors(ABC):
+    """How burns err, in the units of the burns."""
+
+    @property
+    @abstractmethod
+    def own(self) -> int:
+        """Columns of one burn alone."""
+
+    @property
+    def shared(self) -> int:
+        """Columns common to all burns."""
+        return 0
+
+    @property
+    def affine(self) -> bool:
+        """Whether the columns are linear in the burn, so that their linearisation is exact."""
+        return True
+
+    @abstractmethod
+    def columns(self, burns: Array) -> Array:
+        """C of burns (m, 3), the shared columns first, shape (m, 3, shared + own)."""
+
+    @abstractmethod
+    def jacobian(self, burns: Array) -> Array:
+        """Derivative of `columns` by the burn, shape (m, 3, shared + own, 3)."""
+
+    def execute(self, burns: Array, draws: Array) -> Array:
+        """Burns (m, 3) as executed, for standard normal draws (n, shared + m own), shape (n, m, 3)."""
+        columns, own = self.columns(burns), draws[:, self.shared :]
+        own = own.reshape(len(draws), len(burns), self.own)
+        errors = np.einsum("mik,nmk->nmi", columns[:, :, self.shared :], own)
+        errors += np.einsum("mik,nk->nmi", columns[:, :, : self.shared], draws[:, : self.shared])
+        return burns + errors
+
+    def draws(self, burns: int) -> int:
+        """Standard normal numbers that so many burns take."""
+        return self.shared + burns * self.own
+
+    def otherwise(self, burns: Array) -> Iterator[ExecutionErrors]:
+        """Models whose linearisation at these burns holds where this one's does not: of Gates'."""
+        del burns
+        yield from ()
+
+
+@dataclass(frozen=True)
+class ComponentwiseErrors(ExecutionErrors):
+    """Every component errs by a fraction of itself: C = beta diag(v) (Echigo et al., eq. 3).
+
+    Attributes:
+        fraction: beta, 1 sigma.
+    """
+
+    fraction: float
+
+    @property
+    def own(self) -> int:
+        """One of each component."""
+        return 3
+
+    def columns(self, burns: Array) -> Array:
+        """See `ExecutionErrors.columns`."""
+        return self.fraction * burns[:, :, None] * np.eye(3)
+
+    def jacobian(self, burns: Array) -> Array:
+        """See `ExecutionErrors.jacobian`."""
+        each = np.zeros((3, 3, 3))
+        each[range(3), range(3), range(3)] = self.fraction
+        return np.broadcast_to(each, (len(burns), 3, 3, 3))
+
+    def execute(self, burns: Array, draws: Array) -> Array:
+        """See `ExecutionErrors.execute`."""
+        return burns * (1.0 + self.fraction * draws.reshape(-1, *burns.shape))
+
+
+@dataclass(frozen=True)
+class GatesErrors(ExecutionErrors):
+    """Errors of a burn's magnitude and pointing, each with a fixed and a proportional part; 1 sigma.
+
+        C C' = (s_f^2 + s_p^2 v^2) u u' + (p_f^2 + p_p^2 v^2) (I - u u'),   u = v / |v|
+
+    C. R. Gates, "A simplified model of midcourse maneuver execution errors", JPL TR 32-504, 1963. The
+    proportional parts have columns that are linear in the burn: s_p v, and p_p [v]x, whose product is
+    p_p^2 (v^2 I - v v'). A bias of the magnitude that all burns share is one more, b v.
+
+    The fixed part has the symmetric root s_f u u' + p_f (I - u u'). Let m be the larger of the two.
+    A burn smaller than m has next to no direction, and gets a bound, m I: between VANISHED m and m the
+    root goes from the bound to itself. A burn below VANISHED m is not executed, and its fixed part goes
+    to zero with it. Wherever a burn is executed the covariance is at least Gates', and from m on it is.
+
+    Both transitions have two continuous derivatives, so that the merit is one smooth function of a burn
+    that does not vanish. At a burn that has vanished its root would have a kink; there the columns
+    are (m e / |v|) [[v]x, v] instead, of the same product, and smooth. Their linearisation is exact
+    as long as the burn stays there and forbids it to leave. `otherwise` therefore gives, for each such
+    burn, the model in which it is executed whatever its size: exact wherever it is. Both bound the
+    errors from above, an algorithm takes the better answer, and its merit, of the errors themselves,
+    decides: a burn may come and go, and cannot do so in turns. A burn that is executed, in contrast,
+    vanishes where its size leads it there; that leaving it out might be worth its fixed error, no
+    derivative tells.
+
+    Attributes:
+        magnitude_fixed: s_f, in the units of the burns.
+        magnitude_proportional: s_p.
+        pointing_fixed: p_f per axis across, in the units of the burns.
+        pointing_proportional: p_p per axis across, rad.
+        magnitude_bias: b, of all burns alike.
+        executed: burns that count as executed whatever their size.
+    """
+
+    magnitude_fixed: float
+    magnitude_proportional: float
+    pointing_fixed: float
+    pointing_proportional: float
+    magnitude_bias: float = 0.0
+    executed: frozenset[int] = frozenset()
+
+    @property
+    def own(self) -> int:
+        """One of the magnitude, three of the pointing, and four of the fixed part if there is one."""
+        return 4 if self.affine else 8
+
+    @property
+    def shared(self) -> int:
+        """One, if there is a bias."""
+        return int(self.magnitude_bias > 0.0)
+
+    @property
+    def affine(self) -> bool:
+        """Without a fixed part."""
+        return self.fixed_bound == 0.0
+
+    @property
+    def fixed_bound(self) -> float:
+        """The larger fixed error, m."""
+        return max(self.magnitude_fixed, self.pointing_fixed)
+
+    def transitions(self, square: Any) -> tuple[Any, Any]:
+        """Of a burn of that squared size: e^2, how far it is executed, and t / v^2, how far it points.
+
+        The fixed part's root is e ((m - t (m - p_f)) I + t (s_f - p_f) u u'). Plain arithmetic, for
+        arrays and CasADi's symbols.
+        """
+        vanished, pointing = (VANISHED * self.fixed_bound) ** 2, self.fixed_bound**2
+        left = 1.0 - square / vanished
+        left = (left + abs(left)) / 2.0
+        share = (square - vanished) / (pointing - vanished)
+        share = (abs(share) - abs(share - 1.0) + 1.0) / 2.0
+        # Quintic "smootherstep": zero derivatives of first and second order at both ends.
+        turned = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+        size = (square + vanished + abs(square - vanished)) / 2.0
+        return 1.0 - left**3, turned / size
+
+    def columns(self, burns: Array) -> Array:
+        """See `ExecutionErrors.columns`."""
+        return np.concatenate([self._linear(burns), self._fixed(burns)], axis=2)
+
+    def jacobian(self, burns: Array) -> Array:
+        """See `ExecutionErrors.jacobian`."""
+        unit = np.moveaxis(self._linear(np.eye(3)), 0, -1)
+        linear = np.broadcast_to(unit, (len(burns), *unit.shape))
+        return np.concatenate([linear, self._fixed_jacobian(burns)], axis=2)
+
+    def otherwise(self, burns: Array) -> Iterator[ExecutionErrors]:
+        """See `ExecutionErrors.otherwise`: each vanished burn executed."""
+        for burn in np.flatnonzero(self._vanished(burns)).tolist():
+            yield replace(self, executed=frozenset({burn}))
+
+    def _vanished(self, burns: Array) -> Array:
+        small = np.linalg.norm(burns, axis=1) < VANISHED * self.fixed_bound
+        small[list(self.executed)] = False
+        return small
+
+    def _linear(self, burns: Array) -> Array:
+        """Bias, proportional magnitude and pointing: b v, s_p v, p_p [v]x."""
+        along = burns[:, :, None]
+        bias = [self.magnitude_bias * along] * self.shared
+        across = self.pointing_proportional * skew(burns)
+        return np.concatenate([*bias, self.magnitude_proportional * along, across], axis=2)
+
+    def _fixed(self, burns: Array) -> Array:
+        """The root and a column of zeros; of a vanished burn (m e / |v|) [[v]x, v]."""
+        found = np.zeros((len(burns), 3, self.own - 4))
+        if self.affine:
+            return found
+        m, p, gone = self.fixed_bound, self.pointing_fixed, self._vanished(burns)
+        square = np.einsum("mi,mi->m", burns, burns)
+        _, points = self.transitions(square)
+        outer = np.einsum("mi,mj->mij", burns, burns)
+        found[:, :, :3] = (m - points * square * (m - p))[:, None, None] * np.eye(3)
+        found[:, :, :3] += (points * (self.magnitude_fixed - p))[:, None, None] * outer
+        slope, _ = self._slope(square[gone])
+        found[gone] = slope[:, None, None] * _isotropic(burns[gone])
+        return found
+
+    def _fixed_jacobian(self, burns: Array) -> Array:
+        found = np.zeros((len(burns), 3, self.own - 4, 3))
+        if self.affine:
+            return found
+        m, p, s = self.fixed_bound, self.pointing_fixed, self.magnitude_fixed
+        square, eye = np.einsum("mi,mi->m", burns, burns), np.eye(3)
+        vanished = (VANISHED * m) ** 2
+        share = np.clip((square - vanished) / (m**2 - vanished), 0.0, 1.0)
+        _, points = self.transitions(square)
+        # Of t and of t / v^2 by v^2.
+        turning = 30.0 * (share * (1.0 - share)) ** 2 / (m**2 - vanished)
+        pointing = (turning - points) / np.maximum(square, vanished)
+        pointing[square < vanished] = 0.0
+        outer = np.einsum("mi,mj->mij", burns, burns)
+        along = np.einsum("mi,jl->mijl", burns, eye)
+        found[:, :, :3] = (s - p) * (
+            2.0 * np.einsum("m,mij,ml->mijl", pointing, outer, burns)
+            + points[:, None, None, None] * (along + along.swapaxes(1, 2))
+        ) - 2.0 * (m - p) * np.einsum("m,ij,ml->mijl", turning, eye, burns)
+        gone = self._vanished(burns)
+        slope, change = self._slope(square[gone])
+        unit = np.moveaxis(_isotropic(eye), 0, -1)
+        found[gone] = slope[:, None, None, None] * unit + 2.0 * np.einsum(
+            "m,mik,ml->mikl", change, _isotropic(burns[gone]), burns[gone]
+        )
+        return found
+
+    def _slope(self, square: Array) -> tuple[Array, Array]:
+        """Of vanished burns: m e / |v|, and its derivative by v^2."""
+        vanished = VANISHED * self.fixed_bound
+        y = square / vanished**2
+        root = np.sqrt(3.0 - 3.0 * y + y**2)
+        return (
+            self.fixed_bound / vanished * root,
+            self.fixed_bound / vanished**3 * (y - 1.5) / root,
+        )
+
+
+def skew(vectors: Array) -> Array:
+    """[v]x with [v]x w = v x w, of vectors (m, 3), shape (m, 3, 3)."""
+    return np.cross(vectors[:, None, :], np.eye(3)).swapaxes(1, 2)
+
+
+def _isotropic(burns: Array) -> Array:
+    """Columns [[v]x, v], whose product is v^2 I, shape (m, 3, 4)."""
+    return np.concatenate([skew(burns), burns[:, :, None]], axis=2)

@@ -1,0 +1,182 @@
+"""The table `[uncertainty]`: how well initial state and burns are known, each said in one way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
+
+from scp_recon.scenario.fields import Component, Section, Share
+
+MATRIX_TOLERANCE = 1e-6
+"""Of a covariance over the product of its two sigmas: rounding of printed digits."""
+
+LEAST_SIGMA, LARGEST_SIGMA = 1e-12, 1e12
+"""In m or m/s, of a sigma that is not zero: squares of others are lost in rounding, or overflow."""
+
+
+def _none_or_some(sigma: float) -> float:
+    if 0.0 < sigma < LEAST_SIGMA:
+        raise ValueError(f"must be 0 or at least {LEAST_SIGMA:g}")
+    return sigma
+
+
+def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
+    """Symmetric and positive semidefinite, each entry weighed by the sigmas of its row and column."""
+    matrix = np.array(rows)
+    variance = np.diag(matrix)
+    if np.any(variance < 0.0):
+        worst = int(np.argmin(variance))
+        raise ValueError(
+            f"must have no negative variance: entry {worst + 1},{worst + 1} is {variance[worst]:g}"
+        )
+    sigma = np.sqrt(variance)
+    if np.any((sigma > 0.0) & (sigma < LEAST_SIGMA)):
+        raise ValueError(f"must have sigmas that are 0 or at least {LEAST_SIGMA:g}")
+    if np.any(matrix[(sigma == 0.0)[:, None] | (sigma == 0.0)]):
+        raise ValueError("must have zeros beside a variance of zero")
+    known = np.where(sigma > 0.0, sigma, 1.0)
+    scaled = matrix / np.outer(known, known)
+    apart = np.abs(scaled - scaled.T)
+    if apart.max() > MATRIX_TOLERANCE:
+        i, j = sorted(divmod(int(np.argmax(apart)), 6))
+        raise ValueError(
+            f"must be symmetric: entries {i + 1},{j + 1} and {j + 1},{i + 1} are "
+            f"{matrix[i, j]:g} and {matrix[j, i]:g}"
+        )
+    least = float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[0])
+    if least < -MATRIX_TOLERANCE:
+        raise ValueError(
+            "must be positive semidefinite: the smallest eigenvalue of its correlations is "
+            f"{least:.3g}, below -{MATRIX_TOLERANCE:g}"
+        )
+    return rows
+
+
+Sigma = Annotated[float, Field(ge=0, le=LARGEST_SIGMA), AfterValidator(_none_or_some)]
+Sigmas = tuple[Sigma, Sigma, Sigma]
+Row = tuple[Component, Component, Component, Component, Component, Component]
+Matrix = Annotated[tuple[Row, Row, Row, Row, Row, Row], AfterValidator(_covariance)]
+FixedError = Annotated[float, Field(ge=0, le=1e6), AfterValidator(_none_or_some)]
+SmallAngle = Annotated[float, Field(ge=0, le=0.2), AfterValidator(_none_or_some)]
+"""In rad: beyond it pointing errors are not linear any more, by 2 %, and degrees were meant."""
+Frame = Literal["j2000", "sun_north", "rtn", "body_fixed"]
+
+
+class Gates(Section):
+    """Gates' model of execution errors, 1 sigma; pointing per axis across the burn.
+
+    C. R. Gates, "A simplified model of midcourse maneuver execution errors", JPL TR 32-504, 1963. The
+    bias is a fraction of the magnitude that all burns have in common.
+    """
+
+    magnitude_fixed_m_s: FixedError
+    magnitude_proportional: Share
+    pointing_fixed_m_s: FixedError
+    pointing_proportional_rad: SmallAngle
+    magnitude_bias: Share = 0.0
+
+
+class Uncertainty(Section):
+    """1 sigma of the initial state, said in one of three ways, and of the burns, in one of two.
+
+    The initial state: as a fraction of each J2000 component; or absolute, by component of a frame; or
+    as a covariance in a frame, m and m/s. Velocities are relative to J2000 in every frame; only their
+    axes are the frame's. A burn: as a fraction of each J2000 component, or by Gates' model.
+    """
+
+    initial_sigma_fraction: Share | None = None
+    initial_sigma_position_m: Sigmas | None = None
+    initial_sigma_velocity_m_s: Sigmas | None = None
+    initial_covariance: Matrix | None = None
+    initial_frame: Frame | None = None
+    execution_error: Share | None = None
+    gates: Gates | None = None
+
+    @model_validator(mode="after")
+    def _each_in_one_way(self) -> Self:
+        for what, ways in WAYS.items():
+            given = [way for way in ways if self._gives(way)]
+            if len(given) != 1:
+                either = ", or ".join(" with ".join(way) for way in ways)
+                found = " and ".join(" with ".join(way) for way in given) or "nothing"
+                raise ValueError(f"must give the {what} in one way, {either}; not {found}")
+            missing = [key for key in given[0] if getattr(self, key) is None]
+            if missing:
+                raise ValueError(
+                    f"must have {', '.join(missing)} beside what it gives of the {what}"
+                )
+        if self.initial_frame is not None and self.initial_sigma_fraction is not None:
+            raise ValueError("must have no initial_frame: a fraction is of the J2000 components")
+        return self
+
+    def _gives(self, way: tuple[str, ...]) -> bool:
+        """Whether any key is there that is this way's alone."""
+        return any(getattr(self, key) is not None for key in way if key != "initial_frame")
+
+    @model_serializer(mode="wrap")
+    def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Nothing of the ways not taken: a scenario of before is written, and hashed, as ever."""
+        return {key: value for key, value in handler(self).items() if value is not None}
+
+    @classmethod
+    def none(cls) -> Self:
+        """Nothing errs."""
+        return cls(initial_sigma_fraction=0.0, execution_error=0.0)
+
+    @property
+    def errors(self) -> Literal["componentwise", "gates"]:
+        """The model of the execution errors."""
+        return "componentwise" if self.gates is None else "gates"
+
+    @property
+    def execution(self) -> str:
+        """The execution errors in words."""
+        if self.gates is None:
+            return f"execution error {self.execution_error:g}"
+        g = self.gates
+        bias = f", bias {g.magnitude_bias:g}" if g.magnitude_bias else ""
+        return (
+            f"execution errors by Gates: magnitude {g.magnitude_fixed_m_s:g} m/s and "
+            f"{g.magnitude_proportional:g}, pointing {g.pointing_fixed_m_s:g} m/s and "
+            f"{g.pointing_proportional_rad:g} rad{bias}"
+        )
+
+
+WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "initial state's uncertainty": (
+        ("initial_sigma_fraction",),
+        ("initial_sigma_position_m", "initial_sigma_velocity_m_s", "initial_frame"),
+        ("initial_covariance", "initial_frame"),
+    ),
+    "execution errors": (("execution_error",), ("gates",)),
+}
+"""What is said in exactly one of several ways, and the keys of each."""
+
+
+def without_other_ways(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table less what it says in another way than the changes to it do: those replace it.
+
+    Args:
+        base: the table `[uncertainty]` of a base, or of a scenario that is changed.
+        changes: what is to be merged into it.
+    """
+    kept = dict(base)
+    for ways in WAYS.values():
+        taken = [way for way in ways if _own(way) & changes.keys()]
+        if taken and any(_own(way) & kept.keys() for way in ways if way not in taken):
+            for key in {key for way in ways for key in way}:
+                kept.pop(key, None)
+    return kept
+
+
+def _own(way: tuple[str, ...]) -> set[str]:
+    return set(way) - {"initial_frame"}
