@@ -37,7 +37,8 @@ class LiftedErrors:
         )
         self._rows = (first + row * columns + filled)[self._kept]
         self._size, self._burns = size, problem.n_burns
-        self.affine = problem.execution_errors.affine
+        # Where no factor is carried, nothing is to be said of its derivative.
+        self.affine = problem.execution_errors.affine or not self._kept.any()
 
     @property
     def places(self) -> tuple[Nodes, Nodes]:

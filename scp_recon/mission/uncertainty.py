@@ -39,11 +39,10 @@ def initial_factor(scenario: Scenario, state: Array, rotation: Rotation, sun: Ar
     if u.initial_covariance is None:
         assert u.initial_sigma_position_m is not None
         assert u.initial_sigma_velocity_m_s is not None
-        entry = "uncertainty.initial_sigma"
         root = np.diag([*u.initial_sigma_position_m, *u.initial_sigma_velocity_m_s])
     else:
-        entry, root = "uncertainty.initial_covariance", _root(np.array(u.initial_covariance))
-    _check_size(entry, root, state, scenario.body.gm_m3_s2)
+        root = _root(np.array(u.initial_covariance))
+    _check_size(root, state, scenario)
     axes = _axes(str(u.initial_frame), state, rotation, sun)
     return np.vstack([axes @ root[:3], axes @ root[3:]])
 
@@ -57,19 +56,20 @@ def _root(covariance: Array) -> Array:
     return known[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _check_size(entry: str, root: Array, state: Array, gm: float) -> None:
+def _check_size(root: Array, state: Array, scenario: Scenario) -> None:
     """Beyond these sigmas the spread is no spread about a flight: a slip of units, most likely."""
-    sigma = np.linalg.norm(root, axis=1)
+    sigma, gm = np.linalg.norm(root, axis=1), scenario.body.gm_m3_s2
+    matrix = scenario.uncertainty.initial_covariance is not None
     distance = float(np.linalg.norm(state[:3]))
     speed = max(float(np.linalg.norm(state[3:])), float(np.sqrt(gm / distance)))
-    for name, unit_name, given, most, what in (
-        ("position", "m", sigma[:3], distance, "distance from the centre"),
-        ("velocity", "m/s", sigma[3:], speed, "speed, or that of a circular orbit"),
+    for key, unit_name, given, most, what in (
+        ("position_m", "m", sigma[:3], distance, "distance from the centre"),
+        ("velocity_m_s", "m/s", sigma[3:], speed, "speed, or that of a circular orbit"),
     ):
         if given.max() >= most:
             raise InputError(
-                entry,
-                f"a 1-sigma {name} error of {given.max():g} {unit_name}",
+                "uncertainty.initial_" + ("covariance" if matrix else f"sigma_{key}"),
+                f"a 1-sigma error of {given.max():g} {unit_name}",
                 f"must be below the initial {what}, {most:g} {unit_name}",
             )
 

@@ -30,7 +30,9 @@ def _none_or_some(sigma: float) -> float:
 
 
 def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
-    """Symmetric and positive semidefinite, each entry weighed by the sigmas of its row and column."""
+    """Six by six, symmetric and positive semidefinite, its entries over the sigmas they belong to."""
+    if [len(row) for row in rows] != 6 * [6]:
+        raise ValueError("must have 6 rows of 6 numbers: three of position, three of velocity")
     matrix = np.array(rows)
     variance = np.diag(matrix)
     if np.any(variance < 0.0):
@@ -63,8 +65,7 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
 
 Sigma = Annotated[float, Field(ge=0, le=LARGEST_SIGMA), AfterValidator(_none_or_some)]
 Sigmas = tuple[Sigma, Sigma, Sigma]
-Row = tuple[Component, Component, Component, Component, Component, Component]
-Matrix = Annotated[tuple[Row, Row, Row, Row, Row, Row], AfterValidator(_covariance)]
+Matrix = Annotated[tuple[tuple[Component, ...], ...], AfterValidator(_covariance)]
 FixedError = Annotated[float, Field(ge=0, le=1e6), AfterValidator(_none_or_some)]
 SmallAngle = Annotated[float, Field(ge=0, le=0.2), AfterValidator(_none_or_some)]
 """In rad: beyond it pointing errors are not linear any more, by 2 %, and degrees were meant."""

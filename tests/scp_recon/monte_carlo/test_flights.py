@@ -16,7 +16,7 @@ from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
 from scp_recon.montecarlo import main
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
-from scp_recon.scenario.sections import Uncertainty
+from scp_recon.scenario.uncertainty import Uncertainty
 from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
 

@@ -91,11 +91,12 @@ def test_default_holds_the_recorded_constants(scenario: Scenario) -> None:
     assert sun.solar_constant_w_m2 == reference.SOLAR_CONSTANT_W_M2
 
 
-UNITS = ("_m", "_km", "_s", "_h", "_deg", "_kg", "_m2", "_m_s", "_km_s")
+UNITS = ("_m", "_km", "_s", "_h", "_deg", "_rad", "_kg", "_m2", "_m_s", "_km_s")
 COMPOUND_UNITS = ("_m3_s2", "_w_m2", "_deg_day", "_deg_day2")
 DIMENSIONLESS = {
     *("j2", "reflectivity_coefficient", "normal_body", "initial_sigma_fraction"),
     *("execution_error", "p_chance", "ball", "cone", "naif_id", "coefficients"),
+    "initial_covariance",
 }
 
 

@@ -1,0 +1,193 @@
+"""The table `[uncertainty]`: each thing said in one way, and one message where it is not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import base_names, load_scenario, validate_scenario
+from scp_recon.scenario.uncertainty import MATRIX_TOLERANCE
+from tests.helpers import Array, generators
+
+POSITION = "uncertainty.initial_sigma_position_m=[30, 10, 5]"
+VELOCITY = "uncertainty.initial_sigma_velocity_m_s=[1e-3, 5e-4, 1e-4]"
+RTN = "uncertainty.initial_frame=rtn"
+ABSOLUTE = (POSITION, VELOCITY, RTN)
+GATES = {
+    "magnitude_fixed_m_s": 1e-3,
+    "magnitude_proportional": 0.01,
+    "pointing_fixed_m_s": 5e-4,
+    "pointing_proportional_rad": 0.0087,
+}
+DIAGONAL = np.diag([900.0, 100.0, 25.0, 1e-6, 2.5e-7, 1e-8])
+
+
+def gates(**changes: float) -> str:
+    entries = ", ".join(f"{key} = {value!r}" for key, value in (GATES | changes).items())
+    return f"uncertainty.gates={{{entries}}}"
+
+
+def covariance(matrix: Array) -> tuple[str, str]:
+    return f"uncertainty.initial_covariance={np.asarray(matrix).tolist()}", RTN
+
+
+def changed(entries: dict[tuple[int, int], float]) -> Array:
+    matrix = DIAGONAL.copy()
+    for place, value in entries.items():
+        matrix[place] = value
+    return matrix
+
+
+@pytest.mark.parametrize("overrides", [(*ABSOLUTE, gates()), (*covariance(DIAGONAL), gates())])
+def test_another_way_replaces_the_bases_and_back(overrides: tuple[str, ...]) -> None:
+    base = load_scenario()
+    mine = load_scenario(None, overrides)
+    given = mine.uncertainty.model_dump()
+    assert not {"initial_sigma_fraction", "execution_error"} & set(given)
+    assert validate_scenario(json.loads(mine.model_dump_json())) == mine
+    back = {"uncertainty.initial_sigma_fraction": 0.01, "uncertainty.execution_error": 0.08}
+    assert mine.replace(back) == base
+
+
+def test_what_is_not_given_is_not_written() -> None:
+    """So that files, and hashes of plans, from before there was a choice stay what they were."""
+    expected = {"initial_sigma_fraction": 0.01, "execution_error": 0.08}
+    assert load_scenario().model_dump(mode="json")["uncertainty"] == expected
+
+
+def test_a_file_with_a_base_may_change_one_number_of_the_same_way(tmp_path: Path) -> None:
+    first = load_scenario(None, [gates()])
+    assert first.replace({"uncertainty.gates.magnitude_bias": 0.02}).uncertainty.gates is not None
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        f'base = "{base_names()[0]}"\n[uncertainty]\ninitial_sigma_position_m = [1.0, 1.0, 1.0]\n'
+        'initial_sigma_velocity_m_s = [1e-4, 1e-4, 1e-4]\ninitial_frame = "sun_north"\n',
+        "utf-8",
+    )
+    moved = load_scenario(file, ["uncertainty.initial_frame=j2000"]).uncertainty
+    assert moved.initial_frame == "j2000"
+    assert moved.initial_sigma_position_m == (1.0, 1.0, 1.0)
+
+
+REFUSED = [
+    # overrides, entry, words of the message
+    ((*ABSOLUTE, "uncertainty.initial_sigma_fraction=0.01"), "uncertainty", "in one way"),
+    ((*ABSOLUTE, *covariance(DIAGONAL)), "uncertainty", "in one way"),
+    ((gates(), "uncertainty.execution_error=0.08"), "uncertainty", "execution_error and gates"),
+    ((POSITION, VELOCITY), "uncertainty", "must have initial_frame"),
+    ((POSITION, RTN), "uncertainty", "must have initial_sigma_velocity_m_s"),
+    (covariance(DIAGONAL)[:1], "uncertainty", "must have initial_frame"),
+    ((RTN,), "uncertainty", "must have no initial_frame"),
+    ((POSITION, VELOCITY, "uncertainty.initial_frame=lvlh"), "uncertainty.initial_frame", "'rtn'"),
+    (covariance(changed({(0, 1): 30.0})), "uncertainty.initial_covariance", "entries 1,2 and 2,1"),
+    (
+        covariance(changed({(0, 1): 450.0, (1, 0): 450.0})),
+        "uncertainty.initial_covariance",
+        "eigenvalue of its correlations is -0.5",
+    ),
+    (covariance(changed({(4, 4): -1.0})), "uncertainty.initial_covariance", "entry 5,5 is -1"),
+    (
+        covariance(changed({(0, 0): 0.0, (0, 1): 1.0, (1, 0): 1.0})),
+        "uncertainty.initial_covariance",
+        "beside a variance of zero",
+    ),
+    (covariance(np.eye(2)), "uncertainty.initial_covariance", "6 rows of 6"),
+    (covariance(1e6 * DIAGONAL), "uncertainty.initial_covariance", "distance from the centre"),
+    (
+        ("uncertainty.initial_sigma_position_m=[30, -1, 5]", VELOCITY, RTN),
+        "uncertainty.initial_sigma_position_m.1",
+        "at least 0",
+    ),
+    (
+        (POSITION, "uncertainty.initial_sigma_velocity_m_s=[1, 5, 1]", RTN),
+        "uncertainty.initial_sigma_velocity_m_s",
+        "speed",
+    ),
+    ((gates(pointing_proportional_rad=0.5),), "uncertainty.gates.pointing_proportional_rad", "0.2"),
+    ((gates(magnitude_fixed_m_s=1.0),), "uncertainty.gates.magnitude_fixed_m_s", "dv_max_m_s"),
+    ((gates(pointing_fixed_m_s=-1e-3),), "uncertainty.gates.pointing_fixed_m_s", "at least 0"),
+    ((gates(magnitude_proportional=1.0),), "uncertainty.gates.magnitude_proportional", "less than"),
+    (("uncertainty.gates.magnitude_bias=0.1",), "uncertainty.gates.magnitude_fixed_m_s", "required"),
+    (("uncertainty.gates=5",), "uncertainty.gates", "a table"),
+    (
+        (*ABSOLUTE, "boundary.initial_velocity_m_s=[0, 0, 0]"),
+        "uncertainty.initial_frame",
+        "must be another frame",
+    ),
+]
+
+
+@pytest.mark.parametrize(("overrides", "entry", "words"), REFUSED)
+def test_what_does_not_go_is_refused_in_one_message(
+    overrides: tuple[str, ...], entry: str, words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        Mission.from_scenario(load_scenario(None, overrides))
+    assert caught.value.entry == entry
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("missing", ["initial_sigma_fraction", "execution_error"])
+def test_nothing_given_is_refused_and_answered(missing: str) -> None:
+    data: dict[str, Any] = load_scenario().model_dump(mode="json")
+    del data["uncertainty"][missing]
+    with pytest.raises(InputError, match=f"{missing}.*not nothing"):
+        validate_scenario(data)
+
+
+# --- the factor ---------------------------------------------------------------------------------
+
+
+def random_covariance(rng: np.random.Generator, rank: int) -> Array:
+    root = np.diag([20.0, 20.0, 20.0, 1e-3, 1e-3, 1e-3]) @ rng.normal(size=(6, rank))
+    matrix: Array = root @ root.T
+    return matrix
+
+
+@given(generators, st.integers(1, 6), st.sampled_from(["j2000", "sun_north", "body_fixed", "rtn"]))
+def test_the_factor_is_a_root_of_the_covariance_in_its_frame(
+    rng: np.random.Generator, rank: int, frame: str
+) -> None:
+    matrix = random_covariance(rng, rank)
+    scenario = load_scenario(
+        None, [covariance(matrix)[0], f"uncertainty.initial_frame={frame}"]
+    )
+    mission = Mission.from_scenario(scenario)
+    r, v = mission.initial_state[:3], mission.initial_state[3:]
+    sun, pole = mission.sun_direction(0.0), mission.rotation.pole
+    x, z, across = {
+        "j2000": (np.eye(3)[0], np.eye(3)[2], None),
+        "sun_north": (sun, None, np.cross(pole, sun)),
+        "rtn": (r, np.cross(r, v), None),
+        "body_fixed": (mission.rotation.body_to_j2000(0.0)[:, 0], pole, None),
+    }[frame]
+    y = np.cross(z, x) if across is None else across
+    z = np.cross(x, y) if z is None else z
+    axes = np.stack([a / np.linalg.norm(a) for a in (x, y, z)])
+    back = np.kron(np.eye(2), axes) @ mission.initial_factor
+    scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
+    assert (np.abs(back @ back.T - matrix) <= 1e-9 * scale).all()
+    sigma = np.sqrt(np.diag(mission.initial_factor @ mission.initial_factor.T))
+    np.testing.assert_allclose(mission.initial_sigma, sigma, rtol=1e-12)
+
+
+@given(generators, st.floats(0.1, 0.9))
+def test_a_matrix_as_printed_is_taken_within_its_tolerance(
+    rng: np.random.Generator, share: float
+) -> None:
+    """Rounding makes a singular covariance a little indefinite and a little asymmetric."""
+    matrix = random_covariance(rng, 2)
+    scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
+    rounded = matrix + share * MATRIX_TOLERANCE / 6.0 * scale * rng.uniform(-1, 1, (6, 6))
+    factor = Mission.from_scenario(
+        load_scenario(None, [*covariance(rounded)[:1], "uncertainty.initial_frame=j2000"])
+    ).initial_factor
+    assert (np.abs(factor @ factor.T - matrix) <= 2.0 * MATRIX_TOLERANCE * scale).all()
