@@ -113,9 +113,7 @@ def test_a_burn_that_has_vanished_has_no_error(
 
 @few
 @given(gates.filter(lambda errors: not errors.affine), generators)
-def test_the_spread_does_not_jump_anywhere(
-    errors: GatesErrors, rng: np.random.Generator
-) -> None:
+def test_the_spread_does_not_jump_anywhere(errors: GatesErrors, rng: np.random.Generator) -> None:
     """On a ray from zero, across both places where the columns are written in another way."""
     share = np.sort(np.r_[np.geomspace(1e-2 * VANISHED, 3.0, 300), VANISHED, 1.0])
     share = np.repeat(share, 2) * np.tile([1 - 1e-9, 1 + 1e-9], len(share))
@@ -201,7 +199,11 @@ def test_what_burns_share_adds_up_before_it_is_squared(rng: np.random.Generator)
 
 @pytest.mark.parametrize(
     "errors",
-    [GatesErrors(0.02, 0.1, 0.05, 0.2, 0.3), GatesErrors(0.0, 0.1, 0.0, 0.2), ComponentwiseErrors(0.1)],
+    [
+        GatesErrors(0.02, 0.1, 0.05, 0.2, 0.3),
+        GatesErrors(0.0, 0.1, 0.0, 0.2),
+        ComponentwiseErrors(0.1),
+    ],
     ids=["gates", "proportional", "componentwise"],
 )
 def test_sampled_errors_have_the_covariance_of_the_columns(errors: ExecutionErrors) -> None:

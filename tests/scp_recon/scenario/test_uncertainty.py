@@ -115,7 +115,11 @@ REFUSED = [
     ((gates(magnitude_fixed_m_s=1.0),), "uncertainty.gates.magnitude_fixed_m_s", "dv_max_m_s"),
     ((gates(pointing_fixed_m_s=-1e-3),), "uncertainty.gates.pointing_fixed_m_s", "at least 0"),
     ((gates(magnitude_proportional=1.0),), "uncertainty.gates.magnitude_proportional", "less than"),
-    (("uncertainty.gates.magnitude_bias=0.1",), "uncertainty.gates.magnitude_fixed_m_s", "required"),
+    (
+        ("uncertainty.gates.magnitude_bias=0.1",),
+        "uncertainty.gates.magnitude_fixed_m_s",
+        "required",
+    ),
     (("uncertainty.gates=5",), "uncertainty.gates", "a table"),
     (
         (*ABSOLUTE, "boundary.initial_velocity_m_s=[0, 0, 0]"),
@@ -157,9 +161,7 @@ def test_the_factor_is_a_root_of_the_covariance_in_its_frame(
     rng: np.random.Generator, rank: int, frame: str
 ) -> None:
     matrix = random_covariance(rng, rank)
-    scenario = load_scenario(
-        None, [covariance(matrix)[0], f"uncertainty.initial_frame={frame}"]
-    )
+    scenario = load_scenario(None, [covariance(matrix)[0], f"uncertainty.initial_frame={frame}"])
     mission = Mission.from_scenario(scenario)
     r, v = mission.initial_state[:3], mission.initial_state[3:]
     sun, pole = mission.sun_direction(0.0), mission.rotation.pole
