@@ -7,6 +7,7 @@ time, so that a change is judged by what it changes.
 from __future__ import annotations
 
 import os
+import signal
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,9 @@ import pytest
 from hypothesis import Phase, settings
 
 from tests import reliability
+
+# A run in the background has it ignored, and so would have the processes that tests interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 
