@@ -12,6 +12,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from formulations.problem.flyby import Iterate
+from scp_recon.certification.certify import certify
 from scp_recon.cli.keeping import keep_plan
 from scp_recon.errors import InputError, one_of, shortened, whole_number
 from scp_recon.files import check_writable, unwritable
@@ -20,14 +22,15 @@ from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
 from scp_recon.monte_carlo.summary import Summary, summarise
 from scp_recon.planning import planner
-from scp_recon.planning.method import FACET_ROUNDS_MAX, PROBLEMS, scp_method
+from scp_recon.planning.method import FACET_ROUNDS_MAX, PROBLEMS, check_exact, scp_method
 from scp_recon.planning.plan import Plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.solution.comparison import Comparison, compare
-from scp_recon.solution.file import FILE_NAME, Solution, Verification, read_solution
+from scp_recon.solution.file import FILE_NAME, Solution, read_solution
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.solution.start import start_from
+from scp_recon.solution.verdict import Verification
 from scp_recon.verification.reintegration import verify
 
 __all__ = ["check", "fly", "load_scenario", "plan", "save", "side_by_side"]
@@ -44,6 +47,7 @@ def plan(
     algorithm: str = "scvx",
     solver: str = "CLARABEL",
     facet_rounds: int = 0,
+    certified: bool | None = None,
 ) -> Plan:
     """Plan a flyby.
 
@@ -61,6 +65,8 @@ def plan(
         algorithm: scvx, ptr or scvx-star.
         solver: a conic solver that CVXPY finds.
         facet_rounds: how often to choose the facets again at the solution.
+        certified: with exact risk, whether to plan until flights certify the probability; they do
+            unless it is False.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.
@@ -69,14 +75,27 @@ def plan(
     method = scp_method(formulation, algorithm, solver)
     whole_number("facet_rounds", facet_rounds, 0, FACET_ROUNDS_MAX)
     mission = Mission.from_scenario(_scenario(scenario))
-    return planner.plan(
-        mission,
-        start_from(mission, init),
-        problem=problem,
-        **method._asdict(),
-        facet_rounds=facet_rounds,
-        init=_called(init),
-    )
+    exact = mission.scenario.risk.allocation == "exact"
+    if exact:
+        check_exact("scp", method.formulation, facet_rounds)
+    elif certified is not None:
+        raise InputError("certified", shortened(certified), "goes with risk.allocation = exact")
+
+    def once(mission: Mission, start: Iterate, aim: float | None = None) -> Plan:
+        return planner.plan(
+            mission,
+            start,
+            problem=problem,
+            **method._asdict(),
+            aim=aim,
+            facet_rounds=facet_rounds,
+            init=_called(init),
+        )
+
+    start = start_from(mission, init)
+    if exact and problem == "P2" and certified is not False:
+        return certify(mission, start, once)
+    return once(mission, start)
 
 
 def _scenario(given: Scenario | str | Path) -> Scenario:

@@ -27,8 +27,9 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution, Verification
+from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.verdict import Verification
 from scp_recon.verification.reintegration import verify
 
 NUMBERS = ("gm", "radius", "period", "pole", "orbit")

@@ -25,9 +25,10 @@ from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
 from scp_recon.cli import plan_tables
 from scp_recon.cli.keeping import UNVERIFIED, run_folder, written
+from scp_recon.cli.method import check_risk, planning
 from scp_recon.cli.options import int_between
 from scp_recon.cli.warnings import show_warnings
-from scp_recon.errors import InputError, one_of
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.method import (
@@ -36,10 +37,8 @@ from scp_recon.planning.method import (
     FORMULATION,
     PROBLEMS,
     SOLVER,
-    scp_method,
 )
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.planner import plan
 from scp_recon.planning.stages import Observer
 from scp_recon.scenario.load import base_names, load_scenario, override
 from scp_recon.scenario.schema import Scenario
@@ -50,8 +49,6 @@ from scp_recon.solution.from_plan import make_solution
 from scp_recon.solution.runs import point_to
 from scp_recon.solution.start import is_solution, start_from
 from scp_recon.verification.reintegration import verify
-
-Planning = Callable[[Mission, Iterate, Observer], Plan]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -94,6 +91,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="choose the facets again at the solution and solve again, up to N times (default: 0; what "
         "is infeasible is tried again without being asked)",
+    )
+    p.add_argument(
+        "--certify",
+        choices=("yes", "no"),
+        help="with risk.allocation = exact, fly the plan and plan again until the lower limit of the "
+        "probability reached is what was asked (default: yes)",
     )
     p.add_argument(
         "--out",
@@ -151,8 +154,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _solve(options: argparse.Namespace, console: Console) -> int:
-    make_plan = _method(options)
+    make_plan = planning(options)
     mission, start = _inputs(options)
+    check_risk(options, mission.scenario)
     with run_folder(options.out, mission.scenario.name) as folder:
         status = _plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
     if options.out is None and status != Status.INTERRUPTED.value.exit_code:
@@ -184,6 +188,7 @@ def _plan_into(
         show_warnings(console, solution.warnings)
         show_written(console, path)
         return status.value.exit_code
+    mission = result.mission  # certifying may have added nodes
     verification = verify(mission, solution)
     path, more = written(solution.model_copy(update={"verification": verification}), folder)
     plan_tables.show_verification(console, mission, verification, mission.warnings)
@@ -193,55 +198,6 @@ def _plan_into(
         show_line(console, f"kept, as it is verified: {folder / FILE_NAME}")
     show_written(console, path)
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
-
-
-def _method(options: argparse.Namespace) -> Planning:
-    """What makes the plan."""
-    if options.method == "scp":
-        return _by_scp(options)
-    for option in ("algorithm", "solver", "facet_rounds"):
-        if given := getattr(options, option):
-            raise InputError(
-                f"--{option.replace('_', '-')}", str(given), "goes with --method scp only"
-            )
-    from formulations.nlp.solve import VARIANTS  # by CasADi, which takes a second to import
-    from scp_recon.planning import ipopt
-
-    variant = one_of("--formulation", options.formulation or "tuned", VARIANTS)
-
-    def by_ipopt(mission: Mission, start: Iterate, observe: Observer) -> Plan:
-        return ipopt.plan(
-            mission,
-            start,
-            problem=options.problem,
-            variant=variant,
-            init=options.init,
-            observe=observe,
-        )
-
-    return by_ipopt
-
-
-def _by_scp(options: argparse.Namespace) -> Planning:
-    method = scp_method(
-        options.formulation or FORMULATION,
-        options.algorithm or ALGORITHM,
-        options.solver or SOLVER,
-        prefix="--",
-    )
-
-    def planning(mission: Mission, start: Iterate, observe: Observer) -> Plan:
-        return plan(
-            mission,
-            start,
-            problem=options.problem,
-            **method._asdict(),
-            facet_rounds=options.facet_rounds,
-            init=options.init,
-            observe=observe,
-        )
-
-    return planning
 
 
 def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:

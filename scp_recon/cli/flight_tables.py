@@ -53,6 +53,8 @@ def _probabilities(summary: Summary, asked: float | None) -> Table:
     for name, lowest in summary.probability.items():
         limit = "" if asked is None or name == ALL else f"{asked:g}"
         table.add_row(_label(name), _shown(lowest, 4), f"{lowest.worst_t_s:.0f}", limit)
+    if summary.whole_flight is not None:
+        table.add_row("all limits, whole flight", _shown(summary.whole_flight, 4), "", "")
     return table
 
 

@@ -18,8 +18,10 @@ from scp_recon.planning.stages import Observer
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution, Verification
+from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import iteration_record
+from scp_recon.solution.risk import Risk
+from scp_recon.solution.verdict import Verification
 from scp_recon.verification.reintegration import (
     COVARIANCE_LIMIT,
     DEFECT_LIMIT_M,
@@ -162,6 +164,25 @@ def show_solution(console: Console, solution: Solution) -> None:
                 Text(name), "", "", "", Text(f"{amount.max:.4g} {amount.unit}", style="red")
             )
     console.print(table)
+    _show_risk(console, solution.risk)
+
+
+def _show_risk(console: Console, risk: Risk | None) -> None:
+    """What was asked, aimed at and reached, in one line."""
+    if risk is None:
+        return
+    what = "of whole flights" if risk.scope == "flight" else "of each constraint at each node"
+    line = f"\nprobability {what}: asked {risk.asked:g}, aimed at {risk.aim:.5g}"
+    reached = risk.certificate
+    if reached is None:
+        line += "; not certified: the normal law alone promises it"
+    else:
+        word = "certified" if reached.low >= risk.asked else "NOT reached"
+        line += (
+            f"; {word}: {reached.samples} flights reached {reached.reached:.4f} "
+            f"({reached.low:.4f} to {reached.high:.4f}) in round {reached.rounds}"
+        )
+    console.print(line, highlight=False, soft_wrap=True)
 
 
 def show_verification(

@@ -80,6 +80,7 @@ class FlightBlock:
     entry: Array
     exit: Array
     node_counts: dict[str, npt.NDArray[np.int64]]
+    whole: int
     closest_m: Array
     executed_dv_m_s: Array
     terminal: Array
@@ -105,11 +106,15 @@ def run_block(config: FlightConfig, job: tuple[int, int]) -> FlightBlock:
     joint = joint_margins(mission, looks, seen[..., :3])
     holds = {name: margin >= 0.0 for name, margin in joint.items()}
     holds[ALL] = np.logical_and.reduce([holds[name] for name in SCIENCE])
+    whole = flown.closest_m >= mission.scenario.safety.radius_min_m
+    for name in joint:
+        whole &= holds[name].all(axis=0)
     return FlightBlock(
         held={name: h.duration for name, h in held.items()},
         entry=held[ALL].entry,
         exit=held[ALL].exit,
         node_counts={name: h.sum(axis=1) for name, h in holds.items()},
+        whole=int(whole.sum()),
         closest_m=flown.closest_m,
         executed_dv_m_s=np.linalg.norm(flown.burns_m_s, axis=2).sum(axis=1),
         terminal=flown.states[-1],
@@ -125,6 +130,7 @@ class FlightTally:
         full: flights in which it holds throughout the window.
         entry, exit: first and last time at which all hold, of the flights in which they ever do.
         node_counts: flights in which each joint constraint holds, by time.
+        whole: flights that keep every limit on the position at every time looked at.
         closest, executed_dv: smallest distance from the body's centre, total delta-v.
         terminal: final states of the first flights.
     """
@@ -136,6 +142,7 @@ class FlightTally:
     entry: Tally = field(init=False)
     exit: Tally = field(init=False)
     node_counts: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
+    whole: int = 0
     closest: Tally = field(init=False)
     executed_dv: Tally = field(init=False)
     terminal: Array = field(default_factory=lambda: np.empty((0, 6)))
@@ -165,6 +172,7 @@ class FlightTally:
             self.exit = self.exit.add(block.exit[ever])
         for name, counts in block.node_counts.items():
             self.node_counts[name] = self.node_counts.get(name, np.zeros_like(counts)) + counts
+        self.whole += block.whole
         self.closest = self.closest.add(block.closest_m)
         self.executed_dv = self.executed_dv.add(block.executed_dv_m_s)
         room = TERMINAL_KEPT - len(self.terminal)

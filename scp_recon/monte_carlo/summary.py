@@ -135,6 +135,7 @@ class Summary(File):
     entry_s: Spread
     exit_s: Spread
     probability: dict[Line, LowestProbability]
+    whole_flight: Interval | None = None
     closest_m: ClosestApproach
     executed_dv_m_s: Spread
     terminal: Terminal
@@ -216,6 +217,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         entry_s=Spread(**_spread(flown.entry)),
         exit_s=Spread(**_spread(flown.exit)),
         probability={name: _lowest(flown, name) for name in flown.node_counts},
+        whole_flight=_interval(proportion(flown.whole, flown.samples)),
         closest_m=ClosestApproach(
             **_spread(flown.closest), worst=_interval(flown.closest.quantile(CLOSEST))
         ),

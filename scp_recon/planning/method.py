@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from formulations.registry import FORMULATIONS
-from scp_recon.errors import one_of
+from scp_recon.errors import InputError, one_of, shortened
 from scp_recon.scp.algorithms import ALGORITHMS
 
 FORMULATION, ALGORITHM, SOLVER = "condensed", "scvx", "CLARABEL"
@@ -47,3 +47,26 @@ def scp_method(
 
         one_of(f"{prefix}solver", name, installed())
     return ScpMethod(formulation, algorithm, name)
+
+
+def check_exact(method: str, formulation: str, facet_rounds: int, prefix: str = "") -> None:
+    """Refuse what probabilities of the sets themselves do not go with.
+
+    Args:
+        method: "scp" or "ipopt".
+        formulation: of the convex subproblem.
+        facet_rounds: further choices of facets, of which there are none.
+        prefix: what messages put before an argument's name.
+
+    Raises:
+        InputError: if it is not the condensed form by sequential convex programming.
+    """
+    for name, given, only in (
+        ("method", method, "scp"),
+        ("formulation", formulation, FORMULATION),
+        ("facet-rounds" if prefix else "facet_rounds", facet_rounds, 0),
+    ):
+        if given != only:
+            raise InputError(
+                f"{prefix}{name}", shortened(given), f"must be {only} with risk.allocation = exact"
+            )

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from scp_recon.physics.flow import interpolate
 from scp_recon.scenario.schema import Scenario
-from scp_recon.solution.file import Solution, Verification
+from scp_recon.solution.file import Solution
+from scp_recon.solution.verdict import Verification
 
 Array = npt.NDArray[np.float64]
 

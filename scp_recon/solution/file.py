@@ -23,15 +23,16 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 from scp_recon.solution.part import File, Part, read_file
+from scp_recon.solution.risk import Risk
 from scp_recon.solution.runs import resolve_run
 from scp_recon.solution.times import strange_times
+from scp_recon.solution.verdict import Verification
 
 SCHEMA, READABLE = "scp_recon.solution/2", ("scp_recon.solution/1", "scp_recon.solution/2")
 """What is written and what is read; /1 called a worst margin `worst_margin_m_or_rad`."""
 FILE_NAME = "solution.json"
 Number = Annotated[float, Field(ge=-1e30, le=1e30)]
 """Of what is worked with: its square and its quotients stay finite."""
-Share = Annotated[float, Field(ge=0, le=1)]
 Direction = Annotated[tuple[Number, Number, Number], Field(strict=False)]
 """A list will do, whose numbers have to be numbers all the same."""
 
@@ -148,54 +149,6 @@ class TimingSummary(Part):
     other: float
 
 
-class MeanMargin(Part):
-    """Margin of an original constraint for the mean, between the nodes too."""
-
-    name: str
-    worst_margin: float
-    unit: Literal["m", "rad", "m/s"]
-    worst_t_s: float
-
-
-class JointProbability(Part):
-    """Probability of a joint constraint at the time when it is smallest, by Monte Carlo."""
-
-    name: str
-    worst_t_s: float
-    estimate: Share
-    low: Share
-    high: Share
-
-
-class Verification(Part):
-    """An independent look at the result; `failed` names what keeps it from being ok."""
-
-    terminal_position_error_m: float
-    terminal_velocity_error_m_s: float
-    max_defect: float
-    sample_error_m: float
-    covariance_error: float
-    mean_margins: list[MeanMargin]
-    samples: int
-    confidence: float
-    probabilities: list[JointProbability]
-    failed: list[str]
-    ok: bool
-
-    def __str__(self) -> str:
-        """The verdict, and the lowest probabilities."""
-        lines = ["verified" if self.ok else f"not verified: {', '.join(self.failed)}"]
-        lines += [
-            f"P({p.name}) {p.estimate:.4f}, {p.low:.4f} to {p.high:.4f}, at {p.worst_t_s:.0f} s"
-            for p in self.probabilities
-        ]
-        return "\n".join(lines)
-
-    def __repr__(self) -> str:
-        """One line."""
-        return f"<Verification: {str(self).partition(chr(10))[0]}>"
-
-
 class UnitScales(Part):
     """Units in which violations of different kinds are compared."""
 
@@ -223,6 +176,7 @@ class Solution(File):
     stages: list[StageSummary]
     constraints: list[ConstraintResult]
     facets: FacetTable | None = None
+    risk: Risk | None = None
     violation: Violation
     iterations: list[IterationRecord]
     timing_s: TimingSummary
@@ -246,7 +200,7 @@ class Solution(File):
     def plan_hash(self) -> str:
         """SHA-256 of scenario and burns, to the last bit, in hexadecimal; of nothing else."""
         plan = {
-            "scenario": self.scenario.model_dump(mode="json"),
+            "scenario": self.scenario.model_dump(mode="json", exclude_defaults=True),
             "burns": [burn.model_dump(mode="json") for burn in self.burns],
         }
         canonical = json.dumps(plan, sort_keys=True, allow_nan=False)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Literal
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import BURN_LIMITS, Plan, Stage, scale
@@ -22,6 +24,7 @@ from scp_recon.solution.file import (
     Violation,
     ViolationAmount,
 )
+from scp_recon.solution.risk import EventProbability, Reached, Risk
 
 FINAL_STATE = "final_state"
 
@@ -52,6 +55,7 @@ def make_solution(plan: Plan) -> Solution:
         stages=[_summary(mission, stage) for stage in plan.stages],
         constraints=constraint_results(mission, plan.final),
         facets=_facet_table(mission, plan.final),
+        risk=_risk(plan),
         violation=_violation(mission, plan.final),
         iterations=[
             iteration_record(mission, stage.name, record)
@@ -106,7 +110,7 @@ def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]
                 worst_margin=float(margins.margin[worst]) * scale(mission, unit),
                 unit=unit,
                 worst_t_s=float(mission.times_s[margins.nodes[worst]]),
-                facets=at_worst if stage.facets is not None and name in kinds else 0,
+                facets=0 if stage.facets is None or name in BURN_LIMITS else at_worst,
             )
         )
     return results
@@ -123,6 +127,28 @@ def _facet_table(mission: Mission, stage: Stage) -> FacetTable | None:
         normal=facets.normal.tolist(),
         offset_m=(facets.offset * mission.units.length_m).tolist(),
         quantile=facets.quantile.tolist(),
+    )
+
+
+def _risk(plan: Plan) -> Risk | None:
+    """What an exact plan spends: probabilities by the normal law, and what flights reached."""
+    if plan.aim is None or plan.final.problem == "P3":
+        return None
+    mission, asked = plan.mission, plan.mission.scenario.risk
+    margins = plan.final.merit.rows.margins(plan.final.result.lin)
+    return Risk(
+        scope=asked.scope,
+        asked=asked.p_chance,
+        aim=plan.aim,
+        certificate=None if plan.certificate is None else Reached(**asdict(plan.certificate)),
+        normal_law=[
+            EventProbability(
+                name=name,
+                t_s=mission.times_s[rows.nodes].tolist(),
+                probability=ndtr(rows.margin + ndtri(plan.aim)).tolist(),
+            )
+            for name, rows in margins.items()
+        ],
     )
 
 

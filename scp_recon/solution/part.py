@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from scp_recon.errors import InputError
 from scp_recon.files import read_text
+
+Probability = Annotated[float, Field(ge=0, le=1)]
 
 
 class Part(BaseModel):

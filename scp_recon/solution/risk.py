@@ -7,9 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from scp_recon.scenario.fields import Line
-from scp_recon.solution.part import Part
-
-Probability = Annotated[float, Field(ge=0, le=1)]
+from scp_recon.solution.part import Part, Probability
 
 
 class Reached(Part):

@@ -19,6 +19,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import FacetTable, Solution, Violation, ViolationAmount
 from scp_recon.solution.times import TIME_ERROR_S, strange_times
+from scp_recon.verification.exact import exact_inconsistencies
 
 Array = npt.NDArray[np.float64]
 
@@ -40,6 +41,8 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
         found.append("total_dv_m_s")
     if "nodes.t_s" in found:  # nothing else can be told without them
         return found
+    if solution.problem == "P2" and mission.scenario.risk.allocation == "exact":
+        return found + exact_inconsistencies(mission, solution, burn_margins(mission, solution))
     if solution.problem == "P2" and not _are_sound(mission, solution.facets):
         return [*found, "facets"]
     margins = _margins(mission, solution)
@@ -59,16 +62,21 @@ def _unit(name: str) -> Literal["m", "m/s"]:
     return "m/s" if name.startswith("dv_") else "m"
 
 
-def _margins(mission: Mission, solution: Solution) -> dict[str, Array]:
-    """Margins of every constraint's rows, >= 0 where satisfied; m, and m/s of the burns."""
+def burn_margins(mission: Mission, solution: Solution) -> dict[str, Array]:
+    """Margins of the limits on the burns, >= 0 where satisfied, m/s."""
     burns, problem = solution.burns_m_s, mission.problem
     size = np.linalg.norm(burns, axis=1)
     along = np.abs(np.einsum("bi,bi->b", burns, problem.sun))
     across = np.linalg.norm(np.cross(burns, problem.sun), axis=1)
-    margins = {
+    return {
         "dv_max": mission.scenario.burns.dv_max_m_s - size,
         "dv_battery": np.cos(problem.dv_cone) * across - np.sin(problem.dv_cone) * along,
     }
+
+
+def _margins(mission: Mission, solution: Solution) -> dict[str, Array]:
+    """Margins of every constraint's rows, >= 0 where satisfied; m, and m/s of the burns."""
+    problem, margins = mission.problem, burn_margins(mission, solution)
     position = np.array(solution.nodes.state)[:, :3]
     if solution.problem == "P3" or solution.facets is None:
         inside = {c.name: _inside(c, position, mission.units.length_m) for c in problem.constraints}

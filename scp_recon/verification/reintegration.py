@@ -17,32 +17,37 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import CONFIDENCE, proportion
-from scp_recon.monte_carlo.observation_time import joint_margins, observation_margins
-from scp_recon.monte_carlo.sampling import fly_block, sample_positions
+from scp_recon.monte_carlo.estimates import CONFIDENCE
+from scp_recon.monte_carlo.observation_time import observation_margins
+from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import JointProbability, MeanMargin, Solution, Verification
+from scp_recon.solution.file import Solution
+from scp_recon.solution.verdict import MeanMargin, Verification
 from scp_recon.verification.consistency import inconsistencies
+from scp_recon.verification.probabilities import (
+    MARGIN_LIMIT,
+    SAMPLES,
+    SEED,
+    joint_probabilities,
+    shortfalls,
+)
 from scp_recon.verification.spread import Spread
 
 Array = npt.NDArray[np.float64]
 
-SAMPLES, SEED, FLIGHTS_CHECKED = 10_000, 0, 3
+FLIGHTS_CHECKED = 3
 MARGIN_STEP_S = 10.0
 POSITION_LIMIT_M, VELOCITY_LIMIT_M_S, DEFECT_LIMIT_M = 1.0, 1e-4, 1e-2
 COVARIANCE_LIMIT = 1e-6
 SAMPLE_LIMIT = 1e-6
 """Of the initial radius, where that is more than a centimetre: 1 sigma is of the order of 1e-2."""
-MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
-"""Between nodes a constraint that binds at them may dip below by this much."""
 NO_BURN_M_S = 1e-6
 SMALLEST = 1e-30
 """Scaled covariance that counts as none."""
 DIVERGED = 1e100
 """Stands for what is not finite: the file knows no infinity, and no limit allows it."""
-SAMPLED_PARTS_PER_ARC = 4
 
 
 def verify(mission: Mission, solution: Solution) -> Verification:
@@ -56,7 +61,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     defects = np.abs(flown.states[at_nodes] - states) / mission.units.state * mission.units.length_m
     final = np.abs(flown.states[-1] - mission.final_state)
     margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
-    probabilities = _joint_probabilities(mission, burns)
+    probabilities = joint_probabilities(mission, burns)
     figures = {
         "terminal_position_error_m": _finite(np.linalg.norm(final[:3])),
         "terminal_velocity_error_m_s": _finite(np.linalg.norm(final[3:])),
@@ -79,8 +84,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         failed.append("status")
     failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
     if solution.problem == "P2":
-        asked = mission.scenario.risk.p_chance
-        failed += [f"P({p.name})" for p in probabilities if p.estimate < asked]
+        failed += shortfalls(mission, solution, probabilities)
     return Verification(
         **figures,
         mean_margins=margins,
@@ -228,47 +232,3 @@ def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:
             )
         )
     return margins
-
-
-def _joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability]:
-    """By Monte Carlo at the window's nodes and between them, and for safety at every node."""
-    window = mission.times_s[mission.window_nodes]
-    step = np.diff(window)[:, None] / SAMPLED_PARTS_PER_ARC
-    between = (window[:-1, None] + step * np.arange(1, SAMPLED_PARTS_PER_ARC)).ravel()
-    observed = np.union1d(window, between)
-    times = np.union1d(observed, mission.times_s)
-    positions = sample_positions(mission, burns, times, SAMPLES, SEED)
-    seen = np.searchsorted(times, observed)
-    joint = joint_margins(mission, observed, positions[seen])
-    radius = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
-    return [
-        _worst("safety_radius", times, holds(radius, "m")),
-        *(
-            _worst(name, observed, holds(margin, "m" if name == "site_distance" else "rad"))
-            for name, margin in joint.items()
-        ),
-    ]
-
-
-def holds(margin: Array, unit: str) -> npt.NDArray[np.bool_]:
-    """Which flights hold a constraint, margins (times, flights).
-
-    Where they spread by less than a binding mean may dip between nodes they are judged as the mean is:
-    without uncertainty every flight is the mean.
-    """
-    limit = MARGIN_LIMIT[unit]
-    allowed = np.where(margin.std(axis=1) < -limit, limit, 0.0)
-    return np.asarray(margin >= allowed[:, None])
-
-
-def _worst(name: str, times: Array, holds: npt.NDArray[np.bool_]) -> JointProbability:
-    counts = holds.sum(axis=1)
-    at = int(np.argmin(counts))
-    estimate = proportion(int(counts[at]), holds.shape[1])
-    return JointProbability(
-        name=name,
-        worst_t_s=float(times[at]),
-        estimate=estimate.value,
-        low=estimate.low,
-        high=estimate.high,
-    )

@@ -23,7 +23,8 @@ from scp_recon.compare import main as compare
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution, Verification, read_solution
+from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.verdict import Verification
 
 door: Any = sr
 """The front door to whoever gives it what its types forbid."""

@@ -9,7 +9,7 @@ import pytest
 from scp_recon import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.flights import CampaignConfig, fly_campaign
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.summary import Summary, summarise
 from scp_recon.monte_carlo.verdict import probability_asked, shortfalls
@@ -19,9 +19,7 @@ from tests.scp_recon.support import mission_of
 
 @pytest.fixture(scope="module")
 def summary(mission: Mission, solution: Solution) -> Summary:
-    return summarise(
-        fly_campaign(CampaignConfig(mission, solution.burns_m_s), samples=1000), solution
-    )
+    return summarise(fly_many(FlightConfig(mission, solution.burns_m_s), samples=1000), solution)
 
 
 def asking(solution: Solution, p: float) -> Solution:
@@ -78,9 +76,9 @@ def test_the_packaged_field_is_flown_about_its_own_body_only(
 ) -> None:
     mission = mission_of(override)
     with pytest.raises(InputError, match=words):
-        CampaignConfig(mission, solution.burns_m_s, truth="harmonics")
-    CampaignConfig(mission, solution.burns_m_s)
+        FlightConfig(mission, solution.burns_m_s, truth="harmonics")
+    FlightConfig(mission, solution.burns_m_s)
 
 
 def test_the_packaged_field_is_flown_about_bennu(mission: Mission, solution: Solution) -> None:
-    CampaignConfig(mission, solution.burns_m_s, truth="harmonics")
+    FlightConfig(mission, solution.burns_m_s, truth="harmonics")

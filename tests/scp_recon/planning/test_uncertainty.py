@@ -11,7 +11,7 @@ from formulations.problem.execution_errors import VANISHED, GatesErrors
 from formulations.problem.flyby import Iterate
 from formulations.registry import make_subproblem
 from scp_recon.errors import InputError
-from scp_recon.monte_carlo.flights import CampaignConfig
+from scp_recon.monte_carlo.flights import FlightConfig
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block
 from scp_recon.physics.frames import unit
 from scp_recon.planning import initial_guess, ipopt
@@ -159,6 +159,6 @@ def test_flights_take_no_errors_by_component_for_gates() -> None:
     """The other way there is an isotropic counterpart of the same size."""
     found = planned(UNLIKE)
     with pytest.raises(InputError, match="gates"):
-        CampaignConfig(found.mission, found.burns_m_s, errors="componentwise")
+        FlightConfig(found.mission, found.burns_m_s, errors="componentwise")
     assert np.array_equal(drawn(UNLIKE)[1], drawn(UNLIKE, errors="gates")[1])
     assert not np.array_equal(drawn()[1], drawn(errors="gates")[1])

@@ -15,7 +15,8 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import validate_scenario
 from scp_recon.solution import file as solution_module
-from scp_recon.solution.file import SCHEMA, Solution, Verification, read_solution
+from scp_recon.solution.file import SCHEMA, Solution, read_solution
+from scp_recon.solution.verdict import Verification
 from scp_recon.verification.reintegration import verify
 from tests import reliability
 

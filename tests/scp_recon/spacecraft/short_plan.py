@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scp_recon.mission.mission import Mission
-from scp_recon.solution.file import (
-    Burn,
-    Nodes,
-    Solution,
-    TimingSummary,
-    UnitScales,
-    Violation,
-)
+from scp_recon.solution.file import Burn, Nodes, Solution, TimingSummary, UnitScales, Violation
 
 SHORT = (
     "burns.times_s=[0.0, 3270.0]",

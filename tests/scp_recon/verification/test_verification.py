@@ -16,10 +16,12 @@ from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics.forces import acceleration, gravity_gradient
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
-from scp_recon.solution.file import Solution, Verification
+from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.verdict import Verification
 from scp_recon.verification.consistency import inconsistencies
-from scp_recon.verification.reintegration import MARGIN_LIMIT, holds, variational_rate, verify
+from scp_recon.verification.probabilities import MARGIN_LIMIT, holds
+from scp_recon.verification.reintegration import variational_rate, verify
 from tests.scp_recon.support import Array, mission_of
 
 Change = Callable[[dict[str, Any]], None]

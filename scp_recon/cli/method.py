@@ -1,0 +1,98 @@
+"""What makes the plan that a command's options ask for."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+from formulations.problem.flyby import Iterate
+from scp_recon.certification.certify import certify, flights_needed
+from scp_recon.errors import InputError, one_of
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, check_exact, scp_method
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import Observer
+from scp_recon.scenario.schema import Scenario
+
+Planning = Callable[[Mission, Iterate, Observer], Plan]
+
+
+def planning(options: argparse.Namespace) -> Planning:
+    """What makes a plan.
+
+    Raises:
+        InputError: if an option is of another method, or names nothing that is known.
+    """
+    if options.method == "scp":
+        return _by_scp(options)
+    for option in ("algorithm", "solver", "facet_rounds"):
+        if given := getattr(options, option):
+            raise InputError(
+                f"--{option.replace('_', '-')}", str(given), "goes with --method scp only"
+            )
+    from formulations.nlp.solve import VARIANTS  # by CasADi, which takes a second to import
+    from scp_recon.planning import ipopt
+
+    variant = one_of("--formulation", options.formulation or "tuned", VARIANTS)
+
+    def by_ipopt(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+        return ipopt.plan(
+            mission,
+            start,
+            problem=options.problem,
+            variant=variant,
+            init=options.init,
+            observe=observe,
+        )
+
+    return by_ipopt
+
+
+def _by_scp(options: argparse.Namespace) -> Planning:
+    method = scp_method(
+        options.formulation or FORMULATION,
+        options.algorithm or ALGORITHM,
+        options.solver or SOLVER,
+        prefix="--",
+    )
+
+    def once(mission: Mission, start: Iterate, observe: Observer, aim: float | None) -> Plan:
+        return plan(
+            mission,
+            start,
+            problem=options.problem,
+            **method._asdict(),
+            aim=aim,
+            facet_rounds=options.facet_rounds,
+            init=options.init,
+            observe=observe,
+        )
+
+    def by_scp(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+        if not is_certified(options, mission.scenario):
+            return once(mission, start, observe, None)
+        return certify(mission, start, lambda m, s, aim: once(m, s, observe, aim))
+
+    return by_scp
+
+
+def is_certified(options: argparse.Namespace, scenario: Scenario) -> bool:
+    """Whether flights have to stand behind the plan."""
+    exact = scenario.risk.allocation == "exact" and options.problem == "P2"
+    return exact and options.certify != "no"
+
+
+def check_risk(options: argparse.Namespace, scenario: Scenario) -> None:
+    """Refuse what an allocation of risk does not go with.
+
+    Raises:
+        InputError: naming the option, what was given and what is allowed.
+    """
+    if scenario.risk.allocation != "exact":
+        if options.certify is not None:
+            raise InputError("--certify", options.certify, "goes with risk.allocation = exact only")
+        return
+    check_exact(options.method, options.formulation or FORMULATION, options.facet_rounds, "--")
+    if is_certified(options, scenario):
+        flights_needed(scenario.risk.p_chance)

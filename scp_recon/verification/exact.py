@@ -1,0 +1,127 @@
+"""Whether what an exact plan says of its risk follows from its own nodes, by means of its own.
+
+At each node the original limits are judged for draws from the normal law that the file says; they share
+no code with the rows of the planner. The probability of a whole flight is held against the flights of
+the Monte Carlo, by whoever has them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtri
+
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.monte_carlo.observation_time import joint_margins
+from scp_recon.monte_carlo.whole_flight import SAFETY, WHOLE_FLIGHT
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution
+from scp_recon.solution.risk import EventProbability, Reached, Risk
+from scp_recon.solution.times import TIME_ERROR_S
+
+Array = npt.NDArray[np.float64]
+
+DRAWS, SEED = 20_000, 7
+ERROR = 2e-3
+"""Of a probability, beside five standard errors of the draws: that of the planner's quadrature in the
+tails, where it counts for nothing."""
+SIGMA_ERROR, BURN_ERROR = 1e-6, 1e-8
+
+
+def exact_inconsistencies(
+    mission: Mission, solution: Solution, burn_margins: dict[str, Array]
+) -> list[str]:
+    """Parts that contradict each other, by name.
+
+    Args:
+        mission: the solution's.
+        solution: an exact P2's.
+        burn_margins: limits on the burns, worked out from them, m/s.
+    """
+    risk, asked = solution.risk, mission.scenario.risk
+    if risk is None or (risk.scope, risk.asked) != (asked.scope, asked.p_chance):
+        return ["risk"]
+    found = []
+    if not _is_law(mission, solution, risk) or not _is_certificate(risk.certificate):
+        found.append("risk")
+    if not _are_results(solution, risk, burn_margins):
+        found.append("constraints")
+    converged = solution.status == Status.CONVERGED.value.name
+    if converged and solution.violation.by_constraint:
+        found.append("violation")
+    return found
+
+
+def _is_law(mission: Mission, solution: Solution, risk: Risk) -> bool:
+    """Whether the normal law's probabilities are those of the nodes' means and covariances."""
+    told = {event.name: event for event in risk.normal_law}
+    if len(told) != len(risk.normal_law):
+        return False
+    if risk.scope == "flight" and told.keys() == {WHOLE_FLIGHT}:
+        return len(told[WHOLE_FLIGHT].probability) == 1
+    expected = node_probabilities(mission, solution)
+    return told.keys() == expected.keys() and all(
+        np.array_equal(told[name].t_s, times) and _agree(told[name], probability)
+        for name, (times, probability) in expected.items()
+    )
+
+
+def _agree(told: EventProbability, expected: Array) -> bool:
+    p = np.array(told.probability)
+    return bool(np.all(np.abs(p - expected) <= ERROR + 5.0 * np.sqrt(p * (1.0 - p) / DRAWS)))
+
+
+def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[Array, Array]]:
+    """Times and probabilities of each joint constraint, by draws from the nodes' normal laws."""
+    times = np.array(solution.nodes.t_s)
+    mean = np.array(solution.nodes.state)[:, :3]
+    covariance = np.array(solution.nodes.covariance)[:, :3, :3]
+    values, axes = np.linalg.eigh(covariance)
+    root = axes * np.sqrt(np.maximum(values, 0.0))[:, None]
+    draws = np.random.default_rng(SEED).standard_normal((DRAWS, 3))
+    first, last = mission.schedule.window_s
+    window = (times >= first) & (times <= last)
+
+    def positions(nodes: npt.NDArray[np.bool_]) -> Array:
+        return np.asarray(mean[nodes, None] + draws @ root[nodes].swapaxes(1, 2))
+
+    everywhere = np.ones(len(times), dtype=bool)
+    safe = np.linalg.norm(positions(everywhere), axis=2) >= mission.scenario.safety.radius_min_m
+    seen = joint_margins(mission, times[window], positions(window))
+    kept = {name: (times[window], (margin >= 0.0).mean(axis=1)) for name, margin in seen.items()}
+    return {SAFETY: (times, safe.mean(axis=1)), **kept}
+
+
+def _is_certificate(reached: Reached | None) -> bool:
+    """Whether its interval is that of its flights."""
+    if reached is None:
+        return True
+    kept = proportion(round(reached.reached * reached.samples), reached.samples)
+    told = (reached.reached, reached.low, reached.high)
+    same = np.allclose(told, kept, rtol=0.0, atol=1e-9)
+    return bool(same) and reached.reached <= reached.at_nodes
+
+
+def _are_results(solution: Solution, risk: Risk, burn_margins: dict[str, Array]) -> bool:
+    """Whether each constraint is told once, with its kind, its unit and its smallest margin."""
+    stored = {c.name: c for c in solution.constraints}
+    told = {event.name: event for event in risk.normal_law}
+    if len(stored) != len(solution.constraints) or stored.keys() != {*told, *burn_margins}:
+        return False
+    for name, margin in burn_margins.items():
+        burn = stored[name]
+        if (burn.kind, burn.unit, burn.facets) != ("burn", "m/s", 0):
+            return False
+        if abs(burn.worst_margin - margin.min()) > BURN_ERROR:
+            return False
+    for name, event in told.items():
+        joint, least = stored[name], int(np.argmin(event.probability))
+        joint_margin = float(ndtri(event.probability[least]) - ndtri(risk.aim))
+        if (joint.kind, joint.unit, joint.facets) != ("joint", "sigma", 0):
+            return False
+        if abs(joint.worst_t_s - event.t_s[least]) > TIME_ERROR_S:
+            return False
+        if abs(joint.worst_margin - joint_margin) > SIGMA_ERROR:
+            return False
+    return True
