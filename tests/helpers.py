@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 
@@ -14,6 +15,8 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.execution_errors import ComponentwiseErrors
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball, Cone
+from formulations.rows.chance import ChanceRows
+from formulations.rows.deterministic import DeterministicRows
 
 Array = npt.NDArray[np.float64]
 
@@ -160,3 +163,9 @@ def constrain(
                 region = Cone(apex, away, 0.6)
             constraints.append(StateConstraint(f"{shape}_{keep}", chosen, region, keep, 0.8))
     return replace(flyby, problem=replace(problem, constraints=tuple(constraints)))
+
+
+def near_from(patch: pytest.MonkeyPatch, room: float) -> None:
+    """Let the rows of P3 and P2 take part in condensed programs from this room on."""
+    for rows in (ChanceRows, DeterministicRows):
+        patch.setattr(rows, "near", room)

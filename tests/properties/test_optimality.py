@@ -244,6 +244,10 @@ class Watched:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)
 
+    def resolving(self, resolution: float) -> Watched:
+        assert resolution == 0.0
+        return self
+
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
     ) -> tuple[State, Record]:

@@ -16,12 +16,12 @@ from formulations.program.condensed import CondensedSubproblem, ConeSize, compil
 from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.program.subproblem import Step
 from formulations.rows.chance import ChanceRows
-from formulations.rows.cones import Rows
+from formulations.rows.cones import NEAR_LENGTH, Rows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
-from tests.helpers import Array, constrain, generators, random_flyby
+from tests.helpers import Array, constrain, generators, near_from, random_flyby
 
 from .support import (
     PENALTIES,
@@ -35,7 +35,7 @@ from .support import (
     tighten,
 )
 
-FAR, WITHIN, MISSED = 1.0, 0.5 * condensed.NEAR, -10.0 * condensed.MISSED
+FAR, WITHIN, MISSED = 1.0, 0.5 * NEAR_LENGTH, -10.0 * condensed.MISSED
 
 
 def make(
@@ -103,7 +103,7 @@ def test_rows_near_binding_are_taken_at_every_iterate_anew(lin: Linearisation) -
 def test_near_is_below_the_limit(lin: Linearisation) -> None:
     subproblem = Told(lin)
     room = subproblem.slack()
-    room[:3] = 0.999 * condensed.NEAR, condensed.NEAR, -FAR
+    room[:3] = 0.999 * NEAR_LENGTH, NEAR_LENGTH, -FAR
     subproblem.told = [room]
     subproblem.update(lin)
     assert subproblem.taken == [0, 2]
@@ -144,7 +144,7 @@ def test_a_row_is_missed_by_more_than_the_solvers_tolerance(
 def test_with_no_room_at_all_only_what_is_missed_comes_in(
     lin: Linearisation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(condensed, "NEAR", -np.inf)
+    near_from(monkeypatch, -np.inf)
     subproblem = Told(lin)
     subproblem.told = [subproblem.slack(), subproblem.slack(within=[2], missed=[5])]
     subproblem.update(lin)
@@ -179,7 +179,7 @@ def test_rows_that_are_left_out_change_nothing(
     with pytest.MonkeyPatch.context() as patch:
         tighten(patch)
         for room in (near, np.inf):
-            patch.setattr(condensed, "NEAR", room)
+            near_from(patch, room)
             found.append(minimum(make(lin, rows, penalty).solve(0.5, charge), lin, charge))
     assert found[0] == pytest.approx(found[1], rel=1e-7 if penalty == "exact" else 1e-6)
 
@@ -187,7 +187,7 @@ def test_rows_that_are_left_out_change_nothing(
 def test_rows_far_from_binding_are_left_out_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
     lin = linearised(np.random.default_rng(7))
     subproblem = Told(lin)
-    monkeypatch.setattr(condensed, "NEAR", -np.inf)
+    near_from(monkeypatch, -np.inf)
     subproblem.update(lin)
     subproblem.solve(0.5, 10.0)
     sizes = [len(taken) for taken in subproblem.attempts]
@@ -269,7 +269,7 @@ def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(
         tighten(patch)
         for few, near in ((slots, -np.inf), (256, np.inf)):
             patch.setattr(condensed, "SLOTS", few)
-            patch.setattr(condensed, "NEAR", near)
+            near_from(patch, near)
             subproblem = make(lin, rows, penalty)
             found.append(subproblem.solve(0.5, charge))
     assert subproblem._active.all()  # nothing but unused slots sets the second apart
@@ -288,7 +288,7 @@ def test_unused_slots_change_nothing(
 ) -> None:
     """Twice as many as rows, one more, or many times as many."""
     tighten(monkeypatch)
-    monkeypatch.setattr(condensed, "NEAR", np.inf)
+    near_from(monkeypatch, np.inf)
     lin = linearised(np.random.default_rng(12))
     rows = every_row(lin, name)
     charge, found = charge_for(penalty, rows, lin), []

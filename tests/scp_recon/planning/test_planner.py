@@ -10,7 +10,6 @@ import pytest
 
 from formulations.problem.facets import choose_facets, included_rows
 from formulations.problem.flyby import Iterate
-from formulations.program import condensed
 from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
 from formulations.rows.chance import ChanceRows
@@ -26,6 +25,7 @@ from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify
+from tests.helpers import near_from
 from tests.scp_recon.support import Array, burns_of, mission_of
 
 TIGHT = ("polytopes.ball=tangent", "polytopes.cone=12")
@@ -490,7 +490,7 @@ def test_rows_left_out_of_its_programs_do_not_change_a_stage(
     assert facets is not None
     found = []
     for near, clearance_m in ((0.04, CLEARANCE_M), (0.04, 40.0), (np.inf, np.inf)):
-        monkeypatch.setattr(condensed, "NEAR", near)
+        near_from(monkeypatch, near)
         planner = Planner(mission)
         rows = planner.p2_rows(facets, start, clearance_m)
         subproblem = planner.subproblem(rows)

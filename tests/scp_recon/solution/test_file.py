@@ -165,6 +165,8 @@ def other(value: object) -> object:
             return f"{value}x"
         case datetime():
             return value + timedelta(microseconds=1)
+        case ():
+            return (1.0,)
         case (first, *rest):
             return (other(first), *rest)
     raise TypeError(value)
