@@ -82,15 +82,23 @@ Chord = tuple[Array, Array]
 """Where lines start + s direction lie in a region: from and to which s, (inf, inf) if nowhere."""
 
 
-def _between_roots(a: Array, b: Array, c: Array) -> Chord:
-    """Both roots of a s^2 + 2 b s + c in ascending order, without cancellation; infinite if none."""
+def _roots(a: Array, b: Array, c: Array) -> Chord:
+    """Both roots of a s^2 + 2 b s + c in ascending order, without cancellation; inf if there are none.
+
+    For negative `a` there always are some, and zero counts as that: one root is infinite then.
+    """
     discriminant = b * b - a * c
-    real = (discriminant > 0.0) & (a != 0.0)
-    q = -(b + np.copysign(np.sqrt(np.where(real, discriminant, 0.0)), b))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = q / a, c / q
+    real = (discriminant > 0.0) | (a < 0.0)
+    q = -(b + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), b))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        one, other = q / np.where(a == 0.0, -0.0, a), np.where(q == 0.0, 0.0, c / q)
     low, high = np.minimum(one, other), np.maximum(one, other)
     return np.where(real, low, np.inf), np.where(real, high, np.inf)
+
+
+def _all_along(still: npt.NDArray[np.bool_], low: Array, high: Array) -> Chord:
+    """A line without direction that starts inside is inside."""
+    return np.where(still, -np.inf, low), np.where(still, np.inf, high)
 
 
 @dataclass(frozen=True)
@@ -124,7 +132,7 @@ class Ball:
         a = np.einsum("nki,nki->nk", direction, direction)
         b = np.einsum("nki,nki->nk", direction, off)
         c = np.einsum("nki,nki->nk", off, off) - self.radius**2
-        return _between_roots(a, b, c)
+        return _all_along((a == 0.0) & (c < 0.0), *_roots(a, b, c))
 
     @cached_property
     def second_order_cone(self) -> SecondOrderCone:
@@ -191,15 +199,16 @@ class Cone:
         a = cos2 * np.einsum("nki,nki->nk", direction, direction) - climb**2
         b = cos2 * np.einsum("nki,nki->nk", direction, off) - climb * along
         c = cos2 * np.einsum("nki,nki->nk", off, off) - along**2
-        low, high = _between_roots(a, b, c)
+        low, high = _roots(a, b, c)
         # Steeper than the cone a line leaves one nappe at the lower root and enters the other above.
-        steep = a < 0.0
+        steep = a <= 0.0
         up = climb > 0.0
         first = np.where(steep & ~up, -np.inf, np.where(steep, high, low))
         last = np.where(steep & up, np.inf, np.where(steep, low, high))
-        met = np.isfinite(low)
+        met = (low < np.inf) & (first < last)
         met &= steep | (along + climb * np.where(met, low, 0.0) > 0.0)
-        return np.where(met, first, np.inf), np.where(met, last, np.inf)
+        still = (a == 0.0) & (b == 0.0) & (c < 0.0) & (along > 0.0)
+        return _all_along(still, np.where(met, first, np.inf), np.where(met, last, np.inf))
 
     @cached_property
     def second_order_cone(self) -> SecondOrderCone:

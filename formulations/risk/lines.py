@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import gammainc, gammaincc, gammaln, ndtr
+from scipy.special import gammainc, gammaincc, gammaln, ndtr, xlogy
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -78,8 +78,8 @@ class TwoSidedChiLaw:
         """See `Law`."""
         n = self.dimension
         size = np.abs(s)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            log = (n - 1) * np.log(size) - 0.5 * size**2 - (0.5 * n - 1.0) * np.log(2.0)
+        with np.errstate(invalid="ignore"):
+            log = xlogy(n - 1, size) - 0.5 * size**2 - (0.5 * n - 1.0) * np.log(2.0)
         value = 0.5 * np.exp(log - gammaln(0.5 * n))
         return np.where(np.isfinite(size), value, 0.0)
 
