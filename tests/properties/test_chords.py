@@ -1,0 +1,189 @@
+"""Where lines lie in balls and cones: against points along them, and where lines touch or stand still."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from formulations.problem.regions import Ball, Cone, Region, perpendicular
+from tests.helpers import Array, generators, random_unit
+
+AT = np.concatenate([-np.geomspace(1e3, 1e-3, 400), [0.0], np.geomspace(1e-3, 1e3, 400)])
+"""Where along a line membership is asked."""
+
+SURFACE = 1e-9
+"""Depth over distance at which a point counts as on the surface, where rounding may say either."""
+
+
+def region_and_line(rng: np.random.Generator) -> tuple[Region, Array, Array]:
+    """A region about the origin, and a line near it."""
+    start, direction = rng.normal(size=3), rng.normal(size=3) * np.exp(rng.normal())
+    if rng.integers(2):
+        return Ball(rng.normal(size=(1, 3)), float(rng.uniform(0.1, 2.0))), start, direction
+    half_angle = float(rng.uniform(0.02, np.pi / 2 - 0.02))
+    return Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle), start, direction
+
+
+def chord(region: Region, start: Array, direction: Array) -> tuple[float, float]:
+    low, high = region.chord(start[None, None], direction[None, None])
+    assert low.shape == high.shape == (1, 1)
+    return low.item(), high.item()
+
+
+def inside(region: Region, start: Array, direction: Array) -> tuple[Array, Array]:
+    """Depths of the points at `AT`, and how far each is from the region's anchor."""
+    points = start + AT[:, None] * direction
+    anchor = region.center if isinstance(region, Ball) else region.apex
+    many = region.at(np.zeros(len(points), dtype=np.intp))
+    return many.inside(points), np.linalg.norm(points - anchor, axis=1)
+
+
+def assert_holds(region: Region, start: Array, direction: Array) -> None:
+    low, high = chord(region, start, direction)
+    assert low <= high
+    assert low < high or (low, high) == (np.inf, np.inf) or abs(low) < np.inf
+    depth, distance = inside(region, start, direction)
+    clear = np.abs(depth) > SURFACE * (1.0 + distance)
+    within = (low < AT) & (high > AT)
+    np.testing.assert_array_equal(within[clear], depth[clear] > 0.0)
+
+
+def assert_ends_on_the_surface(region: Region, start: Array, direction: Array) -> None:
+    for end in chord(region, start, direction):
+        if np.isfinite(end):
+            point = (start + end * direction)[None]
+            scale = 1.0 + float(np.linalg.norm(point)) + float(np.linalg.norm(start))
+            assert abs(region.inside(point).item()) < 1e-7 * scale
+
+
+@given(generators)
+def test_a_chord_holds_the_points_of_the_line_that_are_inside(rng: np.random.Generator) -> None:
+    region, start, direction = region_and_line(rng)
+    assert_holds(region, start, direction)
+    assert_ends_on_the_surface(region, start, direction)
+
+
+@given(generators, st.sampled_from([1e-12, 1e-6, 1e-3]), st.sampled_from([-1.0, 1.0]))
+def test_a_line_that_grazes_a_ball(rng: np.random.Generator, gap: float, side: float) -> None:
+    ball = Ball(rng.normal(size=(1, 3)), 1.0)
+    out = random_unit(rng)
+    along = perpendicular(out[None])[0]
+    low, high = chord(ball, ball.center[0] + (1.0 - side * gap) * out - 3.0 * along, along)
+    if side < 0.0:
+        assert (low, high) == (np.inf, np.inf)
+    else:
+        half = np.sqrt(2.0 * gap - gap**2)
+        assert [low, high] == pytest.approx([3.0 - half, 3.0 + half], abs=1e-15 / gap**0.5 + 1e-12)
+
+
+@given(generators, st.sampled_from([-1.0, 1.0]), st.floats(0.02, 1.4), st.floats(0.0, 0.98))
+def test_a_steep_line_is_in_its_cone_from_one_point_on(
+    rng: np.random.Generator, up: float, half_angle: float, share: float
+) -> None:
+    """Whatever nappe it comes from."""
+    cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
+    tilt = share * half_angle
+    direction = up * (np.cos(tilt) * cone.axis + np.sin(tilt) * perpendicular(cone.axis))[0]
+    start = rng.normal(size=3)
+    low, high = chord(cone, start, direction)
+    assert np.isfinite(low if up > 0.0 else high)
+    assert np.isinf(high if up > 0.0 else low)
+    assert_holds(cone, start, direction)
+
+
+@given(generators, st.floats(0.05, 1.4), st.floats(0.05, 1.0))
+def test_a_shallow_line_through_the_wrong_nappe_is_not_in_the_cone(
+    rng: np.random.Generator, half_angle: float, depth: float
+) -> None:
+    cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
+    behind = cone.apex[0] - depth * cone.axis[0]
+    assert chord(cone, behind, perpendicular(cone.axis)[0]) == (np.inf, np.inf)
+    ahead = cone.apex[0] + depth * cone.axis[0]
+    reach = depth * np.tan(half_angle)
+    assert chord(cone, ahead, perpendicular(cone.axis)[0]) == pytest.approx((-reach, reach))
+
+
+@given(generators, st.floats(0.05, 1.4), st.floats(-3.0, 3.0), st.floats(0.0, 0.9))
+def test_a_steep_line_through_the_apex_is_in_the_cone_from_there(
+    rng: np.random.Generator, half_angle: float, back: float, share: float
+) -> None:
+    cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle)
+    tilt = share * half_angle
+    direction = (np.cos(tilt) * cone.axis + np.sin(tilt) * perpendicular(cone.axis))[0]
+    low, high = chord(cone, cone.apex[0] - back * direction, direction)
+    assert high == np.inf
+    # Both roots are the apex: rounding splits them by its square root.
+    assert low == pytest.approx(back, abs=1e-6)
+    assert chord(cone, cone.apex[0], direction) == (0.0, np.inf)
+
+
+@pytest.mark.parametrize("shift", [0.5, -0.5])
+def test_a_line_along_a_ray_of_the_surface_is_inside_from_one_point_or_never(shift: float) -> None:
+    """cos^2 |v|^2 = (u'v)^2 exactly: one of the roots is at infinity."""
+    cone = Cone(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), float(np.arccos(0.6)))
+    direction = np.array([0.8, 0.0, 0.6])
+    assert np.cos(cone.half_angle) ** 2 * (direction @ direction) == pytest.approx(0.36)
+    start = shift * np.array([0.0, 0.0, 1.0])
+    for exact in (cone, Cone(cone.apex, cone.axis, np.pi / 4)):
+        along = direction if exact is cone else np.array([1.0, 0.0, 1.0])
+        for way in (1.0, -1.0):
+            assert_holds(exact, start, way * along)
+
+
+@given(generators)
+def test_lines_along_normals_of_a_cone_of_45_degrees_leave_it(rng: np.random.Generator) -> None:
+    """They are parallel to the rays of the far side, so that rounding alone says how steep they are."""
+    cone = Cone(np.zeros((1, 3)), random_unit(rng, 1), np.pi / 4)
+    point = cone.axis + rng.uniform(0.1, 0.9) * cone.across(rng.normal(size=(1, 3)))
+    normal = cone.supporting(point).normal
+    low, high = chord(cone, point[0], normal[0])
+    assert high == pytest.approx(cone.inside(point)[0])
+    assert low < -1e6
+
+
+@given(generators)
+def test_a_line_without_direction_is_where_it_starts(rng: np.random.Generator) -> None:
+    region, start, _ = region_and_line(rng)
+    depth = region.inside(start[None]).item()
+    assume(abs(depth) > 1e-9)
+    everywhere, nowhere = (-np.inf, np.inf), (np.inf, np.inf)
+    assert chord(region, start, np.zeros(3)) == (everywhere if depth > 0.0 else nowhere)
+
+
+@given(generators)
+def test_each_nodes_chords_are_its_own(rng: np.random.Generator) -> None:
+    """Of n regions, k lines each, from one start or from k."""
+    n, k = 4, 5
+    start, direction = rng.normal(size=(n, k, 3)), rng.normal(size=(n, k, 3))
+    anchor = rng.normal(size=(n, 3))
+    for regions in (Ball(anchor, 1.5), Cone(anchor, random_unit(rng, n), 0.7)):
+        for starts in (start, start[:, :1]):
+            low, high = regions.chord(starts, direction)
+            assert low.shape == high.shape == (n, k)
+            for i in range(n):
+                one = regions.at(np.array([i]))
+                for j in range(k):
+                    at = starts[i, min(j, starts.shape[1] - 1)]
+                    expected = chord(one, at, direction[i, j])
+                    assert (low[i, j], high[i, j]) == pytest.approx(expected)
+
+
+@given(generators)
+def test_the_radius_of_curvature_is_that_of_the_nearest_surface(rng: np.random.Generator) -> None:
+    """How far a step t across leaves the tangent plane: t^2 / 2 r, along the flattest way none."""
+    ball, point = Ball(rng.normal(size=(1, 3)), 1.3), rng.normal(size=(1, 3))
+    assert ball.curvature_radius(point) == pytest.approx(1.3)
+    cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), float(rng.uniform(0.1, 1.3)))
+    ray = np.cos(cone.half_angle) * cone.axis
+    ray = ray + np.sin(cone.half_angle) * cone.across(rng.normal(size=(1, 3)))
+    touched = cone.apex + ray * rng.uniform(0.5, 3.0)
+    normal = cone.supporting(touched).normal
+    near = touched + normal * rng.uniform(-0.2, 0.2)
+    radius = cone.curvature_radius(near).item()
+    step = 1e-3 * radius
+    tangent = np.cross(normal, ray)
+    bent = -cone.inside(touched + step * tangent).item()
+    # The distance to the cone: seen along its normal, the surface falls back by as much.
+    assert bent == pytest.approx(step**2 / (2.0 * radius), rel=1e-2)
