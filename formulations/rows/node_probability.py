@@ -20,9 +20,13 @@ from formulations.problem.flyby import Nodes, StateConstraint
 from formulations.problem.regions import Array, Region, perpendicular
 from formulations.risk.lines import NormalLaw, kept_segments
 
-ACROSS = {0.15: 8, 0.25: 16, np.inf: 32}
+ACROSS = {0.05: 8, 0.15: 16, np.inf: 32}
 """Gauss-Hermite points in each direction across, by the spread over the radius of curvature up to which
 they serve. Lines that graze a limit limit their accuracy once the spread nears that radius."""
+
+GRAZED, SLANT = 0.15, 3.0
+"""Spread over radius from which on lines run along a limit's normal, and the slope of the limit across
+it, in standard deviations, up to which they do."""
 
 FAR = 7.0
 """Deviations from the nearest limit at which its facet alone tells: P is within 1e-12 of 0 or 1."""
@@ -128,15 +132,20 @@ def node_quantiles(event: Event, position: Array, factor: Array, careful: float 
     ratio = np.sqrt(np.trace(covariance, axis1=1, axis2=2)) / radius
     tier = np.searchsorted(list(ACROSS), ratio)
     told = np.abs(value) < FAR
-    for number, points in enumerate(ACROSS.values()):
+    for number, (limit, points) in enumerate(ACROSS.items()):
         near = np.flatnonzero(told & (tier == number))
         if len(near) == 0:
             continue
-        p, p_mean, p_covariance = _probability(event, near, position, covariance, normal, points)
+        p, p_mean, p_covariance = _probability(
+            event, near, position, covariance, normal, points, wide=limit > GRAZED
+        )
         sure = np.clip(p, 1e-13, 1.0 - 1e-13)
         g = ndtri(sure)
-        # Where the quadrature sees no more of it than rounding, the facet goes on telling.
+        # Where the quadrature sees no more of it than rounding, the facet goes on telling which way.
         seen = sure == p
+        unseen = near[~seen]
+        sign = np.sign(g[~seen])
+        value[unseen] = sign * np.maximum(sign * value[unseen], np.abs(g[~seen]))
         near, g, p_mean, p_covariance = near[seen], g[seen], p_mean[seen], p_covariance[seen]
         scale = 1.0 / NormalLaw().density(g)
         value[near] = g
@@ -146,12 +155,18 @@ def node_quantiles(event: Event, position: Array, factor: Array, careful: float 
 
 
 def _probability(
-    event: Event, near: Nodes, position: Array, covariance: Array, normal: Array, points: int
+    event: Event,
+    near: Nodes,
+    position: Array,
+    covariance: Array,
+    normal: Array,
+    points: int,
+    *,
+    wide: bool,
 ) -> tuple[Array, Array, Array]:
     """P at some of the nodes with dP/dmean (k, 3) and the symmetric dP/dcovariance (k, 3, 3)."""
     root = np.linalg.cholesky(covariance[near])
-    first = np.einsum("nij,ni->nj", root, normal[near])
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    first = _line_direction(root, normal[near], wide=wide)
     second = perpendicular(first)
     frame = np.stack([first, second, np.cross(first, second)], axis=1)  # rows
     u, v, weight = _grid_across(points)
@@ -190,6 +205,20 @@ def _probability(
     # P depends on the root L of the covariance only through LL': dP/dL = 2 G L.
     half = 0.5 * np.linalg.solve(root.swapaxes(1, 2), by_root.swapaxes(1, 2)).swapaxes(1, 2)
     return np.asarray(p, dtype=float), by_mean, 0.5 * (half + half.swapaxes(1, 2))
+
+
+def _line_direction(root: Array, normal: Array, *, wide: bool) -> Array:
+    """Unit vectors w such that lines run along L w, shape (k, 3).
+
+    In standard deviations, those that meet the limit at right angles need the fewest points across. Where
+    the spread is wide some of them graze it, and those along its normal serve better, unless they meet
+    it at too much of a slant.
+    """
+    upright = np.einsum("nij,ni->nj", root, normal)
+    straight = np.linalg.solve(root, normal[:, :, None])[:, :, 0]
+    sizes = [np.linalg.norm(w, axis=1, keepdims=True) for w in (upright, straight)]
+    slanted = sizes[0] * sizes[1] > np.hypot(1.0, SLANT)
+    return np.where(slanted | (not wide), upright / sizes[0], straight / sizes[1])
 
 
 @cache
