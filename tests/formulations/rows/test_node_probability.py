@@ -1,0 +1,368 @@
+"""Probabilities at nodes: against known laws and nested quadrature, and their gradients."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import ndtr
+
+from formulations.problem.flyby import StateConstraint
+from formulations.problem.regions import Ball, Cone, Region
+from formulations.rows.node_probability import (
+    SPREAD_MIN,
+    Event,
+    Quantiles,
+    joint_events,
+    node_quantiles,
+)
+from tests.helpers import Array, generators, random_rotation, random_unit, share_of_examples
+from tests.normal_law import ball_probability, cone_probability, round_ball_probability
+
+few = settings(max_examples=share_of_examples(3))
+QUADRATURE = 1e-6
+"""Error of a probability, for a spread up to a quarter of the radius."""
+
+sigmas_away = st.floats(-4.0, 4.0)
+
+
+def event(keep_in: tuple[Region, ...] = (), keep_out: tuple[Region, ...] = ()) -> Event:
+    first = (keep_in + keep_out)[0]
+    n = len(first.center if isinstance(first, Ball) else first.apex)
+    return Event("event", np.arange(n), keep_in, keep_out)
+
+
+def many(region: Region, count: int) -> Region:
+    return region.at(np.zeros(count, dtype=np.intp))
+
+
+def probability(found: Quantiles) -> Array:
+    return np.asarray(ndtr(found.value))
+
+
+def root(
+    rng: np.random.Generator, spread: float, slenderness: float = 2.0, count: int = 1
+) -> Array:
+    """Factors (count, 3, 5) of laws whose total spread is given, one axis up to so much longer."""
+    parts = []
+    for _ in range(count):
+        sigma = np.exp(rng.uniform(0.0, np.log(slenderness), 3))
+        square = random_rotation(rng) @ np.diag(spread * sigma / np.linalg.norm(sigma))
+        mixed, _ = np.linalg.qr(rng.normal(size=(5, 3)))
+        parts.append(square @ mixed.T)
+    return np.array(parts)
+
+
+def covariance(factor: Array) -> Array:
+    """With what is added so that no flight is without a gradient."""
+    return factor @ factor.swapaxes(-1, -2) + SPREAD_MIN**2 * np.eye(3)
+
+
+def touched(rng: np.random.Generator, region: Region) -> tuple[Array, Array]:
+    """A point of the surface and the normal there (1, 3); of a cone well away from its apex."""
+    if isinstance(region, Ball):
+        normal = random_unit(rng, 1)
+        return region.center + region.radius * normal, normal
+    off = region.across(rng.normal(size=(1, 3)))
+    ray = np.cos(region.half_angle) * region.axis + np.sin(region.half_angle) * off
+    point = region.apex + ray / np.tan(region.half_angle)  # where the radius of curvature is one
+    return point, region.supporting(point).normal
+
+
+def some_region(rng: np.random.Generator) -> Region:
+    if rng.integers(2):
+        return Ball(rng.normal(size=(1, 3)), 1.0)
+    return Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), float(rng.uniform(0.2, 0.9)))
+
+
+def oracle(region: Region, mean: Array, factor: Array) -> float:
+    if isinstance(region, Ball):
+        return ball_probability(region, mean[0], covariance(factor)[0])
+    return cone_probability(region, mean[0], covariance(factor)[0])
+
+
+def away(rng: np.random.Generator, region: Region, factor: Array, deviations: float) -> Array:
+    """A mean (1, 3) so many standard deviations outside the region's nearest facet."""
+    point, normal = touched(rng, region)
+    sigma = np.sqrt(normal[0] @ covariance(factor)[0] @ normal[0])
+    return np.asarray(point + deviations * sigma * normal)
+
+
+# --- the oracles themselves ---------------------------------------------------------------------
+
+
+@given(st.floats(0.01, 0.5), st.floats(0.0, 1.5))
+@few
+def test_slices_of_a_ball_add_up_to_the_noncentral_chi_square_law(
+    sigma: float, distance: float
+) -> None:
+    mean, ball = np.array([0.0, distance, 0.0]), Ball(np.zeros((1, 3)), 1.0)
+    found = ball_probability(ball, mean, sigma**2 * np.eye(3))
+    expected = round_ball_probability(1.0, np.array(distance), np.array(sigma))
+    assert found == pytest.approx(float(expected), abs=1e-11)
+
+
+@pytest.mark.parametrize("half_angle", [0.2, 0.7, 1.3])
+def test_slices_of_a_cone_about_the_mean_add_up_to_its_solid_angle(half_angle: float) -> None:
+    cone = Cone(np.zeros((1, 3)), np.array([[0.6, 0.0, 0.8]]), half_angle)
+    share = 0.5 * (1.0 - np.cos(half_angle))
+    assert cone_probability(cone, np.zeros(3), np.eye(3)) == pytest.approx(share, abs=1e-10)
+
+
+# --- probabilities ------------------------------------------------------------------------------
+
+
+@given(st.floats(0.002, 0.25 / np.sqrt(3.0)), generators)
+@few
+def test_balls_follow_the_noncentral_chi_square_law(sigma: float, rng: np.random.Generator) -> None:
+    n = 40
+    normal = random_unit(rng, n)
+    distance = np.r_[0.0, rng.uniform(0.0, 1.0, 9), 1.0 + sigma * rng.uniform(-5.0, 5.0, n - 10)]
+    mean, ball = distance[:, None] * normal, many(Ball(np.zeros((1, 3)), 1.0), n)
+    factor = np.broadcast_to(sigma * np.eye(3), (n, 3, 3))
+    expected = round_ball_probability(1.0, distance, np.hypot(sigma, SPREAD_MIN))
+    within = probability(node_quantiles(event((ball,)), mean, factor))
+    without = probability(node_quantiles(event((), (ball,)), mean, factor))
+    np.testing.assert_allclose(within, expected, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(without, 1.0 - expected, rtol=0.0, atol=1e-9)
+
+
+@given(st.floats(0.01, 0.14), st.floats(0.3, 0.9), generators)
+@few
+def test_a_shell_is_the_difference_of_two_balls(
+    share: float, inner: float, rng: np.random.Generator
+) -> None:
+    """However thin against the spread, which is up to a quarter of the smaller radius."""
+    n, sigma = 30, share * inner
+    distance = rng.uniform(inner - 3.0 * sigma, 1.0 + 3.0 * sigma, n)
+    mean = distance[:, None] * random_unit(rng, n)
+    outer, hole = (many(Ball(np.zeros((1, 3)), radius), n) for radius in (1.0, inner))
+    factor = np.broadcast_to(sigma * np.eye(3), (n, 3, 3))
+    expected = round_ball_probability(1.0, distance, np.hypot(sigma, SPREAD_MIN))
+    expected = expected - round_ball_probability(inner, distance, np.hypot(sigma, SPREAD_MIN))
+    found = probability(node_quantiles(event((outer,), (hole,)), mean, factor))
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=QUADRATURE)
+
+
+@given(st.floats(0.002, 0.25), sigmas_away, generators)
+@few
+def test_balls_and_cones_agree_with_nested_quadrature(
+    spread: float, deviations: float, rng: np.random.Generator
+) -> None:
+    region = some_region(rng)
+    factor = root(rng, spread)
+    mean = away(rng, region, factor, deviations)
+    expected = oracle(region, mean, factor)
+    within = probability(node_quantiles(event((region,)), mean, factor))
+    without = probability(node_quantiles(event((), (region,)), mean, factor))
+    assert within.item() == pytest.approx(expected, abs=QUADRATURE)
+    assert without.item() == pytest.approx(1.0 - expected, abs=QUADRATURE)
+
+
+@given(st.floats(0.002, 0.5), sigmas_away, generators)
+@few
+def test_slender_and_wide_laws_agree_roughly(
+    spread: float, deviations: float, rng: np.random.Generator
+) -> None:
+    """Five times longer than thick, or half as wide as the radius."""
+    region = some_region(rng)
+    factor = root(rng, spread, 5.0)
+    mean = away(rng, region, factor, deviations)
+    found = probability(node_quantiles(event((region,)), mean, factor))
+    assert found.item() == pytest.approx(oracle(region, mean, factor), abs=5e-3)
+
+
+@given(generators)
+@few
+def test_between_two_cones(rng: np.random.Generator) -> None:
+    apex, axis = rng.normal(size=(1, 3)), random_unit(rng, 1)
+    inner, outer = (Cone(apex, axis, angle) for angle in (0.4, 0.9))
+    factor = root(rng, float(rng.uniform(0.005, 0.08)))
+    angle, off = rng.uniform(0.3, 1.0), outer.across(rng.normal(size=(1, 3)))
+    mean = apex + np.cos(angle) * axis + np.sin(angle) * off
+    expected = oracle(outer, mean, factor) - oracle(inner, mean, factor)
+    found = probability(node_quantiles(event((outer,), (inner,)), mean, factor))
+    assert found.item() == pytest.approx(expected, abs=QUADRATURE)
+
+
+def test_a_large_sample_agrees() -> None:
+    """Of a law five times longer than thick, between two balls and outside a cone at once."""
+    rng = np.random.default_rng(3)
+    ball = Ball(np.zeros((1, 3)), 1.0)
+    hole, cone = Ball(np.zeros((1, 3)), 0.8), Cone(np.zeros((1, 3)), np.eye(3)[[2]], 0.5)
+    mean, factor = np.array([[0.0, 0.55, 0.7]]), root(rng, 0.1, 5.0)
+    points = mean + rng.normal(size=(1_000_000, 5)) @ factor[0].T
+    depths = [many(region, len(points)).inside(points) for region in (ball, hole, cone)]
+    share = float(np.mean((depths[0] > 0.0) & (depths[1] < 0.0) & (depths[2] < 0.0)))
+    found = probability(node_quantiles(event((ball,), (hole, cone)), mean, factor)).item()
+    assert 0.05 < share < 0.95
+    assert found == pytest.approx(share, abs=4.0 * np.sqrt(share * (1.0 - share) / len(points)))
+
+
+@given(st.floats(-6.5, 6.5), generators)
+def test_a_half_space_has_its_closed_form(deviations: float, rng: np.random.Generator) -> None:
+    """A huge ball: g = (b - a'mu) / ||S'a||, and the gradients of that."""
+    normal, factor, radius = random_unit(rng), root(rng, 1.0, 5.0), 1e6
+    ball = Ball(-radius * normal[None], radius)
+    along = factor[0].T @ normal
+    sigma = np.linalg.norm(along)
+    side = np.cross(normal, random_unit(rng))
+    mean = (-deviations * sigma * normal + side)[None]
+    found = node_quantiles(event((ball,)), mean, factor)
+    # The ball falls away from the plane by half a millionth.
+    assert found.value.item() == pytest.approx(deviations, abs=1e-4)
+    np.testing.assert_allclose(found.by_mean[0], -normal / sigma, rtol=1e-4, atol=1e-4 / sigma)
+    expected = -deviations / sigma**2 * np.outer(normal, along)
+    scale = (1.0 + abs(deviations)) / sigma
+    np.testing.assert_allclose(found.by_factor[0], expected, atol=1e-4 * scale)
+
+
+@given(generators, st.booleans())
+def test_without_any_spread_the_means_side_tells(rng: np.random.Generator, out: bool) -> None:
+    region, none = some_region(rng), np.zeros((1, 3, 4))
+    point, normal = touched(rng, region)
+    for side in (-0.01, 0.01):
+        it = event((), (region,)) if out else event((region,))
+        found = node_quantiles(it, point + side * normal, none)
+        assert np.isfinite(found.by_mean).all()
+        assert np.isfinite(found.by_factor).all()
+        holds = (side > 0.0) == out
+        assert found.value.item() > 6.0 if holds else found.value.item() < -6.0
+
+
+@given(generators)
+def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng: np.random.Generator) -> None:
+    """A slender law beside a ball: its tangent plane is near, and the ball itself out of reach."""
+    ball = Ball(np.zeros((1, 3)), 0.43)
+    turn = random_rotation(rng)
+    mean = np.array([[0.97, 0.0, 0.0]]) @ turn.T
+    c, s = np.cos(0.9), np.sin(0.9)
+    tilt = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    factor = (turn @ tilt @ np.diag([0.22, 0.04, 0.006]))[None]
+    found = node_quantiles(event((), (ball,)), mean, factor)
+    lost = ball_probability(ball, mean[0], covariance(factor)[0])
+    plane = 0.54 / np.linalg.norm(mean[0] @ factor[0] / 0.97)
+    assert plane < 4.0
+    assert lost < 1e-13
+    assert found.value.item() > 7.0
+
+
+# --- gradients ----------------------------------------------------------------------------------
+
+
+@given(st.floats(0.005, 0.25), st.floats(-3.0, 3.0), generators, st.booleans())
+@few
+def test_gradients_are_those_of_finite_differences(
+    spread: float, deviations: float, rng: np.random.Generator, out: bool
+) -> None:
+    """In means and factors, relative to a standard deviation."""
+    region, factor = some_region(rng), root(rng, spread)
+    mean = away(rng, region, factor, deviations)
+    it = event((), (region,)) if out else event((region,))
+    found = node_quantiles(it, mean, factor)
+    step = 1e-4 * spread
+    moves = np.concatenate([np.eye(18), -np.eye(18)]) * step
+    means = mean + moves[:, :3]
+    factors = factor + moves[:, 3:].reshape(-1, 3, 5)
+    region = many(region, len(moves))
+    it = event((), (region,)) if out else event((region,))
+    forward, backward = np.split(node_quantiles(it, means, factors).value, 2)
+    slope = spread * (forward - backward) / (2.0 * step)
+    by = spread * np.concatenate([found.by_mean.ravel(), found.by_factor.ravel()])
+    np.testing.assert_allclose(by, slope, rtol=0.0, atol=GRADIENT * (1.0 + np.abs(by).max()))
+
+
+GRADIENT = 2e-3
+"""Where lines graze a limit; the next test has what is reached elsewhere."""
+
+
+@pytest.mark.parametrize(("spread", "accuracy"), [(0.02, 1e-6), (0.1, 1e-6), (0.2, 1e-4)])
+@pytest.mark.parametrize("kind", ["ball", "cone", "shell"])
+def test_gradients_are_good_while_the_spread_is_small(
+    kind: str, spread: float, accuracy: float
+) -> None:
+    rng = np.random.default_rng(11)
+    ball, hole = Ball(np.zeros((1, 3)), 1.0), Ball(np.zeros((1, 3)), 1.0 - 3.0 * spread)
+    cone = Cone(np.zeros((1, 3)), random_unit(rng, 1), 0.7)
+    for _ in range(10):
+        factor = root(rng, spread)
+        nearest: Region = cone if kind == "cone" else ball
+        mean = away(rng, nearest, factor, float(rng.uniform(-2.0, 2.0)))
+        step = 1e-4 * spread
+        moves = np.concatenate([np.eye(18), -np.eye(18)]) * step
+
+        def values(means: Array, factors: Array, nearest: Region = nearest) -> Quantiles:
+            holes = (many(hole, len(means)),) if kind == "shell" else ()
+            return node_quantiles(event((many(nearest, len(means)),), holes), means, factors)
+
+        found = values(mean, factor)
+        moved = values(mean + moves[:, :3], factor + moves[:, 3:].reshape(-1, 3, 5)).value
+        forward, backward = np.split(moved, 2)
+        slope = spread * (forward - backward) / (2.0 * step)
+        by = spread * np.concatenate([found.by_mean.ravel(), found.by_factor.ravel()])
+        np.testing.assert_allclose(by, slope, rtol=0.0, atol=accuracy * (1.0 + np.abs(by).max()))
+
+
+# --- what must be true --------------------------------------------------------------------------
+
+
+@given(st.floats(0.005, 0.2), sigmas_away, generators)
+@few
+def test_wider_limits_are_kept_more_often(
+    spread: float, deviations: float, rng: np.random.Generator
+) -> None:
+    region, factor = some_region(rng), root(rng, spread)
+    mean = away(rng, region, factor, deviations)
+    wider: Region
+    if isinstance(region, Ball):
+        wider = Ball(region.center, 1.05 * region.radius)
+    else:
+        wider = Cone(region.apex, region.axis, 1.05 * region.half_angle)
+    g = [node_quantiles(event((r,)), mean, factor).value.item() for r in (region, wider)]
+    assert g[1] > g[0]
+    g = [node_quantiles(event((), (r,)), mean, factor).value.item() for r in (region, wider)]
+    assert g[1] < g[0]
+
+
+@given(st.floats(0.01, 0.2), st.floats(1.001, 1.5), generators)
+@few
+def test_about_its_centre_a_ball_holds_less_of_a_wider_law(
+    spread: float, more: float, rng: np.random.Generator
+) -> None:
+    """Anderson's inequality: for convex sets symmetric about the mean, monotone in the covariance."""
+    factor = root(rng, spread, 5.0)
+    ball = Ball(rng.normal(size=(1, 3)), float(rng.uniform(1.0, 4.0) * spread))
+    added = np.concatenate([factor, (more - 1.0) * spread * rng.normal(size=(1, 3, 2))], axis=2)
+    less, wider = (node_quantiles(event((ball,)), ball.center, f).value for f in (factor, added))
+    assert wider.item() < less.item() + 1e-3
+
+
+@given(generators)
+def test_nodes_do_not_know_of_each_other(rng: np.random.Generator) -> None:
+    """Whatever their spread and wherever they are: together and one by one."""
+    n = 6
+    mean, anchor = rng.normal(size=(n, 3)), rng.normal(size=(n, 3))
+    factor = np.concatenate([root(rng, spread) for spread in np.geomspace(1e-7, 1.0, n)])
+    it = Event("it", np.arange(n), (Ball(anchor, 2.0),), (Cone(anchor, random_unit(rng, n), 0.4),))
+    together = node_quantiles(it, mean, factor)
+    for i in range(n):
+        alone = node_quantiles(it.at(np.array([i])), mean[[i]], factor[[i]])
+        for part, whole in zip(alone, together, strict=True):
+            np.testing.assert_allclose(part[0], whole[i], rtol=1e-9, atol=1e-12)
+
+
+def test_joint_events_are_made_of_their_sides() -> None:
+    nodes = np.array([2, 5])
+    ball, hole = Ball(np.zeros((2, 3)), 2.0), Ball(np.zeros((2, 3)), 1.0)
+    cone = Cone(np.zeros((2, 3)), np.tile([[0.0, 0.0, 1.0]], (2, 1)), 0.3)
+    constraints = [
+        StateConstraint("far", nodes, ball, "in", 0.9, "distance"),
+        StateConstraint("alone", nodes, cone, "out", 0.9),
+        StateConstraint("near", nodes, hole, "out", 0.9, "distance"),
+    ]
+    first, second = joint_events(constraints)
+    assert (first.name, first.keep_in, first.keep_out) == ("distance", (ball,), (hole,))
+    assert (second.name, second.keep_in, second.keep_out) == ("alone", (), (cone,))
+    np.testing.assert_array_equal(first.nodes, nodes)
+    assert first.limits == (ball, hole)
