@@ -1,0 +1,232 @@
+"""The probability of whole flights: against nodes, Boole, plain Monte Carlo, and its own differences."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import ndtr
+
+from formulations.problem.regions import Ball, Cone
+from formulations.rows.flight_probability import FlightProbability, sphere_directions
+from formulations.rows.node_probability import Event, node_quantiles
+from tests.helpers import Array, generators, random_unit, share_of_examples
+
+LINES = 4096
+few = settings(max_examples=share_of_examples(6))
+seeds = st.integers(0, 2**32 - 1)
+
+
+class Flight(NamedTuple):
+    """Positions (n, 3) and factors (n, 3, d) of a flight, and what it has to keep."""
+
+    mean: Array
+    factor: Array
+    events: tuple[Event, ...]
+
+
+def some_flight(seed: int, outside: float = 0.0, dimension: int = 9) -> Flight:
+    """Through a shell and past a cone; its errors grow. One node may be so far outside a limit."""
+    rng = np.random.default_rng(seed)
+    n = 8
+    t = np.linspace(-1.0, 1.0, n)[:, None]
+    along, up = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+    mean = 0.5 * t * along + 1.05 * up
+    growth = np.linspace(0.3, 1.0, n)[:, None, None]
+    turn = rng.normal(size=(3, dimension)) + 0.5 * t[:, None] * rng.normal(size=(3, dimension))
+    factor = 0.05 * growth * turn / np.sqrt(dimension)
+    late = np.arange(3, n)
+    centre = np.zeros((n, 3))
+    mean[4] += (0.4 + outside if outside else 0.0) * up
+    shell = Event("shell", np.arange(n), (Ball(centre, 1.4),), (Ball(centre, 0.98),))
+    apex = np.zeros((len(late), 3))
+    axis = np.broadcast_to(up, (len(late), 3))
+    cones = Event("cones", late, (Cone(apex, axis, 0.6),), ())
+    return Flight(mean, factor, (shell, cones))
+
+
+def of_flight(flight: Flight, lines: int = LINES, reach: float = 6.0) -> FlightProbability:
+    directions = sphere_directions(lines, flight.factor.shape[2])
+    return FlightProbability(flight.events, directions, reach)
+
+
+def probability(flight: Flight, lines: int = LINES) -> float:
+    return float(ndtr(of_flight(flight, lines)(flight.mean, flight.factor).value))
+
+
+def node_probabilities(flight: Flight) -> Array:
+    return np.concatenate(
+        [
+            ndtr(node_quantiles(e, flight.mean[e.nodes], flight.factor[e.nodes]).value)
+            for e in flight.events
+        ]
+    )
+
+
+def sampled(flight: Flight, count: int = 100_000) -> float:
+    """Share of plain random flights of the linear law that keep everything everywhere."""
+    w = np.random.default_rng(5).normal(size=(count, flight.factor.shape[2]))
+    kept = np.ones(count, dtype=np.bool_)
+    for event in flight.events:
+        for k, node in enumerate(event.nodes):
+            points = flight.mean[node] + w @ flight.factor[node].T
+            everyone = np.full(count, k)
+            for region in event.keep_in:
+                kept &= region.at(everyone).inside(points) > 0.0
+            for region in event.keep_out:
+                kept &= region.at(everyone).inside(points) < 0.0
+    return float(kept.mean())
+
+
+# --- the probability ----------------------------------------------------------------------------
+
+
+@given(seeds, st.floats(0.02, 0.2), st.floats(-3.0, 3.0))
+@few
+def test_of_one_event_at_one_node_it_is_the_nodes(
+    seed: int, sigma: float, deviations: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    mean = ((1.0 + deviations * sigma) * random_unit(rng))[None]
+    factor = sigma * np.linalg.qr(rng.normal(size=(6, 3)))[0].T[None]
+    event = Event("ball", np.array([0]), (Ball(np.zeros((1, 3)), 1.0),), ())
+    flight = Flight(mean, factor, (event,))
+    (expected,) = node_probabilities(flight)
+    assert probability(flight) == pytest.approx(expected, abs=3e-3)
+
+
+@given(seeds)
+@few
+def test_a_flight_keeps_less_than_every_node_and_more_than_boole_allows(seed: int) -> None:
+    flight = some_flight(seed)
+    found, nodes = probability(flight), node_probabilities(flight)
+    sampling = 3e-3
+    assert found <= nodes.min() + sampling
+    assert found >= 1.0 - (1.0 - nodes).sum() - sampling
+
+
+@given(seeds, st.sampled_from([0.0, 0.02, 0.05]))
+@settings(max_examples=share_of_examples(12))
+def test_plain_monte_carlo_agrees(seed: int, outside: float) -> None:
+    """Also where the mean of a node is outside a limit, so that flights come in and leave again."""
+    flight = some_flight(seed, outside)
+    share, found = sampled(flight), probability(flight)
+    deviation = np.sqrt(max(share * (1.0 - share), 1e-4) / 100_000)
+    assert found == pytest.approx(share, abs=4.0 * deviation + 1e-3)
+
+
+def test_limits_out_of_reach_do_not_matter() -> None:
+    flight = some_flight(1)
+    all_of_them = of_flight(flight, reach=100.0)(flight.mean, flight.factor)
+    near = of_flight(flight)(flight.mean, flight.factor)
+    assert len(near.nodes) < len(all_of_them.nodes)
+    assert near.value == pytest.approx(all_of_them.value, abs=1e-6)
+
+
+@given(seeds, st.floats(1.0001, 1.2))
+@few
+def test_wider_limits_are_kept_by_more_flights(seed: int, wider: float) -> None:
+    """Line by line, so that sampling does not matter."""
+    flight = some_flight(seed)
+    shell, cones = flight.events
+    (outer,), (inner,), (cone,) = shell.keep_in, shell.keep_out, cones.keep_in
+    assert isinstance(outer, Ball)
+    assert isinstance(inner, Ball)
+    assert isinstance(cone, Cone)
+    before = of_flight(flight)(flight.mean, flight.factor).value
+    for events in (
+        (Event("s", shell.nodes, (Ball(outer.center, wider * 1.4),), (inner,)), cones),
+        (Event("s", shell.nodes, (outer,), (Ball(inner.center, 0.98 / wider),)), cones),
+        (shell, Event("c", cones.nodes, (Cone(cone.apex, cone.axis, wider * 0.6),), ())),
+    ):
+        after = of_flight(flight._replace(events=events))(flight.mean, flight.factor).value
+        assert after >= before - 1e-9
+
+
+@pytest.mark.parametrize("keep", ["in", "out"])
+@pytest.mark.parametrize("side", [-0.1, 0.1])
+def test_without_any_spread_the_means_side_tells(keep: str, side: float) -> None:
+    ball = (Ball(np.zeros((1, 3)), 1.0),)
+    event = Event("e", np.array([0]), *((ball, ()) if keep == "in" else ((), ball)))
+    flight = Flight(np.array([[1.0 + side, 0.0, 0.0]]), np.zeros((1, 3, 6)), (event,))
+    holds = (side > 0.0) == (keep == "out")
+    found = of_flight(flight, 64)(flight.mean, flight.factor)
+    assert found.value == pytest.approx(7.03 if holds else -7.03, abs=0.01)
+    assert np.isfinite(found.by_mean).all()
+
+
+def test_a_flight_that_meets_nothing_is_certain() -> None:
+    flight = some_flight(0)
+    found = of_flight(flight._replace(events=()))(flight.mean, flight.factor)
+    assert found.value > 7.0
+    assert len(found.nodes) == 0
+
+
+# --- its gradient -------------------------------------------------------------------------------
+
+
+def along(flight: Flight, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A random direction of means and factors."""
+    move = rng.normal(size=flight.mean.shape), rng.normal(size=flight.factor.shape)
+    size = np.sqrt(sum(float((part**2).sum()) for part in move))
+    return move[0] / size, move[1] / size
+
+
+def slopes(flight: Flight, rng: np.random.Generator, step: float) -> tuple[float, float]:
+    """By the gradient, and by a central difference of the same sampled function."""
+    g = of_flight(flight, 256, 100.0)
+    d_mean, d_factor = along(flight, rng)
+    at = g(flight.mean, flight.factor)
+    slope = float((at.by_mean * d_mean[at.nodes]).sum())
+    slope += float((at.by_factor * d_factor[at.nodes]).sum())
+    ahead = g(flight.mean + step * d_mean, flight.factor + step * d_factor).value
+    behind = g(flight.mean - step * d_mean, flight.factor - step * d_factor).value
+    return slope, (ahead - behind) / (2.0 * step)
+
+
+@given(seeds, st.sampled_from([0.0, 0.05]))
+@few
+def test_the_gradient_is_that_of_the_sampled_function(seed: int, outside: float) -> None:
+    """But for the kinks of lines that pass from one limit to another within the step."""
+    flight = some_flight(seed, outside)
+    slope, difference = slopes(flight, np.random.default_rng(seed), 1e-6)
+    assert slope == pytest.approx(difference, rel=1e-2, abs=1e-2)
+
+
+def test_away_from_kinks_the_gradient_agrees_to_many_digits() -> None:
+    errors = []
+    for seed in range(12):
+        slope, difference = slopes(some_flight(seed), np.random.default_rng(seed), 1e-6)
+        errors.append(abs(slope - difference) / (1.0 + abs(slope)))
+    assert np.median(errors) < 1e-7
+
+
+def test_shares_of_flights_that_end_are_those_of_the_gradient() -> None:
+    """A limit that ends no flight has no say."""
+    flight = some_flight(2)
+    found = of_flight(flight, reach=100.0)(flight.mean, flight.factor)
+    assert np.all(found.ends >= 0.0)
+    silent = found.ends == 0.0
+    assert silent.any()
+    assert np.all(found.by_mean[silent] == 0.0)
+    assert np.all(found.by_factor[silent] == 0.0)
+
+
+# --- directions ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dimension", [3, 9, 15])
+def test_directions_are_unit_vectors_spread_evenly(dimension: int) -> None:
+    u = sphere_directions(LINES, dimension)
+    assert u.shape == (LINES, dimension)
+    np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(u.mean(axis=0), 0.0, atol=2e-3)
+    np.testing.assert_allclose(u.T @ u / LINES, np.eye(dimension) / dimension, atol=5e-3)
+
+
+def test_directions_are_the_same_for_everyone() -> None:
+    np.testing.assert_array_equal(sphere_directions(64, 5), sphere_directions(64, 5))
+    np.testing.assert_array_equal(sphere_directions(64, 5), sphere_directions(128, 5)[:64])
