@@ -165,7 +165,7 @@ def _probability(
     wide: bool,
 ) -> tuple[Array, Array, Array]:
     """P at some of the nodes with dP/dmean (k, 3) and the symmetric dP/dcovariance (k, 3, 3)."""
-    root = np.linalg.cholesky(covariance[near])
+    root = np.asarray(np.linalg.cholesky(covariance[near]), dtype=float)
     first = _line_direction(root, normal[near], wide=wide)
     second = perpendicular(first)
     frame = np.stack([first, second, np.cross(first, second)], axis=1)  # rows
@@ -201,7 +201,7 @@ def _probability(
             gather = sp.csr_array((np.ones(len(at)), (at, np.arange(len(at)))), shape=(k, len(at)))
             by_mean += gather @ gradient
             outer = (gradient[:, :, None] * drawn[:, None]).reshape(-1, 9)
-            by_root += (gather @ outer).reshape(k, 3, 3)
+            by_root += np.asarray(gather @ outer).reshape(k, 3, 3)
     # P depends on the root L of the covariance only through LL': dP/dL = 2 G L.
     half = 0.5 * np.linalg.solve(root.swapaxes(1, 2), by_root.swapaxes(1, 2)).swapaxes(1, 2)
     return np.asarray(p, dtype=float), by_mean, 0.5 * (half + half.swapaxes(1, 2))
@@ -210,9 +210,9 @@ def _probability(
 def _line_direction(root: Array, normal: Array, *, wide: bool) -> Array:
     """Unit vectors w such that lines run along L w, shape (k, 3).
 
-    In standard deviations, those that meet the limit at right angles need the fewest points across. Where
-    the spread is wide some of them graze it, and those along its normal serve better, unless they meet
-    it at too much of a slant.
+    In standard deviations, those that meet the limit at right angles need the fewest points across.
+    Where the spread is wide some of them graze it, and those along its normal serve better, unless they
+    meet it at too much of a slant.
     """
     upright = np.einsum("nij,ni->nj", root, normal)
     straight = np.linalg.solve(root, normal[:, :, None])[:, :, 0]

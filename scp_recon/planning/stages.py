@@ -97,6 +97,8 @@ class StageRunner:
         where P2 does not converge: P3 may have stopped at a local optimum from which there is no way.
         Where none converges the facets are chosen again. The best of all tries counts.
         """
+        if problem == "P2" and self.mission.scenario.risk.allocation == "exact":
+            self.solver.exact_rows()  # a method that has none says so before any work
         firsts: list[Stage] = []
         finals: list[Stage] = []
         for letter, start in _starts(self.mission, guess):
