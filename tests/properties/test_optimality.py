@@ -7,6 +7,7 @@ the lifting or of the conic solver is used.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -145,17 +146,22 @@ class Conditions:
 
 
 def conditions(mission: Mission, stage: Stage) -> Conditions:
+    """Of P2 with the facets of a stage."""
+    facets, burns = stage.facets, stage.result.lin.iterate.burns
+    assert facets is not None
+    return conditions_of(mission, burns, lambda points: evaluate(mission, facets, points))
+
+
+def conditions_of(mission: Mission, burns: Array, values: Callable[[Array], Values]) -> Conditions:
     """Find multipliers >= 0 of the nearly active constraints by least squares, and see how good.
 
     Where a burn vanishes its size has no gradient: any vector of the unit ball is a subgradient, and
     the cone that burns stay out of, whose apex is there, is left aside.
     """
-    assert stage.facets is not None
-    burns = stage.result.lin.iterate.burns
     z, m = burns.ravel(), mission.problem.n_burns
     steps = STEP * np.eye(len(z))
     points = np.vstack([z, z + steps, z - steps]).reshape(-1, m, 3)
-    v = evaluate(mission, stage.facets, points)
+    v = values(points)
 
     def gradient(values: Array) -> Array:
         forward, backward = np.split(values[1:], 2)
