@@ -1,4 +1,4 @@
-"""The probability of whole flights: against nodes, Boole, plain Monte Carlo, and its own differences."""
+"""Probabilities of whole flights: against nodes, Boole, plain Monte Carlo, and their own differences."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scipy.special import ndtr
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.flight_probability import FlightProbability, sphere_directions
 from formulations.rows.node_probability import Event, node_quantiles
-from tests.helpers import Array, generators, random_unit, share_of_examples
+from tests.helpers import Array, random_unit, share_of_examples
 
 LINES = 4096
 few = settings(max_examples=share_of_examples(6))
@@ -28,8 +28,8 @@ class Flight(NamedTuple):
     events: tuple[Event, ...]
 
 
-def some_flight(seed: int, outside: float = 0.0, dimension: int = 9) -> Flight:
-    """Through a shell and past a cone; its errors grow. One node may be so far outside a limit."""
+def some_flight(seed: int, outside: float | None = None, dimension: int = 9) -> Flight:
+    """Through a shell and past a cone; its errors grow. One node may be so far outside the shell."""
     rng = np.random.default_rng(seed)
     n = 8
     t = np.linspace(-1.0, 1.0, n)[:, None]
@@ -40,7 +40,8 @@ def some_flight(seed: int, outside: float = 0.0, dimension: int = 9) -> Flight:
     factor = 0.05 * growth * turn / np.sqrt(dimension)
     late = np.arange(3, n)
     centre = np.zeros((n, 3))
-    mean[4] += (0.4 + outside if outside else 0.0) * up
+    if outside is not None:
+        mean[4] *= (1.4 + outside) / np.linalg.norm(mean[4])
     shell = Event("shell", np.arange(n), (Ball(centre, 1.4),), (Ball(centre, 0.98),))
     apex = np.zeros((len(late), 3))
     axis = np.broadcast_to(up, (len(late), 3))
@@ -95,7 +96,7 @@ def test_of_one_event_at_one_node_it_is_the_nodes(
     event = Event("ball", np.array([0]), (Ball(np.zeros((1, 3)), 1.0),), ())
     flight = Flight(mean, factor, (event,))
     (expected,) = node_probabilities(flight)
-    assert probability(flight) == pytest.approx(expected, abs=3e-3)
+    assert probability(flight) == pytest.approx(expected, abs=8e-3)
 
 
 @given(seeds)
@@ -103,14 +104,14 @@ def test_of_one_event_at_one_node_it_is_the_nodes(
 def test_a_flight_keeps_less_than_every_node_and_more_than_boole_allows(seed: int) -> None:
     flight = some_flight(seed)
     found, nodes = probability(flight), node_probabilities(flight)
-    sampling = 3e-3
+    sampling = 5e-3
     assert found <= nodes.min() + sampling
     assert found >= 1.0 - (1.0 - nodes).sum() - sampling
 
 
-@given(seeds, st.sampled_from([0.0, 0.02, 0.05]))
+@given(seeds, st.sampled_from([None, 0.0, 0.01]))
 @settings(max_examples=share_of_examples(12))
-def test_plain_monte_carlo_agrees(seed: int, outside: float) -> None:
+def test_plain_monte_carlo_agrees(seed: int, outside: float | None) -> None:
     """Also where the mean of a node is outside a limit, so that flights come in and leave again."""
     flight = some_flight(seed, outside)
     share, found = sampled(flight), probability(flight)
@@ -187,9 +188,9 @@ def slopes(flight: Flight, rng: np.random.Generator, step: float) -> tuple[float
     return slope, (ahead - behind) / (2.0 * step)
 
 
-@given(seeds, st.sampled_from([0.0, 0.05]))
+@given(seeds, st.sampled_from([None, 0.01]))
 @few
-def test_the_gradient_is_that_of_the_sampled_function(seed: int, outside: float) -> None:
+def test_the_gradient_is_that_of_the_sampled_function(seed: int, outside: float | None) -> None:
     """But for the kinks of lines that pass from one limit to another within the step."""
     flight = some_flight(seed, outside)
     slope, difference = slopes(flight, np.random.default_rng(seed), 1e-6)

@@ -1,0 +1,215 @@
+"""Rows with the true probabilities: what the convex program gets to know of them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from formulations.linearisation.condensation import condense
+from formulations.linearisation.linearisation import Linearisation, final_state_map
+from formulations.rows.cones import Cones
+from formulations.rows.exact import BEND, FLIGHT, ExactRows, FlightRows, NodeRows, curved_cones
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.scenario.load import load_scenario
+from tests.helpers import Array, generators
+from tests.scenarios import COARSE
+
+SCOPES = ("node", "flight")
+
+
+def slack(cones: Cones, z: Array) -> Array:
+    """What rows leave at some burns, y_0 - ||y_1..||."""
+    y = cones.values @ z[: cones.values.shape[2]] + cones.constants
+    return np.asarray(y[:, 0] - np.linalg.norm(y[:, 1:], axis=1))
+
+
+# --- curved cones -------------------------------------------------------------------------------
+
+
+@given(generators, st.integers(1, 6))
+def test_a_curved_cone_has_value_slope_and_concave_curvature(
+    rng: np.random.Generator, p: int
+) -> None:
+    """By differences of y_0 - ||y_1..|| about where it is made."""
+    r, h = 3, 1e-4
+    margin, slope, z = rng.normal(size=r), rng.normal(size=(r, p)), rng.normal(size=p)
+    hessian = rng.normal(size=(r, p, p))
+    hessian = hessian + hessian.swapaxes(1, 2)
+    cones = curved_cones(np.arange(r), margin, slope, hessian, z)
+    assert slack(cones, z) == pytest.approx(margin, abs=1e-12)
+    eye = h * np.eye(p)
+    first = np.array([(slack(cones, z + e) - slack(cones, z - e)) / (2.0 * h) for e in eye]).T
+    np.testing.assert_allclose(first, slope, atol=1e-6)
+    values, axes = np.linalg.eigh(hessian)
+    concave = np.einsum("rij,rj,rkj->rik", axes, np.minimum(values, 0.0), axes)
+    second = np.array(
+        [
+            [
+                slack(cones, z + e + f)
+                - slack(cones, z + e - f)
+                - slack(cones, z - e + f)
+                + slack(cones, z - e - f)
+                for f in eye
+            ]
+            for e in eye
+        ]
+    )
+    np.testing.assert_allclose(second.transpose(2, 0, 1) / (4.0 * h * h), concave, atol=1e-4)
+
+
+@given(generators)
+def test_what_curves_upwards_or_not_at_all_is_left_affine(rng: np.random.Generator) -> None:
+    p, z = 4, rng.normal(size=4)
+    root = rng.normal(size=(2, p, p))
+    hessian = root @ root.swapaxes(1, 2)
+    hessian[1] = 0.0
+    margin, slope = rng.normal(size=2), rng.normal(size=(2, p))
+    cones = curved_cones(np.arange(2), margin, slope, hessian, z)
+    there = z + 10.0 * rng.normal(size=p)
+    assert slack(cones, there) == pytest.approx(margin + slope @ (there - z), abs=1e-5)
+
+
+@given(generators)
+def test_a_curved_cone_is_never_below_its_parabola_and_never_above_its_tangent(
+    rng: np.random.Generator,
+) -> None:
+    p, z = 4, rng.normal(size=4)
+    root = rng.normal(size=(1, p, p))
+    margin, slope = rng.normal(size=1), rng.normal(size=(1, p))
+    hessian = -root @ root.swapaxes(1, 2)
+    cones = curved_cones(np.arange(1), margin, slope, hessian, z)
+    for size in (0.1, 1.0, 10.0):
+        d = size * rng.normal(size=p)
+        tangent = margin + slope @ d
+        parabola = tangent + 0.5 * d @ hessian[0] @ d
+        found = slack(cones, z + d)
+        assert found <= tangent + 1e-9
+        assert found >= parabola - 1e-9
+    # c (sqrt(1 + d'Hd / c) - 1): at d'Hd = 3 c it has bent by c.
+    size = np.sqrt(3.0 * BEND / -(d @ hessian[0] @ d))
+    expected = margin + size * slope @ d - BEND
+    assert slack(cones, z + size * d) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+def test_rows_are_triangular() -> None:
+    rng = np.random.default_rng(0)
+    hessian = -np.eye(5) + np.zeros((2, 5, 5))
+    cones = curved_cones(
+        np.arange(2), rng.normal(size=2), rng.normal(size=(2, 5)), hessian, rng.normal(size=5)
+    )
+    both = np.concatenate([cones.values, cones.constants[..., None]], axis=2)
+    assert cones.triangular
+    np.testing.assert_array_equal(both[:, 1:], np.triu(both[:, 1:]))
+
+
+# --- rows of a flyby ----------------------------------------------------------------------------
+
+
+@cache
+def flown(scope: str, p: float = 0.9) -> tuple[Mission, Linearisation]:
+    """The coarse default mission, at a plan for a probability."""
+    chosen = COARSE, "risk.allocation=exact", f"risk.scope={scope}", f"risk.p_chance={p}"
+    mission = Mission.from_scenario(load_scenario(None, chosen))
+    return mission, plan(mission, initial_guess.cold(mission)).final.result.lin
+
+
+def rows_of(scope: str, mission: Mission, p: float = 0.9) -> ExactRows:
+    if scope == "node":
+        return NodeRows(mission.problem, p)
+    return FlightRows(mission.problem, p, 1024, 1e-5)
+
+
+def margins(rows: ExactRows, lin: Linearisation) -> Array:
+    return np.concatenate([part.margin for part in rows.margins(lin).values()])
+
+
+def modelled(rows: ExactRows, lin: Linearisation, z: Array) -> Array:
+    found = np.empty(rows.count)
+    for cones in rows.cones(lin, condense(lin, rows.nodes)):
+        found[cones.rows] = slack(cones, z)
+    return found
+
+
+@pytest.mark.parametrize("scope", SCOPES)
+def test_at_the_iterate_rows_have_the_margins_themselves(scope: str) -> None:
+    mission, lin = flown(scope)
+    rows = rows_of(scope, mission)
+    np.testing.assert_allclose(
+        modelled(rows, lin, lin.iterate.burns.ravel()), margins(rows, lin), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(("scope", "accuracy"), [("node", 1e-3), ("flight", 3e-2)])
+def test_rows_have_the_slope_of_margins_along_flown_burns(scope: str, accuracy: float) -> None:
+    """Along directions that keep the final state, whose steps are flown by Newton's method."""
+    mission, lin = flown(scope)
+    rows, z = rows_of(scope, mission), lin.iterate.burns.ravel()
+    _, jacobian = final_state_map(lin)
+    free = np.linalg.svd(jacobian)[2][6:]
+    step = 1e-4
+    near = margins(rows, lin) < 3.0  # what is farther is told by its facet
+    assert near.any()
+    for direction in free:
+        ends = []
+        for move in (step * direction, -step * direction):
+            other = mission.dynamics.close_defects(lin, (z + move).reshape(-1, 3))
+            ends.append((margins(rows, other), other.iterate.burns.ravel()))
+        difference = (ends[0][0] - ends[1][0])[near]
+        # Newton's method may turn the burns a little; the model is asked about those flown.
+        expected = (modelled(rows, lin, ends[0][1]) - modelled(rows, lin, ends[1][1]))[near]
+        scale = np.abs(expected).max() + step
+        np.testing.assert_allclose(difference, expected, rtol=0.0, atol=accuracy * scale)
+
+
+def test_curvature_of_a_node_is_that_of_its_margin() -> None:
+    """On the affine model: second differences of g, where g is concave along a direction."""
+    mission, lin = flown("node")
+    rows, z = NodeRows(mission.problem, 0.9), lin.iterate.burns.ravel()
+    _, jacobian = final_state_map(lin)
+    at, h = margins(rows, lin), 3e-3
+    bound = np.argmin(at)
+    for direction in np.linalg.svd(jacobian)[2][6:]:
+        flights = [
+            mission.dynamics.close_defects(lin, (z + move * direction).reshape(-1, 3))
+            for move in (h, -h)
+        ]
+        second = sum(margins(rows, flight)[bound] for flight in flights) - 2.0 * at[bound]
+        model = sum(modelled(rows, lin, flight.iterate.burns.ravel())[bound] for flight in flights)
+        model -= 2.0 * at[bound]
+        # The flow's own curvature is no part of the model, nor is what curves upwards.
+        assert model == pytest.approx(min(second, 0.0), abs=0.35 * abs(second) + 2e-3)
+
+
+def test_a_flights_margin_is_told_at_the_node_where_most_flights_end() -> None:
+    mission, lin = flown("flight")
+    rows = rows_of("flight", mission)
+    ((name, found),) = rows.margins(lin).items()
+    assert name == FLIGHT
+    assert found.margin.shape == found.nodes.shape == (1,)
+    nodes = NodeRows(mission.problem, 0.9).margins(lin).values()
+    worst = min(nodes, key=lambda part: part.margin.min())
+    # The tightest node, or one beside it.
+    assert abs(found.nodes[0] - worst.nodes[np.argmin(worst.margin)]) <= 2
+    assert found.margin[0] <= worst.margin.min() + 1e-2
+
+
+@pytest.mark.parametrize("scope", SCOPES)
+def test_asking_more_leaves_less_by_the_difference_of_quantiles(scope: str) -> None:
+    mission, lin = flown(scope)
+    less, more = (rows_of(scope, mission, p) for p in (0.8, 0.95))
+    apart = margins(less, lin) - margins(more, lin)
+    np.testing.assert_allclose(apart, 1.6448536269514722 - 0.8416212335729143, rtol=1e-9)
+
+
+def test_rows_look_at_all_nodes_of_their_events() -> None:
+    mission, lin = flown("node")
+    rows = NodeRows(mission.problem, 0.9)
+    assert rows.count == sum(len(event.nodes) for event in rows.events)
+    assert list(rows.margins(lin)) == [event.name for event in rows.events]
+    np.testing.assert_array_equal(rows.nodes, np.arange(mission.problem.n_nodes))
