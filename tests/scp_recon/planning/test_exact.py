@@ -1,0 +1,230 @@
+"""Plans that spend the risk that was asked for: what they cost and reach, and what they refuse."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, assume, given, settings
+from scipy.special import ndtr
+
+from formulations.rows.exact import FLIGHT, FlightRows, NodeRows
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning.planner import Plan, Planner, ScpStages, plan
+from scp_recon.planning.stages import StageRunner
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.status import Status
+from tests.helpers import Array, share_of_examples
+from tests.properties.test_optimality import Values, conditions_of
+from tests.scenarios import COARSE, planned, scenarios
+from tests.scp_recon.support import mission_of, run_solve
+
+GOALS = {
+    "node": {0.70: 0.1087, 0.90: 0.1101, 0.95: 0.1109, 0.99: 0.1166, 0.997: 0.1320},
+    "flight": {0.70: 0.1087, 0.90: 0.1102, 0.95: 0.1114, 0.99: 0.1256},
+}
+"""Delta-v, m/s, of the default scenario from a cold start."""
+
+
+def exact(scope: str, p: float, *others: str) -> tuple[str, ...]:
+    return ("risk.allocation=exact", f"risk.scope={scope}", f"risk.p_chance={p}", *others)
+
+
+@cache
+def found(scope: str, p: float, algorithm: str = "scvx") -> Plan:
+    mission = mission_of(*exact(scope, p))
+    return plan(mission, initial_guess.cold(mission), algorithm=algorithm)
+
+
+# --- what they cost -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("scope", "p", "goal"), [(scope, p, g) for scope, row in GOALS.items() for p, g in row.items()]
+)
+def test_the_default_scenario_from_a_cold_start(scope: str, p: float, goal: float) -> None:
+    of = found(scope, p)
+    assert of.status is Status.CONVERGED
+    assert of.final.name == "P2"
+    assert of.final.facets is None
+    assert of.total_dv_m_s <= goal
+    assert min(margin for margin, _ in of.worst_margins.values()) > -1e-5
+    # The risk is spent: something binds.
+    sigmas = [margin for margin, unit in of.worst_margins.values() if unit == "sigma"]
+    assert min(sigmas) < 1e-5
+
+
+@pytest.mark.parametrize("scope", GOALS)
+def test_more_probability_costs_more(scope: str) -> None:
+    costs = [found(scope, p).total_dv_m_s for p in GOALS[scope]]
+    assert all(less < more for less, more in pairwise(costs))
+
+
+def test_whole_flights_cost_more_than_nodes() -> None:
+    for p in GOALS["flight"]:
+        assert found("flight", p).total_dv_m_s > found("node", p).total_dv_m_s
+
+
+@pytest.mark.parametrize("algorithm", sorted(set(ALGORITHMS) - {"scvx"}))
+def test_all_algorithms_find_the_same(algorithm: str) -> None:
+    other = found("node", 0.9, algorithm)
+    assert other.status is Status.CONVERGED
+    assert other.total_dv_m_s == pytest.approx(found("node", 0.9).total_dv_m_s, rel=1e-4)
+
+
+@settings(
+    max_examples=share_of_examples(30),
+    phases=[Phase.explicit, Phase.reuse, Phase.generate],
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+)
+@given(scenarios())
+def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(
+    overrides: tuple[str, ...],
+) -> None:
+    try:
+        mission, uniform = planned(overrides)
+    except InputError:
+        assume(False)
+    assume(uniform.status is Status.CONVERGED)
+    p = mission.scenario.risk.p_chance
+    of = Mission.from_scenario(load_scenario(None, (*overrides, *exact("node", p))))
+    planner = Planner(of)
+    runner = StageRunner(of, ScpStages(planner, of, planner.algorithm))
+    stage = runner.solve_exact("P2", uniform.final.result.lin)
+    assert stage.result.status is Status.CONVERGED
+    assert (
+        stage.result.lin.iterate.total_dv
+        <= uniform.final.result.lin.iterate.total_dv * (1.0 + 1e-6) + 1e-7
+    )
+
+
+# --- what they reach ----------------------------------------------------------------------------
+
+
+def kept(of: Plan, count: int) -> Array:
+    """Which of fresh flights of the linear law keep every limit on the position at every node."""
+    lin, problem = of.final.result.lin, of.mission.problem
+    rng = np.random.default_rng(77)
+    w = rng.normal(size=(count, lin.factor.shape[2]))
+    good = np.ones(count, dtype=np.bool_)
+    for constraint in problem.constraints:
+        for k, node in enumerate(constraint.nodes):
+            points = lin.iterate.mean[node, :3] + w @ lin.factor[node, :3].T
+            depth = constraint.region.at(np.full(count, k)).inside(points)
+            good &= depth > 0.0 if constraint.keep == "in" else depth < 0.0
+    return good
+
+
+@pytest.mark.parametrize(("p", "optimism"), [(0.9, 2e-3), (0.99, 1e-3)])
+def test_fresh_flights_hold_as_often_as_asked(p: float, optimism: float) -> None:
+    """But for what is lost by optimising against the same directions."""
+    count = 20_000
+    share = float(kept(found("flight", p), count).mean())
+    assert share == pytest.approx(p, abs=4.0 * np.sqrt(p * (1.0 - p) / count) + optimism)
+
+
+def test_a_plan_of_whole_flights_holds_at_every_node_too() -> None:
+    of = found("flight", 0.9)
+    lin = of.final.result.lin
+    nodes = NodeRows(of.mission.problem, 0.9).margins(lin)
+    assert min(part.margin.min() for part in nodes.values()) > 0.0
+    (flight,) = FlightRows(of.mission.problem, 0.9, 4096, 1e-5).margins(lin).values()
+    assert flight.margin[0] == pytest.approx(0.0, abs=2e-5)
+    assert set(of.worst_margins) == {"dv_max", "dv_battery", FLIGHT}
+    reached = min(float(ndtr(part.margin.min() + 1.2815515655446004)) for part in nodes.values())
+    assert reached > 0.9
+
+
+# --- first-order conditions ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("scope", "p"), [("node", 0.9), ("node", 0.99), ("flight", 0.9)])
+def test_exact_plans_satisfy_the_first_order_conditions(scope: str, p: float) -> None:
+    """The mean rolled out and linearised anew for each of the burns; no slope of a row is used."""
+    of = found(scope, p)
+    mission, rows = of.mission, of.final.merit.rows
+    problem, dynamics = mission.problem, mission.dynamics
+
+    def values(points: Array) -> Values:
+        means = dynamics.rollout(
+            np.broadcast_to(problem.initial_state, (len(points), 6)), points
+        ).swapaxes(0, 1)
+        kept_by = []
+        for burns, mean in zip(points, means, strict=True):
+            lin = dynamics.linearise(problem, initial_guess.Iterate(burns, mean))
+            limits = [part.margin for part in rows.margins(lin).values()]
+            kept_by.append(np.concatenate([*limits, *problem.burn_margins(burns).values()]))
+        size = np.linalg.norm(points, axis=2)
+        return Values(size.sum(axis=1), np.array(kept_by), means[:, -1] - problem.final_state)
+
+    at = conditions_of(mission, of.final.result.lin.iterate.burns, values)
+    assert at.infeasibility < 1e-5
+    assert at.residual < RESIDUAL[scope]
+    assert at.complementarity < 1e-5
+
+
+RESIDUAL = {"node": 1e-3, "flight": 1e-2}
+"""Of stationarity, against the gradient of the cost; a flight's stage stops at 1e-5 of the merit."""
+
+
+# --- planning again, and what is refused --------------------------------------------------------
+
+
+@pytest.mark.parametrize("scope", GOALS)
+def test_an_exact_plan_can_be_planned_again(scope: str) -> None:
+    mission = mission_of(*exact(scope, 0.9, COARSE))
+    planner = Planner(mission)
+    first = planner.plan(initial_guess.cold(mission))
+    state = mission.initial_state + 0.5 * mission.initial_sigma * np.array([1, -1, 1, -1, 1, 0.5])
+    moved = planner.replan(first, state)
+    assert moved.status is Status.CONVERGED
+    assert moved.final.name == "P2"
+    assert moved.final.merit.worst_violation(moved.final.result.lin) <= moved.final.tolerance
+    if scope == "node":
+        anew = Planner(moved.mission).plan(initial_guess.cold(moved.mission))
+        assert moved.total_dv_m_s == pytest.approx(anew.total_dv_m_s, rel=1e-3)
+
+
+def never(*_: object) -> None:
+    raise AssertionError("what is refused is refused before any work")
+
+
+@pytest.mark.parametrize("formulation", ["lifted", "frozen-stm", "frozen-covariance"])
+def test_other_formulations_have_no_exact_rows(formulation: str) -> None:
+    mission = mission_of(*exact("node", 0.9, COARSE))
+    with pytest.raises(InputError, match=r"risk\.allocation.*condensed"):
+        plan(mission, initial_guess.cold(mission), formulation=formulation, observe=never)
+
+
+def test_ipopt_has_no_exact_rows() -> None:
+    mission = mission_of(*exact("node", 0.9, COARSE))
+    with pytest.raises(InputError, match=r"risk\.allocation.*scp"):
+        ipopt.plan(mission, initial_guess.cold(mission), variant="shooting", observe=never)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--formulation", "lifted"),
+        ("--formulation", "frozen-stm"),
+        ("--method", "ipopt"),
+        ("--set", "risk.allocation=uniform", "--set", "risk.scope=flight"),
+    ],
+    ids=lambda arguments: arguments[-1],
+)
+def test_what_does_not_go_together_ends_in_one_message(
+    tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
+    run = run_solve(
+        tmp_path, "--init", "cold", "--set", "risk.allocation=exact", "--set", COARSE, *arguments
+    )
+    assert run.exit_code == 2
+    assert len(run.errors.strip().splitlines()) == 1
+    assert "risk" in run.errors
+    assert "Traceback" not in run.errors + run.output
