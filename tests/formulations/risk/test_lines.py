@@ -15,6 +15,7 @@ from tests.helpers import Array, generators
 dimensions = st.sampled_from([1, 2, 3, 6, 15, 60])
 coordinates = st.floats(-40.0, 40.0)
 LAWS: tuple[Law, ...] = (NormalLaw(), *(TwoSidedChiLaw(d) for d in (1, 2, 3, 15)))
+NAMES = ("normal", "chi1", "chi2", "chi3", "chi15")
 
 
 def between(law: Law, low: float, high: float) -> float:
@@ -51,7 +52,7 @@ def test_the_chi_law_is_scipys_in_both_tails(dimension: int, one: float, other: 
     )
 
 
-@pytest.mark.parametrize("law", LAWS, ids=str)
+@pytest.mark.parametrize("law", LAWS, ids=NAMES)
 @pytest.mark.parametrize("far", [5.0, 8.0, 15.0, 30.0])
 def test_a_tail_keeps_its_digits(law: Law, far: float) -> None:
     """Where 1 - F has none left; both tails alike."""
@@ -61,7 +62,7 @@ def test_a_tail_keeps_its_digits(law: Law, far: float) -> None:
         assert between(law, low, high) == pytest.approx(tail, rel=1e-9)
 
 
-@pytest.mark.parametrize("law", LAWS, ids=str)
+@pytest.mark.parametrize("law", LAWS, ids=NAMES)
 def test_all_of_a_law_is_one_and_none_of_it_nothing(law: Law) -> None:
     assert between(law, -np.inf, np.inf) == pytest.approx(1.0, abs=1e-15)
     assert between(law, -np.inf, 0.0) == pytest.approx(0.5, abs=1e-15)
@@ -77,7 +78,7 @@ def test_the_density_integrates_to_the_law(law: Law, low: float, width: float) -
     assert found == pytest.approx(between(law, low, high), rel=1e-8, abs=1e-14)
 
 
-@pytest.mark.parametrize("law", LAWS, ids=str)
+@pytest.mark.parametrize("law", LAWS, ids=NAMES)
 def test_the_density_is_even_and_finite_and_vanishes_at_infinity(law: Law) -> None:
     s = np.array([0.0, 1e-300, 1e-3, 1.0, 50.0, np.inf])
     density = law.density(s)

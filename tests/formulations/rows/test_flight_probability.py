@@ -1,4 +1,4 @@
-"""Probabilities of whole flights: against nodes, Boole, plain Monte Carlo, and their own differences."""
+"""Probabilities of whole flights: against nodes, Boole, plain Monte Carlo, and differences."""
 
 from __future__ import annotations
 
