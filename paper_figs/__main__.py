@@ -39,6 +39,7 @@ from paper_figs.studies import (
     attitude_and_actuators,
     battery_cones,
     flown_plan,
+    frontier,
     model_fidelity,
     power_history,
     timing_rules,
@@ -97,6 +98,7 @@ FIGURES: dict[str, Drawn] = {
     "terminal_normality": terminal_normality,
 }
 STUDIES: dict[str, Study] = {
+    "frontier": frontier,
     "battery_cones": battery_cones,
     "model_fidelity": model_fidelity,
     "uncertainty_sources": uncertainty_sources,

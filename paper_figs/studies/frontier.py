@@ -1,0 +1,78 @@
+"""What probability costs: `python -m paper_figs.studies.frontier RUNS FILE`.
+
+Drawn from what `python -m experiments.frontier` wrote into the folder RUNS.
+"""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib import style
+from matplotlib.figure import Figure
+from scipy.special import ndtri
+
+from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command_from
+from paper_figs.inputs import read_csv
+
+FOLDER = "frontier"
+TABLE = "frontier.csv"
+COMMAND = "python -m experiments.frontier"
+MARKS = {
+    "uniform, paper polytopes": ("s-", "tab:red"),
+    "uniform, tangent spheres": ("^-", "tab:orange"),
+    "exact, each node": ("o-", "tab:blue"),
+    "exact, whole flights": ("D-", "tab:green"),
+    "certified, each node": ("o:", "tab:blue"),
+    "certified, whole flights": ("D:", "tab:green"),
+}
+TICKS = (0.55, 0.7, 0.8, 0.9, 0.95, 0.99, 0.999)
+
+Row = dict[str, str]
+
+
+def read(folder: Path) -> list[Row]:
+    """Read the study's folder.
+
+    Raises:
+        InputError: if the table is missing or unusable.
+    """
+    return read_csv(folder, TABLE, "total_dv_m_s", COMMAND)
+
+
+def draw(rows: list[Row]) -> Figure:
+    """Delta-v against the probability asked, on the normal quantile scale."""
+    with style.context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 3.0), layout="constrained")
+        axes = figure.subplots()
+        for kind, (mark, colour) in MARKS.items():
+            chosen = [row for row in rows if row["kind"] == kind]
+            asked = ndtri([float(row["asked"]) for row in chosen])
+            dv = np.array([float(row["total_dv_m_s"]) for row in chosen])
+            axes.plot(asked, dv, mark, color=colour, ms=4, label=kind)
+        axes.set_xticks(ndtri(TICKS), [f"{p:g}" for p in TICKS])
+        axes.set(xlabel="probability asked, of a node or of a whole flight", ylabel="delta-v (m/s)")
+        figure.legend(loc="outside upper center", ncols=3, fontsize=LEGEND_PT)
+    return figure
+
+
+def caption(rows: list[Row]) -> str:
+    """What the figure shows, and what it proves."""
+    cost = {(row["kind"], float(row["asked"])): float(row["total_dv_m_s"]) for row in rows}
+    kinds = ("uniform, paper polytopes", "exact, whole flights")
+    paper, whole = (cost.get((kind, 0.9), float("nan")) for kind in kinds)
+    return (
+        "Delta-v of the default scenario against the probability asked: uniform risk on polytopes, "
+        "exact risk, and exact risk certified by flights. Missing points are infeasible. For 0.9 the paper's "
+        f"bookkeeping pays {paper:.4f} m/s at each node, exact risk {whole:.4f} m/s for whole flights."
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(command_from(read, draw, __doc__))
