@@ -57,7 +57,9 @@ def draw(rows: list[Row]) -> Figure:
             dv = np.array([float(row["total_dv_m_s"]) for row in chosen])
             axes.plot(asked, dv, mark, color=colour, ms=4, label=kind)
         axes.set_xticks(ndtri(TICKS), [f"{p:g}" for p in TICKS])
-        axes.set(xlabel="probability asked, of a node or of a whole flight", ylabel="delta-v (m/s)")
+        axes.set(
+            xlabel="probability asked of a node, or of a whole flight (-)", ylabel="delta-v (m/s)"
+        )
         figure.legend(loc="outside upper center", ncols=3, fontsize=LEGEND_PT)
     return figure
 
@@ -69,8 +71,9 @@ def caption(rows: list[Row]) -> str:
     paper, whole = (cost.get((kind, 0.9), float("nan")) for kind in kinds)
     return (
         "Delta-v of the default scenario against the probability asked: uniform risk on polytopes, "
-        "exact risk, and exact risk certified by flights. Missing points are infeasible. For 0.9 the paper's "
-        f"bookkeeping pays {paper:.4f} m/s at each node, exact risk {whole:.4f} m/s for whole flights."
+        "exact risk, and exact risk certified by flights. Missing points are infeasible. For 0.9 the "
+        f"paper's bookkeeping pays {paper:.4f} m/s at each node, exact risk {whole:.4f} m/s for whole "
+        "flights."
     )
 
 

@@ -29,6 +29,7 @@ from paper_figs.studies import (
     attitude_and_actuators,
     battery_cones,
     flown_plan,
+    frontier,
     model_fidelity,
     power_history,
     timing_rules,
@@ -153,6 +154,21 @@ def write_timing(folder: Path) -> None:
     (folder / timing_rules.SLEWS).write_text(table, encoding="utf-8")
 
 
+def write_frontier(folder: Path) -> None:
+    """Made-up costs in the study's own columns, one without a plan."""
+    folder.mkdir()
+    rows = [
+        {
+            "kind": kind,
+            "asked": p,
+            "total_dv_m_s": 0.1 + 0.01 * i + 0.02 * p if i or p < 0.9 else "nan",
+        }
+        for i, kind in enumerate(frontier.MARKS)
+        for p in (0.7, 0.9, 0.99)
+    ]
+    (folder / frontier.TABLE).write_text(to_csv(rows), encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of all studies."""
@@ -163,6 +179,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_flight(out / power_history.FOLDER)
     write_flown(out / flown_plan.FOLDER)
     write_timing(out / timing_rules.FOLDER)
+    write_frontier(out / frontier.FOLDER)
     return out
 
 
