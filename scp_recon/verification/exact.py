@@ -121,7 +121,7 @@ def _are_results(solution: Solution, risk: Risk, burn_margins: dict[str, Array])
             return False
         there = np.abs(np.array(event.t_s) - joint.worst_t_s) <= TIME_ERROR_S
         least = np.array([probability.min(), probability[there].min(initial=np.inf)])
-        told = ndtr(joint.worst_margin + ndtri(risk.aim))
-        if np.abs(told - least).max() > SAME_PROBABILITY:
+        promised = float(ndtr(joint.worst_margin + ndtri(risk.aim)))
+        if np.abs(promised - least).max() > SAME_PROBABILITY:
             return False
     return True
