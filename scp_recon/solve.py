@@ -24,9 +24,10 @@ from rich.console import Console
 from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
 from scp_recon.cli import plan_tables
+from scp_recon.cli.infeasible import show_what_would_do
 from scp_recon.cli.keeping import UNVERIFIED, run_folder, written
 from scp_recon.cli.method import check_risk, planning
-from scp_recon.cli.options import int_between
+from scp_recon.cli.options import int_between, number_between
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -91,6 +92,19 @@ def parser() -> argparse.ArgumentParser:
         metavar="N",
         help="choose the facets again at the solution and solve again, up to N times (default: 0; what "
         "is infeasible is tried again without being asked)",
+    )
+    p.add_argument(
+        "--objective",
+        choices=("delta-v", "probability"),
+        default="delta-v",
+        help="with risk.allocation = exact, probability asks for the largest there is, whatever "
+        "p_chance says (default: delta-v)",
+    )
+    p.add_argument(
+        "--dv-budget",
+        type=number_between(1e-9, 1e6),
+        metavar="M_S",
+        help="with --objective probability, most delta-v that the plan may cost, m/s (default: any)",
     )
     p.add_argument(
         "--certify",
@@ -197,6 +211,8 @@ def _plan_into(
     if path.name == UNVERIFIED:
         show_line(console, f"kept, as it is verified: {folder / FILE_NAME}")
     show_written(console, path)
+    if status is Status.INFEASIBLE:
+        show_what_would_do(console, result)
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
 
 

@@ -64,18 +64,29 @@ def certify(mission: Mission, start: Iterate, make_plan: Planning) -> Plan:
             return plan
         seed = FIRST_SEED + number
         kept = kept_flights(mission, plan.burns_m_s, samples, seed)
-        at_nodes, reached = judged(mission, kept)
-        certificate = Certificate(samples, seed, *reached, at_nodes.value, number + 1)
-        plan = replace(plan, certificate=certificate)
-        touched = at_nodes.value - reached.value > LOST_BETWEEN * (1.0 - asked)
+        reached = certificate_from(mission, kept, seed, number + 1)
+        plan = replace(plan, certificate=reached)
+        touched = reached.at_nodes - reached.reached > LOST_BETWEEN * (1.0 - asked)
         if reached.low >= asked and not touched:
             return plan
         if touched:
             mission = with_nodes_at(mission, kept.touched_s)
         if reached.low < asked:
-            aim = raised(needed, float(ndtri(aim) - ndtri(reached.value)), samples)
+            aim = raised(needed, float(ndtri(aim) - ndtri(reached.reached)), samples)
         start = from_burns(mission, plan.burns_m_s, "certify")
     return plan
+
+
+def certificate_of(plan: Plan, samples: int, seed: int, rounds: int) -> Certificate:
+    """What flights of a plan reach."""
+    kept = kept_flights(plan.mission, plan.burns_m_s, samples, seed)
+    return certificate_from(plan.mission, kept, seed, rounds)
+
+
+def certificate_from(mission: Mission, kept: KeptFlights, seed: int, rounds: int) -> Certificate:
+    """What flights reached."""
+    at_nodes, reached = judged(mission, kept)
+    return Certificate(kept.samples, seed, *reached, at_nodes.value, rounds)
 
 
 def flights_needed(asked: float) -> int:

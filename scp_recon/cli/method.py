@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import certify, flights_needed
+from scp_recon.certification.largest import LEAST, largest_probability, promised
 from scp_recon.errors import InputError, one_of
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, check_exact, scp_method
@@ -14,6 +15,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.planning.stages import Observer
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
 
 Planning = Callable[[Mission, Iterate, Observer], Plan]
 
@@ -69,7 +71,25 @@ def _by_scp(options: argparse.Namespace) -> Planning:
             observe=observe,
         )
 
+    def largest(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+        budget = float("inf") if options.dv_budget is None else options.dv_budget
+        best = largest_probability(
+            mission, start, lambda m, s, aim: once(m, s, observe, aim), budget
+        )
+        if best is not None:
+            return promised(best, certified=is_certified(options, mission.scenario))
+        least = once(mission, start, observe, LEAST)
+        if least.status is Status.CONVERGED:
+            raise InputError(
+                "--dv-budget",
+                f"{budget:g} m/s",
+                f"must be at least {least.total_dv_m_s:.6f} m/s, which {LEAST} costs",
+            )
+        return least
+
     def by_scp(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+        if options.objective == "probability":
+            return largest(mission, start, observe)
         if not is_certified(options, mission.scenario):
             return once(mission, start, observe, None)
         return certify(mission, start, lambda m, s, aim: once(m, s, observe, aim))
@@ -89,10 +109,17 @@ def check_risk(options: argparse.Namespace, scenario: Scenario) -> None:
     Raises:
         InputError: naming the option, what was given and what is allowed.
     """
+    if options.dv_budget is not None and options.objective != "probability":
+        raise InputError(
+            "--dv-budget", f"{options.dv_budget:g}", "goes with --objective probability"
+        )
     if scenario.risk.allocation != "exact":
-        if options.certify is not None:
-            raise InputError("--certify", options.certify, "goes with risk.allocation = exact only")
+        for option, given in (("certify", options.certify), ("objective", options.objective)):
+            if given not in (None, "delta-v"):
+                raise InputError(f"--{option}", given, "goes with risk.allocation = exact only")
         return
+    if options.objective == "probability" and options.problem != "P2":
+        raise InputError("--objective", "probability", "goes with --problem P2")
     check_exact(options.method, options.formulation or FORMULATION, options.facet_rounds, "--")
     if is_certified(options, scenario):
         flights_needed(scenario.risk.p_chance)
