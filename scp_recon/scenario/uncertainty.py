@@ -80,10 +80,15 @@ class Gates(Section):
     """
 
     magnitude_fixed_m_s: FixedError
+    """Error along a burn that does not grow with it, 1 sigma in m/s."""
     magnitude_proportional: Share
+    """Error along a burn over its size, 1 sigma."""
     pointing_fixed_m_s: FixedError
+    """Error across a burn that does not grow with it, 1 sigma of either axis in m/s."""
     pointing_proportional_rad: SmallAngle
+    """Error of a burn's direction, 1 sigma of either axis in rad."""
     magnitude_bias: Share = 0.0
+    """Error along the burns over their size that all have in common, 1 sigma."""
 
 
 class Uncertainty(Section):
@@ -95,12 +100,19 @@ class Uncertainty(Section):
     """
 
     initial_sigma_fraction: Share | None = None
+    """1 sigma of each J2000 component of the initial state over its size."""
     initial_sigma_position_m: Sigmas | None = None
+    """1 sigma of the initial position along the axes of initial_frame in m."""
     initial_sigma_velocity_m_s: Sigmas | None = None
+    """1 sigma of the initial velocity along the axes of initial_frame in m/s."""
     initial_covariance: Matrix | None = None
+    """Covariance of the initial state, six by six, position first, in m and m/s along initial_frame."""
     initial_frame: Frame | None = None
+    """Axes of sigmas or covariance, at the epoch: rtn are radial, transverse and normal."""
     execution_error: Share | None = None
+    """1 sigma of each J2000 component of a burn over its size."""
     gates: Gates | None = None
+    """Execution errors by Gates' model, in the place of execution_error."""
 
     @model_validator(mode="after")
     def _each_in_one_way(self) -> Self:
