@@ -21,6 +21,7 @@ from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.lighting import Lighting
 from scp_recon.mission.plausibility import check_plausible
 from scp_recon.mission.schedule import Schedule, find_window, make_schedule
+from scp_recon.mission.spread_checks import check_spread
 from scp_recon.mission.uncertainty import execution_errors, initial_factor
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
@@ -104,7 +105,8 @@ class Mission:
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
         initial = _boundary_state(scenario, rotation, "initial")
         execution_errors(scenario)
-        initial_factor(scenario, initial, rotation, sun_direction(scenario, 0.0))
+        factor = initial_factor(scenario, initial, rotation, sun_direction(scenario, 0.0))
+        warnings += tuple(check_spread(scenario, initial, np.linalg.norm(factor, axis=1)))
         return cls(
             scenario=scenario,
             rotation=rotation,

@@ -1,0 +1,54 @@
+"""Whether the initial state is known about as well as navigation knows one: its unit, above all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.warning import ScenarioWarning
+
+Array = npt.NDArray[np.float64]
+
+SPREAD = (1e-4, 0.5)
+"""1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown, and 1 % in km is 1e-5."""
+
+
+def check_spread(scenario: Scenario, state: Array, sigma: Array) -> Iterator[ScenarioWarning]:
+    """Hold the largest sigmas against the distance from the centre and against the speed.
+
+    A state that is known exactly raises no question.
+
+    Args:
+        scenario: gives the uncertainty.
+        state: the initial one, J2000, m and m/s, shape (6,).
+        sigma: of its components, shape (6,).
+    """
+    distance = float(np.linalg.norm(state[:3]))
+    circular = float(np.sqrt(scenario.body.gm_m3_s2 / distance))
+    speed = max(float(np.linalg.norm(state[3:])), circular)
+    for key, unit_name, found, size, what in (
+        ("position_m", "m", sigma[:3], distance, "of the distance from the centre"),
+        ("velocity_m_s", "m/s", sigma[3:], speed, "of the speed, or of that of a circular orbit"),
+    ):
+        most, (low, high) = float(found.max()), SPREAD
+        if most == 0.0 or low * size <= most <= high * size:
+            continue
+        yield ScenarioWarning.of(
+            _entry(scenario, key),
+            f"a 1-sigma error of {most:.3g} {unit_name}, {most / size:.2g} {what}",
+            f"{low * size:.3g} to {high * size:.3g} {unit_name} would be no surprise; "
+            "metres and seconds?",
+        )
+
+
+def _entry(scenario: Scenario, key: str) -> str:
+    """Which entry says it."""
+    given = scenario.uncertainty
+    if given.initial_sigma_fraction is not None:
+        return "uncertainty.initial_sigma_fraction"
+    if given.initial_covariance is not None:
+        return "uncertainty.initial_covariance"
+    return f"uncertainty.initial_sigma_{key}"
