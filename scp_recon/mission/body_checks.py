@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.constants import G
 
+from scp_recon.environment.catalogue import packaged_body
 from scp_recon.errors import InputError
 from scp_recon.mission.copied_entries import check_inherited
 from scp_recon.mission.given import Given, angle_deg, between, packaged_tables
@@ -45,33 +46,33 @@ def copied(given: Given) -> Iterator[ScenarioWarning]:
 
 
 def known_body(given: Given) -> Iterator[ScenarioWarning]:
-    """A body of a packaged scenario's name has that one's gravity, radius, pole and spin."""
+    """A packaged body's name goes with its gravity, radius, pole and spin."""
     body = given.scenario.body
-    for name in base_names():
-        known = packaged_tables(name)["body"]
-        if body.name.casefold() != known["name"].casefold():
-            continue
-        for entry, most in (
-            ("gm_m3_s2", SAME_GM),
-            ("reference_radius_m", SAME_RADIUS),
-            ("prime_meridian_rate_deg_day", SAME_RATE),
-        ):
-            value, right = getattr(body, entry), known[entry]
-            if abs(value - right) > most * abs(right):
-                yield ScenarioWarning.of(
-                    f"body.{entry}", f"{value:g}", f"{known['name']} has {right:g}"
-                )
-        pole = Rotation.from_iau(
-            known["pole_ra_deg"], known["pole_dec_deg"], (0.0, 0.0, 0.0), given.scenario.epoch.tdb
-        ).pole
-        off = angle_deg(given.rotation.pole, pole)
-        if off > SAME_POLE_DEG:
+    packaged = packaged_body(body.name)
+    if packaged is None:
+        return
+    known = packaged.entries
+    for entry, most in (
+        ("gm_m3_s2", SAME_GM),
+        ("reference_radius_m", SAME_RADIUS),
+        ("prime_meridian_rate_deg_day", SAME_RATE),
+    ):
+        value, right = getattr(body, entry), known[entry]
+        if abs(value - right) > most * abs(right):
             yield ScenarioWarning.of(
-                "body.pole_ra_deg",
-                f"({body.pole_ra_deg:g}, {body.pole_dec_deg:g}) deg, {off:.1f} deg off",
-                f"the pole of {known['name']} is at "
-                f"({known['pole_ra_deg']:g}, {known['pole_dec_deg']:g}) deg",
+                f"body.{entry}", f"{value:g}", f"{known['name']} has {right:g}"
             )
+    pole = Rotation.from_iau(
+        known["pole_ra_deg"], known["pole_dec_deg"], (0.0, 0.0, 0.0), given.scenario.epoch.tdb
+    ).pole
+    off = angle_deg(given.rotation.pole, pole)
+    if off > SAME_POLE_DEG:
+        yield ScenarioWarning.of(
+            "body.pole_ra_deg",
+            f"({body.pole_ra_deg:g}, {body.pole_dec_deg:g}) deg, {off:.1f} deg off",
+            f"the pole of {known['name']} is at "
+            f"({known['pole_ra_deg']:g}, {known['pole_dec_deg']:g}) deg",
+        )
 
 
 def density(given: Given) -> Iterator[ScenarioWarning]:

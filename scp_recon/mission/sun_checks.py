@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.constants import au
 
+from scp_recon.environment.catalogue import DAY_S, J2000_TDB, packaged_body
 from scp_recon.errors import InputError
-from scp_recon.mission.given import Given, angle_deg, between, packaged_tables
-from scp_recon.scenario.load import base_names
+from scp_recon.mission.given import Given, angle_deg, between
 from scp_recon.scenario.warning import ScenarioWarning
 
 Array = npt.NDArray[np.float64]
@@ -98,21 +98,21 @@ def orbit(given: Given) -> Iterator[ScenarioWarning]:
 
 
 def known_orbit(given: Given) -> Iterator[ScenarioWarning]:
-    """A body of a packaged scenario's name is on that one's orbit, wherever on it."""
-    body, sun = given.scenario.body, given.scenario.sun
+    """A packaged body is on its orbit, wherever on it: at an epoch of which it has no elements, too."""
+    scenario = given.scenario
+    body, sun, packaged = scenario.body, scenario.sun, packaged_body(scenario.body.name)
+    if packaged is None:
+        return
+    days = (scenario.epoch.tdb - J2000_TDB).total_seconds() / DAY_S
     found = Orbit.of(sun.body_position_km, sun.body_velocity_km_s)
-    for name in base_names():
-        tables = packaged_tables(name)
-        if body.name.casefold() != tables["body"]["name"].casefold():
-            continue
-        known = Orbit.of(tables["sun"]["body_position_km"], tables["sun"]["body_velocity_km_s"])
-        tilt = angle_deg(found.normal, known.normal)
-        off = float(np.linalg.norm(found.eccentricity - known.eccentricity))
-        same = abs(found.axis_au / known.axis_au - 1.0) <= SAME_AXIS
-        if not same or tilt > SAME_PLANE_DEG or off > SAME_ECCENTRICITY:
-            yield ScenarioWarning.of(
-                "sun.body_position_km",
-                f"with the velocity an orbit of {found.axis_au:.3f} au, its plane {tilt:.2f} deg and "
-                f"its eccentricity vector {off:.3f} off that of {body.name}",
-                f"{known.axis_au:.3f} au, and within {SAME_PLANE_DEG:g} deg and {SAME_ECCENTRICITY:g}",
-            )
+    known = Orbit.of(*packaged.heliocentric(float(np.clip(days, *packaged.span))))
+    tilt = angle_deg(found.normal, known.normal)
+    off = float(np.linalg.norm(found.eccentricity - known.eccentricity))
+    same = abs(found.axis_au / known.axis_au - 1.0) <= SAME_AXIS
+    if not same or tilt > SAME_PLANE_DEG or off > SAME_ECCENTRICITY:
+        yield ScenarioWarning.of(
+            "sun.body_position_km",
+            f"with the velocity an orbit of {found.axis_au:.3f} au, its plane {tilt:.2f} deg and "
+            f"its eccentricity vector {off:.3f} off that of {body.name}",
+            f"{known.axis_au:.3f} au, and within {SAME_PLANE_DEG:g} deg and {SAME_ECCENTRICITY:g}",
+        )
