@@ -139,7 +139,7 @@ def _new(options: argparse.Namespace, console: Console) -> int:
     _write(path, draft_text(replace(best.draft, outcome=_outcome(best))))
     plan_tables.show_mission(console, best.mission)
     plan_tables.show_solution(console, best.solution)
-    plan_tables.show_verification(console, best.mission, best.verification)
+    plan_tables.show_verification(console, best.mission, best.verification, best.mission.warnings)
     show_written(console, path)
     return best.status
 
