@@ -7,6 +7,7 @@ of probability, errors and the schedule's durations; and a `dv_max_m_s` in km/s,
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from scp_recon.physics.geometry import Site
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
+from tests.scp_recon.support import file_of
 
 RECON_B = load_scenario()
 Entries = dict[str, Any]
@@ -55,21 +57,22 @@ def consistent(draw: st.DrawFn) -> Scenario:
     speed = size * np.sqrt(density)
     changes |= {path: scaled(entry_of(RECON_B, path), speed) for path in SPEEDS}
     sun = np.array(RECON_B.sun.body_position_km) * draw(st.floats(0.95, 1.05))
-    return RECON_B.replace(
+    return file_of(
+        RECON_B,
         changes
         | {
-            "body.name": "Mine",
-            "body.gm_m3_s2": RECON_B.body.gm_m3_s2 * density * size**3,
+            "body.gm_m3_s2": 1.001 * RECON_B.body.gm_m3_s2 * density * size**3,
             "body.j2": draw(st.floats(0.0, 0.04)),
             "sun.body_position_km": [*(sun[:2] + 1.0), sun[2]],
-        }
+        },
+        name="Mine",
     )
 
 
 def is_told(scenario: Scenario, changes: Entries) -> bool:
-    """Whether changes are refused, or warned about beside their entry or another that follows."""
+    """Whether a file of these entries is refused, or warned about at any of them."""
     try:
-        told = bool(Mission.from_scenario(scenario.replace(changes)).warnings)
+        told = bool(Mission.from_scenario(file_of(scenario, changes)).warnings)
     except InputError:
         told = True
     reliability.count(reliability.BAD_INPUTS)
@@ -153,8 +156,9 @@ def test_swapped_axes_of_the_sun_are_told(path: str, swap: str) -> None:
 
 @given(st.floats(-1.0, 1.0))
 def test_a_known_body_may_be_anywhere_on_its_orbit(days: float) -> None:
-    """Carried on by SciPy's integrator about a Sun alone, a hundred days either way."""
+    """Carried on by SciPy's integrator about a Sun alone, a hundred days either way, with the epoch."""
     sun = RECON_B.sun
+    later = RECON_B.epoch.tdb + timedelta(days=100.0 * days)
     start = [*sun.body_position_km, *sun.body_velocity_km_s]
 
     def rate(_: float, y: np.ndarray) -> list[float]:
@@ -162,11 +166,12 @@ def test_a_known_body_may_be_anywhere_on_its_orbit(days: float) -> None:
 
     flown = solve_ivp(rate, (0.0, 100.0 * 86_400.0 * days), start, rtol=1e-9, atol=1e-3).y[:, -1]
     given = {
+        "epoch.tdb": later.isoformat(),
         "sun.body_position_km": flown[:3].tolist(),
         "sun.body_velocity_km_s": flown[3:].tolist(),
     }
     mission = Mission.from_scenario(RECON_B)
-    found = check_given(Given(RECON_B.replace(given), mission.rotation, mission.site))
+    found = check_given(Given(file_of(RECON_B, given), mission.rotation, mission.site))
     assert found == ()
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,13 +17,35 @@ from scipy.integrate import solve_ivp
 from scp_recon import solve
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import ForceModel, acceleration
-from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.load import load_scenario, validate_scenario
+from scp_recon.scenario.schema import Scenario
 
 Array = npt.NDArray[np.float64]
 
 
 def mission_of(*overrides: str) -> Mission:
     return Mission.from_scenario(load_scenario(None, overrides))
+
+
+def file_of(scenario: Scenario, changes: Mapping[str, Any], name: str | None = None) -> Scenario:
+    """A scenario written out in full, with entries changed by hand.
+
+    Args:
+        scenario: that is written out.
+        changes: by entry; None takes it out.
+        name: of a body that is not packaged, so that nothing is computed of it; the same if not given.
+    """
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    if name is not None:
+        tables["body"] |= {"name": name}
+        for entry in ("naif_id", "radii_m"):
+            tables["body"].pop(entry, None)
+    for path, value in changes.items():
+        table, _, entry = path.partition(".")
+        tables[table].pop(entry, None)
+        if value is not None:
+            tables[table][entry] = value
+    return validate_scenario(tables)
 
 
 def integrate(

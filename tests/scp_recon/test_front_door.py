@@ -254,7 +254,7 @@ def test_a_comparison_says_what_was_verified_and_of_which_scenario(
     )
     assert table["verified"] == ("not checked", "no: status, violation", "yes", "not checked")
     assert table["scenario"] == ("recon_b", "recon_b", "recon_b", "later")
-    assert table["differs from the first in"] == (None, None, "risk, grid", "epoch")
+    assert table["differs from the first in"] == (None, None, "risk, grid", "epoch, sun")
     assert set(table["total delta-v"]) == {solution.total_dv_m_s}
 
 

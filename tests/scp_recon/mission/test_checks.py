@@ -2,81 +2,181 @@
 
 from __future__ import annotations
 
-import json
-import tomllib
-from importlib.resources import files
-from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
-from scp_recon.scenario.load import load_scenario
+from scp_recon.mission import body_checks, sun_checks
+from scp_recon.mission.given import Given
+from scp_recon.mission.mission import Mission, rotation_of, site_of
+from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import file_of, mission_of
 
-ELSEWHERE = "site.position_body_m=[-91.0, 81.0, 181.0]"
-LATER = 'epoch.tdb="2020-03-21T20:33:17"'
+ELSEWHERE = [-91.0, 81.0, 181.0]
+LATER = "2020-03-21T20:33:17"
+SUN_M = [1.51e11, -4.9e9, -3.4e9]
+INWARD = [0.4, -0.5, -0.7]
 REFUSED = [
-    ([ELSEWHERE], "site.normal_body", "49.4 deg away"),
-    ([ELSEWHERE, "site.normal_body=[0.4, -0.5, -0.7]"], "site.normal_body", "out of the body"),
-    ([LATER], "sun.body_position_km", "must be given for the new epoch"),
-    ([LATER, "sun.body_position_km=[1e8, 1e8, 0]"], "sun.body_velocity_km_s", "new epoch"),
-    (["sun.body_position_km=[1.51e11, -4.9e9, -3.4e9]"], "sun.body_position_km", "0.1 to 50 au"),
-    (["sun.body_velocity_km_s=[-4300, 26811, 15168]"], "sun.body_velocity_km_s", "km/s"),
-    (["safety.radius_min_m=0.5"], "safety.radius_min_m", "reference radius, 290 m"),
-    (["site.position_body_m=[0.0914, 0.0817, 0.1811]"], "site.position_body_m", "29 to 1450 m"),
-    (["body.reference_radius_m=0.29"], "body.gm_m3_s2", "kg/m^3"),
+    ({"site.position_body_m": ELSEWHERE}, "site.normal_body", "49.4 deg away"),
     (
-        ["observation.site_distance_min_m=0.5", "observation.site_distance_max_m=0.74"],
+        {"site.position_body_m": ELSEWHERE, "site.normal_body": INWARD},
+        "site.normal_body",
+        "must point outward",
+    ),
+    ({"epoch.tdb": LATER}, "sun.body_position_km", "must be given for the new epoch"),
+    (
+        {"epoch.tdb": LATER, "sun.body_position_km": [1e8, 1e8, 0.0]},
+        "sun.body_velocity_km_s",
+        "new epoch",
+    ),
+    ({"sun.body_position_km": SUN_M}, "sun.body_position_km", "0.1 to 50 au"),
+    (
+        {"sun.body_velocity_km_s": [-4300.0, 26811.0, 15168.0]},
+        "sun.body_velocity_km_s",
+        "km/s",
+    ),
+    ({"safety.radius_min_m": 0.5}, "safety.radius_min_m", "reference radius, 290 m"),
+    (
+        {"site.position_body_m": [0.0914, 0.0817, 0.1811]},
+        "site.position_body_m",
+        "29 to 1450 m",
+    ),
+    ({"body.reference_radius_m": 0.29}, "body.gm_m3_s2", "kg/m^3"),
+    (
+        {"observation.site_distance_min_m": 0.5, "observation.site_distance_max_m": 0.74},
         "observation.site_distance_max_m",
         "outside the safety radius",
     ),
     (
-        ["observation.window_s=[20000, 24000]", "burns.times_s=[0, 8000, 30000, 34842]"],
+        {
+            "observation.window_s": [20_000.0, 24_000.0],
+            "burns.times_s": [0.0, 8000.0, 30_000.0, 34_842.0],
+        },
         "observation.window_s",
         "incidence reaches 136.0 deg",
     ),
 ]
 
 
-@pytest.mark.parametrize(("overrides", "entry", "words"), REFUSED)
-def test_what_physics_rules_out_is_refused(overrides: list[str], entry: str, words: str) -> None:
+@pytest.mark.parametrize(("changes", "entry", "words"), REFUSED)
+def test_what_physics_rules_out_is_refused(
+    changes: dict[str, Any], entry: str, words: str, scenario: Scenario
+) -> None:
+    """In a file copied for a body of which nothing is computed."""
     with pytest.raises(InputError) as caught:
-        mission_of(*overrides)
+        Mission.from_scenario(file_of(scenario, changes, name="Other"))
     assert caught.value.entry == entry
     assert words in str(caught.value)
     reliability.count(reliability.BAD_INPUTS)
 
 
+@pytest.mark.parametrize(
+    ("changes", "entry"),
+    [
+        ({"site.normal_body": INWARD}, "site.normal_body"),
+        ({"site.normal_body": [0.1, 0.8, 0.3]}, "site.normal_body"),
+        ({"site.position_body_m": [0.0914, 0.0817, 0.1811]}, "site.position_body_m"),
+        ({"epoch.tdb": LATER}, "sun.body_position_km"),
+        ({"sun.body_position_km": SUN_M}, "sun.body_position_km"),
+        ({"sun.body_velocity_km_s": [0.0, 0.0, 0.0]}, "sun.body_velocity_km_s"),
+    ],
+)
+def test_what_contradicts_what_is_computed_is_refused(
+    changes: dict[str, Any], entry: str, scenario: Scenario
+) -> None:
+    """In a file copied for Bennu, of which Sun and surface are known."""
+    with pytest.raises(InputError, match="must agree with") as caught:
+        file_of(scenario, changes)
+    assert caught.value.entry == entry
+    reliability.count(reliability.BAD_INPUTS)
+
+
+SLOW = [0.0, 1e-5, 0.0]
 WARNED = [
     (
-        ["site.normal_body=[0.1, 0.8, 0.3]"],
+        {"site.normal_body": [0.1, 0.8, 0.3]},
         "site.normal_body",
         "deg off the direction from the centre",
     ),
-    (["body.name=Other"], "body.gm_m3_s2", "that of Bennu"),
-    (["body.name=Other"], "sun.body_position_km", "that of Bennu"),
-    (["body.gm_m3_s2=0.5"], "body.gm_m3_s2", "73.3 kg/m^3"),
-    (["body.gm_m3_s2=4.0"], "body.gm_m3_s2", "Bennu has 4.89"),
-    (["boundary.initial_velocity_m_s=[0, 1e-5, 0]"], "boundary.initial_velocity_m_s", "escape"),
-    (["boundary.final_position_m=[0, 1e5, 0]"], "boundary.final_position_m", "100 radii"),
-    (["burns.dv_max_m_s=200.0"], "burns.dv_max_m_s", "200 m/s"),
-    (["battery.delta_v_cone_deg=0.4067"], "battery.delta_v_cone_deg", "0.4067 deg"),
-    (["observation.site_distance_min_m=0.5"], "observation.site_distance_min_m", "0.5 m"),
-    (["spacecraft.mass_kg=0.178"], "spacecraft.srp_area_m2", "0.178 kg"),
-    (["sun.solar_constant_w_m2=1.361"], "sun.solar_constant_w_m2", "1.361"),
-    (["sun.body_velocity_km_s=[0, 0, 0]"], "sun.body_velocity_km_s", "eccentricity of 1.00"),
+    ({}, "body.gm_m3_s2", "that of Bennu"),
+    ({}, "sun.body_position_km", "that of Bennu"),
+    ({"body.gm_m3_s2": 0.5}, "body.gm_m3_s2", "73.3 kg/m^3"),
+    ({"boundary.initial_velocity_m_s": SLOW}, "boundary.initial_velocity_m_s", "escape"),
+    ({"boundary.final_position_m": [0.0, 1e5, 0.0]}, "boundary.final_position_m", "100 radii"),
+    ({"burns.dv_max_m_s": 200.0}, "burns.dv_max_m_s", "200 m/s"),
+    ({"battery.delta_v_cone_deg": 0.4067}, "battery.delta_v_cone_deg", "0.4067 deg"),
+    ({"observation.site_distance_min_m": 0.5}, "observation.site_distance_min_m", "0.5 m"),
+    ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "0.178 kg"),
+    ({"sun.solar_constant_w_m2": 1.361}, "sun.solar_constant_w_m2", "1.361"),
+    (
+        {"sun.body_velocity_km_s": [0.0, 0.0, 0.0]},
+        "sun.body_velocity_km_s",
+        "eccentricity of 1.00",
+    ),
 ]
 
 
-@pytest.mark.parametrize(("overrides", "entry", "words"), WARNED)
-def test_what_is_unlikely_is_warned_about(overrides: list[str], entry: str, words: str) -> None:
-    warnings = mission_of(*overrides).warnings
+@pytest.mark.parametrize(("changes", "entry", "words"), WARNED)
+def test_what_is_unlikely_is_warned_about(
+    changes: dict[str, Any], entry: str, words: str, scenario: Scenario
+) -> None:
+    warnings = Mission.from_scenario(file_of(scenario, changes, name="Other")).warnings
     assert [w for w in warnings if w.entry == entry and words in w.given + w.expected]
     assert all(str(w).isprintable() and str(w).startswith(w.entry) for w in warnings)
     reliability.count(reliability.BAD_INPUTS)
+
+
+def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
+    scenario: Scenario,
+) -> None:
+    (warning,) = mission_of("body.gm_m3_s2=4.0").warnings
+    assert str(warning) == "body.gm_m3_s2: got 4; Bennu has 4.89045"
+    # Bennu is in the packaged scenario; Eros is known besides.
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    eros = {"name": "Eros", "gm_m3_s2": 4.46e5, "pole_ra_deg": 17.232, "pole_dec_deg": 11.363}
+    found = validate_scenario(
+        {
+            **{key: value for key, value in tables.items() if key != "sun"},
+            "body": eros,
+            "sun": {"solar_constant_w_m2": 1361.0},
+            "site": {"name": "There", "latitude_deg": 10.0, "longitude_deg": 20.0},
+        }
+    )
+    given = Given(found, rotation_of(found), site_of(found))
+    assert [w.entry for w in body_checks.known_body(given)] == ["body.pole_ra_deg"]
+    assert list(sun_checks.known_orbit(given)) == []
+
+
+KM = {
+    "sigmas": {
+        "initial_sigma_position_m": [0.01, 0.01, 0.01],
+        "initial_sigma_velocity_m_s": [3e-7, 3e-7, 3e-7],
+    },
+    "covariance": {"initial_covariance": np.diag([1e-4] * 3 + [1e-13] * 3).tolist()},
+}
+
+
+@pytest.mark.parametrize("way", KM)
+def test_sigmas_in_kilometres_are_warned_about(way: str, scenario: Scenario) -> None:
+    """Ten metres and 0.3 mm/s, all of a sudden a thousand times less."""
+    layer = {"uncertainty": {**KM[way], "initial_frame": "rtn"}}
+    warnings = Mission.from_scenario(scenario.changed(layer)).warnings
+    assert len(warnings) == 2
+    assert all(w.entry.startswith("uncertainty.initial_") for w in warnings)
+    assert "a 1-sigma error of 0.01 m, 8.5e-06 of the distance" in warnings[0].given
+    reliability.count(reliability.BAD_INPUTS)
+
+
+@pytest.mark.parametrize(("fraction", "told"), [(0.0, 0), (0.001, 0), (0.3, 0), (0.8, 1)])
+def test_a_state_that_is_known_raises_no_question_and_a_guess_does(
+    fraction: float, told: int
+) -> None:
+    warnings = mission_of(f"uncertainty.initial_sigma_fraction={fraction}").warnings
+    assert [w.entry for w in warnings] == told * ["uncertainty.initial_sigma_fraction"]
 
 
 def test_the_default_raises_no_question(mission: Mission) -> None:
@@ -108,29 +208,47 @@ def test_the_computed_window_given_again_is_no_question(mission: Mission) -> Non
 # --- how an entry was left as it was -------------------------------------------------------------
 
 
-def test_a_copied_file_is_as_a_derived_one(tmp_path: Path) -> None:
-    """Whoever copies the packaged file and edits the epoch inherits its Sun as well."""
-    text = (files("scp_recon") / "data" / "recon_b.toml").read_text("utf-8")
-    file = tmp_path / "mine.toml"
-    file.write_text(text.replace("2020-01-21T20:33:17.184", "2020-02-21T20:33:17.184"), "utf-8")
-    with pytest.raises(InputError, match="new epoch"):
-        Mission.from_scenario(load_scenario(file))
+def test_another_epoch_has_its_own_sun(scenario: Scenario) -> None:
+    """Two months on the body has turned by sixty degrees about the Sun; the base's is not kept."""
+    later = scenario.replace({"epoch.tdb": LATER})
+    before, after = (np.array(s.sun.body_position_km) for s in (scenario, later))
+    turned = np.rad2deg(np.arccos(before @ after / np.linalg.norm(before) / np.linalg.norm(after)))
+    assert 45.0 < turned < 75.0
+    assert load_scenario(None, [f'epoch.tdb="{LATER}"']).sun == later.sun
+    # A velocity is not kept beside a position that is given, either.
+    given = {"epoch.tdb": LATER, "sun.body_position_km": list(later.sun.body_position_km)}
+    assert scenario.replace(given).sun.body_velocity_km_s == later.sun.body_velocity_km_s
 
 
-def test_changes_of_ones_own_scenario_are_held_to_it() -> None:
-    """Though nothing of it is a packaged scenario's."""
-    data = tomllib.loads((files("scp_recon") / "data" / "recon_b.toml").read_text("utf-8"))
-    data["site"]["normal_body"] = [0.4, 0.5, 0.7]
-    data["epoch"]["tdb"] = "2020-01-21T20:33:17.184"
-    own = Scenario.validated(json.loads(json.dumps(data)))
-    with pytest.raises(InputError, match="a slope of its own"):
-        own.replace({"site.position_body_m": [-91.0, 81.0, 181.0]})
+def test_another_site_has_its_own_normal(scenario: Scenario) -> None:
+    """That of the ellipsoid: Bennu's is nearly a sphere."""
+    site = scenario.replace({"site.position_body_m": ELSEWHERE}).site
+    cosine = np.array(site.normal_body) @ ELSEWHERE / np.linalg.norm(ELSEWHERE)
+    assert np.rad2deg(np.arccos(cosine)) < 10.0
 
 
-def test_small_moves_keep_sun_and_normal(scenario: Scenario) -> None:
+def test_another_body_inherits_nothing_of_the_first() -> None:
+    """No message is needed of what would not fit: all of it is asked for."""
+    with pytest.raises(InputError) as caught:
+        load_scenario(None, ["body.name=Other"])
+    for entry in ("gm_m3_s2", "pole_ra_deg", "sun.body_position_km", "site.normal_body"):
+        assert entry in str(caught.value)
+
+
+def test_changes_of_ones_own_scenario_inherit_what_holds_only(scenario: Scenario) -> None:
+    """Of a body of which nothing is computed, what followed from the change has to be given."""
+    own = file_of(scenario, {"site.normal_body": [0.4, 0.5, 0.7]}, name="Other")
+    with pytest.raises(InputError, match=r"site\.normal_body: got nothing"):
+        own.replace({"site.position_body_m": ELSEWHERE})
+    with pytest.raises(InputError, match=r"sun\.body_position_km: got nothing"):
+        own.replace({"epoch.tdb": LATER})
+
+
+def test_small_moves_keep_sun_and_normal_that_are_given(scenario: Scenario) -> None:
+    """A metre and forty seconds, in a copied file."""
     moved = [x + 1.0 for x in scenario.site.position_body_m]
     near = {"site.position_body_m": moved, "epoch.tdb": "2020-01-21T20:34:00"}
-    assert Mission.from_scenario(scenario.replace(near)).warnings == ()
+    assert Mission.from_scenario(file_of(scenario, near)).warnings == ()
 
 
 def test_what_is_given_with_it_is_taken(scenario: Scenario) -> None:

@@ -20,7 +20,7 @@ from scp_recon.physics.geometry import Site
 from scp_recon.physics.orbit import two_body
 from scp_recon.scenario.load import load_scenario
 from tests.scp_recon.mission.test_schedule import independent_incidence
-from tests.scp_recon.support import Array
+from tests.scp_recon.support import Array, file_of
 
 SPAN = (-5000.0, 60_000.0)
 
@@ -193,6 +193,6 @@ def test_a_flight_moved_to_another_window_observes_in_it(mission: Mission) -> No
 
 
 def test_a_body_that_falls_into_the_sun_has_no_windows() -> None:
-    falling = load_scenario(None, ["sun.body_velocity_km_s=[0, 0, 0]"])
+    falling = file_of(load_scenario(), {"sun.body_velocity_km_s": [0.0, 0.0, 0.0]}, name="Stone")
     with pytest.raises(InputError, match="Sun's centre"):
         survey(falling, (0.0, 100.0 * DAY_S))

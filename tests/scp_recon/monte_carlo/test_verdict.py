@@ -14,7 +14,7 @@ from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.summary import Summary, summarise
 from scp_recon.monte_carlo.verdict import probability_asked, shortfalls
 from scp_recon.solution.file import Solution
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import file_of, mission_of
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,6 @@ def test_the_command_ends_with_four_and_says_why(
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("body.name=Apophis", "body.name Apophis"),
         ("body.gm_m3_s2=4.0", "body.gm_m3_s2 4"),
         ("body.reference_radius_m=280.0", "body.reference_radius_m 280"),
         ("body.j2=0.01", "body.j2 0.01"),
@@ -78,6 +77,13 @@ def test_the_packaged_field_is_flown_about_its_own_body_only(
     with pytest.raises(InputError, match=words):
         FlightConfig(mission, solution.burns_m_s, truth="harmonics")
     FlightConfig(mission, solution.burns_m_s)
+
+
+def test_the_packaged_field_is_not_flown_about_a_body_of_another_name(solution: Solution) -> None:
+    """Though all its figures are Bennu's."""
+    mission = Mission.from_scenario(file_of(solution.scenario, {}, name="Apophis"))
+    with pytest.raises(InputError, match="nothing for Apophis"):
+        FlightConfig(mission, solution.burns_m_s, truth="harmonics")
 
 
 def test_the_packaged_field_is_flown_about_bennu(mission: Mission, solution: Solution) -> None:
