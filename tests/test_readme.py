@@ -379,17 +379,18 @@ def test_targets_that_are_shown_exist_and_do_what_is_said() -> None:
 
 
 def snippets_of(page: str) -> dict[str, list[str]]:
-    """TOML and Python of a page; what is neither shows what commands print."""
+    """TOML and Python of a page; what is neither shows what commands print, or is a mere comment."""
     found: dict[str, list[str]] = {"toml": [], "python": []}
     for block in blocks((PROJECT / page).read_text("utf-8")):
         if any(COMMAND.match(line) for line in block.splitlines()):
             continue
         for language, reader in (("toml", tomllib.loads), ("python", ast.parse)):
             try:
-                reader(block)
+                content = reader(block)
             except (tomllib.TOMLDecodeError, SyntaxError):
                 continue
-            found[language].append(block)
+            if content:
+                found[language].append(block)
             break
     return found
 

@@ -37,9 +37,9 @@ def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None
         (row,) = csv.DictReader(file)
     record = read_record(out / "seed_0")
     assert row["modes_hold"] == "true"
-    # The short plan allows ten minutes for a slew, less than its longest takes with errors.
-    assert row["settled_in_time"] == "false"
-    assert max(leg["settled_s"] for leg in record.summary["legs"]) > 600.0
+    # The short plan allows 650 s for a slew, which its longest takes nearly.
+    assert row["settled_in_time"] == "true"
+    assert 600.0 < max(leg["settled_s"] for leg in record.summary["legs"]) < 650.0
     executed = [burn["executed_pointing_deg"] for burn in record.summary["burns"]]
     assert float(row["burn_executed_max_deg"]) == max(executed) < 0.5
     assert float(row["least_charge"]) == record.summary["least_charge"] > 0.3
@@ -53,7 +53,7 @@ def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None
         "velocity gained against burn",
     ):
         assert f"| {kind} |" in words
-    assert "| observation, from 709 s |" in words or "| observation, from 710 s |" in words
+    assert "| observation, from 759 s |" in words or "| observation, from 760 s |" in words
 
 
 def test_a_flight_that_is_there_is_not_flown_again(

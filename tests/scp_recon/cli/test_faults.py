@@ -24,6 +24,7 @@ from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
 from formulations.program.solvers import SOLVERS, Answer, Clarabel
 from scp_recon import files, montecarlo, simulate, solve, verify
+from scp_recon.cli import method
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
@@ -278,7 +279,7 @@ def instant(
     verification: Verification,
 ) -> None:
     """The planning and the verification of the default scenario, done already."""
-    monkeypatch.setattr(solve, "plan", lambda *_, **__: default_plan)
+    monkeypatch.setattr(method, "plan", lambda *_, **__: default_plan)
     monkeypatch.setattr(solve, "verify", lambda *_: verification)
 
 
@@ -337,8 +338,9 @@ def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
         monkeypatch.setattr(files, "TemporaryFile", barred)
     else:
         (out / command.FILE_NAME).mkdir(parents=True)
-    for work in ("plan", "fly_many", "make_record"):
-        monkeypatch.setattr(command, work, None, raising=False)  # calling it is a TypeError
+    monkeypatch.setattr(method, "plan", None)  # calling it is a TypeError
+    for work in ("fly_many", "make_record"):
+        monkeypatch.setattr(command, work, None, raising=False)
     given = [] if command is solve else [str(tmp_path)]
     assert command.main([*given, *([] if out == tmp_path else ["--out", str(out)])]) == 2
     assert capsys.readouterr().err.count("error: ") == 1
@@ -419,7 +421,7 @@ def test_running_out_of_memory_ends_with_a_message(
     def greedy(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(solve, "plan", greedy)
+    monkeypatch.setattr(method, "plan", greedy)
     run = run_solve(tmp_path)
     assert run.exit_code == 2
     assert "memory" in run.errors

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from scp_recon import compare, montecarlo, solve, verify
+from scp_recon.cli import method
 from scp_recon.cli.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
@@ -109,7 +110,7 @@ def test_an_interrupted_run_is_not_the_latest_and_leaves_no_empty_folder(
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(solve, "plan", ctrl_c)
+    monkeypatch.setattr(method, "plan", ctrl_c)
     assert solve.main([]) == 130
     assert not (tmp_path / "runs" / "latest").exists()
     assert list((tmp_path / "runs" / "recon_b").iterdir()) == []

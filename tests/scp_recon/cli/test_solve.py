@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from scp_recon import solve, verify
+from scp_recon.cli import method
 from scp_recon.planning import stages
 from scp_recon.scp.loop import Record, State
 from scp_recon.scp.scvx import SCvx
@@ -421,7 +422,7 @@ def test_ctrl_c_before_anything_leaves_nothing(
     def ctrl_c(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(solve, "plan", ctrl_c)
+    monkeypatch.setattr(method, "plan", ctrl_c)
     run = run_solve(tmp_path, "--init", "cold")
     assert run.exit_code == 130
     assert "Traceback" not in run.errors

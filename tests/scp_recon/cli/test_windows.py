@@ -28,11 +28,11 @@ def test_windows_are_printed_with_their_lighting_and_their_burns(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert run("recon_b", "--span-days", "0.5") == 0
-    said = capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
     for words in (
-        "2020-01-22T00:12:17  13140.2  16537.5",
-        "48.87  8.48 to 13.75",
-        "-5105 to 1740     1495 to 8340    23137 to 29982    29737 to 36582",
+        "2020-01-22T00:12:17 13140.2 16537.5",
+        "48.87 8.48 to 13.75",
+        "-5105 to 1740 1495 to 8340 23137 to 29982 29737 to 36582",
         "-1863 to 340",
     ):
         assert words in said
