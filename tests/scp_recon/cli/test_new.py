@@ -13,6 +13,7 @@ from scp_recon.draft import drafting
 from scp_recon.draft.text import Draft
 from scp_recon.front_door import plan
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 
 BENNU = ("--body", "Bennu", "--site", "55.9,41.8", "--epoch", "2020-01-21T20:33:17")
@@ -47,6 +48,21 @@ def test_what_is_written_solves(
     (line,) = [line for line in said.splitlines() if line.startswith("total delta-v")]
     total = plan(load_scenario("mine.toml")).total_dv_m_s
     assert line.startswith(f"total delta-v {total:.6f} m/s")
+
+
+def test_what_is_strange_about_a_draft_is_told_with_its_verdict(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planned, strange = new._planned, ScenarioWarning.of("body.gm_m3_s2", "4", "5 is usual")
+
+    def warned(draft: Draft) -> new.Planned:
+        found = planned(draft)
+        return replace(found, mission=replace(found.mission, warnings=(strange,)))
+
+    monkeypatch.setattr(new, "_planned", warned)
+    assert run("mine", *BENNU) == 0
+    said = capsys.readouterr().out
+    assert said.count("warning: body.gm_m3_s2: got 4; 5 is usual") == 1
 
 
 def test_what_cannot_be_flown_is_written_with_what_to_change(
