@@ -19,6 +19,7 @@ import textwrap
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -127,6 +128,19 @@ def one_case(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(study, "CASES", study.CASES[:1])
 
 
+def roughly(patch: pytest.MonkeyPatch) -> None:
+    method = importlib.import_module("scp_recon.cli.method")
+    patch.setattr(method, "largest_probability", partial(method.largest_probability, close=1.0))
+
+
+def two_kinds(patch: pytest.MonkeyPatch) -> None:
+    study = importlib.import_module("experiments.frontier")
+    kinds = list(study.KINDS.items())
+    patch.setattr(study, "KINDS", dict([kinds[0], kinds[2]]))
+    patch.setattr(study, "PROBABILITIES", (0.7,))
+    patch.setattr(study, "FLIGHTS", 100)
+
+
 def the_plan_alone(patch: pytest.MonkeyPatch) -> None:
     study = importlib.import_module("experiments.model_fidelity.__main__")
     flights = study.flights
@@ -174,6 +188,8 @@ FEW = "--quick --skip-ipopt --samples 100"
 CONES = "python -m experiments.battery_cones"
 DRAW = "python -m paper_figs.studies.solver_comparison"
 
+EXACT = "python -m scp_recon.solve --set 'risk.allocation=\"exact\"'"
+
 QUICK = {
     # planning
     "python -m scp_recon.solve --init warm --facet-rounds 1": Quick(),
@@ -189,6 +205,12 @@ QUICK = {
     ),
     "python -m scp_recon.solve --set 'boundary.frame=\"j2000\"'": Quick(
         "python -m scp_recon.solve --set 'boundary.frame=\"j2000\"' --problem P3"
+    ),
+    f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": Quick(
+        f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9 --certify no"
+    ),
+    f"{EXACT} --objective probability --dv-budget 0.115": Quick(
+        f"{EXACT} --objective probability --dv-budget 0.115 --certify no", cut=roughly
     ),
     "python -m scp_recon.solve --out DIR": Quick(
         "python -m scp_recon.solve --out runs/dir --problem P3"
@@ -226,6 +248,7 @@ QUICK = {
     COMPARISON: Quick(cut=one_cell),
     "python -m experiments.compare_solvers --full": Quick(cut=one_cell),
     "python -m experiments.nlp_tricks": Quick(cut=one_trick),
+    "python -m experiments.frontier": Quick(cut=two_kinds),
     "python -m experiments.openscvx_peer": Quick(cut=one_case, needs="openscvx"),
     "python -m experiments.flown_plan runs/latest": simulated(
         "runs/short --seeds 1 --out runs/flown_plan", "experiments.flown_plan"
