@@ -182,8 +182,8 @@ def test_the_radius_of_curvature_is_that_of_the_nearest_surface(rng: np.random.G
     normal = cone.supporting(touched).normal
     near = touched + normal * rng.uniform(-0.2, 0.2)
     radius = cone.curvature_radius(near).item()
-    step = 1e-3 * radius
+    step = 1e-2 * radius
     tangent = np.cross(normal, ray)
     bent = -cone.inside(touched + step * tangent).item()
     # The distance to the cone: seen along its normal, the surface falls back by as much.
-    assert bent == pytest.approx(step**2 / (2.0 * radius), rel=1e-2)
+    assert bent == pytest.approx(step**2 / (2.0 * radius), rel=3e-2)

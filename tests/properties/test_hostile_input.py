@@ -23,6 +23,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from scp_recon import montecarlo, simulate, solve, verify
+from scp_recon.cli import method
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
@@ -233,14 +234,15 @@ def test_no_bytes_end_in_anything_but_a_scenario_or_a_message(content: bytes) ->
 
 @patient
 @given(st.lists(words | hostile.map(str), max_size=3), words)
-def test_no_base_reaches_beyond_the_package(values: list[str], name: str) -> None:
+def test_a_base_is_the_file_that_is_named_and_no_other(values: list[str], name: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "mine.toml"
         base = values if values else name
         path.write_text(document({"base": base, "name": name or "x"}), "utf-8")
         with watched() as touched:
             read_or_refuse(lambda: load_scenario(path))
-        assert_touched_only(touched, path.resolve(), PACKAGE / "data")
+        named = [] if values or "\0" in name else [(Path(folder) / name).resolve()]
+        assert_touched_only(touched, path.resolve(), PACKAGE / "data", *named)
 
 
 entries = st.sampled_from([".".join(map(str, where)) for where in places(RECON_B)]) | words
@@ -294,7 +296,7 @@ def solved_or_refused(overrides: list[str], *options: str) -> None:
         reliability.count(reliability.BAD_INPUTS)
 
 
-slow = settings(patient, max_examples=share_of_examples(2), phases=set(Phase) - {Phase.shrink})
+slow = settings(patient, max_examples=share_of_examples(5), phases=set(Phase) - {Phase.shrink})
 
 
 @slow
@@ -527,7 +529,7 @@ def interrupted(*_: object, **__: object) -> None:
 def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder, watched() as touched:
         out = Path(folder) / "out"
-        with mock.patch.object(solve, "_by_scp", return_value=interrupted):
+        with mock.patch.object(method, "_by_scp", return_value=interrupted):
             code = command(solve.main, ["--out", str(out), *arguments, "--method", "scp"])
         written = [path for path in Path(folder).rglob("*") if path.is_file()]
     assert code in (0, 2, 130)  # help, bad input, and the interrupt that stands for the planning

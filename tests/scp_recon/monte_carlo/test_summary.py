@@ -89,7 +89,7 @@ def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(
     assert list(data) == [
         *("schema", "plan_hash", "samples", "seed", "truth", "errors", "confidence"),
         *("planned_dv_m_s", "window_s", "held_s", "entry_s", "exit_s", "probability"),
-        *("closest_m", "executed_dv_m_s", "terminal"),
+        *("whole_flight", "closest_m", "executed_dv_m_s", "terminal"),
     ]
     interval = {"value", "low", "high"}
     assert data["schema"] == SCHEMA == "scp_recon.montecarlo/1"
