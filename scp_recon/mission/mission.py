@@ -14,14 +14,14 @@ import numpy.typing as npt
 from formulations.problem.facets import Polytopes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
-from scp_recon.mission.checks import check_given, check_window
+from scp_recon.mission.checks.given import Given
+from scp_recon.mission.checks.spread import check_spread
+from scp_recon.mission.checks.table import check_given, check_window
 from scp_recon.mission.constraints import state_constraints
-from scp_recon.mission.given import Given
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.lighting import Lighting
 from scp_recon.mission.plausibility import check_plausible
 from scp_recon.mission.schedule import Schedule, find_window, make_schedule
-from scp_recon.mission.spread_checks import check_spread
 from scp_recon.mission.uncertainty import execution_errors, initial_factor
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry

@@ -14,7 +14,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.advice import legal_times, other_windows
 from scp_recon.mission.legal_burns import before_burn_s, burns_before, sun_leg_s
 from scp_recon.mission.lighting import lighting_slack
-from scp_recon.mission.windows import SCAN_STEP_S, all_windows, whole_windows
+from scp_recon.mission.windows import SCAN_STEP_S, each_window, is_whole
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.sections import ScheduleRules
 
@@ -52,8 +52,10 @@ def find_window(
 
     slack = lighting_slack(limits, incidence, local_solar_time)
     flight = 0.0, end
-    if whole := whole_windows(all_windows(slack, flight, step_s), flight):
-        return whole[0]
+    windows = each_window(slack, flight, step_s)
+    first_whole = next((window for window in windows if is_whole(window, flight)), None)
+    if first_whole is not None:
+        return first_whole
     raise InputError(
         "observation",
         f"incidence at most {limits.incidence_max_deg:g} deg and local solar time "

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
+
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
@@ -40,6 +43,11 @@ def scan_step_s(rate_rad_s: float, span_s: Window) -> float:
 
 
 def all_windows(slack: OfTime, span_s: Window, step_s: float) -> list[Window]:
+    """All of `each_window`."""
+    return list(each_window(slack, span_s, step_s))
+
+
+def each_window(slack: OfTime, span_s: Window, step_s: float) -> Iterator[Window]:
     """Every interval of a span in which a function is not negative, its edges to 1e-6 s.
 
     The function is scanned; where it comes near zero between two looks its extreme is searched for, so
@@ -57,17 +65,21 @@ def all_windows(slack: OfTime, span_s: Window, step_s: float) -> list[Window]:
     values = np.concatenate([slack(part) for part in parts])
     times, values = _with_extremes(slack, times, values)
     lit = values >= 0.0
-    edges = [_edge(slack, *times[k : k + 2].tolist()) for k in np.flatnonzero(lit[1:] != lit[:-1])]
-    if lit[0]:
-        edges.insert(0, first)
-    if lit[-1]:
-        edges.append(last)
-    return list(zip(edges[::2], edges[1::2], strict=True))
+    changes = np.flatnonzero(lit[1:] != lit[:-1])
+    # Edges are searched for as windows are asked for: who wants the first one pays for two.
+    inner = (_edge(slack, *times[k : k + 2].tolist()) for k in changes)
+    edges = chain([first] * bool(lit[0]), inner, [last] * bool(lit[-1]))
+    return zip(edges, edges, strict=True)
+
+
+def is_whole(window: Window, span_s: Window) -> bool:
+    """Whether the ends of the span do not cut it."""
+    return window[0] > span_s[0] and window[1] < span_s[1]
 
 
 def whole_windows(windows: list[Window], span_s: Window) -> list[Window]:
     """Those that the ends of the span do not cut."""
-    return [w for w in windows if w[0] > span_s[0] and w[1] < span_s[1]]
+    return [window for window in windows if is_whole(window, span_s)]
 
 
 def _with_extremes(slack: OfTime, times: Array, values: Array) -> tuple[Array, Array]:

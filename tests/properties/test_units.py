@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import check_given
-from scp_recon.mission.given import Given
+from scp_recon.mission.checks.given import Given
+from scp_recon.mission.checks.sun import GM_SUN_KM3_S2
+from scp_recon.mission.checks.table import check_given
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.sun_checks import GM_SUN_KM3_S2
 from scp_recon.physics.frames import unit
 from scp_recon.physics.geometry import Site
 from scp_recon.scenario.load import load_scenario

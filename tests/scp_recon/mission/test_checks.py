@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.mission import body_checks, sun_checks
-from scp_recon.mission.given import Given
+from scp_recon.mission.checks import body as body_checks
+from scp_recon.mission.checks import sun as sun_checks
+from scp_recon.mission.checks.given import Given
 from scp_recon.mission.mission import Mission, rotation_of, site_of
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario

@@ -9,8 +9,8 @@ from scipy.constants import G
 
 from scp_recon.environment.catalogue import packaged_body
 from scp_recon.errors import InputError
-from scp_recon.mission.copied_entries import check_inherited
-from scp_recon.mission.given import Given, angle_deg, between, packaged_tables
+from scp_recon.mission.checks.copied import check_inherited
+from scp_recon.mission.checks.given import Given, angle_deg, between, packaged_tables
 from scp_recon.physics.frames import Rotation
 from scp_recon.scenario.load import base_names
 from scp_recon.scenario.warning import ScenarioWarning

@@ -11,7 +11,7 @@ from scipy.constants import au
 
 from scp_recon.environment.catalogue import DAY_S, J2000_TDB, packaged_body
 from scp_recon.errors import InputError
-from scp_recon.mission.given import Given, angle_deg, between
+from scp_recon.mission.checks.given import Given, angle_deg, between
 from scp_recon.scenario.warning import ScenarioWarning
 
 Array = npt.NDArray[np.float64]

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.errors import InputError
-from scp_recon.mission import body_checks, flight_checks, sun_checks
-from scp_recon.mission.given import Given
+from scp_recon.mission.checks import body, flight, sun
+from scp_recon.mission.checks.given import Given
 from scp_recon.mission.windows import SCAN_STEP_S
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
@@ -22,23 +22,23 @@ Array = npt.NDArray[np.float64]
 Times = Callable[[Array], Array]
 
 CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
-    body_checks.copied,
-    body_checks.density,
-    body_checks.spin,
-    body_checks.known_body,
-    body_checks.site_position,
-    body_checks.site_normal,
-    sun_checks.distance,
-    sun_checks.orbit,
-    sun_checks.known_orbit,
-    flight_checks.safety,
-    flight_checks.site_distances,
-    flight_checks.boundary,
-    flight_checks.burn_size,
-    flight_checks.limit_angles,
-    flight_checks.spacecraft,
+    body.copied,
+    body.density,
+    body.spin,
+    body.known_body,
+    body.site_position,
+    body.site_normal,
+    sun.distance,
+    sun.orbit,
+    sun.known_orbit,
+    flight.safety,
+    flight.site_distances,
+    flight.boundary,
+    flight.burn_size,
+    flight.limit_angles,
+    flight.spacecraft,
 )
-"""What a mission is held to, in this order; one that knows an ephemeris belongs after `known_orbit`."""
+"""What a mission is held to, in this order."""
 WINDOW_SLACK = 0.05
 """In degrees, or hours: a window given to the nearest second is no other one."""
 

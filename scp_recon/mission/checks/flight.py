@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from scp_recon.errors import InputError
-from scp_recon.mission.given import Given
+from scp_recon.mission.checks.given import Given
 from scp_recon.scenario.warning import ScenarioWarning
 
 FAR_RADII, FAST_ESCAPES, SLOW_ESCAPES, BURN_ESCAPES = 100.0, 20.0, 0.01, 20.0
