@@ -18,8 +18,9 @@ from rich.console import Console
 
 from scp_recon.cli import plan_tables
 from scp_recon.cli.options import date_tdb, number_between
+from scp_recon.draft.draft import Draft, GivenBody
 from scp_recon.draft.drafting import drafts, scenario_of
-from scp_recon.draft.text import Draft, GivenBody, draft_text
+from scp_recon.draft.text import draft_text
 from scp_recon.environment.catalogue import body_names, packaged_body
 from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically

@@ -15,8 +15,9 @@ from formulations.problem.flyby import FlybyProblem
 from formulations.program.penalty import Penalty, PenaltyParameters
 from formulations.program.subproblem import Subproblem
 from scp_recon.physics.dynamics import Dynamics
-from scp_recon.scp.loop import Record, State, Timing, record_of_trial, trial_step
+from scp_recon.scp.loop import Record, State, Timing
 from scp_recon.scp.status import Status
+from scp_recon.scp.trial import record_of_trial, trial_step
 
 
 @dataclass(frozen=True)

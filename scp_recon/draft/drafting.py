@@ -9,8 +9,9 @@ from datetime import timedelta
 
 import numpy as np
 
+from scp_recon.draft.draft import ROOM_DEG, Draft, GivenBody
 from scp_recon.draft.flyby import burn_times, design_flyby, window_opens_s
-from scp_recon.draft.text import ROOM_DEG, Draft, GivenBody, draft_text
+from scp_recon.draft.text import draft_text
 from scp_recon.errors import InputError
 from scp_recon.mission.lighting import Lighting, lighting_slack
 from scp_recon.mission.mission import rotation_of, site_of, sun_direction

@@ -77,6 +77,7 @@ class StageRunner:
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
     _choices: dict[str, int] = field(default_factory=dict)
+    _exact: Sequence[tuple[str, ExactRows]] | None = None
 
     def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
         """Run the stages of a plan; an interrupted one ends with the best stage so far, if any."""
@@ -98,7 +99,7 @@ class StageRunner:
         Where none converges the facets are chosen again. The best of all tries counts.
         """
         if problem == "P2" and self.mission.scenario.risk.allocation == "exact":
-            self.solver.exact_rows()  # a method that has none says so before any work
+            self._exact_rows()  # a method that has none says so before any work
         firsts: list[Stage] = []
         finals: list[Stage] = []
         for letter, start in _starts(self.mission, guess):
@@ -154,12 +155,18 @@ class StageRunner:
 
     def solve_exact(self, name: str, lin: Linearisation) -> Stage:
         """P2 with the true probabilities, by way of quicker stages as long as they converge."""
-        for way, rows in self.solver.exact_rows():
+        for way, rows in self._exact_rows():
             stage = self._solve(name + way, rows, lin)
             if stage.result.status is not Status.CONVERGED:
                 break
             lin = stage.result.lin
         return stage
+
+    def _exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
+        """Made once: drawing the directions of flights takes its time."""
+        if self._exact is None:
+            self._exact = self.solver.exact_rows()
+        return self._exact
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:
         """P2 with the facets chosen at the start; the name gets the number of the choice."""

@@ -8,8 +8,9 @@ from typing import ClassVar, Self
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program.penalty import PenaltyParameters
 from formulations.program.subproblem import Subproblem
-from scp_recon.scp.loop import Record, State, Trial, record_of, record_of_trial
+from scp_recon.scp.loop import Record, State
 from scp_recon.scp.status import Status
+from scp_recon.scp.trial import Trial, record_of, record_of_trial
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from formulations.program.penalty import Penalty
 from formulations.program.subproblem import Subproblem, SubproblemError
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.scp.exact_penalty import ExactPenalty
-from scp_recon.scp.loop import Record, State, Timing, trial_step
+from scp_recon.scp.loop import Record, State, Timing
+from scp_recon.scp.trial import trial_step
 
 
 @dataclass(frozen=True)

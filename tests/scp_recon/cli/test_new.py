@@ -10,7 +10,7 @@ import pytest
 
 from scp_recon import new
 from scp_recon.draft import drafting
-from scp_recon.draft.text import Draft
+from scp_recon.draft.draft import Draft
 from scp_recon.front_door import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.warning import ScenarioWarning

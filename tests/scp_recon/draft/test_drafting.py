@@ -7,9 +7,10 @@ from datetime import datetime
 import numpy as np
 import pytest
 
+from scp_recon.draft.draft import Draft, GivenBody
 from scp_recon.draft.drafting import drafts, scenario_of
 from scp_recon.draft.flyby import HOME_RADII, burn_times
-from scp_recon.draft.text import Draft, GivenBody, draft_text
+from scp_recon.draft.text import draft_text
 from scp_recon.errors import InputError
 from scp_recon.mission.legal_burns import legal_burns
 from scp_recon.mission.mission import Mission

@@ -16,9 +16,10 @@ from scp_recon.monte_carlo.sampling import BLOCK, fly_block
 from scp_recon.physics.frames import unit
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.scp.loop import Timing, trial_step
+from scp_recon.scp.loop import Timing
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
+from scp_recon.scp.trial import trial_step
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify
 from tests.scenarios import COARSE

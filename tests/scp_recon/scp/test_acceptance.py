@@ -12,8 +12,9 @@ from formulations.program.penalty import PenaltyParameters
 from formulations.program.subproblem import Step
 from scp_recon.scp import ptr, scvx
 from scp_recon.scp.algorithms import ALGORITHMS
-from scp_recon.scp.loop import Record, State, Timing, Trial
+from scp_recon.scp.loop import Record, State, Timing
 from scp_recon.scp.status import Status
+from scp_recon.scp.trial import Trial
 
 STEP = 0.1
 
