@@ -133,7 +133,7 @@ class _Group:
         self._function = ca.Function("arc", [self._y, self._h], [self._end])
 
     def inputs(self, x: ca.MX) -> ca.MX:
-        """Y of every arc, shape (s, n)."""
+        """The y of every arc, shape (s, n)."""
         index = self.start[:, None] + np.arange(self.size)
         return ca.reshape(x[index.ravel().tolist()], self.size, self.count)
 

@@ -67,7 +67,7 @@ def _burnt(y: ca.MX, spread: Factor | None, burn: ca.MX, burns: int) -> ca.MX:
 
 
 def _fly(arcs: Arcs, spread: Factor | None, y: ca.MX, first: int, end: int) -> ca.MX:
-    """Y at the ends of the arcs between two nodes, (s, n)."""
+    """The y at the ends of the arcs between two nodes, (s, n)."""
     symbol, h = ca.SX.sym("y", y.numel()), ca.SX.sym("h")
     function = ca.Function("arc", [symbol, h], [step(arcs, spread, symbol, h)])
     return function.mapaccum(end - first)(y, ca.DM(arcs.durations[first:end]).T)

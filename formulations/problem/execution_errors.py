@@ -39,7 +39,7 @@ class ExecutionErrors(ABC):
 
     @abstractmethod
     def columns(self, burns: Array) -> Array:
-        """C of burns (m, 3), the shared columns first, shape (m, 3, shared + own)."""
+        """Columns C of burns (m, 3), the shared columns first, shape (m, 3, shared + own)."""
 
     @abstractmethod
     def jacobian(self, burns: Array) -> Array:

@@ -71,7 +71,7 @@ class ExactRows(ABC):
 
     @abstractmethod
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """G - Phi^-1(p), never from the model."""
+        """Differences g - Phi^-1(p), never from the model."""
 
     @abstractmethod
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
@@ -112,7 +112,7 @@ class NodeRows(ExactRows):
         return blocks
 
     def _at(self, lin: Linearisation) -> Quantiles:
-        """G of all rows at an iterate."""
+        """The quantiles g of all rows at an iterate."""
         if self._seen is None or self._seen[0] is not lin:
             mean, factor = lin.iterate.mean[self.node, :3], lin.factor[self.node, :3]
             every, careful = np.arange(self.count), self.asked + BINDING
@@ -120,7 +120,7 @@ class NodeRows(ExactRows):
         return self._seen[1]
 
     def _quantiles(self, rows: Nodes, mean: Array, factor: Array, careful: float) -> Quantiles:
-        """G of some ascending rows for mean positions (r, 3) and factors (r, 3, c) of their own.
+        """The quantiles g of ascending rows, with a mean (r, 3) and factor (r, 3, c) for each.
 
         For `careful` see `node_quantiles`.
         """

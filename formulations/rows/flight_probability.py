@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.special import ndtri
 
 from formulations.problem.flyby import Nodes
 from formulations.problem.regions import Array, Region
-from formulations.risk.lines import TwoSidedChiLaw, kept_segments
-from formulations.rows.node_probability import Event, end_velocity
+from formulations.risk.lines import NormalLaw, TwoSidedChiLaw, kept_segments
+from formulations.rows.node_probability import Event, adding_up, end_velocity
 
 SURE = 1e-12
 """Probability that counts as none, so that its quantile stays finite."""
@@ -67,7 +66,7 @@ class FlightProbability:
     reach: float = 6.0
 
     def __call__(self, mean: Array, factor: Array) -> FlightQuantile:
-        """G for mean positions (n, 3) and their factors (n, 3, c) at all nodes."""
+        """The quantile g for mean positions (n, 3) and their factors (n, 3, c) at all nodes."""
         lines, d = self.directions.shape
         factor = factor[:, :, :d]
         law = TwoSidedChiLaw(d)
@@ -89,15 +88,13 @@ class FlightProbability:
                 normal = limit.region.at(row - start).supporting(point).normal
                 density = law.density(s_at) / lines
                 gradient = (sign * density)[:, None] * end_velocity(normal, velocity)
-                gather = sp.csr_array(
-                    (np.ones(len(row)), (row, np.arange(len(row)))), shape=(r, len(row))
-                )
+                gather = adding_up(row, r)
                 by_mean += gather @ gradient
                 for axis in range(3):
                     by_factor[:, axis] += gather @ ((gradient[:, axis] * s_at)[:, None] * u)
                 ends += gather @ density
         g = float(ndtri(np.clip(p, SURE, 1.0 - SURE)))
-        scale = np.sqrt(2.0 * np.pi) * np.exp(0.5 * g * g)
+        scale = 1.0 / NormalLaw().density(np.array(g))
         return FlightQuantile(g, nodes, scale * by_mean, scale * by_factor, ends)
 
     def _chords(self, limits: Sequence[_Limit], mean: Array, factor: Array) -> tuple[Array, Array]:

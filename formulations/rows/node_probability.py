@@ -109,7 +109,7 @@ def joint_events(constraints: Sequence[StateConstraint]) -> tuple[Event, ...]:
 
 
 def node_quantiles(event: Event, position: Array, factor: Array, careful: float = FAR) -> Quantiles:
-    """G at each node and its gradient.
+    """The quantile g at each node and its gradient.
 
     Args:
         event: n nodes.
@@ -198,7 +198,7 @@ def _probability(
             moved = end_velocity(region.at(near[at]).supporting(point).normal, along[at, 0])
             amount = sign * weight[line[mine]] * law.density(s[mine])
             gradient = amount[:, None] * moved
-            gather = sp.csr_array((np.ones(len(at)), (at, np.arange(len(at)))), shape=(k, len(at)))
+            gather = adding_up(at, k)
             by_mean += gather @ gradient
             outer = (gradient[:, :, None] * drawn[:, None]).reshape(-1, 9)
             by_root += np.asarray(gather @ outer).reshape(k, 3, 3)
@@ -228,6 +228,12 @@ def _grid_across(points: int) -> tuple[Array, Array, Array]:
     weights = weights / weights.sum()
     u, v = np.meshgrid(at, at)
     return u.ravel(), v.ravel(), np.outer(weights, weights).ravel()
+
+
+def adding_up(rows: Nodes, count: int) -> sp.csr_array:
+    """Map that adds entries up into the rows that they belong to, shape (count, entries)."""
+    entries = len(rows)
+    return sp.csr_array((np.ones(entries), (rows, np.arange(entries))), shape=(count, entries))
 
 
 def end_velocity(normal: Array, direction: Array) -> Array:

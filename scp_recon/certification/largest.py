@@ -7,27 +7,30 @@ one that has a plan. Each try begins at the burns of the best one so far.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.certify import FIRST_SEED, certificate_of, flights_needed
+from scp_recon.certification.certify import (
+    FAILURES,
+    FIRST_SEED,
+    FLIGHTS_MAX,
+    Planning,
+    certificate_of,
+    flights_needed,
+)
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.status import Status
 
-LEAST, MOST = 0.55, 0.9999
-"""Probabilities between which it is looked for."""
+LEAST, MOST = 0.55, 1.0 - FAILURES / FLIGHTS_MAX
+"""Probabilities between which it is looked for: no flights can certify a larger one."""
 CLOSE = 0.01
 """Standard deviations between the last probability with a plan and the first without."""
 DIGITS = 4
 """Of a probability that is promised."""
-
-Planning = Callable[[Mission, Iterate, float], Plan]
-"""An exact plan of a mission from a start, aiming at a probability."""
 
 
 def promised(best: Plan, *, certified: bool) -> Plan:
@@ -42,9 +45,19 @@ def promised(best: Plan, *, certified: bool) -> Plan:
     if certified:
         certificate = certificate_of(best, flights_needed(best.aim), FIRST_SEED, 1)
         reached = certificate.low
-    asked = math.floor(reached * 10**DIGITS) / 10**DIGITS
-    mission = Mission.from_scenario(best.mission.scenario.replace({"risk.p_chance": asked}))
+    scenario = best.mission.scenario.replace({"risk.p_chance": rounded_down(reached)})
+    mission = Mission.from_scenario(scenario)
     return replace(best, mission=mission, certificate=certificate)
+
+
+def rounded_down(probability: float) -> float:
+    """To what is promised."""
+    return math.floor(probability * 10**DIGITS) / 10**DIGITS
+
+
+def is_kept(plan: Plan, budget_m_s: float) -> bool:
+    """Whether a try has a plan within the budget."""
+    return plan.status is Status.CONVERGED and plan.total_dv_m_s <= budget_m_s
 
 
 def largest_probability(
@@ -53,8 +66,8 @@ def largest_probability(
     make_plan: Planning,
     budget_m_s: float = float("inf"),
     close: float = CLOSE,
-) -> Plan | None:
-    """The plan of the largest probability, which is its `aim`; None if there is none for `LEAST`.
+) -> Plan:
+    """The plan of the largest probability, which is its `aim`; the try for `LEAST` if none is kept.
 
     Args:
         mission: to plan; its scenario's allocation is exact.
@@ -63,21 +76,15 @@ def largest_probability(
         budget_m_s: most delta-v that it may cost.
         close: standard deviations between what has a plan and what has none.
     """
-
-    def tried(probability: float, begin: Iterate) -> Plan | None:
-        found = make_plan(mission, begin, probability)
-        kept = found.status is Status.CONVERGED and found.total_dv_m_s <= budget_m_s
-        return found if kept else None
-
-    best = tried(LEAST, start)
-    if best is None:
-        return None
+    best = make_plan(mission, start, LEAST)
+    if not is_kept(best, budget_m_s):
+        return best
     low, high = float(ndtri(LEAST)), float(ndtri(MOST))
     while high - low > close:
         middle = 0.5 * (low + high)
-        found = tried(float(ndtr(middle)), from_burns(mission, best.burns_m_s))
-        if found is None:
-            high = middle
-        else:
+        found = make_plan(mission, from_burns(mission, best.burns_m_s), float(ndtr(middle)))
+        if is_kept(found, budget_m_s):
             best, low = found, middle
+        else:
+            high = middle
     return best

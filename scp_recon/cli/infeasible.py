@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 from rich.console import Console
 
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.largest import DIGITS, LEAST, largest_probability
+from scp_recon.certification.largest import LEAST, largest_probability, rounded_down
 from scp_recon.cli.command import show_line
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
@@ -44,10 +42,10 @@ def show_what_would_do(console: Console, failed: Plan) -> None:
         return plan(mission, start, aim=aim)
 
     best = largest_probability(mission, p3.result.lin.iterate, tried, close=CLOSE)
-    if best is None or best.aim is None:
+    if best.status is not Status.CONVERGED or best.aim is None:
         show_line(console, f"with exact risk there is no plan for a probability of {LEAST} either")
         return
-    asked = math.floor(best.aim * 10**DIGITS) / 10**DIGITS
+    asked = rounded_down(best.aim)
     if asked >= risk.p_chance:
         asked = risk.p_chance
         word = "exact risk solves what the uniform split over polytopes cannot"

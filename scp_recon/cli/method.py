@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import certify, flights_needed
-from scp_recon.certification.largest import LEAST, largest_probability, promised
+from scp_recon.certification.largest import LEAST, is_kept, largest_probability, promised
 from scp_recon.errors import InputError, one_of
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, check_exact, scp_method
@@ -76,16 +76,15 @@ def _by_scp(options: argparse.Namespace) -> Planning:
         best = largest_probability(
             mission, start, lambda m, s, aim: once(m, s, observe, aim), budget
         )
-        if best is not None:
+        if is_kept(best, budget):
             return promised(best, certified=is_certified(options, mission.scenario))
-        least = once(mission, start, observe, LEAST)
-        if least.status is Status.CONVERGED:
+        if best.status is Status.CONVERGED:
             raise InputError(
                 "--dv-budget",
                 f"{budget:g} m/s",
-                f"must be at least {least.total_dv_m_s:.6f} m/s, which {LEAST} costs",
+                f"must be at least {best.total_dv_m_s:.6f} m/s, which {LEAST} costs",
             )
-        return least
+        return best
 
     def by_scp(mission: Mission, start: Iterate, observe: Observer) -> Plan:
         if options.objective == "probability":
@@ -121,5 +120,5 @@ def check_risk(options: argparse.Namespace, scenario: Scenario) -> None:
     if options.objective == "probability" and options.problem != "P2":
         raise InputError("--objective", "probability", "goes with --problem P2")
     check_exact(options.method, options.formulation or FORMULATION, options.facet_rounds, "--")
-    if is_certified(options, scenario):
+    if is_certified(options, scenario) and options.objective == "delta-v":
         flights_needed(scenario.risk.p_chance)

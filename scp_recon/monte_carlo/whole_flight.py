@@ -20,7 +20,7 @@ from scp_recon.physics.flow import interpolate
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 
-SAFETY, WHOLE_FLIGHT = "safety_radius", "whole_flight"
+SAFETY = "safety_radius"
 LOOK_S = 30.0
 PARTS = 30
 """Of the time between looks: a second each."""

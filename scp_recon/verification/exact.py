@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
+from formulations.rows.exact import FLIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.whole_flight import SAFETY, WHOLE_FLIGHT
+from scp_recon.monte_carlo.whole_flight import SAFETY
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution
 from scp_recon.solution.risk import EventProbability, Reached, Risk
@@ -58,8 +59,8 @@ def _is_law(mission: Mission, solution: Solution, risk: Risk) -> bool:
     told = {event.name: event for event in risk.normal_law}
     if len(told) != len(risk.normal_law):
         return False
-    if risk.scope == "flight" and told.keys() == {WHOLE_FLIGHT}:
-        return len(told[WHOLE_FLIGHT].probability) == 1
+    if risk.scope == "flight" and told.keys() == {FLIGHT}:
+        return len(told[FLIGHT].probability) == 1
     expected = node_probabilities(mission, solution)
     return told.keys() == expected.keys() and all(
         np.array_equal(told[name].t_s, times) and _agree(told[name], probability)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from formulations.rows.exact import FLIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.sampling import sample_positions
-from scp_recon.monte_carlo.whole_flight import SAFETY, WHOLE_FLIGHT
+from scp_recon.monte_carlo.whole_flight import SAFETY
 from scp_recon.solution.file import Solution
 from scp_recon.solution.verdict import JointProbability
 
@@ -37,7 +38,7 @@ def shortfalls(
     found = [f"P({p.name})" for p in probabilities if p.high < asked.p_chance]
     if risk.certificate is not None and risk.certificate.low < asked.p_chance:
         found.append("certificate")
-    flown = next((p for p in probabilities if p.name == WHOLE_FLIGHT), None)
+    flown = next((p for p in probabilities if p.name == FLIGHT), None)
     if flown is not None:
         told = min(risk.normal_law[0].probability)
         if abs(told - flown.estimate) > LAW_ERROR + flown.high - flown.low:
@@ -66,7 +67,7 @@ def joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability
     if mission.scenario.risk.scope == "flight":
         every = np.logical_and.reduce([held.all(axis=0) for _, held in kept.values()])
         first = min(found, key=lambda one: one.estimate)
-        found.append(_worst(WHOLE_FLIGHT, np.array([first.worst_t_s]), every[None]))
+        found.append(_worst(FLIGHT, np.array([first.worst_t_s]), every[None]))
     return found
 
 

@@ -52,7 +52,7 @@ class Spread:
 
 
 def gates_covariance(gates: Gates, burn: Array) -> Array:
-    """Q of a burn, m/s, shape (3, 3), with the planner's bound below its fixed error."""
+    """Covariance Q of a burn, m/s, shape (3, 3), with the planner's bound below its fixed error."""
     size = float(np.linalg.norm(burn))
     if size == 0.0:
         return np.zeros((3, 3))

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.rows.exact import FLIGHT
 from scp_recon.certification import certify as certification
 from scp_recon.certification.certify import (
     FIRST_SEED,
@@ -23,7 +24,7 @@ from scp_recon.certification.certify import (
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.monte_carlo.whole_flight import WHOLE_FLIGHT, kept_flights
+from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -100,7 +101,7 @@ def test_the_solution_says_so_and_is_verified(certified: Plan) -> None:
     checked = verify(certified.mission, solution)
     assert checked.ok, checked.failed
     names = {p.name for p in checked.probabilities}
-    assert (WHOLE_FLIGHT in names) == (solution.risk.scope == "flight")
+    assert (FLIGHT in names) == (solution.risk.scope == "flight")
 
 
 @pytest.mark.parametrize(
