@@ -89,15 +89,19 @@ def _roots(a: Array, b: Array, c: Array) -> Chord:
     """
     discriminant = b * b - a * c
     real = (discriminant > 0.0) | (a < 0.0)
+    low, high = np.full(b.shape, np.inf), np.full(b.shape, np.inf)
+    a, b, c, discriminant = (np.broadcast_to(x, real.shape)[real] for x in (a, b, c, discriminant))
     q = -(b + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), b))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         one, other = q / np.where(a == 0.0, -0.0, a), np.where(q == 0.0, 0.0, c / q)
-    low, high = np.minimum(one, other), np.maximum(one, other)
-    return np.where(real, low, np.inf), np.where(real, high, np.inf)
+    low[real], high[real] = np.minimum(one, other), np.maximum(one, other)
+    return low, high
 
 
 def _all_along(still: npt.NDArray[np.bool_], low: Array, high: Array) -> Chord:
     """A line without direction that starts inside is inside."""
+    if not still.any():
+        return low, high
     return np.where(still, -np.inf, low), np.where(still, np.inf, high)
 
 

@@ -111,9 +111,25 @@ def kept_segments(keep_in: tuple[Array, Array], keep_out: tuple[Array, Array]) -
         keep_out: the same, shape (lines, o); an empty one is (inf, inf).
     """
     (in_low, in_high), (out_low, out_high) = keep_in, keep_out
-    infinite = np.full((len(in_low), 1), np.inf)
-    first = np.max(np.hstack([-infinite, in_low]), axis=1, keepdims=True)
-    last = np.min(np.hstack([infinite, in_high]), axis=1, keepdims=True)
+    first = in_low.max(axis=1, initial=-np.inf)
+    last = in_high.min(axis=1, initial=np.inf)
+    lost = (out_low < last[:, None]) & (out_high > first[:, None])
+    interrupted = lost.any(axis=1)
+    whole = np.flatnonzero(~interrupted & (first < last))
+    starts, ends = _met(in_low[whole], first[whole]), _met(in_high[whole], last[whole])
+    unbroken = Segments(whole, first[whole], last[whole], starts, ends)
+    some = np.flatnonzero(interrupted)
+    inner, outer = (in_low[some], in_high[some]), (out_low[some], out_high[some])
+    parts = _segments(inner, outer, first[some, None], last[some, None])
+    broken = parts._replace(line=some[parts.line])
+    return Segments(*(np.concatenate(pair) for pair in zip(unbroken, broken, strict=True)))
+
+
+def _segments(
+    keep_in: tuple[Array, Array], keep_out: tuple[Array, Array], first: Array, last: Array
+) -> Segments:
+    """What is left of [first, last] of each line, shape (lines, 1), outside the keep-out intervals."""
+    (in_low, in_high), (out_low, out_high) = keep_in, keep_out
     order = np.argsort(out_low, axis=1)
     opens = np.take_along_axis(out_low, order, axis=1)
     closes = np.maximum.accumulate(np.take_along_axis(out_high, order, axis=1), axis=1)

@@ -26,6 +26,7 @@ from formulations.rows.cones import Cones, Margins, Unit, burn_components_before
 from formulations.rows.flight_probability import (
     FlightProbability,
     FlightQuantile,
+    Limits,
     sphere_directions,
 )
 from formulations.rows.node_probability import Quantiles, joint_events, node_quantiles
@@ -42,8 +43,11 @@ BEND = 3.0
 DIFFERENCE = 1e-5
 """Step of the differences that give a node's curvature, in units of speed."""
 
-CURVATURE_LINES, CURVATURE_REACH = 512, 4.0
-"""Directions that a flight's curvature is estimated from, and their reach."""
+CURVATURE_LINES = 1024
+"""Directions that a flight's curvature is estimated from."""
+
+ENDS_MIN = 1e-9
+"""Density of the flights that a limit ends at an iterate, from which on it takes part in curvature."""
 
 APART = 0.05
 """Change of a flight's g over which slopes are compared, in standard deviations."""
@@ -180,9 +184,9 @@ class FlightRows(ExactRows):
         dimension = factor_columns_used(problem, self.nodes)
         directions = sphere_directions(lines, dimension)
         self.probability = FlightProbability(self.events, directions)
-        rough = directions[:CURVATURE_LINES]
-        self._rough = FlightProbability(self.events, rough, CURVATURE_REACH)
+        self._rough = FlightProbability(self.events, directions[:CURVATURE_LINES])
         self._seen: tuple[Linearisation, FlightQuantile] | None = None
+        self._bent: tuple[Array, Array] | None = None
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Of the whole flight, at the node where most flights end."""
@@ -193,27 +197,33 @@ class FlightRows(ExactRows):
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """One row in all burns."""
         g, z = self._at(lin), lin.iterate.burns.ravel()
-        slope = self._slope(g, s)
-        hessian = self._hessian(slope, null_space(final_state_map(lin)[1]), s, z)
+        slope, free = self._slope(g, s), null_space(final_state_map(lin)[1])
+        step = APART / max(float(np.linalg.norm(slope @ free)), APART)
+        if self._bent is None or np.linalg.norm((z - self._bent[0]) @ free) > step:
+            met = g.limits.at(g.ends > ENDS_MIN)
+            self._bent = z, self._hessian(met, step, free, s, z)
+        hessian = self._bent[1]
         margin = np.array([g.value - self.asked])
         return [curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)]
 
-    def _hessian(self, slope: Array, free: Array, s: Sensitivity, z: Array) -> Array:
+    def _hessian(self, met: Limits, step: float, free: Array, s: Sensitivity, z: Array) -> Array:
         """d2g/dz2 along directions that keep the final state, shape (nz, nz).
 
         By differences of slopes from few directions, so far apart that the kinks average out where a
-        flight's end passes from one limit to another.
+        flight's end passes from one limit to another. It is kept until the burns have moved as far.
 
         Args:
-            slope: dg/dz, shape (nz,).
+            met: the limits that end flights.
+            step: of the differences, in units of speed.
             free: orthonormal, shape (nz, f).
             s: the affine model.
             z: where, shape (nz,).
         """
-        step = APART / max(float(np.linalg.norm(slope @ free)), APART)
         bent = np.empty((free.shape[1], free.shape[1]))
         for j, direction in enumerate(step * free.T):
-            ahead, behind = (self._rough_slope(s, z + move) for move in (direction, -direction))
+            ahead, behind = (
+                self._rough_slope(met, s, z + move) for move in (direction, -direction)
+            )
             bent[:, j] = (ahead - behind) @ free / (2.0 * step)
         return free @ bent @ free.T
 
@@ -229,13 +239,13 @@ class FlightRows(ExactRows):
         factor = s.factor_jacobian[at, :3, :d].reshape(-1, slope.size)
         return np.asarray(slope + g.by_factor.ravel() @ factor)
 
-    def _rough_slope(self, s: Sensitivity, z: Array) -> Array:
-        """dg/dz of the affine model at other burns, from few directions."""
+    def _rough_slope(self, met: Limits, s: Sensitivity, z: Array) -> Array:
+        """dg/dz of the affine model at other burns, from few directions and limits."""
         every = np.zeros((self.problem.n_nodes, 3))
         every[self.nodes] = (s.mean_constant + s.mean_jacobian @ z)[:, :3]
         factor = np.zeros((len(every), 3, s.factor_constant.shape[2]))
         factor[self.nodes] = (s.factor_constant + s.factor_jacobian @ z)[:, :3]
-        return self._slope(self._rough(every, factor), s)
+        return self._slope(self._rough(every, factor, met), s)
 
 
 def curved_cones(rows: Nodes, margin: Array, slope: Array, hessian: Array, z: Array) -> Cones:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtri
 
 from formulations.problem.flyby import Nodes
@@ -25,29 +26,80 @@ SURE = 1e-12
 """Probability that counts as none, so that its quantile stays finite."""
 
 
+class Limit(NamedTuple):
+    """One region at the nodes where a flight may meet it."""
+
+    region: Region
+    nodes: Nodes
+
+    def at(self, which: Nodes) -> Limit:
+        """The same at some of its nodes."""
+        return Limit(self.region.at(which), self.nodes[which])
+
+
+class Limits(NamedTuple):
+    """What flights are held to: rows are the nodes of each limit, keep-ins first.
+
+    Attributes:
+        inner: regions that a flight has to stay in.
+        outer: regions that it has to stay out of.
+    """
+
+    inner: tuple[Limit, ...]
+    outer: tuple[Limit, ...]
+
+    @property
+    def first(self) -> Nodes:
+        """First row of each limit, and the number of rows."""
+        return np.cumsum([0, *(len(limit.nodes) for limit in self.inner + self.outer)])
+
+    @property
+    def nodes(self) -> Nodes:
+        """Node of each row."""
+        parts = [limit.nodes for limit in self.inner + self.outer]
+        return np.concatenate([np.zeros(0, np.intp), *parts])
+
+    def at(self, rows: npt.NDArray[np.bool_]) -> Limits:
+        """Some of the rows only."""
+        parts = np.split(rows, self.first[1:-1])
+        kept = [
+            limit.at(np.flatnonzero(part))
+            for limit, part in zip(self.inner + self.outer, parts, strict=False)
+        ]
+        count = len(self.inner)
+        return Limits(tuple(kept[:count]), tuple(kept[count:]))
+
+    def normals(self, row: Nodes, point: Array) -> Array:
+        """Normals to the surface of the region of some rows at points (m, 3) on it."""
+        normal, first = np.empty_like(point), self.first
+        for limit, start, stop in zip(self.inner + self.outer, first, first[1:], strict=False):
+            mine = np.flatnonzero((row >= start) & (row < stop))
+            region = limit.region.at(row[mine] - start)
+            normal[mine] = region.supporting(point[mine]).normal
+        return normal
+
+
 class FlightQuantile(NamedTuple):
     """g = Phi^-1(P) of the whole flight and derivatives in mean positions and factors at r rows.
 
     Attributes:
         value: g.
-        nodes: node of each row, shape (r,).
+        limits: that were looked at, r rows.
         by_mean: shape (r, 3).
         by_factor: shape (r, 3, d), of the factor's first d columns.
         ends: share of the flights that a row ends, in density, shape (r,).
     """
 
     value: float
-    nodes: Nodes
+    limits: Limits
     by_mean: Array
     by_factor: Array
     ends: Array
 
-
-class _Limit(NamedTuple):
-    """One region at the nodes where a flight within reach may meet it."""
-
-    region: Region
-    nodes: Nodes
+    @property
+    def nodes(self) -> Nodes:
+        """Node of each row."""
+        return self.limits.nodes
 
 
 @dataclass(frozen=True)
@@ -65,62 +117,70 @@ class FlightProbability:
     directions: Array
     reach: float = 6.0
 
-    def __call__(self, mean: Array, factor: Array) -> FlightQuantile:
-        """The quantile g for mean positions (n, 3) and their factors (n, 3, c) at all nodes."""
+    def limits(self, mean: Array, factor: Array) -> Limits:
+        """What some flight within reach meets, for mean positions (n, 3) and factors (n, 3, c)."""
+        spread = self.reach * factor[:, :, : self.directions.shape[1]]
+        radius = np.sqrt(np.linalg.eigvalsh(spread @ spread.swapaxes(1, 2))[:, -1])
+        inner = (limit for e in self.events for limit in _met_inside(e, mean, radius))
+        outer = (limit for e in self.events for limit in _met_outside(e, mean, spread))
+        return Limits(tuple(inner), tuple(outer))
+
+    def __call__(self, mean: Array, factor: Array, limits: Limits | None = None) -> FlightQuantile:
+        """The quantile g for mean positions (n, 3) and factors (n, 3, c) at all nodes.
+
+        Args:
+            mean: of the positions.
+            factor: of the positions.
+            limits: what to look at, if not all that is within reach.
+        """
+        if limits is None:
+            limits = self.limits(mean, factor)
         lines, d = self.directions.shape
         factor = factor[:, :, :d]
         law = TwoSidedChiLaw(d)
-        inner = [limit for e in self.events for limit in _met_inside(e, mean, self.reach * factor)]
-        outer = [limit for e in self.events for limit in _met_outside(e, mean, self.reach * factor)]
-        kept = kept_segments(self._chords(inner, mean, factor), self._chords(outer, mean, factor))
+        kept = kept_segments(
+            self._chords(limits.inner, mean, factor), self._chords(limits.outer, mean, factor)
+        )
         p = float(law.between(kept.low, kept.high).sum()) / lines
-        limits = inner + outer
-        nodes = np.concatenate([limit.nodes for limit in limits] or [np.zeros(0, np.intp)])
-        first = np.cumsum([0, *(len(limit.nodes) for limit in limits)])
+        nodes = limits.nodes
         r = len(nodes)
-        by_mean, by_factor, ends = np.zeros((r, 3)), np.zeros((r, 3, d)), np.zeros(r)
-        for s, met, sign in ((kept.low, kept.low_limit, -1.0), (kept.high, kept.high_limit, 1.0)):
-            for limit, start, stop in zip(limits, first, first[1:], strict=False):
-                mine = np.flatnonzero((met >= start) & (met < stop))
-                row, u, s_at = met[mine], self.directions[kept.line[mine]], s[mine]
-                velocity = np.einsum("nid,nd->ni", factor[nodes[row]], u)
-                point = mean[nodes[row]] + s_at[:, None] * velocity
-                normal = limit.region.at(row - start).supporting(point).normal
-                density = law.density(s_at) / lines
-                gradient = (sign * density)[:, None] * end_velocity(normal, velocity)
-                gather = adding_up(row, r)
-                by_mean += gather @ gradient
-                for axis in range(3):
-                    by_factor[:, axis] += gather @ ((gradient[:, axis] * s_at)[:, None] * u)
-                ends += gather @ density
+        row, s = np.hstack([kept.low_limit, kept.high_limit]), np.hstack([kept.low, kept.high])
+        sign = np.repeat([-1.0, 1.0], len(kept.line))
+        met = row >= 0
+        row, s, sign, u = row[met], s[met], sign[met], self.directions[np.tile(kept.line, 2)[met]]
+        velocity = np.einsum("nid,nd->ni", factor[nodes[row]], u)
+        normal = limits.normals(row, mean[nodes[row]] + s[:, None] * velocity)
+        density = law.density(s) / lines
+        gradient = (sign * density)[:, None] * end_velocity(normal, velocity)
+        gather = adding_up(row, r)
+        by_factor = [gather @ ((gradient[:, axis] * s)[:, None] * u) for axis in range(3)]
         g = float(ndtri(np.clip(p, SURE, 1.0 - SURE)))
         scale = 1.0 / NormalLaw().density(np.array(g))
-        return FlightQuantile(g, nodes, scale * by_mean, scale * by_factor, ends)
+        by_mean, ends = gather @ gradient, gather @ density
+        return FlightQuantile(g, limits, scale * by_mean, scale * np.stack(by_factor, axis=1), ends)
 
-    def _chords(self, limits: Sequence[_Limit], mean: Array, factor: Array) -> tuple[Array, Array]:
+    def _chords(self, limits: Sequence[Limit], mean: Array, factor: Array) -> tuple[Array, Array]:
         """Where lines lie in each limit's regions, shape (lines, rows) twice."""
         lines = len(self.directions)
         lows, highs = [np.zeros((lines, 0))], [np.zeros((lines, 0))]
         for limit in limits:
-            direction = (factor[limit.nodes] @ self.directions.T).swapaxes(1, 2)
+            direction = self.directions @ factor[limit.nodes].swapaxes(1, 2)
             low, high = limit.region.chord(mean[limit.nodes, None], direction)
             lows.append(low.T)
             highs.append(high.T)
         return np.hstack(lows), np.hstack(highs)
 
 
-def _met_inside(event: Event, mean: Array, spread: Array) -> Iterator[_Limit]:
-    """Keep-in limits where some flight within `spread`, S times its reach, leaves the region."""
+def _met_inside(event: Event, mean: Array, radius: Array) -> Iterator[Limit]:
+    """Keep-in limits that flights within a radius about the mean leave."""
     at = event.nodes
     for region in event.keep_in:
-        near = np.flatnonzero(
-            region.inside(mean[at]) < np.linalg.norm(spread[at], ord=2, axis=(1, 2))
-        )
+        near = np.flatnonzero(region.inside(mean[at]) < radius[at])
         if len(near):
-            yield _Limit(region.at(near), at[near])
+            yield Limit(region.at(near), at[near])
 
 
-def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[_Limit]:
+def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[Limit]:
     """Keep-out limits where some flight crosses the plane that the region lies behind."""
     at = event.nodes
     for region in event.keep_out:
@@ -128,7 +188,7 @@ def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[_Limit]:
         along = np.linalg.norm(np.einsum("ni,nic->nc", planes.normal, spread[at]), axis=1)
         near = np.flatnonzero(planes.slack(mean[at]) < along)
         if len(near):
-            yield _Limit(region.at(near), at[near])
+            yield Limit(region.at(near), at[near])
 
 
 def sphere_directions(count: int, dimension: int) -> Array:
