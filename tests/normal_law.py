@@ -1,7 +1,7 @@
 """Probabilities of balls and cones under a normal law, by nested quadrature and by known laws.
 
-Oracles for `formulations.rows.node_probability`: they know neither chords nor facets, slice the sets
-along fixed axes, and take ten thousand points for one number.
+Oracles for `formulations.rows.node_probability`: they know neither transforms nor contours, slice the
+sets along fixed axes, and take hundreds of thousands of points for one number.
 """
 
 from __future__ import annotations
@@ -13,30 +13,34 @@ from scipy.stats import ncx2
 from formulations.problem.regions import Ball, Cone, perpendicular
 from tests.helpers import Array
 
-POINTS, TAIL = 128, 9.0
-"""Gauss-Legendre points in each direction, over so many standard deviations either way."""
+OUTER, INNER, TAIL = 1000, 192, 9.0
+"""Gauss-Legendre points over the slices and within each, over so many standard deviations either way:
+slices of a slender law change within a small part of one."""
 
-AT, WEIGHT = np.polynomial.legendre.leggauss(POINTS)
+RULES = {count: np.polynomial.legendre.leggauss(count) for count in (OUTER, INNER)}
 
 
-def points_between(low: Array, high: Array) -> tuple[Array, Array]:
-    """Points and weights on intervals (...,), shape (..., POINTS)."""
+def points_between(low: Array, high: Array, count: int) -> tuple[Array, Array]:
+    """Points and weights on intervals (...,), shape (..., count)."""
+    at, weight = RULES[count]
     half = 0.5 * np.maximum(high - low, 0.0)[..., None]
-    return low[..., None] + half * (1.0 + AT), half * WEIGHT
+    return low[..., None] + half * (1.0 + at), half * weight
 
 
 def density(x: Array, mean: Array, sigma: Array) -> Array:
     return np.exp(-0.5 * ((x - mean) / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
 
 
-def chord_angles(radius: Array, mean: Array, sigma: float) -> tuple[Array, Array, Array]:
+def chord_angles(
+    radius: Array, mean: Array, sigma: float, count: int = INNER
+) -> tuple[Array, Array, Array]:
     """Points x = radius sin(a) where the law is, with weights dx, and the half chords across them."""
     with np.errstate(divide="ignore", invalid="ignore"):
         edges = [
             np.arcsin(np.clip((mean + sign * TAIL * sigma) / radius, -1.0, 1.0))
             for sign in (-1.0, 1.0)
         ]
-    angle, weight = points_between(*edges)
+    angle, weight = points_between(*edges, count)
     radius = radius[..., None]
     return radius * np.sin(angle), weight * radius * np.cos(angle), radius * np.cos(angle)
 
@@ -53,7 +57,7 @@ def ball_probability(ball: Ball, mean: Array, covariance: Array) -> float:
     """Slices across the axis of the least spread, and chords of the slices."""
     variance, axes = np.linalg.eigh(covariance)
     sigma, off = np.sqrt(variance), axes.T @ (mean - ball.center[0])
-    x, dx, half = chord_angles(np.array(ball.radius), off[0], sigma[0])
+    x, dx, half = chord_angles(np.array(ball.radius), off[0], sigma[0], OUTER)
     slices = disk(half, np.broadcast_to(off[1:], (len(half), 2)), sigma[1:])
     return float((dx * density(x, off[0], sigma[0]) * slices).sum())
 
@@ -67,7 +71,7 @@ def cone_probability(cone: Cone, mean: Array, covariance: Array) -> float:
     pull = spread[:2, 2] / spread[2, 2]
     variance, axes = np.linalg.eigh(spread[:2, :2] - np.outer(pull, spread[2, :2]))
     low, high = np.maximum(off[2] + TAIL * sigma * np.array([-1.0, 1.0]), 0.0)
-    height, weight = points_between(low, high)
+    height, weight = points_between(low, high, OUTER)
     centre = (off[:2] + (height[:, None] - off[2]) * pull) @ axes
     slices = disk(height * np.tan(cone.half_angle), centre, np.sqrt(variance))
     return float((weight * density(height, off[2], sigma) * slices).sum())

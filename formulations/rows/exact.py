@@ -119,22 +119,18 @@ class NodeRows(ExactRows):
         """The quantiles g of all rows at an iterate."""
         if self._seen is None or self._seen[0] is not lin:
             mean, factor = lin.iterate.mean[self.node, :3], lin.factor[self.node, :3]
-            every, careful = np.arange(self.count), self.asked + BINDING
-            self._seen = lin, self._quantiles(every, mean, factor, careful)
+            self._seen = lin, self._quantiles(np.arange(self.count), mean, factor)
         return self._seen[1]
 
-    def _quantiles(self, rows: Nodes, mean: Array, factor: Array, careful: float) -> Quantiles:
-        """The quantiles g of ascending rows, with a mean (r, 3) and factor (r, 3, c) for each.
-
-        For `careful` see `node_quantiles`.
-        """
+    def _quantiles(self, rows: Nodes, mean: Array, factor: Array) -> Quantiles:
+        """The quantiles g of ascending rows, with a mean (r, 3) and factor (r, 3, c) for each."""
         cuts = np.searchsorted(rows, self._first)
         parts = []
         for event, first, start, stop in zip(
             self.events, self._first, cuts, cuts[1:], strict=False
         ):
             some, mine = event.at(rows[start:stop] - first), slice(start, stop)
-            parts.append(node_quantiles(some, mean[mine], factor[mine], careful))
+            parts.append(node_quantiles(some, mean[mine], factor[mine]))
         return Quantiles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def _slope(self, g: Quantiles, rows: Nodes, s: Sensitivity, p: int) -> Array:
@@ -145,7 +141,7 @@ class NodeRows(ExactRows):
         return np.asarray(slope)
 
     def _hessian(self, rows: Nodes, s: Sensitivity, z: Array, p: int) -> Array:
-        """d2g/dz2 of some rows by differences of slopes, from few points, shape (r, p, p).
+        """d2g/dz2 of some rows by differences of slopes, shape (r, p, p).
 
         All steps of all rows are taken at once, the first of each row being none.
         """
@@ -159,7 +155,7 @@ class NodeRows(ExactRows):
         )
         every = np.repeat(rows, p + 1)
         shape = (len(every), 3, factor.shape[-1])
-        g = self._quantiles(every, mean.reshape(-1, 3), factor.reshape(shape), -np.inf)
+        g = self._quantiles(every, mean.reshape(-1, 3), factor.reshape(shape))
         slope = self._slope(g, every, s, p).reshape(-1, p + 1, p)
         return np.asarray(slope[:, 1:] - slope[:, :1]) / DIFFERENCE
 

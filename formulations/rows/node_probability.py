@@ -1,15 +1,16 @@
 """Probability at each node that a joint constraint holds, with its gradient in mean and covariance.
 
-Integrated along the normal of the facet nearest to the mean in closed form, and across it by
-Gauss-Hermite points. On the normal quantile scale, g = Phi^-1(P), a half-space gives the mean's
-distance in standard deviations, so that g is nearly affine in what it depends on.
+Balls and cones are quadratic forms of the position, whose probability is one integral along a contour:
+see `risk.quadratic_forms`. The limits of an event are nested, one within the other, so that no position
+misses two of them and the probabilities of missing each add up. On the normal quantile scale, g =
+Phi^-1(P), a half-space gives the mean's distance in standard deviations, so that g is nearly affine in
+what it depends on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -17,19 +18,18 @@ import scipy.sparse as sp
 from scipy.special import ndtri
 
 from formulations.problem.flyby import Nodes, StateConstraint
-from formulations.problem.regions import Array, Region, perpendicular
-from formulations.risk.lines import NormalLaw, kept_segments
-
-ACROSS = {0.05: 8, 0.15: 16, np.inf: 32}
-"""Gauss-Hermite points in each direction across, by the spread over the radius of curvature up to which
-they serve. Lines that graze a limit limit their accuracy once the spread nears that radius."""
-
-GRAZED, SLANT = 0.15, 3.0
-"""Spread over radius from which on lines run along a limit's normal, and the slope of the limit across
-it, in standard deviations, up to which they do."""
+from formulations.problem.regions import Array, Ball, Cone, Region
+from formulations.risk.lines import NormalLaw
+from formulations.risk.quadratic_forms import NAPPE, WHOLE, Below, below, below_beyond
 
 FAR = 7.0
-"""Deviations from the nearest limit at which its facet alone tells: P is within 1e-12 of 0 or 1."""
+"""Deviations from a limit from which on it is sure to be kept or missed: but for 1e-11."""
+
+LEAST = 1e-13
+"""Probability from which on g is told by the integral; below rounding may be all that is left of it."""
+
+APEX = 6.0
+"""Deviations along its axis from a cone's apex beyond which its other nappe holds nothing: < 1e-9."""
 
 SPREAD_MIN = 1e-6
 """Standard deviation, in units of length, that is added in each direction: a millimetre at most, what
@@ -68,6 +68,18 @@ class Event:
     keep_in: tuple[Region, ...]
     keep_out: tuple[Region, ...]
 
+    def check_nested(self) -> None:
+        """At most one region to keep in, one to keep out of, and that within the other.
+
+        Raises:
+            ValueError: if they are not.
+        """
+        if not (len(self.keep_in) <= 1 and len(self.keep_out) <= 1):
+            raise ValueError(f"{self.name} has more than two limits")
+        for outer, inner in zip(self.keep_in, self.keep_out, strict=False):
+            if not _holds(outer, inner):
+                raise ValueError(f"the limits of {self.name} are not nested")
+
     @property
     def limits(self) -> tuple[Region, ...]:
         """All regions, in the order in which `Segments` counts them."""
@@ -93,6 +105,19 @@ class Event:
         return np.stack([p.normal for p in planes]), np.stack([p.offset for p in planes])
 
 
+def _holds(outer: Region, inner: Region) -> bool:
+    """Whether a region holds another of its kind everywhere, but for rounding."""
+    if isinstance(outer, Ball) and isinstance(inner, Ball):
+        apart = np.linalg.norm(outer.center - inner.center, axis=1)
+        return bool(np.all(apart <= outer.radius - inner.radius + SPREAD_MIN))
+    if isinstance(outer, Cone) and isinstance(inner, Cone):
+        apart = np.linalg.norm(np.cross(outer.axis, inner.axis), axis=1)
+        ahead = np.einsum("ni,ni->n", outer.axis, inner.axis)
+        turned = np.arctan2(apart, ahead) <= outer.half_angle - inner.half_angle + SPREAD_MIN
+        return bool(np.all(turned & np.all(outer.apex == inner.apex, axis=1)))
+    return False
+
+
 def joint_events(constraints: Sequence[StateConstraint]) -> tuple[Event, ...]:
     """The joint constraints that some constraints are the sides of, in their order."""
     names = dict.fromkeys(c.event for c in constraints)
@@ -108,16 +133,18 @@ def joint_events(constraints: Sequence[StateConstraint]) -> tuple[Event, ...]:
     )
 
 
-def node_quantiles(event: Event, position: Array, factor: Array, careful: float = FAR) -> Quantiles:
+def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
     """The quantile g at each node and its gradient.
 
     Args:
         event: n nodes.
         position: means there, shape (n, 3).
         factor: of the positions, shape (n, 3, c).
-        careful: deviations from which on a limit's curvature asks for no more points: the tail
-            beyond it is told to some per cent.
+
+    Raises:
+        ValueError: if the event's limits are not nested.
     """
+    event.check_nested()
     covariance = factor @ factor.swapaxes(1, 2) + SPREAD_MIN**2 * np.eye(3)
     normals, offsets = event.facets(position)
     sigmas = np.sqrt(np.einsum("lni,nij,lnj->ln", normals, covariance, normals))
@@ -127,107 +154,83 @@ def node_quantiles(event: Event, position: Array, factor: Array, careful: float 
     by_mean = -normal / sigma[:, None]
     along = np.einsum("ni,nic->nc", normal, factor)
     by_factor = -(value / sigma**2)[:, None, None] * normal[:, :, None] * along[:, None]
-    radii = np.stack([region.curvature_radius(position) for region in event.limits])
-    radius = np.where(values < careful, radii, np.inf).min(axis=0)
-    ratio = np.sqrt(np.trace(covariance, axis1=1, axis2=2)) / radius
-    tier = np.searchsorted(list(ACROSS), ratio)
-    told = np.abs(value) < FAR
-    for number, (limit, points) in enumerate(ACROSS.items()):
-        near = np.flatnonzero(told & (tier == number))
-        if len(near) == 0:
-            continue
-        p, p_mean, p_covariance = _probability(
-            event, near, position, covariance, normal, points, wide=limit > GRAZED
-        )
-        sure = np.clip(p, 1e-13, 1.0 - 1e-13)
-        g = ndtri(sure)
-        # Where the quadrature sees no more of it than rounding, the facet goes on telling which way.
-        seen = sure == p
-        unseen = near[~seen]
-        sign = np.sign(g[~seen])
-        value[unseen] = sign * np.maximum(sign * value[unseen], np.abs(g[~seen]))
-        near, g, p_mean, p_covariance = near[seen], g[seen], p_mean[seen], p_covariance[seen]
-        scale = 1.0 / NormalLaw().density(g)
-        value[near] = g
-        by_mean[near] = scale[:, None] * p_mean
-        by_factor[near] = 2.0 * scale[:, None, None] * (p_covariance @ factor[near])
+    near, missed = _missed(event, position, covariance, values)
+    sure = np.clip(missed.below, LEAST, 1.0 - LEAST)
+    g = np.where(sure < 0.5, -ndtri(sure), ndtri(1.0 - sure))
+    # Where the integral sees no more of it than rounding, the facet goes on telling which way.
+    seen = sure == missed.below
+    unseen = near[~seen]
+    sign = np.sign(g[~seen])
+    value[unseen] = sign * np.maximum(sign * value[unseen], np.abs(g[~seen]))
+    scale = -1.0 / NormalLaw().density(g[seen])
+    near = near[seen]
+    value[near] = g[seen]
+    by_mean[near] = scale[:, None] * missed.by_mean[seen]
+    by_factor[near] = 2.0 * scale[:, None, None] * (missed.by_covariance[seen] @ factor[near])
     return Quantiles(value, by_mean, by_factor)
 
 
-def _probability(
-    event: Event,
-    near: Nodes,
-    position: Array,
-    covariance: Array,
-    normal: Array,
-    points: int,
-    *,
-    wide: bool,
-) -> tuple[Array, Array, Array]:
-    """P at some of the nodes with dP/dmean (k, 3) and the symmetric dP/dcovariance (k, 3, 3)."""
-    root = np.asarray(np.linalg.cholesky(covariance[near]), dtype=float)
-    first = _line_direction(root, normal[near], wide=wide)
-    second = perpendicular(first)
-    frame = np.stack([first, second, np.cross(first, second)], axis=1)  # rows
-    u, v, weight = _grid_across(points)
-    across = u[:, None] * frame[:, None, 1] + v[:, None] * frame[:, None, 2]  # (k, lines, 3)
-    start = position[near, None] + np.einsum("nij,nmj->nmi", root, across)
-    along = np.einsum("nij,nj->ni", root, first)[:, None]
-    direction = np.broadcast_to(along, start.shape)
-    k, m = start.shape[:2]
+def _missed(event: Event, position: Array, covariance: Array, values: Array) -> tuple[Nodes, Below]:
+    """Nodes where it is not sure whether the limits are kept, and there the probability of missing.
 
-    def chords(regions: Sequence[Region]) -> tuple[Array, Array]:
-        ends = [region.at(near).chord(start, direction) for region in regions]
-        empty = np.zeros((k * m, 0))
-        return (
-            np.column_stack([empty, *(low.ravel() for low, _ in ends)]),
-            np.column_stack([empty, *(high.ravel() for _, high in ends)]),
-        )
+    A convex region is left with the half-space that its facet bounds, at the latest; the probability of
+    leaving one is known by the facet only where the mean is outside.
 
-    kept = kept_segments(chords(event.keep_in), chords(event.keep_out))
-    node, line = np.divmod(kept.line, m)
-    law = NormalLaw()
-    p = np.bincount(node, weight[line] * law.between(kept.low, kept.high), minlength=k)
-    by_mean, by_root = np.zeros((k, 3)), np.zeros((k, 3, 3))
-    for s, limit, sign in ((kept.low, kept.low_limit, -1.0), (kept.high, kept.high_limit, 1.0)):
-        for index, region in enumerate(event.limits):
-            mine = np.flatnonzero(limit == index)
-            at, s_at = node[mine], s[mine, None]
-            point = start[at, line[mine]] + s_at * along[at, 0]
-            drawn = across[at, line[mine]] + s_at * first[at]
-            moved = end_velocity(region.at(near[at]).supporting(point).normal, along[at, 0])
-            amount = sign * weight[line[mine]] * law.density(s[mine])
-            gradient = amount[:, None] * moved
-            gather = adding_up(at, k)
-            by_mean += gather @ gradient
-            outer = (gradient[:, :, None] * drawn[:, None]).reshape(-1, 9)
-            by_root += np.asarray(gather @ outer).reshape(k, 3, 3)
-    # P depends on the root L of the covariance only through LL': dP/dL = 2 G L.
-    half = 0.5 * np.linalg.solve(root.swapaxes(1, 2), by_root.swapaxes(1, 2)).swapaxes(1, 2)
-    return np.asarray(p, dtype=float), by_mean, 0.5 * (half + half.swapaxes(1, 2))
-
-
-def _line_direction(root: Array, normal: Array, *, wide: bool) -> Array:
-    """Unit vectors w such that lines run along L w, shape (k, 3).
-
-    In standard deviations, those that meet the limit at right angles need the fewest points across.
-    Where the spread is wide some of them graze it, and those along its normal serve better, unless they
-    meet it at too much of a slant.
+    Args:
+        event: n nodes.
+        position: shape (n, 3).
+        covariance: shape (n, 3, 3).
+        values: distances of the limits' facets in standard deviations, shape (limits, n).
     """
-    upright = np.einsum("nij,ni->nj", root, normal)
-    straight = np.linalg.solve(root, normal[:, :, None])[:, :, 0]
-    sizes = [np.linalg.norm(w, axis=1, keepdims=True) for w in (upright, straight)]
-    slanted = sizes[0] * sizes[1] > np.hypot(1.0, SLANT)
-    return np.where(slanted | (not wide), upright / sizes[0], straight / sizes[1])
+    n, count = len(position), len(event.keep_in)
+    reach = FAR * np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    depth = np.stack([region.inside(position) for region in event.limits])
+    inner = np.arange(len(event.limits))[:, None] < count
+    outside = np.where(inner, -values, values) > FAR
+    inside = depth > reach
+    lost = np.where(inner, outside, inside).any(axis=0)
+    open_ = ~(outside | inside) & ~lost
+    total = Below(np.zeros(n), np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    for number, region in enumerate(event.limits):
+        near = np.flatnonzero(open_[number])
+        if len(near) == 0:
+            continue
+        held = _held(region.at(near), position[near], covariance[near])
+        sign = -1.0 if number < count else 1.0
+        total.below[near] += held.above if number < count else held.below
+        total.by_mean[near] += sign * held.by_mean
+        total.by_covariance[near] += sign * held.by_covariance
+    near = np.flatnonzero(open_.any(axis=0))
+    return near, Below(*(part[near] for part in total))
 
 
-@cache
-def _grid_across(points: int) -> tuple[Array, Array, Array]:
-    """Both coordinates across and the weight of each line, shape (points^2,)."""
-    at, weights = np.polynomial.hermite_e.hermegauss(points)
-    weights = weights / weights.sum()
-    u, v = np.meshgrid(at, at)
-    return u.ravel(), v.ravel(), np.outer(weights, weights).ravel()
+def _held(region: Region, position: Array, covariance: Array) -> Below:
+    """Probability of a region at each node."""
+    n = len(position)
+    if isinstance(region, Ball):
+        sphere = np.broadcast_to(np.eye(3), (n, 3, 3))
+        return below(sphere, position - region.center, np.full(n, region.radius**2), covariance)
+    axis, d = region.axis, position - region.apex
+    matrix = np.cos(region.half_angle) ** 2 * np.eye(3) - axis[:, :, None] * axis[:, None]
+    spread = np.sqrt(np.einsum("ni,nij,nj->n", axis, covariance, axis))
+    height = np.einsum("ni,ni->n", axis, d) / spread
+    found = Below(np.zeros(n), np.ones(n), np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    ahead, astride = height > APEX, np.abs(height) <= APEX
+    for some, rule in ((ahead, WHOLE), (astride & (height > 0.0), NAPPE)):
+        part = below(matrix[some], d[some], np.zeros(some.sum()), covariance[some], rule)
+        for all_of, new in zip(found, part, strict=True):
+            all_of[some] = new
+    # The nappe that the mean is not on; where it is the wrong one it is seen from the other side.
+    if np.any(astride):
+        side = np.where(height[astride] > 0.0, -1.0, 1.0)
+        nappe = below_beyond(
+            matrix[astride], side[:, None] * d[astride], axis[astride], covariance[astride]
+        )
+        found.below[astride] += side * nappe.below
+        found.above[astride] -= side * nappe.below
+        found.by_mean[astride] += nappe.by_mean
+        found.by_covariance[astride] += side[:, None, None] * nappe.by_covariance
+    return found
 
 
 def adding_up(rows: Nodes, count: int) -> sp.csr_array:
