@@ -10,8 +10,7 @@ its gradient:
     n'(dm + s dv) + n'v ds = 0  with n normal to the limit that is met there.
 
 Lines through the mean in all directions, with the chi law, make the spherical-radial decomposition
-(Deak, Numer. Math. 35 (1980); gradients: van Ackooij and Henrion, SIAM J. Optim. 24 (2014) 1864);
-parallel lines with the normal law make integration along a facet's normal.
+(Deak, Numer. Math. 35 (1980); gradients: van Ackooij and Henrion, SIAM J. Optim. 24 (2014) 1864).
 """
 
 from __future__ import annotations
