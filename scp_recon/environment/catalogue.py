@@ -108,8 +108,12 @@ def body_names() -> list[str]:
 
 
 def packaged_body(name: object) -> PackagedBody | None:
-    """The packaged body of a name, in whatever case; None if there is none."""
-    return _bodies().get(name.casefold()) if isinstance(name, str) else None
+    """The packaged body of a name, in whatever case, with its number or not; None if there is none."""
+    return _bodies().get(name.strip(NUMBER).casefold()) if isinstance(name, str) else None
+
+
+NUMBER = " ()0123456789"
+"""What may stand before or behind a name: (101955) Bennu."""
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from scp_recon.environment.catalogue import packaged_body
 from scp_recon.errors import InputError
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.scenario.body import Body
@@ -27,7 +28,7 @@ def truth_field(scenario: Scenario) -> HarmonicField:
         rows = body.gravity.coefficients
         degree = max(n for n, _, _, _ in rows)
         return HarmonicField.of_rows(body.gm_m3_s2, body.gravity.reference_radius_m, degree, rows)
-    if body.name.casefold() == FIELD_BODY.casefold():
+    if packaged_body(body.name) is packaged_body(FIELD_BODY):
         field = HarmonicField.bennu(body.gm_m3_s2, HARMONICS_DEGREE)
         _check_is_packaged(body, field)
         return field
