@@ -71,7 +71,11 @@ class Orbit:
 
 
 def orbit(given: Given) -> Iterator[ScenarioWarning]:
-    """Position and velocity make an osculating orbit about the Sun: its size, shape and plane."""
+    """Position and velocity make an osculating orbit about the Sun: its size, shape and plane.
+
+    Components along the axes of the ecliptic, which many tables have, make the inclination the angle
+    off the equator. Below 11.7 deg, half the obliquity, this is told, and never of what is right.
+    """
     sun = given.scenario.sun
     away = float(np.linalg.norm(sun.body_position_km))
     speed = float(np.linalg.norm(sun.body_velocity_km_s))
@@ -95,6 +99,13 @@ def orbit(given: Given) -> Iterator[ScenarioWarning]:
     if (tilt := angle_deg(found.normal, north)) > INCLINATION_MAX_DEG:
         rule = f"below {INCLINATION_MAX_DEG:g} deg would be no surprise; J2000, axes in order?"
         yield ScenarioWarning.of(entry, f"an orbit {tilt:.1f} deg off the ecliptic", rule)
+    if (equatorial := angle_deg(found.normal, np.array([0.0, 0.0, 1.0]))) < tilt:
+        yield ScenarioWarning.of(
+            entry,
+            f"an orbit {tilt:.1f} deg off the ecliptic and {equatorial:.1f} deg off Earth's equator",
+            "nearer to the ecliptic would be no surprise; along the axes of the equator, not of the "
+            "ecliptic?",
+        )
 
 
 def known_orbit(given: Given) -> Iterator[ScenarioWarning]:
