@@ -1,8 +1,8 @@
 """A consistent scenario with one entry in another unit, or with two axes swapped, is never let pass.
 
 Physics cannot tell everything. Left out are: the axes of boundary states and of a site near a diagonal;
-the prime meridian; the pole and the spin of a body that no packaged scenario knows, in radians; limits
-of probability, errors and the schedule's durations; and a `dv_max_m_s` in km/s, which leaves no plan.
+the prime meridian, the pole and the spin of a body that is not packaged, in radians; limits of
+probability, and small errors; and a `dv_max_m_s` in km/s, which leaves no plan.
 """
 
 from __future__ import annotations
@@ -15,12 +15,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from scp_recon.errors import InputError
+from scp_recon.mission.checks import sun as sun_checks
 from scp_recon.mission.checks.given import Given
-from scp_recon.mission.checks.sun import GM_SUN_KM3_S2
+from scp_recon.mission.checks.spread import check_spread
+from scp_recon.mission.checks.sun import GM_SUN_KM3_S2, OBLIQUITY_RAD
 from scp_recon.mission.checks.table import check_given
-from scp_recon.mission.mission import Mission
+from scp_recon.mission.mission import Mission, rotation_of, site_of
 from scp_recon.physics.frames import unit
 from scp_recon.physics.geometry import Site
 from scp_recon.scenario.load import load_scenario
@@ -29,6 +32,7 @@ from tests import reliability
 from tests.scp_recon.support import file_of
 
 RECON_B = load_scenario()
+MISSION = Mission.from_scenario(RECON_B)
 Entries = dict[str, Any]
 LENGTHS = (
     *("body.reference_radius_m", "site.position_body_m", "safety.radius_min_m"),
@@ -154,6 +158,46 @@ def test_swapped_axes_of_the_sun_are_told(path: str, swap: str) -> None:
     assert is_told(RECON_B, {path: [value[i] for i in SWAPS[swap]]})
 
 
+@given(
+    st.floats(0.0, 2.0 * np.pi),
+    st.floats(0.0, 11.6),
+    st.booleans(),
+)
+def test_a_sun_along_the_axes_of_the_ecliptic_is_told_and_of_the_equator_is_not(
+    node: float, inclination_deg: float, wrong: bool
+) -> None:
+    """An orbit of low inclination about any node; SciPy's rotations make the components."""
+    tilt = Rotation.from_euler("zx", [node, np.deg2rad(inclination_deg)])
+    state = tilt.inv().apply([[1.5e8, 1e6, 0.0], [-2.0, 29.0, 0.0]])
+    if not wrong:
+        state = Rotation.from_euler("x", OBLIQUITY_RAD).apply(state)
+    changes = {
+        "sun.body_position_km": state[0].tolist(),
+        "sun.body_velocity_km_s": state[1].tolist(),
+    }
+    found = file_of(RECON_B, changes, name="Mine")
+    told = list(sun_checks.orbit(Given(found, MISSION.rotation, MISSION.site)))
+    assert [bool("ecliptic" in warning.expected) for warning in told] == wrong * [True]
+
+
+@given(
+    st.floats(1.01e-4, 0.0998), st.sampled_from([KM, MM]), st.sampled_from([(1, 0), (0, 1), (1, 1)])
+)
+def test_a_spread_in_another_unit_is_told(
+    share: float, factor: float, which: tuple[int, int]
+) -> None:
+    """Position, velocity or both, whatever share of distance and speed is said without a word."""
+    distance, speed = (np.linalg.norm(MISSION.initial_state[part]) for part in HALVES)
+    speed = max(speed, np.sqrt(RECON_B.body.gm_m3_s2 / distance))
+    sigma = np.repeat([share * distance, share * speed], 3)
+    assert not list(check_spread(RECON_B, MISSION.initial_state, sigma))
+    wrong = sigma * np.repeat([factor**power for power in which], 3)
+    assert list(check_spread(RECON_B, MISSION.initial_state, wrong))
+
+
+HALVES = slice(0, 3), slice(3, 6)
+
+
 @given(st.floats(-1.0, 1.0))
 def test_a_known_body_may_be_anywhere_on_its_orbit(days: float) -> None:
     """Carried on by SciPy's integrator about a Sun alone, a hundred days either way, with the epoch."""
@@ -170,9 +214,8 @@ def test_a_known_body_may_be_anywhere_on_its_orbit(days: float) -> None:
         "sun.body_position_km": flown[:3].tolist(),
         "sun.body_velocity_km_s": flown[3:].tolist(),
     }
-    mission = Mission.from_scenario(RECON_B)
-    found = check_given(Given(file_of(RECON_B, given), mission.rotation, mission.site))
-    assert found == ()
+    found = file_of(RECON_B, given)
+    assert check_given(Given(found, rotation_of(found), site_of(found))) == ()
 
 
 @given(
@@ -182,12 +225,11 @@ def test_a_known_body_may_be_anywhere_on_its_orbit(days: float) -> None:
 def test_swapped_axes_of_a_site_are_told_where_its_slope_shows_them(
     direction: tuple[float, float, float], swap: tuple[int, int, int]
 ) -> None:
-    mission = Mission.from_scenario(RECON_B)
     normal, position = unit(direction), 250.0 * unit(direction)
     site = Site(position[list(swap)], normal)
     moved = np.rad2deg(np.arccos(np.clip(site.position_body @ position / 250.0**2, -1.0, 1.0)))
     try:
-        found = check_given(Given(RECON_B, mission.rotation, site))
+        found = check_given(Given(RECON_B, MISSION.rotation, site))
         told = any(warning.entry == "site.normal_body" for warning in found)
     except InputError as error:
         assert moved > 89.9

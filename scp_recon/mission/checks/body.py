@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 from scipy.constants import G
 
 from scp_recon.environment.catalogue import packaged_body
+from scp_recon.environment.surface import coordinates_of
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.copied import check_inherited
 from scp_recon.mission.checks.given import Given, angle_deg, between, packaged_tables
-from scp_recon.physics.frames import Rotation
+from scp_recon.physics.frames import Rotation, unit
 from scp_recon.scenario.load import base_names
 from scp_recon.scenario.warning import ScenarioWarning
 
@@ -23,8 +25,10 @@ DENSITY, DENSITY_REFUSED = (300.0, 8000.0), (3.0, 1e6)
 """kg/m^3: from the most porous comet to iron; a reference radius may be well above the body's own."""
 PERIOD_MIN_H, PERIOD_MAX_H, RUBBLE_RADIUS_M = 2.0, 2000.0, 150.0
 """Larger bodies that turn faster break up (Pravec & Harris 2000); hardly any turns slower."""
-SAME_GM, SAME_RADIUS, SAME_POLE_DEG, SAME_RATE = 0.05, 0.2, 2.0, 0.01
-"""How far a known body's figures may be off, relative but for the pole."""
+SAME_GM, SAME_J2, SAME_RADIUS, SAME_RATE, SAME_ANGLE_DEG = 0.05, 0.2, 0.2, 0.01, 2.0
+"""How far a known body's figures may be off, relative but for pole and prime meridian."""
+SAME_SITE_DEG = 5.0
+"""How far from a packaged site, seen from the centre, another may be that has its name."""
 
 
 def copied(given: Given) -> Iterator[ScenarioWarning]:
@@ -45,33 +49,79 @@ def copied(given: Given) -> Iterator[ScenarioWarning]:
                 )
 
 
+def named_site(given: Given) -> Iterator[ScenarioWarning]:
+    """A packaged site's name goes with its place."""
+    here = given.scenario
+    for name in base_names():
+        there = packaged_tables(name)
+        if (here.body.name, here.site.name) != (there["body"]["name"], there["site"]["name"]):
+            continue
+        place = there["site"]["position_body_m"]
+        off = angle_deg(given.site.position_body, unit(place))
+        if off > SAME_SITE_DEG:
+            at, expected = (
+                "latitude {:.1f} deg, longitude {:.1f} deg east".format(
+                    *coordinates_of(np.array(x))
+                )
+                for x in (given.site.position_body, place)
+            )
+            yield ScenarioWarning.of(
+                "site.name",
+                f"{here.site.name} at {at}, {off:.0f} deg off",
+                f"{here.site.name} is at {expected}; another place has another name",
+            )
+
+
 def known_body(given: Given) -> Iterator[ScenarioWarning]:
-    """A packaged body's name goes with its gravity, radius, pole and spin."""
+    """A packaged body's name goes with its gravity, radii, pole and spin."""
     body = given.scenario.body
     packaged = packaged_body(body.name)
     if packaged is None:
         return
     known = packaged.entries
-    for entry, most in (
-        ("gm_m3_s2", SAME_GM),
-        ("reference_radius_m", SAME_RADIUS),
-        ("prime_meridian_rate_deg_day", SAME_RATE),
+    radius = known["reference_radius_m"]
+    for entry, right, most in (
+        ("gm_m3_s2", known["gm_m3_s2"], SAME_GM),
+        ("reference_radius_m", radius, SAME_RADIUS),
+        ("j2", known["j2"] * (radius / body.reference_radius_m) ** 2, SAME_J2),
+        ("prime_meridian_rate_deg_day", known["prime_meridian_rate_deg_day"], SAME_RATE),
     ):
-        value, right = getattr(body, entry), known[entry]
+        value = getattr(body, entry)
         if abs(value - right) > most * abs(right):
             yield ScenarioWarning.of(
                 f"body.{entry}", f"{value:g}", f"{known['name']} has {right:g}"
             )
-    pole = Rotation.from_iau(
-        known["pole_ra_deg"], known["pole_dec_deg"], (0.0, 0.0, 0.0), given.scenario.epoch.tdb
-    ).pole
-    off = angle_deg(given.rotation.pole, pole)
-    if off > SAME_POLE_DEG:
+    if body.radii_m is not None and not np.allclose(body.radii_m, known["radii_m"], SAME_RADIUS):
+        yield ScenarioWarning.of(
+            "body.radii_m",
+            f"{list(body.radii_m)} m",
+            f"{known['name']} has {known['radii_m']} m along x, y and z",
+        )
+    yield from _known_attitude(given, known)
+
+
+def _known_attitude(given: Given, known: Mapping[str, Any]) -> Iterator[ScenarioWarning]:
+    """Where a packaged body's pole and, if that is its own, its prime meridian are at the epoch."""
+    body, tdb = given.scenario.body, given.scenario.epoch.tdb
+    pole = known["pole_ra_deg"], known["pole_dec_deg"]
+    w0, w1, w2 = (
+        known[f"prime_meridian_{key}"] for key in ("deg", "rate_deg_day", "acceleration_deg_day2")
+    )
+    right = Rotation.from_iau(*pole, (w0, w1, w2), tdb)
+    off = angle_deg(given.rotation.pole, right.pole)
+    if off > SAME_ANGLE_DEG:
         yield ScenarioWarning.of(
             "body.pole_ra_deg",
             f"({body.pole_ra_deg:g}, {body.pole_dec_deg:g}) deg, {off:.1f} deg off",
-            f"the pole of {known['name']} is at "
-            f"({known['pole_ra_deg']:g}, {known['pole_dec_deg']:g}) deg",
+            f"the pole of {known['name']} is at ({pole[0]:g}, {pole[1]:g}) deg",
+        )
+        return
+    ahead = angle_deg(given.rotation.body_to_j2000(0.0)[:, 0], right.body_to_j2000(0.0)[:, 0])
+    if ahead > SAME_ANGLE_DEG:
+        yield ScenarioWarning.of(
+            "body.prime_meridian_deg",
+            f"a prime meridian that is {ahead:.1f} deg off at the epoch",
+            f"W of {known['name']} is {w0:g} + {w1:.10g} d + {w2:g} d^2 deg",
         )
 
 

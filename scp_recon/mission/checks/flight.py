@@ -1,6 +1,6 @@
 """Whether flight, limits and spacecraft are those that were meant, and in the units of their keys.
 
-Physics cannot tell the axes of the boundary states, a probability, a duration or an error.
+Physics cannot tell the axes of the boundary states, a probability or an error.
 """
 
 from __future__ import annotations
@@ -21,8 +21,12 @@ ANGLE_MIN_DEG = float(np.pi / 2.0)
 """Every angle of a cone that was given in radians is below it."""
 AREA_TO_MASS = (1e-4, 1.0)
 """m^2/kg: from a solid block to a solar sail."""
+REFLECTIVITY = (0.5, 2.0)
+"""C_R of what is between a mirror that sends the light on and one that sends it back."""
 SOLAR_CONSTANT = (1300.0, 1420.0)
 """W/m^2 at 1 au: 1361 and what was once measured of it."""
+DURATION_MIN_S = 60.0
+"""Of a slew, a heating, a recharge: an hour given in minutes."""
 
 
 def safety(given: Given) -> Iterator[ScenarioWarning]:
@@ -127,7 +131,26 @@ def spacecraft(given: Given) -> Iterator[ScenarioWarning]:
             f"{craft.srp_area_m2:g} m^2 of {craft.mass_kg:g} kg",
             f"{low:g} to {high:g} m^2/kg would be no surprise",
         )
+    low, high = REFLECTIVITY
+    coefficient = craft.reflectivity_coefficient
+    if coefficient and not low <= coefficient <= high:
+        yield ScenarioWarning.of(
+            "spacecraft.reflectivity_coefficient",
+            f"{coefficient:g}",
+            f"{low:g} to {high:g} would be no surprise: 1 absorbs, 2 reflects everything",
+        )
     low, high = SOLAR_CONSTANT
     if not low <= constant <= high:
         expected = f"{low:g} to {high:g} W/m^2 at 1 au"
         yield ScenarioWarning.of("sun.solar_constant_w_m2", f"{constant:g} W/m^2", expected)
+
+
+def durations(given: Given) -> Iterator[ScenarioWarning]:
+    """What takes no time takes none, and what takes some takes a minute."""
+    for entry, value in given.scenario.schedule:
+        if 0.0 < value < DURATION_MIN_S:
+            yield ScenarioWarning.of(
+                f"schedule.{entry}",
+                f"{value:g} s",
+                f"0, or {DURATION_MIN_S:g} s and more, would be no surprise; seconds?",
+            )

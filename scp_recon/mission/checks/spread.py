@@ -1,4 +1,4 @@
-"""Whether the initial state is known about as well as navigation knows one: its unit, above all."""
+"""Whether initial state and burns are known about as well as they are in flight: units, above all."""
 
 from __future__ import annotations
 
@@ -7,13 +7,33 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+from scp_recon.mission.checks.given import Given
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 
 Array = npt.NDArray[np.float64]
 
-SPREAD = (1e-4, 0.5)
-"""1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown, and 1 % in km is 1e-5."""
+SPREAD = (1e-4, 0.0999)
+"""1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown. The ends are less than a
+factor of 1000 apart, so that nothing between them is there in kilometres, or millimetres, too."""
+SHARE_MAX = 0.3
+"""Of a burn that errs, 1 sigma: beyond it a per cent was meant, or there is nothing to plan with."""
+
+
+def burn_errors(given: Given) -> Iterator[ScenarioWarning]:
+    """Errors in proportion to a burn are shares of it."""
+    uncertainty = given.scenario.uncertainty
+    shares = {"execution_error": uncertainty.execution_error}
+    if (gates := uncertainty.gates) is not None:
+        for entry in ("magnitude_proportional", "magnitude_bias"):
+            shares[f"gates.{entry}"] = getattr(gates, entry)
+    for entry, share in shares.items():
+        if share is not None and share > SHARE_MAX:
+            yield ScenarioWarning.of(
+                f"uncertainty.{entry}",
+                f"{share:g} of a burn",
+                f"at most {SHARE_MAX:g} would be no surprise: it is a share, not in per cent",
+            )
 
 
 def check_spread(scenario: Scenario, state: Array, sigma: Array) -> Iterator[ScenarioWarning]:

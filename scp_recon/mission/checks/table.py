@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import body, flight, sun
+from scp_recon.mission.checks import body, figure, flight, spread, sun
 from scp_recon.mission.checks.given import Given
 from scp_recon.mission.windows import SCAN_STEP_S
 from scp_recon.scenario.schema import Scenario
@@ -26,6 +26,9 @@ CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
     body.density,
     body.spin,
     body.known_body,
+    figure.semi_axes,
+    figure.oblateness,
+    body.named_site,
     body.site_position,
     body.site_normal,
     sun.distance,
@@ -37,6 +40,8 @@ CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
     flight.burn_size,
     flight.limit_angles,
     flight.spacecraft,
+    flight.durations,
+    spread.burn_errors,
 )
 """What a mission is held to, in this order."""
 WINDOW_SLACK = 0.05
@@ -55,7 +60,9 @@ def check_given(given: Given) -> tuple[ScenarioWarning, ...]:
 def check_window(
     scenario: Scenario, window: tuple[float, float], incidence: Times, local_solar_time: Times
 ) -> tuple[ScenarioWarning, ...]:
-    """Hold a window that was given to the limits it stands in for, between its edges too.
+    """Hold a window to the light, and one that was given to the limits it stands in for.
+
+    Between its edges too.
 
     Args:
         scenario: gives the limits.
@@ -64,12 +71,11 @@ def check_window(
         local_solar_time: at the site in h, of times in s.
 
     Raises:
-        InputError: if the site is dark at some time in it.
+        InputError: if the site is dark at some time in it; of a window that was computed it names the
+            limit.
     """
     limits, entry = scenario.observation, "observation.window_s"
-    if limits.window_s is None:
-        return ()
-    first, last = window
+    computed, (first, last) = limits.window_s is None, window
     times = np.linspace(first, last, int(np.ceil((last - first) / SCAN_STEP_S)) + 1)
     angles, hours = np.rad2deg(incidence(times)), local_solar_time(times)
     worst, given = float(angles.max()), f"[{first:g}, {last:g}] s"
@@ -77,7 +83,12 @@ def check_window(
     if worst >= 90.0:
         dark = f"{given}, in which incidence reaches {worst:.1f} deg at {at:.0f} s"
         limit = f"the limit is {limits.incidence_max_deg:g} deg"
+        if computed:
+            dark = f"{limits.incidence_max_deg:g} deg, which makes a window of {dark}"
+        entry = "observation.incidence_max_deg" if computed else entry
         raise InputError(entry, dark, f"must keep the site in the light, below 90 deg; {limit}")
+    if computed:
+        return ()
     found = []
     if worst > limits.incidence_max_deg + WINDOW_SLACK:
         text = f"{given}, in which incidence reaches {worst:.1f} deg at {at:.0f} s"

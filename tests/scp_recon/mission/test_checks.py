@@ -97,6 +97,7 @@ def test_what_contradicts_what_is_computed_is_refused(
 
 
 SLOW = [0.0, 1e-5, 0.0]
+RADII = [283.065, 271.215, 249.72]
 WARNED = [
     (
         {"site.normal_body": [0.1, 0.8, 0.3]},
@@ -112,6 +113,16 @@ WARNED = [
     ({"battery.delta_v_cone_deg": 0.4067}, "battery.delta_v_cone_deg", "0.4067 deg"),
     ({"observation.site_distance_min_m": 0.5}, "observation.site_distance_min_m", "0.5 m"),
     ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "0.178 kg"),
+    (
+        {"spacecraft.reflectivity_coefficient": 112.7},
+        "spacecraft.reflectivity_coefficient",
+        "0.5 to 2",
+    ),
+    ({"schedule.heating_s": 30.0}, "schedule.heating_s", "seconds?"),
+    ({"uncertainty.execution_error": 0.8}, "uncertainty.execution_error", "not in per cent"),
+    ({"body.j2": -0.0431}, "body.j2", "unnormalised"),
+    ({"body.radii_m": RADII, "body.j2": 0.0193}, "body.j2", "has 0.0344 at 290 m"),
+    ({"body.radii_m": RADII[::-1]}, "body.radii_m", "the shortest last"),
     ({"sun.solar_constant_w_m2": 1.361}, "sun.solar_constant_w_m2", "1.361"),
     (
         {"sun.body_velocity_km_s": [0.0, 0.0, 0.0]},
@@ -136,6 +147,14 @@ def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
 ) -> None:
     (warning,) = mission_of("body.gm_m3_s2=4.0").warnings
     assert str(warning) == "body.gm_m3_s2: got 4; Bennu has 4.89045"
+    # C20 as fields have it, normalised; the right J2 at another radius; axes in another order.
+    for entry, value in (
+        ("body.j2", "0.01926"),
+        ("body.reference_radius_m", "246.0"),
+        ("body.radii_m", f"{RADII[::-1]}"),
+    ):
+        warnings = mission_of(f"{entry}={value}").warnings
+        assert {w.entry for w in warnings} == {entry.replace("reference_radius_m", "j2")}
     # Bennu is in the packaged scenario; Eros is known besides.
     tables = scenario.model_dump(mode="json", exclude_none=True)
     eros = {"name": "Eros", "gm_m3_s2": 4.46e5, "pole_ra_deg": 17.232, "pole_dec_deg": 11.363}
@@ -150,6 +169,47 @@ def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
     given = Given(found, rotation_of(found), site_of(found))
     assert [w.entry for w in body_checks.known_body(given)] == ["body.pole_ra_deg"]
     assert list(sun_checks.known_orbit(given)) == []
+
+
+def test_a_prime_meridian_that_is_not_a_packaged_bodys_is_warned_about(scenario: Scenario) -> None:
+    """Ten degrees back; the schedule has room for the 430 s that the window comes later."""
+    right = scenario.body.prime_meridian_deg
+    (warning,) = mission_of(f"body.prime_meridian_deg={right - 10.0}").warnings
+    assert warning.entry == "body.prime_meridian_deg"
+    assert "10.0 deg off" in warning.given
+    assert mission_of(f"body.prime_meridian_deg={right + 361.0}").warnings == ()
+
+
+def test_a_packaged_sites_name_goes_with_its_place() -> None:
+    """Latitude and longitude swapped, in what is based on the packaged scenario."""
+    (warning,) = mission_of("site.latitude_deg=41.8", "site.longitude_deg=55.9").warnings
+    assert warning.entry == "site.name"
+    assert "latitude 55.9 deg, longitude 41.8 deg east" in warning.expected
+    named = 'site.name="Elsewhere"'
+    assert mission_of("site.latitude_deg=41.8", "site.longitude_deg=55.9", named).warnings == ()
+
+
+def test_a_number_beside_its_name_makes_no_other_body(scenario: Scenario) -> None:
+    body = {"name": "(101955) Bennu", "gm_m3_s2": 40.0}
+    warnings = Mission.from_scenario(
+        file_of(scenario, {f"body.{key}": value for key, value in body.items()})
+    ).warnings
+    assert [str(w) for w in warnings if "Bennu has" in w.expected] == [
+        "body.gm_m3_s2: got 40; Bennu has 4.89045"
+    ]
+
+
+def test_a_limit_that_lets_the_site_be_dark_is_refused() -> None:
+    """Where local solar time alone makes the window."""
+    with pytest.raises(InputError, match="must keep the site in the light") as caught:
+        mission_of(
+            "observation.incidence_max_deg=170.0",
+            "observation.local_solar_time_min_h=14.0",
+            "observation.local_solar_time_max_h=19.0",
+            "schedule.recharge_s=0.0",
+            "schedule.heating_s=0.0",
+        )
+    assert caught.value.entry == "observation.incidence_max_deg"
 
 
 KM = {
@@ -172,7 +232,7 @@ def test_sigmas_in_kilometres_are_warned_about(way: str, scenario: Scenario) -> 
     reliability.count(reliability.BAD_INPUTS)
 
 
-@pytest.mark.parametrize(("fraction", "told"), [(0.0, 0), (0.001, 0), (0.3, 0), (0.8, 1)])
+@pytest.mark.parametrize(("fraction", "told"), [(0.0, 0), (0.001, 0), (0.09, 0), (0.3, 2)])
 def test_a_state_that_is_known_raises_no_question_and_a_guess_does(
     fraction: float, told: int
 ) -> None:
