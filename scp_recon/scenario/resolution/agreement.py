@@ -35,7 +35,7 @@ def check(entry: str, given: object, near: bool, computed: object, why: str) -> 
         InputError: if it is not.
     """
     if not near:
-        raise InputError(entry, _shown(given), f"must agree with {_shown(computed)}, {why}")
+        raise InputError(entry, shown(given), f"must agree with {shown(computed)}, {why}")
 
 
 def angle_deg(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
@@ -44,7 +44,8 @@ def angle_deg(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
     return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
 
 
-def _shown(value: object) -> str:
+def shown(value: object) -> str:
+    """A number or a list of them, to six digits."""
     if isinstance(value, float | int):
         return f"{value:g}"
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from scp_recon.environment.shape_file import read_shape
+from scp_recon.environment.solid import Solid
 from scp_recon.environment.surface import (
     Array,
     Ellipsoid,
@@ -18,12 +19,15 @@ from scp_recon.environment.surface import (
     direction_of,
 )
 from scp_recon.errors import InputError
-from scp_recon.scenario.resolution.agreement import angle_deg, check, has
+from scp_recon.scenario.resolution.agreement import angle_deg, check, has, shown
 
 DIRECTION_TOLERANCE_DEG, NORMAL_TOLERANCE_DEG = 0.1, 30.0
 """Of a position beside its coordinates, and of a normal beside the surface's: terrain is rough."""
 OFF_ELLIPSOID, OFF_MESH, OFF_RADII = 1.5, 1.05, 1.3
 """Factor by which a position may be off the surface, and a shape off the body's radii."""
+OFF_CENTRE, OFF_INERTIA = 0.1, 0.97
+"""Of a shape as a homogeneous solid: its centre off the origin, over its radius; and the inertia about
+z over the largest, which is 1 of Bennu's and 0.88 with its axes y and z swapped."""
 
 
 def resolve_site(site: dict[str, Any], body: dict[str, Any]) -> None:
@@ -91,7 +95,38 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
         why = f"body.radii_m along x, y and z, within a factor of {OFF_RADII:g}: mind unit and axes"
         near = bool(np.all((ratio <= OFF_RADII) & (ratio >= 1.0 / OFF_RADII)))
         check("body.shape_file", [*mesh.half_extents_m], near, radii, why)
+    _check_solid(str(path), mesh)
     return mesh
+
+
+def _check_solid(given: str, mesh: Mesh) -> None:
+    """A body is about its centre of mass, and turns about the axis of its largest inertia."""
+    entry = "body.shape_file"
+    try:
+        solid = Solid.of(mesh)
+    except ValueError as error:
+        raise InputError(entry, f"{given}, with {error}", "must be closed") from None
+    if solid.volume_m3 < 0.0:
+        raise InputError(
+            entry,
+            f"{given}, whose facets turn inward",
+            "must have facets that turn outward: two axes swapped or one mirrored turn them",
+        )
+    off = float(np.linalg.norm(solid.centre_m))
+    if off > OFF_CENTRE * solid.radius_m:
+        raise InputError(
+            entry,
+            f"{given}, whose centre is {off:.3g} m off the origin",
+            f"must be closed and about its centre of mass, to {OFF_CENTRE * solid.radius_m:.3g} m",
+        )
+    values, axes = np.linalg.eigh(solid.inertia_m2)
+    if solid.inertia_m2[2, 2] < OFF_INERTIA * values[2]:
+        tilt = float(np.rad2deg(np.arccos(min(1.0, abs(axes[2, 2])))))
+        raise InputError(
+            entry,
+            f"{given}, whose axis of largest inertia is {tilt:.0f} deg off z",
+            "must turn about that axis, as bodies do: are the axes in order?",
+        )
 
 
 def _check_coordinates(site: dict[str, Any], direction: Array) -> None:
@@ -114,4 +149,4 @@ def _check_distance(given: Any, position: Array, factor: float) -> None:
 
 def _check_outward(site: dict[str, Any], direction: Array) -> None:
     if angle_deg(site["normal_body"], direction) >= 90.0:
-        raise InputError("site.normal_body", str(site["normal_body"]), "must point outward")
+        raise InputError("site.normal_body", shown(site["normal_body"]), "must point outward")

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.environment.surface import direction_of
+from scp_recon.environment.surface import Mesh, direction_of
 from scp_recon.errors import InputError
 from scp_recon.mission.truth import truth_field
 from scp_recon.physics.frames import J2000_TDB, Rotation
@@ -155,6 +155,40 @@ def test_swapped_axes_and_other_units_of_a_shape_are_refused(
         error = refused(body=body | {"shape_file": str(file), "shape_unit": unit})
         assert error.entry == "body.shape_file"
         assert "unit and axes" in error.allowed
+
+
+NEARLY_ROUND = np.array([283.0, 271.0, 250.0])
+
+
+@pytest.mark.parametrize(
+    ("order", "words"),
+    [
+        ((0, 2, 1), "turn inward"),  # a swap mirrors
+        ((1, 0, 2), "turn inward"),
+        ((2, 0, 1), "90 deg off z"),  # a rotation does not
+        ((1, 2, 0), "90 deg off z"),
+    ],
+)
+def test_swapped_axes_of_a_shape_that_is_nearly_round_are_refused(
+    order: tuple[int, ...], words: str, tmp_path: Path
+) -> None:
+    """Bennu's extents: each within a factor of 1.3 of every other."""
+    mesh = box(NEARLY_ROUND)
+    straight = write_obj(tmp_path / "straight.obj", mesh)
+    body = ROCK | {"radii_m": NEARLY_ROUND.tolist(), "shape_unit": "m"}
+    assert rock(body=body | {"shape_file": str(straight)}).site.position_body_m
+    swapped = write_obj(tmp_path / "s.obj", Mesh(mesh.vertices_m[:, order], mesh.facets))
+    error = refused(body=body | {"shape_file": str(swapped)})
+    assert error.entry == "body.shape_file"
+    assert words in error.given
+
+
+def test_a_shape_about_another_origin_is_refused(tmp_path: Path) -> None:
+    mesh = box(NEARLY_ROUND)
+    vertices = mesh.vertices_m + np.array([0.0, 60.0, 0.0])
+    moved = write_obj(tmp_path / "moved.obj", Mesh(vertices, mesh.facets))
+    error = refused(body=ROCK | {"shape_unit": "m", "shape_file": str(moved)})
+    assert "60 m off the origin" in error.given
 
 
 @pytest.mark.parametrize(
