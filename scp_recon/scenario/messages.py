@@ -34,6 +34,8 @@ def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
     if not problems:
         return InputError(missing[0], "nothing", _all_of(missing[1:], "required, as are", missing))
     entries = {tuple(_location(problem)) for problem in problems}
+    if any(str(location[0]) in SOURCES for location in entries if location):
+        missing = [entry for entry in missing if not entry.startswith(COMPUTED)]
     for problem in problems:
         entry, given, rule = _describe(problem, schema)
         rules = allowed.setdefault((entry, given), [])
@@ -58,6 +60,15 @@ INSTEAD = {
     "body.shape_file or a packaged body's. Another body inherits no site.",
 }
 """What may be said in the place of missing entries, by how these begin."""
+
+
+SOURCES = ("body", "epoch", "sun", "site")
+"""Tables from which nothing is computed while an entry of theirs is wrong."""
+COMPUTED = (
+    *("body.gm_", "body.j2", "body.reference_", "body.pole_", "body.prime_", "sun.body_"),
+    *("site.position_", "site.normal_"),
+)
+"""Entries that may follow as soon as that is mended, and are not called missing before."""
 
 
 def _missing(problems: Iterable[dict[str, Any]], schema: type[BaseModel]) -> list[str]:

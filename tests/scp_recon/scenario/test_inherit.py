@@ -84,3 +84,29 @@ def test_all_missing_entries_are_told_at_once() -> None:
     for table, field in Scenario.model_fields.items():
         for key, entry in getattr(field.annotation, "model_fields", {}).items():
             assert (f"{table}.{key}" in told) == entry.is_required(), f"{table}.{key}"
+
+
+@pytest.mark.parametrize(
+    ("override", "entry"),
+    [
+        ("epoch.tdb=2021-03-14T06:00:00Z", "epoch.tdb"),
+        ("body.pole_dec_deg=100.0", "body.pole_dec_deg"),
+        ("site.latitude_deg=95.0", "site.latitude_deg"),
+    ],
+)
+def test_what_follows_from_an_entry_that_is_wrong_is_not_called_missing(
+    override: str, entry: str
+) -> None:
+    """It is computed once that is right."""
+    with pytest.raises(InputError) as caught:
+        load_scenario(None, [override, "site.longitude_deg=10.0"])
+    assert caught.value.entry == entry
+    assert "missing" not in str(caught.value)
+
+
+def test_what_follows_from_nothing_is_told_beside_an_entry_that_is_wrong() -> None:
+    tables = load_scenario().model_dump(mode="json", exclude_none=True)
+    tables["epoch"]["tdb"] = "tomorrow"
+    del tables["sun"], tables["risk"]["p_chance"]
+    with pytest.raises(InputError, match=r"missing: risk\.p_chance"):
+        validate_scenario(tables)
