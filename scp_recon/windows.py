@@ -15,9 +15,13 @@ from pathlib import Path
 from rich.console import Console
 
 from scp_recon.cli.options import date_tdb, number_between
+from scp_recon.cli.warnings import show_warnings
 from scp_recon.cli.window_tables import as_csv, show_survey
 from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically
+from scp_recon.mission.checks.given import Given
+from scp_recon.mission.checks.table import check_given
+from scp_recon.mission.mission import rotation_of, site_of
 from scp_recon.mission.survey import survey
 from scp_recon.physics.frames import DAY_S
 from scp_recon.scenario.load import load_scenario
@@ -81,8 +85,10 @@ def _windows(options: argparse.Namespace, console: Console) -> int:
                 f"no module named {error.name}",
                 "needs the extra scp_recon[report]: pip install 'scp_recon[report]'",
             ) from None
+    warnings = check_given(Given(scenario, rotation_of(scenario), site_of(scenario)))
     found = survey(scenario, (first, first + options.span_days * DAY_S))
     show_survey(console, scenario, found)
+    show_warnings(console, warnings)
     if options.csv:
         _write(options.csv, "--csv", as_csv(scenario, found), console)
     if options.chart:

@@ -38,6 +38,19 @@ def test_windows_are_printed_with_their_lighting_and_their_burns(
         assert words in said
 
 
+def test_what_is_hardly_meant_is_warned_about_and_what_cannot_be_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "recon_b"\n[body]\npole_dec_deg = 60.3586\n', "utf-8")
+    assert run(str(path), "--span-days", "0.2") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "warning: body.pole_ra_deg: got (85.461, 60.3586) deg, 120.7 deg off" in said
+    path.write_text('base = "recon_b"\n[safety]\nradius_min_m = 0.5\n', "utf-8")
+    assert run(str(path), "--span-days", "0.2") == 2
+    assert "safety.radius_min_m: got 0.5 m" in capsys.readouterr().err
+
+
 def test_the_table_holds_the_same_numbers(tmp_path: Path, mission: Mission) -> None:
     path = tmp_path / "w.csv"
     assert run("recon_b", "--span-days", "1", "--csv", str(path)) == 0
