@@ -11,6 +11,8 @@ from scp_recon.files import read_text
 
 ENTRY = "body.gravity_file"
 BYTES_MAX = 100_000_000
+SAME = 1e-3
+"""Of C00 and of degree 1, by which a field may be off GM and the centre of mass."""
 Row = tuple[int, int, float, float]
 
 
@@ -41,6 +43,7 @@ def read_gravity(path: Path, degree_max: int) -> GravityTable:
         raise InputError(
             ENTRY, f"{path} ({str(error)[:80]})", "must be an ICGEM .gfc or a PDS SHA table"
         ) from None
+    _check_centre(path, table)
     rows = [row for row in table.rows if 0 < row[0] <= degree_max and any(row[2:])]
     if not rows:
         raise InputError(ENTRY, str(path), "must hold coefficients from degree 2 on")
@@ -50,6 +53,19 @@ def read_gravity(path: Path, degree_max: int) -> GravityTable:
     if any(abs(c) > 1.0 or abs(s) > 1.0 for _, _, c, s in rows):
         raise InputError(ENTRY, str(path), "must be normalised coefficients, between -1 and 1")
     return GravityTable(table.gm_m3_s2, table.radius_m, tuple(rows))
+
+
+def _check_centre(path: Path, table: GravityTable) -> None:
+    """C00 is 1, or GM is another; and degree 1 is sqrt(3) off the centre of mass, in radii."""
+    for n, m, c, s in table.rows:
+        if n == 0 and c != 0.0 and abs(c - 1.0) > SAME:
+            raise InputError(ENTRY, f"{path}, with C00 = {c:g}", "must have C00 = 1, or none")
+        if n == 1 and max(abs(c), abs(s)) > SAME:
+            raise InputError(
+                ENTRY,
+                f"{path}, with degree 1, order {m}: {c:g}, {s:g}",
+                f"must be about the centre of mass: below {SAME:g} in degree 1",
+            )
 
 
 def _gfc(text: str) -> GravityTable:
@@ -74,6 +90,8 @@ def _sha(text: str) -> GravityTable:
     lines = [
         words for line in text.splitlines() if (words := re.split(r"[,\s]+", line.strip(" ,")))[0]
     ]
+    if not lines:
+        raise ValueError("nothing in it")
     gm = radius = None
     if not lines[0][0].isdecimal():
         first, *lines = lines

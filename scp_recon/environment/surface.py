@@ -82,6 +82,12 @@ class Mesh:
         """Half of the size along each axis."""
         return np.ptp(self.vertices_m, axis=0) / 2.0
 
+    @property
+    def facet_size_m(self) -> float:
+        """Root of the mean area of a facet."""
+        a, b, c = np.moveaxis(self.vertices_m[self.facets], 1, 0)
+        return float(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).mean() / 2.0))
+
     def at(self, direction: Array) -> tuple[Array, Array]:
         """Outermost intersection with the facets: Moeller & Trumbore 1997, the ray from the origin.
 

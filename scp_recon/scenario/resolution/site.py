@@ -25,6 +25,8 @@ DIRECTION_TOLERANCE_DEG, NORMAL_TOLERANCE_DEG = 0.1, 30.0
 """Of a position beside its coordinates, and of a normal beside the surface's: terrain is rough."""
 OFF_ELLIPSOID, OFF_MESH, OFF_RADII = 1.5, 1.05, 1.3
 """Factor by which a position may be off the surface, and a shape off the body's radii."""
+FACETS = 0.1
+"""Sizes of a facet below which there is nothing to average: kilometres, most likely."""
 OFF_CENTRE, OFF_INERTIA = 0.1, 0.97
 """Of a shape as a homogeneous solid: its centre off the origin, over its radius; and the inertia about
 z over the largest, which is 1 of Bennu's and 0.88 with its axes y and z swapped."""
@@ -90,6 +92,14 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
         return None if radii is None else Ellipsoid(radii)
     path = Path(body["shape_file"])
     mesh = read_shape(path, body.get("shape_unit"), site.get("normal_radius_m") or 0.0)
+    if mesh.normal_radius_m:
+        low, high = FACETS * mesh.facet_size_m, float(mesh.half_extents_m.min()) / 2.0
+        if not low <= mesh.normal_radius_m <= high:
+            raise InputError(
+                "site.normal_radius_m",
+                f"{mesh.normal_radius_m:g} m",
+                f"must be {low:.3g} to {high:.3g} m, from a tenth of a facet to half the body",
+            )
     if radii is not None:
         ratio = mesh.half_extents_m / radii
         why = f"body.radii_m along x, y and z, within a factor of {OFF_RADII:g}: mind unit and axes"

@@ -65,6 +65,8 @@ def test_a_table_without_a_first_record_has_no_gm_and_no_radius(tmp_path: Path) 
         *(
             SHA.replace("-0.0192", "-19.2"),
             SHA.replace("-0.0192", "nan"),
+            GFC.replace("0 0 1.0", "0 0 2.0"),
+            GFC.replace("gfc 2 1 0.0", "gfc 1 1 0.1"),
             "end_of_head\n",
             "0 0 1 0\n",
         ),

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from scp_recon.environment.surface import Mesh, direction_of
 from scp_recon.errors import InputError
@@ -181,6 +182,22 @@ def test_swapped_axes_of_a_shape_that_is_nearly_round_are_refused(
     error = refused(body=body | {"shape_file": str(swapped)})
     assert error.entry == "body.shape_file"
     assert words in error.given
+
+
+@pytest.mark.parametrize("radius_m", [0.03, 30_000.0])
+def test_a_radius_of_normals_in_another_unit_is_refused(radius_m: float, tmp_path: Path) -> None:
+    """Thirty metres in kilometres, and in millimetres; of a closed surface the sum of all is noise."""
+    points = np.array([direction_of(x, y) for x in range(-80, 90, 20) for y in range(0, 360, 20)])
+    points *= NEARLY_ROUND
+    hull = ConvexHull(points)
+    outward = np.linalg.det(points[hull.simplices]) > 0.0
+    facets = np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])
+    file = write_obj(tmp_path / "round.obj", Mesh(points, facets))
+    body = ROCK | {"shape_unit": "m", "shape_file": str(file)}
+    assert rock(body=body, site=PLACE | {"normal_radius_m": 30.0}).site.normal_radius_m == 30.0
+    error = refused(body=body, site=PLACE | {"normal_radius_m": radius_m})
+    assert error.entry == "site.normal_radius_m"
+    assert "from a tenth of a facet" in error.allowed
 
 
 def test_a_shape_about_another_origin_is_refused(tmp_path: Path) -> None:
