@@ -66,7 +66,15 @@ class PackagedBody:
                 f"{self.entries['name']} are packaged, or sun.body_position_km and "
                 "sun.body_velocity_km_s be given",
             )
+        return self.extrapolated(days)
+
+    def extrapolated(self, days: float) -> tuple[Array, Array]:
+        """The same, outside the span on the orbit of the nearest year."""
         return kepler(self.elements[np.argmin(np.abs(self.elements[:, 0] - days))], days)
+
+    def years_beyond(self, days: float) -> float:
+        """How far an epoch is outside the elements' span; 0 within it."""
+        return max(self.span[0] - days, days - self.span[1], 0.0) / 365.25
 
 
 def kepler(elements: Array, days: float) -> tuple[Array, Array]:

@@ -12,6 +12,7 @@ from scipy.constants import au
 from scp_recon.environment.catalogue import DAY_S, J2000_TDB, packaged_body
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.given import Given, angle_deg, between
+from scp_recon.physics.frames import unit
 from scp_recon.scenario.warning import ScenarioWarning
 
 Array = npt.NDArray[np.float64]
@@ -29,6 +30,8 @@ ECCENTRICITY_MAX, INCLINATION_MAX_DEG = 0.9, 50.0
 """Few asteroids are beyond either; a Sun whose axes are swapped often is."""
 SAME_AXIS, SAME_PLANE_DEG, SAME_ECCENTRICITY = 0.01, 0.2, 0.02
 """How far a known body's orbit may be off: room for what the planets do to it in some years."""
+SAME_PLACE_DEG = 0.5
+"""How far along it, for each year outside the elements' span: mean motions change by 4e-4 deg/day."""
 
 
 def distance(given: Given) -> Iterator[ScenarioWarning]:
@@ -109,7 +112,7 @@ def orbit(given: Given) -> Iterator[ScenarioWarning]:
 
 
 def known_orbit(given: Given) -> Iterator[ScenarioWarning]:
-    """A packaged body is on its orbit, wherever on it: at an epoch of which it has no elements, too."""
+    """A packaged body is on its orbit, and about where on it: at epochs without elements, too."""
     scenario = given.scenario
     body, sun, packaged = scenario.body, scenario.sun, packaged_body(scenario.body.name)
     if packaged is None:
@@ -126,4 +129,16 @@ def known_orbit(given: Given) -> Iterator[ScenarioWarning]:
             f"with the velocity an orbit of {found.axis_au:.3f} au, its plane {tilt:.2f} deg and "
             f"its eccentricity vector {off:.3f} off that of {body.name}",
             f"{known.axis_au:.3f} au, and within {SAME_PLANE_DEG:g} deg and {SAME_ECCENTRICITY:g}",
+        )
+        return
+    place = unit(packaged.extrapolated(days)[0])
+    ahead = angle_deg(sun.body_position_km, place)
+    most = SAME_PLACE_DEG * max(1.0, packaged.years_beyond(days))
+    if ahead > most:
+        first, last = packaged.years
+        yield ScenarioWarning.of(
+            "sun.body_position_km",
+            f"{ahead:.1f} deg from where {body.name} would be at {scenario.epoch.tdb:%Y-%m-%d} on its "
+            f"orbit of {first if days < packaged.span[0] else last}",
+            f"at most {most:.1f} deg would be no surprise; is it that of the epoch?",
         )

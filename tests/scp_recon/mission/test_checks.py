@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
 import pytest
 
+from scp_recon.environment.catalogue import J2000_TDB, packaged_body
 from scp_recon.errors import InputError
 from scp_recon.mission.checks import body as body_checks
 from scp_recon.mission.checks import sun as sun_checks
 from scp_recon.mission.checks.given import Given
 from scp_recon.mission.mission import Mission, rotation_of, site_of
+from scp_recon.physics.orbit import two_body
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
@@ -210,6 +213,32 @@ def test_a_limit_that_lets_the_site_be_dark_is_refused() -> None:
             "schedule.heating_s=0.0",
         )
     assert caught.value.entry == "observation.incidence_max_deg"
+
+
+@pytest.mark.parametrize(("carried_days", "told"), [(0.0, True), (730.5, False), (700.0, True)])
+def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(
+    carried_days: float, told: bool, scenario: Scenario
+) -> None:
+    """Two years past its elements, with the Sun of their last day, or carried on as far as that."""
+    bennu = packaged_body("Bennu")
+    assert bennu is not None
+    last = bennu.span[1] - 1.0
+    position, velocity = bennu.heliocentric(last)
+    motion = two_body(tuple(position), tuple(velocity), (-86_400.0, 86_400.0 * 735.0))
+    at = 86_400.0 * carried_days
+    around = motion(np.array([at - 10.0, at, at + 10.0]))
+    found = file_of(
+        scenario,
+        {
+            "epoch.tdb": (J2000_TDB + timedelta(days=last + 730.5)).isoformat(),
+            "sun.body_position_km": around[1].tolist(),
+            "sun.body_velocity_km_s": ((around[2] - around[0]) / 20.0).tolist(),
+        },
+    )
+    given = Given(found, rotation_of(found), site_of(found))
+    warnings = list(sun_checks.known_orbit(given))
+    assert bool(warnings) == told
+    assert all("would be at 2037" in w.given and "2035" in w.given for w in warnings)
 
 
 KM = {
