@@ -23,7 +23,7 @@ from scp_recon.draft.drafting import drafts, scenario_of
 from scp_recon.draft.text import draft_text
 from scp_recon.environment.catalogue import body_names, packaged_body
 from scp_recon.errors import InputError
-from scp_recon.files import unwritable, write_atomically
+from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -40,7 +40,12 @@ NUMBERS = ("gm", "radius", "period", "pole", "orbit")
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(prog="python -m scp_recon.new", description=__doc__)
-    p.add_argument("name", metavar="NAME", help="of the scenario, written to NAME.toml")
+    p.add_argument(
+        "name",
+        type=lambda text: text.removesuffix(".toml"),
+        metavar="NAME",
+        help="of the scenario, written to NAME.toml",
+    )
     p.add_argument(
         "--body",
         required=True,
@@ -124,6 +129,7 @@ def _new(options: argparse.Namespace, console: Console) -> int:
     path, first = Path(f"{options.name}.toml"), _first(options)
     if path.exists():
         raise InputError("NAME", str(path), "must not exist yet")
+    check_writable(path.parent, path.name, "NAME")
     tried: list[Planned] = []
     for draft in drafts(first):
         planned = _planned(draft)

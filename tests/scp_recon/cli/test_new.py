@@ -107,8 +107,17 @@ def test_bad_input_is_told_in_one_message(
     assert not Path("mine.toml").exists()
 
 
+def test_where_nothing_can_be_written_nothing_is_planned(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("file").write_text("", "utf-8")
+    monkeypatch.setattr(new, "_planned", lambda _: pytest.fail("planned"))
+    assert run("file/mine", *BENNU) == 2
+    assert "must be a folder to write to" in capsys.readouterr().err
+
+
 def test_an_existing_file_is_kept(capsys: pytest.CaptureFixture[str]) -> None:
     Path("mine.toml").write_text("mine", "utf-8")
-    assert run("mine", *BENNU) == 2
+    assert run("mine", *BENNU) == run("mine.toml", *BENNU) == 2
     assert "must not exist yet" in capsys.readouterr().err
     assert Path("mine.toml").read_text("utf-8") == "mine"
