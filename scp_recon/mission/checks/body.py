@@ -161,11 +161,14 @@ def site_position(given: Given) -> Iterator[ScenarioWarning]:
 
 
 def site_normal(given: Given) -> Iterator[ScenarioWarning]:
-    """A slope is seldom steep against the direction from the centre, and never overhanging."""
+    """A slope is seldom steep against the direction from the centre, and never overhanging.
+
+    Where there is a shape, the scenario has held the normal to that.
+    """
     off = angle_deg(given.site.position_body, given.site.normal_body)
     text = f"{off:.1f} deg off the direction from the centre to the site"
     if off >= 90.0:
         raise InputError("site.normal_body", text, "must point out of the body, below 90 deg")
-    if off > NORMAL_OFF_DEG:
+    if off > NORMAL_OFF_DEG and given.scenario.body.radii_m is None:
         expected = f"at most {NORMAL_OFF_DEG:g} deg would be no surprise"
         yield ScenarioWarning.of("site.normal_body", text, expected)

@@ -12,7 +12,7 @@ from scp_recon.environment.catalogue import J2000_TDB, packaged_body
 from scp_recon.errors import InputError
 from scp_recon.mission.checks import body as body_checks
 from scp_recon.mission.checks import sun as sun_checks
-from scp_recon.mission.checks.given import Given
+from scp_recon.mission.checks.given import Given, angle_deg
 from scp_recon.mission.mission import Mission, rotation_of, site_of
 from scp_recon.physics.orbit import two_body
 from scp_recon.scenario.load import load_scenario, validate_scenario
@@ -190,6 +190,22 @@ def test_a_packaged_sites_name_goes_with_its_place() -> None:
     assert "latitude 55.9 deg, longitude 41.8 deg east" in warning.expected
     named = 'site.name="Elsewhere"'
     assert mission_of("site.latitude_deg=41.8", "site.longitude_deg=55.9", named).warnings == ()
+
+
+def test_the_slopes_of_a_long_body_are_no_question(scenario: Scenario) -> None:
+    """On Eros' ellipsoid at 30 deg north the normal is 46 deg off the direction from the centre."""
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    found = validate_scenario(
+        {
+            **{key: value for key, value in tables.items() if key != "sun"},
+            "body": {"name": "Eros"},
+            "sun": {"solar_constant_w_m2": 1361.0},
+            "site": {"name": "There", "latitude_deg": 30.0, "longitude_deg": 10.0},
+        }
+    )
+    given = Given(found, rotation_of(found), site_of(found))
+    assert angle_deg(given.site.position_body, given.site.normal_body) > 45.0
+    assert list(body_checks.site_normal(given)) == []
 
 
 def test_a_number_beside_its_name_makes_no_other_body(scenario: Scenario) -> None:
