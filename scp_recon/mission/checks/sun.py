@@ -132,7 +132,7 @@ def known_orbit(given: Given) -> Iterator[ScenarioWarning]:
         )
         return
     place = unit(packaged.extrapolated(days)[0])
-    ahead = angle_deg(sun.body_position_km, place)
+    ahead = angle_deg(np.array(sun.body_position_km), place)
     most = SAME_PLACE_DEG * max(1.0, packaged.years_beyond(days))
     if ahead > most:
         first, last = packaged.years

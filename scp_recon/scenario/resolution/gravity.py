@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,9 @@ def resolve_gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
             close = abs(given - table.gm_m3_s2) <= near
             check("body.gm_m3_s2", given, close, table.gm_m3_s2, f"gravity_file, to {TOLERANCE:g}")
         _enter_field(body, table, known)
+    elif has(body, "gravity", "j2", "reference_radius_m"):
+        field = body["gravity"]
+        _check_j2(body, _j2(field["coefficients"]), field["reference_radius_m"], "gravity")
     if known is not None:
         fill(body, {"gm_m3_s2": known.entries["gm_m3_s2"]})
         if lacks(body, "j2", "reference_radius_m"):
@@ -51,16 +55,26 @@ def _enter_field(body: dict[str, Any], table: GravityTable, known: PackagedBody 
             "nothing",
             "must be the radius of gravity_file, which has none",
         )
-    j2 = -math.sqrt(5.0) * next((c for n, m, c, _ in table.rows if (n, m) == (2, 0)), 0.0)
+    j2 = _j2(table.rows)
     if lacks(body, "j2", "reference_radius_m"):
         fill(body, {"j2": j2, "reference_radius_m": radius})
     elif lacks(body, "j2"):  # at the radius that is given
         body["j2"] = j2 * (radius / body["reference_radius_m"]) ** 2
     if has(body, "j2", "reference_radius_m"):
-        there = j2 * (radius / body["reference_radius_m"]) ** 2
-        close = abs(body["j2"] - there) <= TOLERANCE * abs(there)
-        check("body.j2", body["j2"], close, there, f"gravity_file, to {TOLERANCE:g}")
+        _check_j2(body, j2, radius, "gravity_file")
     body["gravity"] = {
         "reference_radius_m": radius,
         "coefficients": [list(row) for row in table.rows],
     }
+
+
+def _j2(rows: Iterable[Sequence[float]]) -> float:
+    """Unnormalised, of fully normalised coefficients."""
+    return -math.sqrt(5.0) * next((c for n, m, c, _ in rows if (n, m) == (2, 0)), 0.0)
+
+
+def _check_j2(body: dict[str, Any], j2: float, radius: float, source: str) -> None:
+    """What the planner flies against the field that the truth does."""
+    there = j2 * (radius / body["reference_radius_m"]) ** 2
+    close = abs(body["j2"] - there) <= TOLERANCE * abs(there)
+    check("body.j2", body["j2"], close, there, f"{source}, to {TOLERANCE:g}")

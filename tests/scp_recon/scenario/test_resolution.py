@@ -320,6 +320,17 @@ def test_a_table_without_radius_takes_the_bodys(tmp_path: Path) -> None:
     assert gravity.reference_radius_m == ROCK["reference_radius_m"]
 
 
+def test_a_field_in_the_scenario_itself_agrees_with_the_planners_j2() -> None:
+    """As a solution file has it, whose gravity file is gone."""
+    rows = [[2, 0, -0.0192, 0.0], [2, 2, 0.003, 0.001]]
+    body = ROCK | {"gravity": {"reference_radius_m": 145.0, "coefficients": rows}}
+    j2 = math.sqrt(5.0) * 0.0192 / 4.0
+    found = rock(body=body | {"j2": j2})
+    assert found.replace({"risk.p_chance": 0.8}).body == found.body
+    with pytest.raises(InputError, match=r"body\.j2: got 0\.04; must agree with 0\.0107"):
+        found.replace({"body.j2": 0.04})
+
+
 def test_no_other_bodys_field_is_flown(scenario: Scenario) -> None:
     assert len(truth_field(scenario).c) == 9
     with pytest.raises(InputError) as caught:
