@@ -27,7 +27,7 @@ from scp_recon.spacecraft.basilisk.optional import needing_basilisk
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.record import FILE_NAME, make_record, write_record
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
-from scp_recon.spacecraft.verdict import shortfalls
+from scp_recon.spacecraft.verdict import check_vehicle, shortfalls
 
 
 def parser() -> argparse.ArgumentParser:
@@ -71,7 +71,8 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
         except OSError as error:
             raise unwritable(folder, "--out", error) from None
     show(console, record.summary)
-    show_warnings(console, [*solution.warnings, *flight.plan.mission.warnings])
+    other = check_vehicle(vehicle, solution.scenario)
+    show_warnings(console, [*solution.warnings, *flight.plan.mission.warnings, *other])
     failed = shortfalls(record.summary, solution)
     show_verdict(console, "as asked", failed)
     show_written(console, path)

@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution
+from scp_recon.spacecraft.vehicle import Vehicle
 
 SHORT_WH = 1e-9
 """Energy that counts as none."""
+SAME_MASS = 0.05
+"""How far the vehicle's mass may be off the plan's, relative; the plan burns nothing."""
+
+
+def check_vehicle(vehicle: Vehicle, scenario: Scenario) -> Iterator[ScenarioWarning]:
+    """Whether the vehicle that is flown is the spacecraft that was planned for."""
+    planned, flown = scenario.spacecraft.mass_kg, vehicle.mass.mass_kg
+    if abs(flown - planned) > SAME_MASS * planned:
+        yield ScenarioWarning.of(
+            "spacecraft.mass_kg",
+            f"{planned:g} kg",
+            f"{vehicle.name}, the vehicle that is flown, has {flown:g} kg: give your own by --vehicle",
+        )
 
 
 def shortfalls(summary: dict[str, Any], solution: Solution) -> list[str]:

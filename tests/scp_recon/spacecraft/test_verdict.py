@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.verdict import shortfalls
+from scp_recon.spacecraft.vehicle import load_vehicle
+from scp_recon.spacecraft.verdict import check_vehicle, shortfalls
 
 LEG = {"mode": "delta-V", "start_s": 100.0, "duration_s": 900.0, "required_s": 900.0}
 KEPT: dict[str, Any] = {
@@ -48,3 +49,14 @@ def test_what_is_not_kept_stands_beside_what_was_asked(
 def test_a_plan_that_did_not_converge_is_named(short_solution: Solution) -> None:
     stalled = short_solution.model_copy(update={"status": "stalled"})
     assert shortfalls(KEPT, stalled) == ["the plan is stalled, asked converged"]
+
+
+def test_a_vehicle_that_is_not_the_plans_spacecraft_is_warned_about(
+    short_solution: Solution,
+) -> None:
+    """A tonne is planned for, and the packaged vehicle flown."""
+    vehicle, scenario = load_vehicle(None), short_solution.scenario
+    assert list(check_vehicle(vehicle, scenario)) == []
+    (warning,) = check_vehicle(vehicle, scenario.replace({"spacecraft.mass_kg": 1000.0}))
+    assert warning.entry == "spacecraft.mass_kg"
+    assert "DARE, the vehicle that is flown, has 178 kg" in warning.expected
