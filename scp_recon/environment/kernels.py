@@ -106,8 +106,12 @@ def read_heliocentric(
     return state[:3].tolist(), state[3:].tolist()
 
 
-def read_dsk(path: Path) -> tuple[Array, npt.NDArray[np.intp]]:
-    """Vertices in m and triangles (indices from 0) of a DSK's first segment, of type 2.
+def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, npt.NDArray[np.intp]]:
+    """Vertices in m and triangles (indices from 0) of a DSK of one segment, of type 2.
+
+    Args:
+        path: of the kernel.
+        naif_id: of the body that it has to be of, if that is known.
 
     Raises:
         InputError: if spiceypy is missing, or the file is no such kernel.
@@ -118,8 +122,14 @@ def read_dsk(path: Path) -> tuple[Array, npt.NDArray[np.intp]]:
         try:
             handle = spice.dasopr(str(path))
             segment = spice.dlabfs(handle)
-            if spice.dskgd(handle, segment).dtype != 2:
+            told = spice.dskgd(handle, segment)
+            if told.dtype != 2:
                 raise InputError(entry, str(path), "must hold a plate model (DSK type 2)")
+            if naif_id is not None and told.center != naif_id:
+                given = f"{path}, of body {told.center}"
+                raise InputError(entry, given, f"must be of body {naif_id} (body.naif_id)")
+            if _another(spice, handle, segment):
+                raise InputError(entry, f"{path}, of several segments", "must hold one shape alone")
             vertex_count, plate_count = spice.dskz02(handle, segment)
             vertices = spice.dskv02(handle, segment, 1, vertex_count)
             plates = spice.dskp02(handle, segment, 1, plate_count)
@@ -129,6 +139,13 @@ def read_dsk(path: Path) -> tuple[Array, npt.NDArray[np.intp]]:
             if handle is not None:
                 spice.dascls(handle)
     return np.array(vertices) * 1e3, np.array(plates, dtype=np.intp) - 1
+
+
+def _another(spice: Any, handle: int, segment: Any) -> bool:
+    """Whether a segment follows."""
+    with spice.no_found_check():
+        _, found = spice.dlafns(handle, segment)
+    return bool(found)
 
 
 @contextmanager

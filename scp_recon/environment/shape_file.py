@@ -17,19 +17,22 @@ BYTES_MAX = 400_000_000
 """Three million facets, the largest shape model of an asteroid, take half of it."""
 
 
-def read_shape(path: Path, unit: str | None, normal_radius_m: float = 0.0) -> Mesh:
+def read_shape(
+    path: Path, unit: str | None, normal_radius_m: float = 0.0, naif_id: int | None = None
+) -> Mesh:
     """Read a shape model.
 
     Args:
         path: of a DSK (.bds), else an OBJ.
         unit: of an OBJ's coordinates, "m" or "km".
         normal_radius_m: of the mesh's normals.
+        naif_id: of the body that a DSK has to be of, if that is known.
 
     Raises:
         InputError: if it cannot be read, is no mesh of triangles, or has no unit.
     """
     if path.suffix.lower() == ".bds":
-        vertices, facets = read_dsk(path)
+        vertices, facets = read_dsk(path, naif_id)
     else:
         if unit is None:
             raise InputError(

@@ -55,7 +55,7 @@ def write_spk(path: Path, spice: Any) -> tuple[Path, Any]:
     return path, states
 
 
-def write_dsk(path: Path, mesh: Mesh, spice: Any) -> Path:
+def write_dsk(path: Path, mesh: Mesh, spice: Any, segments: int = 1) -> Path:
     vertices, plates = mesh.vertices_m / 1e3, mesh.facets + 1
     finscl, corscl, worksz, voxpsz, voxlsz, spxisz = 5.0, 4, 10_000, 2_000, 5_000, 200_000
     spaixd, spaixi = spice.dskmi2(
@@ -64,12 +64,23 @@ def write_dsk(path: Path, mesh: Mesh, spice: Any) -> Path:
     pi = np.pi
     low, high = spice.dskrb2(vertices, plates, 1, np.zeros(10))
     handle = spice.dskopn(str(path), "test", 0)
-    spice.dskw02(
-        *(handle, ROCK_ID, 1, 1, "J2000", 1, np.zeros(10), -pi, pi, -pi / 2, pi / 2, low, high),
-        *(-1e9, 1e9, vertices, plates, spaixd, spaixi),
-    )
+    for surface in range(1, segments + 1):
+        spice.dskw02(
+            *(handle, ROCK_ID, surface, 1, "J2000", 1, np.zeros(10)),
+            *(-pi, pi, -pi / 2, pi / 2, low, high, -1e9, 1e9, vertices, plates, spaixd, spaixi),
+        )
     spice.dskcls(handle, True)
     return path
+
+
+def test_a_dsk_of_another_body_or_of_several_shapes_is_refused(tmp_path: Path, spice: Any) -> None:
+    mesh = box(np.array([280.0, 270.0, 250.0]))
+    one = write_dsk(tmp_path / "one.bds", mesh, spice)
+    assert len(read_dsk(one, ROCK_ID)[1]) == len(mesh.facets)
+    with pytest.raises(InputError, match=f"must be of body {ROCK_ID + 1}"):
+        read_dsk(one, ROCK_ID + 1)
+    with pytest.raises(InputError, match="of several segments; must hold one shape alone"):
+        read_dsk(write_dsk(tmp_path / "two.bds", mesh, spice, segments=2), ROCK_ID)
 
 
 def test_the_rotation_of_a_pck_is_spices(tmp_path: Path, spice: Any) -> None:
