@@ -117,9 +117,16 @@ def test_a_length_speed_or_mass_in_another_unit_is_told(
 def test_some_lengths_in_another_unit_than_the_others_are_told(
     scenario: Scenario, factor: float, which: int
 ) -> None:
-    """All but all of them: a scenario wholly in kilometres is a smaller one, but for its gravity."""
+    """All but all of them, which is the next property."""
     chosen = [path for i, path in enumerate(LENGTHS) if which >> i & 1]
     assert is_told(scenario, {path: scaled(entry_of(scenario, path), factor) for path in chosen})
+
+
+@given(consistent())
+def test_a_scenario_that_is_wholly_in_kilometres_is_told(scenario: Scenario) -> None:
+    """Gravity and speeds too: a smaller body of the same density, which nobody flies to."""
+    changes = {path: scaled(entry_of(scenario, path), KM) for path in (*LENGTHS, *SPEEDS)}
+    assert is_told(scenario, changes | {"body.gm_m3_s2": KM**3 * scenario.body.gm_m3_s2})
 
 
 LIMITS = (

@@ -23,6 +23,9 @@ NORMAL_OFF_DEG = 30.0
 """Between a normal and the direction from the centre; an ellipsoid of axes 2 to 1 has up to 37 deg."""
 DENSITY, DENSITY_REFUSED = (300.0, 8000.0), (3.0, 1e6)
 """kg/m^3: from the most porous comet to iron; a reference radius may be well above the body's own."""
+RADIUS_MIN_M = 50.0
+"""Below any body that has been flown to: Dimorphos has 75 m. In kilometres throughout, GM included, a
+body is a smaller one of the same density."""
 PERIOD_MIN_H, PERIOD_MAX_H, RUBBLE_RADIUS_M = 2.0, 2000.0, 150.0
 """Larger bodies that turn faster break up (Pravec & Harris 2000); hardly any turns slower."""
 SAME_GM, SAME_J2, SAME_RADIUS, SAME_RATE, SAME_ANGLE_DEG = 0.05, 0.2, 0.2, 0.01, 2.0
@@ -133,6 +136,17 @@ def density(given: Given) -> Iterator[ScenarioWarning]:
     text = f"{body.gm_m3_s2:g}, a density of {found:.3g} kg/m^3"
     why = f"of a body of reference radius {body.reference_radius_m:g} m"
     yield from between("body.gm_m3_s2", found, text, why, DENSITY, DENSITY_REFUSED, "kg/m^3")
+
+
+def size(given: Given) -> Iterator[ScenarioWarning]:
+    """Nobody has flown to a body of a few metres."""
+    radius = given.scenario.body.reference_radius_m
+    if radius < RADIUS_MIN_M:
+        yield ScenarioWarning.of(
+            "body.reference_radius_m",
+            f"{radius:g} m",
+            f"{RADIUS_MIN_M:g} m and more would be no surprise; all of it in metres?",
+        )
 
 
 def spin(given: Given) -> Iterator[ScenarioWarning]:

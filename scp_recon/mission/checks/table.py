@@ -24,6 +24,7 @@ Times = Callable[[Array], Array]
 CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
     body.copied,
     body.density,
+    body.size,
     body.spin,
     body.known_body,
     figure.semi_axes,
