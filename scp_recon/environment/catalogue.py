@@ -38,12 +38,14 @@ class PackagedBody:
             heliocentric; shape (n, 7).
         span: first and last day of the elements, TDB days past J2000.
         years: first and last year of that.
+        other_meridian: W0, W1, W2 of a second source, where that differs by degrees.
     """
 
     entries: dict[str, Any]
     elements: Array
     span: tuple[float, float]
     years: tuple[int, int]
+    other_meridian: tuple[float, float, float] | None = None
 
     def covers(self, days: float) -> bool:
         """Whether an epoch, TDB days past J2000, is in the elements' span."""
@@ -136,7 +138,8 @@ def _bodies() -> dict[str, PackagedBody]:
             half = 0.5 * np.diff(elements[:2, 0]).item()
             span = elements[0, 0] - half, elements[-1, 0] + half
             first, last = data["sun"]["years"]
+            other = data.get("second_source", {}).get("prime_meridian")
             found[data["body"]["name"].casefold()] = PackagedBody(
-                data["body"], elements, span, (first, last)
+                data["body"], elements, span, (first, last), other and tuple(other)
             )
     return found

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.constants import G
 
-from scp_recon.environment.catalogue import packaged_body
+from scp_recon.environment.catalogue import PackagedBody, packaged_body
 from scp_recon.environment.surface import coordinates_of
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.copied import check_inherited
@@ -100,12 +99,12 @@ def known_body(given: Given) -> Iterator[ScenarioWarning]:
             f"{list(body.radii_m)} m",
             f"{known['name']} has {known['radii_m']} m along x, y and z",
         )
-    yield from _known_attitude(given, known)
+    yield from _known_attitude(given, packaged)
 
 
-def _known_attitude(given: Given, known: Mapping[str, Any]) -> Iterator[ScenarioWarning]:
+def _known_attitude(given: Given, packaged: PackagedBody) -> Iterator[ScenarioWarning]:
     """Where a packaged body's pole and, if that is its own, its prime meridian are at the epoch."""
-    body, tdb = given.scenario.body, given.scenario.epoch.tdb
+    body, tdb, known = given.scenario.body, given.scenario.epoch.tdb, packaged.entries
     pole = known["pole_ra_deg"], known["pole_dec_deg"]
     w0, w1, w2 = (
         known[f"prime_meridian_{key}"] for key in ("deg", "rate_deg_day", "acceleration_deg_day2")
@@ -119,12 +118,26 @@ def _known_attitude(given: Given, known: Mapping[str, Any]) -> Iterator[Scenario
             f"the pole of {known['name']} is at ({pole[0]:g}, {pole[1]:g}) deg",
         )
         return
-    ahead = angle_deg(given.rotation.body_to_j2000(0.0)[:, 0], right.body_to_j2000(0.0)[:, 0])
+    x = given.rotation.body_to_j2000(0.0)[:, 0]
+    ahead = angle_deg(x, right.body_to_j2000(0.0)[:, 0])
+    apart = 0.0
+    if packaged.other_meridian is not None:
+        other = Rotation.from_iau(*pole, packaged.other_meridian, tdb).body_to_j2000(0.0)[:, 0]
+        apart = angle_deg(other, right.body_to_j2000(0.0)[:, 0])
+        ahead = min(ahead, angle_deg(x, other))
     if ahead > SAME_ANGLE_DEG:
         yield ScenarioWarning.of(
             "body.prime_meridian_deg",
             f"a prime meridian that is {ahead:.1f} deg off at the epoch",
             f"W of {known['name']} is {w0:g} + {w1:.10g} d + {w2:g} d^2 deg",
+        )
+    elif apart > SAME_ANGLE_DEG:
+        minutes = np.deg2rad(apart) / abs(given.rotation.rate) / 60.0
+        yield ScenarioWarning.of(
+            "body.prime_meridian_deg",
+            f"a prime meridian of {known['name']}, of which two sources are {apart:.1f} deg apart at "
+            "the epoch",
+            f"the window may be {minutes:.0f} minutes off, until a measurement of its phase is given",
         )
 
 

@@ -192,6 +192,35 @@ def test_a_packaged_sites_name_goes_with_its_place() -> None:
     assert mission_of("site.latitude_deg=41.8", "site.longitude_deg=55.9", named).warnings == ()
 
 
+@pytest.mark.parametrize(
+    ("year", "meridian", "told"),
+    [
+        (2001, None, ""),
+        (2026, None, "two sources are 5.6 deg apart"),
+        (2026, [326.07, 1639.38864745, 0.0], "two sources are 5.6 deg apart"),
+        (2026, [300.0, 1639.389232, 0.0], "20.4 deg off"),
+    ],
+)
+def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(
+    year: int, meridian: list[float] | None, told: str, scenario: Scenario
+) -> None:
+    """NEAR's rate and the IAU's part after 2001; either may be given."""
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    keys = [f"prime_meridian_{key}" for key in ("deg", "rate_deg_day", "acceleration_deg_day2")]
+    found = validate_scenario(
+        {
+            **{key: value for key, value in tables.items() if key != "sun"},
+            "epoch": {"tdb": f"{year}-06-01T00:00:00"},
+            "body": {"name": "Eros", **dict(zip(keys, meridian or [], strict=False))},
+            "sun": {"solar_constant_w_m2": 1361.0},
+            "site": {"name": "There", "latitude_deg": 10.0, "longitude_deg": 20.0},
+        }
+    )
+    warnings = list(body_checks.known_body(Given(found, rotation_of(found), site_of(found))))
+    assert [w.entry for w in warnings] == ["body.prime_meridian_deg"] * bool(told)
+    assert all(told in w.given for w in warnings)
+
+
 def test_the_slopes_of_a_long_body_are_no_question(scenario: Scenario) -> None:
     """On Eros' ellipsoid at 30 deg north the normal is 46 deg off the direction from the centre."""
     tables = scenario.model_dump(mode="json", exclude_none=True)
