@@ -21,7 +21,7 @@ from scp_recon.cli.options import date_tdb, number_between
 from scp_recon.draft.draft import Draft, GivenBody
 from scp_recon.draft.drafting import drafts, scenario_of
 from scp_recon.draft.text import draft_text
-from scp_recon.environment.catalogue import body_names, packaged_body
+from scp_recon.environment.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.mission.mission import Mission
@@ -184,6 +184,11 @@ def _first(options: argparse.Namespace) -> Draft:
         if len(missing) < len(NUMBERS):
             extra = ", ".join(f"--{n}" for n, value in numbers.items() if value is not None)
             raise InputError("--body", options.body, f"is packaged: {extra} must be left out")
+        days = (options.epoch - J2000_TDB).total_seconds() / DAY_S
+        if not known.covers(days):
+            first, last = known.years
+            allowed = f"must be from {first} to {last}, for which mean elements of it are packaged"
+            raise InputError("--epoch", f"{options.epoch.isoformat()} of {options.body}", allowed)
         return Draft(
             Path(options.name).name,
             str(known.entries["name"]),

@@ -94,7 +94,10 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(
         ((*BENNU, "--gm", "5"), "--gm must be left out"),
         (("--body", "Stone", *BENNU[2:]), "needs --gm, --radius, --period, --pole, --orbit"),
         ((*BENNU[:5], "soon"), "must be a date"),
-        ((*BENNU[:5], "1850-01-01"), "epoch.tdb"),
+        (
+            (*BENNU[:5], "1850-01-01"),
+            "--epoch: got 1850-01-01T00:00:00 of Bennu; must be from 2012",
+        ),
     ],
 )
 def test_bad_input_is_told_in_one_message(
