@@ -22,10 +22,10 @@ class DeterministicRows:
     with_factor = False
     near = NEAR_LENGTH
     unit: Unit = "length"
-    resolution = 0.0
 
-    def __init__(self, problem: FlybyProblem) -> None:
+    def __init__(self, problem: FlybyProblem, resolution: float = 0.0) -> None:
         self.problem = problem
+        self.resolution = resolution
         used = [c.nodes for c in problem.constraints]
         self.nodes = np.unique(np.concatenate(used)) if used else np.zeros(0, dtype=np.intp)
         self.count = sum(len(nodes) for nodes in used)

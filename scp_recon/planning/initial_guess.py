@@ -123,17 +123,29 @@ def random(mission: Mission, seed: int) -> Iterate:
     Amplitudes of 600 m, 300 m and 200 m and burns of 5 cm/s in every component, 1 sigma: the path may
     lead through the body, and its velocities are those of the bent line.
     """
-    rng = np.random.default_rng(seed)
+    return bent(mission, np.random.default_rng(seed), bend_m=600.0, burn_m_s=0.05)
+
+
+def bent(mission: Mission, rng: np.random.Generator, bend_m: float, burn_m_s: float) -> Iterate:
+    """The straight line bent by three random sines, and random burns.
+
+    Args:
+        mission: gives the boundary states.
+        rng: draws; the bend first, then the burns.
+        bend_m: amplitude of the first sine in every component, m, 1 sigma; the next have a half and a
+            third of it.
+        burn_m_s: of the burns in every component, m/s, 1 sigma.
+    """
     end = mission.times_s[-1]
     phase = np.pi * mission.times_s[:, None] / end * np.arange(1, 4)
-    bend = rng.normal(scale=600.0, size=(3, 3)) / np.arange(1, 4)[:, None]
+    bend = rng.normal(scale=bend_m, size=(3, 3)) / np.arange(1, 4)[:, None]
     position = mission.initial_state[:3] + np.outer(
         mission.times_s / end, mission.final_state[:3] - mission.initial_state[:3]
     )
     position += np.sin(phase) @ bend
     velocity = np.gradient(position, mission.times_s, axis=0)
     velocity[-1] = mission.final_state[3:]
-    burns = rng.normal(scale=0.05, size=(len(mission.burn_nodes), 3))
+    burns = rng.normal(scale=burn_m_s, size=(len(mission.burn_nodes), 3))
     return _scaled(mission, burns, np.hstack([position, velocity]))
 
 

@@ -115,6 +115,9 @@ class IpoptStages:
         """P3's constraints."""
         return DeterministicRows(self.mission.problem)
 
+    def opening_rows(self) -> None:
+        """There are none: its programs have all constraints from the first."""
+
     def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """P2's constraints on given facets, screened as the planner screens them."""
         mission = self.mission

@@ -23,6 +23,7 @@ from formulations.rows.deterministic import DeterministicRows
 from formulations.rows.exact import ExactRows, FlightRows, NodeRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.planning.opening import RESOLUTION, opened
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.stages import Observer, StageRunner
 from scp_recon.scp.algorithms import ALGORITHMS
@@ -187,6 +188,11 @@ class Planner:
         """P3's constraints."""
         return DeterministicRows(self.mission.problem)
 
+    @cached_property
+    def opening_rows(self) -> DeterministicRows:
+        """P3's constraints without the keep-out sets that part the ways past them."""
+        return DeterministicRows(opened(self.mission.problem), RESOLUTION)
+
     def p2_rows(self, facets: Facets, lin: Linearisation, clearance_m: float) -> ChanceRows:
         """P2's constraints, those in the program that an iterate comes near; the last are kept."""
         lifted = self.formulation == "lifted"
@@ -224,6 +230,10 @@ class ScpStages:
     def deterministic_rows(self) -> DeterministicRows:
         """See `RowsSolver`."""
         return self.planner.p3_rows
+
+    def opening_rows(self) -> DeterministicRows:
+        """See `RowsSolver`."""
+        return self.planner.opening_rows
 
     def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """See `RowsSolver`."""

@@ -12,6 +12,7 @@ import numpy as np
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
 from formulations.problem.flyby import Iterate
+from formulations.program.merit import MeritFunction
 from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
 from formulations.rows.deterministic import DeterministicRows
@@ -19,6 +20,7 @@ from formulations.rows.exact import ExactRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import ballistic, circular
+from scp_recon.planning.opening import contradicts_itself
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.scp.loop import Record, Timing
 from scp_recon.scp.scvx import SCvx
@@ -31,6 +33,9 @@ OTHER_OPTIMUM = 0.999
 OTHER_BURNS = 1e-2
 """Difference of a burn component, nondimensional, from which on it is another too."""
 
+OPENING = ".open"
+"""Ends the name of the stage that leads to a P3 whose guess is no flight."""
+
 CHOICES_MAX = 4
 """Further choices of facets before P2 is called infeasible."""
 
@@ -40,6 +45,10 @@ class RowsSolver(Protocol):
 
     def deterministic_rows(self) -> DeterministicRows:
         """P3's constraints."""
+        ...
+
+    def opening_rows(self) -> DeterministicRows | None:
+        """Those that P3 begins with where its guess is no flight, if it does."""
         ...
 
     def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
@@ -92,7 +101,7 @@ class StageRunner:
         return Plan(self.mission, provenance, tuple(self.stages), final, self.timing, seconds)
 
     def plan(self, guess: Iterate, problem: Literal["P3", "P2"]) -> Stage:
-        """P3 from a guess and P2 from there.
+        """P3 from a guess and P2 from there; a guess that is no flight leads to P3 by its opening.
 
         Where P3 does not converge from the guess it is tried again from other starts; and so it is
         where P2 does not converge: P3 may have stopped at a local optimum from which there is no way.
@@ -103,7 +112,7 @@ class StageRunner:
         firsts: list[Stage] = []
         finals: list[Stage] = []
         for letter, start in _starts(self.mission, guess):
-            p3 = self._solve(f"P3{letter}", self.solver.deterministic_rows(), self.start(start))
+            p3 = self._solve_p3(f"P3{letter}", self.start(start))
             known = any(_same_optimum(p3, other) for other in firsts)
             firsts.append(p3)
             if p3.result.status is not Status.CONVERGED or known:
@@ -140,6 +149,14 @@ class StageRunner:
         mean[0] = problem.initial_state
         mean[0, 3:] += guess.burns[0]
         return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
+
+    def _solve_p3(self, name: str, start: Linearisation) -> Stage:
+        """P3 from a start, by way of its opening where that is no flight; all rows judge both."""
+        rows, opening = self.solver.deterministic_rows(), self.solver.opening_rows()
+        if opening is not None and contradicts_itself(start):
+            stage = self._solve(f"{name}{OPENING}", opening, start, rows)
+            start = stage.result.lin
+        return self._solve(name, rows, start)
 
     def _solve_p2(self, name: str, start: Stage) -> Stage:
         """P2 from where a stage ended, and again with new facets as long as that helps."""
@@ -186,14 +203,18 @@ class StageRunner:
                 return stage
             rows = ChanceRows(self.mission.problem, rows.facets, rows.included | missed)
 
-    def _solve(self, name: str, rows: Rows, start: Linearisation) -> Stage:
-        """One stage; an interrupted one ends the run."""
+    def _solve(
+        self, name: str, rows: Rows, start: Linearisation, judges: Rows | None = None
+    ) -> Stage:
+        """One stage, judged by its own rows if by no others; an interrupted one ends the run."""
 
         def seen(stage: str, record: Record) -> None:
             if self.observe:
                 self.observe(stage, record)
 
         stage = self.solver.solve(name, rows, start, seen)
+        if judges is not None:
+            stage = replace(stage, merit=MeritFunction(self.mission.problem, judges))
         self.stages.append(stage)
         self.timing.add(stage.result.timing)
         if stage.result.status is Status.INTERRUPTED:
@@ -234,7 +255,8 @@ def _best(stages: list[Stage]) -> Stage:
 
 def _interrupted(stages: list[Stage]) -> Stage:
     """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
-    best = _best([stage for stage in stages if stage.problem == "P2"] or stages)
+    whole = [stage for stage in stages if not stage.name.endswith(OPENING)]
+    best = _best([stage for stage in whole if stage.problem == "P2"] or whole or stages)
     return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
 
 

@@ -24,13 +24,16 @@ class PTR(ExactPenalty):
     et al., "Convex optimization for trajectory generation", IEEE Control Systems 42 (2022). With a
     charge that is fixed nothing keeps the merit from rising; here it is chosen as in ProxDescent of
     Lewis & Wright, "A proximal method for composite minimization", Math. Program. 158 (2016).
-    Attributes are those of `ExactPenalty`, a radius standing for r.
+    A step whose promise and gain are both lost in the merit's rounding is taken: to refuse it would
+    charge the next one more, and so on until nothing moves (Conn, Gould & Toint, Trust Region Methods,
+    2000, section 17.4.2). Attributes are those of `ExactPenalty`, a radius standing for r.
     """
 
     penalty: ClassVar[Penalty] = "proximal"
     ACCEPT = 0.1
     GROW = 4.0
     FREE = 1e3
+    ROUNDING = 1e-8
 
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
@@ -44,7 +47,9 @@ class PTR(ExactPenalty):
             trial = trial_step(subproblem, dynamics, state, self.FREE, timing, self.stationary)
         except SubproblemError as error:
             return self._failed(subproblem, state, k, str(error))
-        accepted = guess or trial.actual > self.ACCEPT * max(trial.predicted, 0.0)
+        rounding = self.ROUNDING * max(1.0, abs(state.merit))
+        told = max(abs(trial.predicted), abs(trial.actual)) > rounding
+        accepted = guess or not told or trial.actual > self.ACCEPT * max(trial.predicted, 0.0)
         radius = min(state.radius * (self.GROW if accepted else self.SHRINK), self.FREE)
         new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)
         # At the answer -p s is a subgradient of the convex model, which bounds what any step of no

@@ -14,9 +14,11 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
+from formulations.problem.flyby import Iterate
 from scp_recon import solve
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.planning import initial_guess
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 
@@ -25,6 +27,15 @@ Array = npt.NDArray[np.float64]
 
 def mission_of(*overrides: str) -> Mission:
     return Mission.from_scenario(load_scenario(None, overrides))
+
+
+def flight_beyond(mission: Mission) -> Iterate:
+    """A flight of the default scenario that leads P3 to its second optimum.
+
+    It passes the site beyond the cone of the least emission, and P2 is infeasible from there.
+    """
+    burns = [[-0.81, 0.46, 0.59], [0.03, 0.37, -0.22], [0.0, 0.0, 0.0], [-0.83, 0.33, 0.22]]
+    return initial_guess.from_burns(mission, np.array(burns) * mission.units.speed_m_s)
 
 
 def file_of(scenario: Scenario, changes: Mapping[str, Any], name: str | None = None) -> Scenario:

@@ -26,7 +26,7 @@ from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify
 from tests.helpers import near_from
-from tests.scp_recon.support import Array, burns_of, mission_of
+from tests.scp_recon.support import Array, burns_of, flight_beyond, mission_of
 
 TIGHT = ("polytopes.ball=tangent", "polytopes.cone=12")
 
@@ -336,8 +336,8 @@ def test_hopeless_magnitudes_end_in_a_status(
 
 
 def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) -> None:
-    """This path leads P3 to its second optimum, half as dear again."""
-    found = plan(mission, initial_guess.random(mission, 0))
+    """This flight leads P3 to its second optimum, half as dear again."""
+    found = plan(mission, flight_beyond(mission))
     assert [stage.name for stage in found.stages] == ["P3", "P2", "P3b", "P2b"]
     assert found.stages[1].result.status is Status.INFEASIBLE
     assert found.final is found.stages[-1]

@@ -168,3 +168,11 @@ def test_multipliers_end_at_the_price_of_the_final_state(
     result = run(again, mission.dynamics, start, PTR(), ignore)
     change = result.lin.iterate.total_dv - prox_run.lin.iterate.total_dv
     assert change == pytest.approx(-state.charge.multipliers[:6] @ step, rel=0.05)
+
+
+def test_ptr_begun_at_an_optimum_ends_there(mission: Mission, prox_run: Result) -> None:
+    """What is left to gain is lost in the merit's rounding, and so is what a step gains."""
+    nearer = p3_by(replace(PTR(), stationary=1e-9), mission, prox_run.lin)
+    again = p3_by(PTR(), mission, nearer.lin)
+    assert again.status is Status.CONVERGED
+    assert len(again.records) <= 4
