@@ -6,6 +6,8 @@ Paths may be strings.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,10 +24,13 @@ from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
 from scp_recon.monte_carlo.summary import Summary, summarise
 from scp_recon.planning import planner
+from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import FACET_ROUNDS_MAX, PROBLEMS, check_exact, scp_method
 from scp_recon.planning.plan import Plan
+from scp_recon.planning.starts import SEED_MAX, STARTS_MAX, WORKERS_MAX, plan_from_several
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
 from scp_recon.solution.comparison import Comparison, compare
 from scp_recon.solution.file import FILE_NAME, Solution, read_solution
 from scp_recon.solution.from_plan import make_solution
@@ -48,6 +53,9 @@ def plan(
     solver: str = "CLARABEL",
     facet_rounds: int = 0,
     certified: bool | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    workers: int = 1,
 ) -> Plan:
     """Plan a flyby.
 
@@ -67,6 +75,10 @@ def plan(
         facet_rounds: how often to choose the facets again at the solution.
         certified: with exact risk, whether to plan until flights certify the probability; they do
             unless it is False.
+        starts: the plan is the best from `init` and from so many random flights less one; its `starts`
+            lists the distinct local optima.
+        seed: of the random flights.
+        workers: processes for the starts; the plan does not depend on their number.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.
@@ -74,6 +86,9 @@ def plan(
     one_of("problem", problem, PROBLEMS)
     method = scp_method(formulation, algorithm, solver)
     whole_number("facet_rounds", facet_rounds, 0, FACET_ROUNDS_MAX)
+    whole_number("starts", starts, 1, STARTS_MAX)
+    whole_number("seed", seed, 0, SEED_MAX)
+    whole_number("workers", workers, 1, WORKERS_MAX)
     mission = Mission.from_scenario(_scenario(scenario))
     exact = mission.scenario.risk.allocation == "exact"
     if exact:
@@ -81,21 +96,30 @@ def plan(
     elif certified is not None:
         raise InputError("certified", shortened(certified), "goes with risk.allocation = exact")
 
-    def once(mission: Mission, start: Iterate, aim: float | None = None) -> Plan:
-        return planner.plan(
-            mission,
-            start,
-            problem=problem,
-            **method._asdict(),
-            aim=aim,
-            facet_rounds=facet_rounds,
-            init=_called(init),
+    make_plan = partial(
+        planner.plan,
+        problem=problem,
+        formulation=method.formulation,
+        algorithm=method.algorithm,
+        solver=method.solver,
+        facet_rounds=facet_rounds,
+    )
+    start, called = start_from(mission, init), _called(init)
+    to_certify = exact and problem == "P2" and certified is not False
+    best = None
+    if starts > 1:
+        best = plan_from_several(
+            mission, start, make_plan, starts=starts, seed=seed, workers=workers, init=called
         )
+        if not to_certify or best.status is not Status.CONVERGED:
+            return best
+        start, called = from_burns(mission, best.burns_m_s), best.provenance.init
 
-    start = start_from(mission, init)
-    if exact and problem == "P2" and certified is not False:
-        return certify(mission, start, once)
-    return once(mission, start)
+    def once(mission: Mission, start: Iterate, aim: float | None = None) -> Plan:
+        return make_plan(mission, start, aim=aim, init=called)
+
+    found = certify(mission, start, once) if to_certify else once(mission, start)
+    return replace(found, starts=best.starts) if best else found
 
 
 def _scenario(given: Scenario | str | Path) -> Scenario:

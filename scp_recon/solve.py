@@ -27,7 +27,7 @@ from scp_recon.cli import plan_tables
 from scp_recon.cli.infeasible import show_what_would_do
 from scp_recon.cli.keeping import UNVERIFIED, run_folder, written
 from scp_recon.cli.method import check_risk, planning
-from scp_recon.cli.options import int_between, number_between
+from scp_recon.cli.options import SEED, int_between, number_between
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -41,6 +41,7 @@ from scp_recon.planning.method import (
 )
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.stages import Observer
+from scp_recon.planning.starts import STARTS_MAX, WORKERS_MAX
 from scp_recon.scenario.load import base_names, load_scenario, override
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.algorithms import ALGORITHMS
@@ -84,6 +85,7 @@ def parser() -> argparse.ArgumentParser:
         default="P2",
         help="with uncertainty, or without it (default: P2)",
     )
+    _add_starts(p)
     _add_method(p)
     p.add_argument(
         "--facet-rounds",
@@ -120,6 +122,24 @@ def parser() -> argparse.ArgumentParser:
         "runs/latest then points); a verified plan there gives way to a verified one only",
     )
     return p
+
+
+def _add_starts(p: argparse.ArgumentParser) -> None:
+    """From how many places to plan."""
+    p.add_argument(
+        "--starts",
+        type=int_between(1, STARTS_MAX),
+        metavar="K",
+        help="plan from --init and from K - 1 random flights, list the distinct local optima and keep "
+        "the best (default: 1)",
+    )
+    p.add_argument("--seed", type=SEED, metavar="S", help="of the random flights (default: 0)")
+    p.add_argument(
+        "--workers",
+        type=int_between(1, WORKERS_MAX),
+        metavar="N",
+        help="processes for the starts; the plan does not depend on their number (default: 1)",
+    )
 
 
 def _add_method(p: argparse.ArgumentParser) -> None:

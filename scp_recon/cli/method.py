@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import certify, flights_needed
 from scp_recon.certification.largest import LEAST, is_kept, largest_probability, promised
 from scp_recon.errors import InputError, one_of
 from scp_recon.mission.mission import Mission
+from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, check_exact, scp_method
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.planning.stages import Observer
+from scp_recon.planning.starts import plan_from_several
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 
@@ -27,9 +31,10 @@ def planning(options: argparse.Namespace) -> Planning:
         InputError: if an option is of another method, or names nothing that is known.
     """
     if options.method == "scp":
+        _check_starts(options)
         return _by_scp(options)
-    for option in ("algorithm", "solver", "facet_rounds"):
-        if given := getattr(options, option):
+    for option in ("algorithm", "solver", "facet_rounds", "starts", "seed", "workers"):
+        if (given := getattr(options, option)) not in (None, "", 0):
             raise InputError(
                 f"--{option.replace('_', '-')}", str(given), "goes with --method scp only"
             )
@@ -59,17 +64,40 @@ def _by_scp(options: argparse.Namespace) -> Planning:
         prefix="--",
     )
 
-    def once(mission: Mission, start: Iterate, observe: Observer, aim: float | None) -> Plan:
-        return plan(
+    make_plan = partial(
+        plan,
+        problem=options.problem,
+        formulation=method.formulation,
+        algorithm=method.algorithm,
+        solver=method.solver,
+        facet_rounds=options.facet_rounds,
+    )
+
+    def once(
+        mission: Mission,
+        start: Iterate,
+        observe: Observer,
+        aim: float | None,
+        init: str = options.init,
+    ) -> Plan:
+        return make_plan(mission, start, aim=aim, init=init, observe=observe)
+
+    def several(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+        best = plan_from_several(
             mission,
             start,
-            problem=options.problem,
-            **method._asdict(),
-            aim=aim,
-            facet_rounds=options.facet_rounds,
+            make_plan,
+            starts=options.starts,
+            seed=options.seed or 0,
+            workers=options.workers or 1,
             init=options.init,
-            observe=observe,
+            seen=lambda number, found: _show_start(observe, number, found),
         )
+        if not is_certified(options, mission.scenario) or best.status is not Status.CONVERGED:
+            return best
+        start, init = from_burns(mission, best.burns_m_s), best.provenance.init
+        found = certify(mission, start, lambda m, s, aim: once(m, s, observe, aim, init))
+        return replace(found, starts=best.starts)
 
     def largest(mission: Mission, start: Iterate, observe: Observer) -> Plan:
         budget = float("inf") if options.dv_budget is None else options.dv_budget
@@ -89,11 +117,34 @@ def _by_scp(options: argparse.Namespace) -> Planning:
     def by_scp(mission: Mission, start: Iterate, observe: Observer) -> Plan:
         if options.objective == "probability":
             return largest(mission, start, observe)
+        if (options.starts or 1) > 1:
+            return several(mission, start, observe)
         if not is_certified(options, mission.scenario):
             return once(mission, start, observe, None)
         return certify(mission, start, lambda m, s, aim: once(m, s, observe, aim))
 
     return by_scp
+
+
+def _show_start(observe: Observer, number: int, found: Plan) -> None:
+    """The last iteration of each stage, as those of one start are shown one by one."""
+    for stage in found.stages:
+        for record in stage.result.records[-1:]:
+            observe(f"{number} {stage.name}", record)
+
+
+def _check_starts(options: argparse.Namespace) -> None:
+    """Refuse what goes with several starts, or not with them.
+
+    Raises:
+        InputError: naming the option, what was given and what is allowed.
+    """
+    if (options.starts or 1) == 1:
+        for option in ("seed", "workers"):
+            if (given := getattr(options, option)) is not None:
+                raise InputError(f"--{option}", str(given), "goes with --starts of 2 or more")
+    elif options.objective == "probability":
+        raise InputError("--starts", str(options.starts), "goes with --objective delta-v")
 
 
 def is_certified(options: argparse.Namespace, scenario: Scenario) -> bool:

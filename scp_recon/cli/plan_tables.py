@@ -18,7 +18,7 @@ from scp_recon.planning.stages import Observer
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution
+from scp_recon.solution.file import Solution, StartsSummary
 from scp_recon.solution.from_plan import iteration_record
 from scp_recon.solution.risk import Risk
 from scp_recon.solution.verdict import Verification
@@ -165,6 +165,7 @@ def show_solution(console: Console, solution: Solution) -> None:
             )
     console.print(table)
     _show_risk(console, solution.risk)
+    _show_starts(console, solution.starts)
 
 
 def _show_risk(console: Console, risk: Risk | None) -> None:
@@ -183,6 +184,28 @@ def _show_risk(console: Console, risk: Risk | None) -> None:
             f"({reached.low:.4f} to {reached.high:.4f}) in round {reached.rounds}"
         )
     console.print(line, highlight=False, soft_wrap=True)
+
+
+def _show_starts(console: Console, starts: StartsSummary | None) -> None:
+    """The distinct local optima of several starts."""
+    if starts is None:
+        return
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    table.add_column(f"local optima of {starts.number} starts, seed {starts.seed}")
+    for heading in ("delta-v m/s", "starts", "which"):
+        table.add_column(heading, justify="right")
+    for optimum in starts.optima:
+        which = ", ".join(map(str, optimum.starts[:6])) + (
+            ", ..." if len(optimum.starts) > 6 else ""
+        )
+        table.add_row(
+            f"{optimum.problem} {optimum.status}",
+            f"{optimum.total_dv_m_s:.6f}",
+            str(len(optimum.starts)),
+            which,
+        )
+    console.print()
+    console.print(table)
 
 
 def show_verification(

@@ -125,6 +125,45 @@ class Certificate:
     rounds: int
 
 
+@dataclass(frozen=True)
+class Optimum:
+    """A local optimum that several starts found.
+
+    Attributes:
+        problem: of which.
+        status: converged, or infeasible: stationary at the least violation.
+        total_dv_m_s: sum of the burns' sizes.
+        burns_m_s: J2000, m/s.
+        starts: numbers of those that ended there, 0 the guess.
+    """
+
+    problem: Literal["P3", "P2"]
+    status: str
+    total_dv_m_s: float
+    burns_m_s: tuple[tuple[float, float, float], ...]
+    starts: tuple[int, ...]
+
+    def __str__(self) -> str:
+        """One line."""
+        many = f"{len(self.starts)} start{'s' if len(self.starts) > 1 else ''}"
+        return f"{self.problem} {self.status} {self.total_dv_m_s:.6f} m/s, {many}"
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Several starts, of which a plan is the best.
+
+    Attributes:
+        number: asked for, the guess included.
+        seed: of the others.
+        optima: where they ended, each once.
+    """
+
+    number: int
+    seed: int
+    optima: tuple[Optimum, ...]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
@@ -143,6 +182,7 @@ class Plan:
     total_s: float
     aim: float | None = None
     certificate: Certificate | None = None
+    starts: Starts | None = None
 
     def __eq__(self, other: object) -> bool:
         """Whether another plan is the same but for the time it took."""
@@ -220,6 +260,9 @@ class Plan:
             f"{name:20} {round(margin, 4) + 0.0:+12.4f} {unit}"
             for name, (margin, unit) in self.worst_margins.items()
         ]
+        if self.starts is not None:
+            lines.append(f"local optima of {self.starts.number} starts, seed {self.starts.seed}")
+            lines += [f"  {optimum}" for optimum in self.starts.optima]
         lines += [f"warning: {warning}" for warning in self.mission.warnings]
         return "\n".join(lines)
 
@@ -239,7 +282,7 @@ class Plan:
             (s.result.lin.iterate.burns.tobytes(), s.result.lin.iterate.mean.tobytes())
             for s in (*self.stages, self.final)
         ]
-        return self.mission.scenario, self.provenance, runs, flown
+        return self.mission.scenario, self.provenance, runs, flown, self.starts
 
 
 def _read_only(array: Array) -> Array:

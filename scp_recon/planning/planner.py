@@ -57,11 +57,17 @@ def plan(
     facet_rounds: int = 0,
     init: str = "given",
     observe: Observer | None = None,
+    once: bool = False,
 ) -> Plan:
     """Plan a mission once: `Planner.plan` with its arguments and those of `Planner`."""
     planner = Planner(mission, formulation=formulation, algorithm=algorithm, solver=solver, aim=aim)
     return planner.plan(
-        guess, problem=problem, facet_rounds=facet_rounds, init=init, observe=observe
+        guess,
+        problem=problem,
+        facet_rounds=facet_rounds,
+        init=init,
+        observe=observe,
+        once=once,
     )
 
 
@@ -121,6 +127,7 @@ class Planner:
         facet_rounds: int = 0,
         init: str = "given",
         observe: Observer | None = None,
+        once: bool = False,
     ) -> Plan:
         """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
@@ -134,10 +141,11 @@ class Planner:
                 that leave nothing feasible are chosen again without being asked.
             init: what the guess is called in the solution file.
             observe: called after each iteration with the stage's name and the record.
+            once: begin nowhere else.
         """
         stages = ScpStages(self, self.mission, self.algorithm)
         runner = StageRunner(self.mission, stages, observe, facet_rounds)
-        plan = runner.run(lambda: runner.plan(guess, problem), self._provenance(init))
+        plan = runner.run(lambda: runner.plan(guess, problem, once=once), self._provenance(init))
         return replace(plan, aim=self._aim)
 
     def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:

@@ -100,20 +100,21 @@ class StageRunner:
         seconds = perf_counter() - started
         return Plan(self.mission, provenance, tuple(self.stages), final, self.timing, seconds)
 
-    def plan(self, guess: Iterate, problem: Literal["P3", "P2"]) -> Stage:
+    def plan(self, guess: Iterate, problem: Literal["P3", "P2"], *, once: bool = False) -> Stage:
         """P3 from a guess and P2 from there; a guess that is no flight leads to P3 by its opening.
 
         Where P3 does not converge from the guess it is tried again from other starts; and so it is
         where P2 does not converge: P3 may have stopped at a local optimum from which there is no way.
-        Where none converges the facets are chosen again. The best of all tries counts.
+        Where none converges the facets are chosen again. The best of all tries counts. With `once`
+        there is no other start.
         """
         if problem == "P2" and self.mission.scenario.risk.allocation == "exact":
             self._exact_rows()  # a method that has none says so before any work
         firsts: list[Stage] = []
         finals: list[Stage] = []
-        for letter, start in _starts(self.mission, guess):
+        for letter, start in [("", guess)] if once else _starts(self.mission, guess):
             p3 = self._solve_p3(f"P3{letter}", self.start(start))
-            known = any(_same_optimum(p3, other) for other in firsts)
+            known = any(same_optimum(p3, other) for other in firsts)
             firsts.append(p3)
             if p3.result.status is not Status.CONVERGED or known:
                 continue
@@ -238,7 +239,7 @@ def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
     yield "d", circular(mission, -1.0)
 
 
-def _same_optimum(one: Stage, other: Stage) -> bool:
+def same_optimum(one: Stage, other: Stage) -> bool:
     """Whether two runs of P3 ended alike."""
     low, high = sorted((_merit(one), _merit(other)))
     apart = np.abs(one.result.lin.iterate.burns - other.result.lin.iterate.burns).max()

@@ -156,6 +156,24 @@ class UnitScales(Part):
     time_s: float
 
 
+class LocalOptimum(Part):
+    """Where some of several starts ended; numbers of starts, 0 the initial guess."""
+
+    problem: Literal["P3", "P2"]
+    status: Line
+    total_dv_m_s: Number
+    burns_m_s: list[tuple[Number, Number, Number]]
+    starts: list[Annotated[int, Field(ge=0)]]
+
+
+class StartsSummary(Part):
+    """Several starts, of which the plan is the best: distinct local optima, P3's first."""
+
+    number: Annotated[int, Field(ge=2)]
+    seed: Annotated[int, Field(ge=0)]
+    optima: list[LocalOptimum]
+
+
 class Solution(File):
     """Everything about one plan; its file can be solved again from itself.
 
@@ -177,6 +195,7 @@ class Solution(File):
     constraints: list[ConstraintResult]
     facets: FacetTable | None = None
     risk: Risk | None = None
+    starts: StartsSummary | None = None
     violation: Violation
     iterations: list[IterationRecord]
     timing_s: TimingSummary

@@ -9,16 +9,18 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import BURN_LIMITS, Plan, Stage, scale
+from scp_recon.planning.plan import BURN_LIMITS, Plan, Stage, Starts, scale
 from scp_recon.scp.loop import Record
 from scp_recon.solution.file import (
     Burn,
     ConstraintResult,
     FacetTable,
     IterationRecord,
+    LocalOptimum,
     Nodes,
     Solution,
     StageSummary,
+    StartsSummary,
     TimingSummary,
     UnitScales,
     Violation,
@@ -56,6 +58,7 @@ def make_solution(plan: Plan) -> Solution:
         constraints=constraint_results(mission, plan.final),
         facets=_facet_table(mission, plan.final),
         risk=_risk(plan),
+        starts=_starts(plan.starts),
         violation=_violation(mission, plan.final),
         iterations=[
             iteration_record(mission, stage.name, record)
@@ -128,6 +131,22 @@ def _facet_table(mission: Mission, stage: Stage) -> FacetTable | None:
         offset_m=(facets.offset * mission.units.length_m).tolist(),
         quantile=facets.quantile.tolist(),
     )
+
+
+def _starts(starts: Starts | None) -> StartsSummary | None:
+    if starts is None:
+        return None
+    optima = [
+        LocalOptimum(
+            problem=optimum.problem,
+            status=optimum.status,
+            total_dv_m_s=optimum.total_dv_m_s,
+            burns_m_s=list(optimum.burns_m_s),
+            starts=list(optimum.starts),
+        )
+        for optimum in starts.optima
+    ]
+    return StartsSummary(number=starts.number, seed=starts.seed, optima=optima)
 
 
 def _risk(plan: Plan) -> Risk | None:

@@ -32,6 +32,13 @@ def test_algorithm_and_solver_are_recorded(tmp_path: Path, algorithm: str, solve
         (("--solver", "simplex"), "--solver: got 'SIMPLEX'; must be one of CLARABEL"),
         (("--method", "ipopt", "--solver", "ECOS"), "--solver: got ECOS; goes with --method scp"),
         (("--method", "ipopt", "--algorithm", "ptr"), "--algorithm: got ptr; goes with"),
+        (("--method", "ipopt", "--starts", "2"), "--starts: got 2; goes with --method scp only"),
+        (("--seed", "0"), "--seed: got 0; goes with --starts of 2 or more"),
+        (("--starts", "1", "--workers", "2"), "--workers: got 2; goes with --starts of 2 or more"),
+        (
+            ("--starts", "2", "--objective", "probability", "--set", "risk.allocation=exact"),
+            "--starts: got 2; goes with --objective delta-v",
+        ),
     ],
 )
 def test_what_cannot_be_chosen_is_refused(
@@ -48,3 +55,23 @@ def test_every_conic_solver_of_the_extra_is_found() -> None:
     found = solvers.installed()
     assert found[0] == "CLARABEL"
     assert {"ECOS", "QOCO", "SCS"} <= set(found)
+
+
+@pytest.mark.parametrize("given", ["0", "-1", "two", "1.5", "1001"])
+def test_a_number_of_starts_that_is_none_is_refused(tmp_path: Path, given: str) -> None:
+    run = run_solve(tmp_path, f"--starts={given}")
+    assert run.exit_code == 2
+    words = f"argument --starts: got '{given}'; must be a whole number from 1 to 1000"
+    assert words in " ".join(run.errors.split())
+
+
+def test_a_file_may_be_the_first_of_several_starts(tmp_path: Path) -> None:
+    first, again = tmp_path / "first", tmp_path / "again"
+    assert run_solve(first, "--problem", "P3").exit_code == 0
+    options = ("--init", str(first), "--starts", "3", "--problem", "P3")
+    run = run_solve(again, *options)
+    starts = read_solution(again).starts
+    assert run.exit_code == 0
+    assert starts is not None
+    assert [optimum.starts for optimum in starts.optima] == [[0, 1], [2]]
+    assert "local optima of 3 starts" in run.output

@@ -1,0 +1,191 @@
+"""Several starts: flights on random sides, planned once; their local optima, the best plan kept."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from formulations.linearisation.linearisation import final_state_map
+from formulations.problem.flyby import Iterate
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.initial_guess import bent
+from scp_recon.planning.plan import Optimum, Plan, Stage, Starts
+from scp_recon.planning.stages import OPENING, better, same_optimum
+from scp_recon.scp.status import Status
+
+STARTS_MAX, WORKERS_MAX, SEED_MAX = 1_000, 256, 2**63 - 1
+
+BEND, BURN = 0.5, 0.75
+"""Of a random flight's path and burns before it is made to fly, in the mission's units, 1 sigma."""
+
+
+class MakePlan(Protocol):
+    """Plans a mission; with `once` from this start alone. It pickles."""
+
+    def __call__(self, mission: Mission, guess: Iterate, /, *, once: bool, init: str) -> Plan:
+        """The plan from a start, and what the start is called."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Job:
+    """Plans one of the starts, in whatever process."""
+
+    mission: Mission
+    guess: Iterate
+    init: str
+    make_plan: MakePlan
+    seed: int
+
+    def __call__(self, number: int) -> Plan:
+        if number == 0:
+            return self.make_plan(self.mission, self.guess, once=False, init=self.init)
+        start = random_flight(self.mission, self.seed, number)
+        name = f"random flight {number} of seed {self.seed}"
+        return self.make_plan(self.mission, start, once=True, init=name)
+
+
+def plan_from_several(
+    mission: Mission,
+    guess: Iterate,
+    make_plan: MakePlan,
+    *,
+    starts: int,
+    seed: int = 0,
+    workers: int = 1,
+    init: str = "given",
+    seen: Callable[[int, Plan], None] | None = None,
+) -> Plan:
+    """The best plan of several starts: the guess, as it is planned alone, and random flights.
+
+    Neither the plan nor the list of optima depends on the number of processes. An interrupt ends with
+    the best plan so far, marked as interrupted.
+
+    Args:
+        mission: what to plan.
+        guess: the first start; where it does not converge it begins again elsewhere, as alone.
+        make_plan: of one start.
+        starts: their number, the guess included.
+        seed: of the random flights.
+        workers: processes.
+        init: what the guess is called in the solution file.
+        seen: called with each start's number, in order, and its plan.
+    """
+    job = _Job(mission, guess, init, make_plan, seed)
+    found: list[Plan] = []
+    interrupted = False
+    try:
+        for number, plan in enumerate(_planned(job, starts, workers)):
+            found.append(plan)
+            if seen:
+                seen(number, plan)
+            if plan.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        if not found:
+            raise
+        interrupted = True
+    best = _best([plan for plan in found if plan.status is not Status.INTERRUPTED] or found)
+    listed = Starts(starts, seed, local_optima(found))
+    if interrupted:
+        final = best.final
+        best = replace(
+            best, final=replace(final, result=replace(final.result, status=Status.INTERRUPTED))
+        )
+    return replace(best, starts=listed)
+
+
+def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
+    """A flight from the initial to the final state that keeps no limit, on a random side of all sets.
+
+    A randomly bent straight line with random burns, its defects closed by the smallest change of the
+    burns that still leads to the final state.
+
+    Args:
+        mission: gives the boundary states.
+        seed: of all draws.
+        number: of the flight; each has draws of its own.
+    """
+    units, problem = mission.units, mission.problem
+    rng = np.random.default_rng((seed, number))
+    path = bent(mission, rng, BEND * units.length_m, BURN * units.speed_m_s)
+    mean = path.mean.copy()
+    mean[0, 3:] = problem.initial_state[3:] + path.burns[0]
+    lin = mission.dynamics.linearise(problem, Iterate(path.burns, mean))
+    constant, jacobian = final_state_map(lin)
+    miss = problem.final_state - constant - jacobian @ path.burns.ravel()
+    burns = path.burns + np.linalg.lstsq(jacobian, miss)[0].reshape(-1, 3)
+    return mission.dynamics.close_defects(lin, burns).iterate
+
+
+def local_optima(plans: list[Plan]) -> tuple[Optimum, ...]:
+    """Where the plans of several starts ended, each optimum once: P3's first, the cheapest first.
+
+    Ends that converged, or are stationary at the least violation. Those of P3 are all that a start
+    came by; of P2, whose facets are chosen where P3 ends, the one that counts.
+    """
+    groups: list[tuple[Stage, list[int]]] = []
+    for number, plan in enumerate(plans):
+        for stage in _ends(plan):
+            for known, numbers in groups:
+                if known.problem == stage.problem and same_optimum(known, stage):
+                    if number not in numbers:
+                        numbers.append(number)
+                    break
+            else:
+                groups.append((stage, [number]))
+    speed = plans[0].mission.units.speed_m_s
+    optima = [_optimum(stage, speed, numbers) for stage, numbers in groups]
+    return tuple(
+        sorted(optima, key=lambda o: (o.problem == "P2", o.status != "converged", o.total_dv_m_s))
+    )
+
+
+def _ends(plan: Plan) -> list[Stage]:
+    ends = [s for s in plan.stages if s.problem == "P3" and not s.name.endswith(OPENING)]
+    if plan.final.problem == "P2":
+        ends.append(plan.final)
+    return [s for s in ends if s.result.status in (Status.CONVERGED, Status.INFEASIBLE)]
+
+
+def _optimum(stage: Stage, speed_m_s: float, numbers: list[int]) -> Optimum:
+    iterate = stage.result.lin.iterate
+    return Optimum(
+        problem=stage.problem,
+        status=stage.result.status.value.name,
+        total_dv_m_s=iterate.total_dv * speed_m_s,
+        burns_m_s=tuple((x, y, z) for x, y, z in (iterate.burns * speed_m_s).tolist()),
+        starts=tuple(numbers),
+    )
+
+
+def _best(plans: list[Plan]) -> Plan:
+    best = plans[0]
+    for plan in plans[1:]:
+        best = plan if better(plan.final, best.final) else best
+    return best
+
+
+def _planned(job: _Job, starts: int, workers: int) -> Iterator[Plan]:
+    """The plans in the order of their starts."""
+    if workers == 1:
+        yield from map(job, range(starts))
+        return
+    with ProcessPoolExecutor(min(workers, starts), initializer=_deaf) as pool:
+        pending = [pool.submit(job, number) for number in range(starts)]
+        try:
+            for future in pending:
+                yield future.result()
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+def _deaf() -> None:
+    """Ctrl-C is the parent's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
