@@ -199,6 +199,9 @@ QUICK = {
         "--problem P3"
     ),
     "python -m scp_recon.solve --init runs/mine/solution.json": Quick(),
+    "python -m scp_recon.solve --starts 8 --seed 0 --workers 2": Quick(
+        "python -m scp_recon.solve --starts 2 --seed 0 --workers 2 --problem P3"
+    ),
     "python -m scp_recon.solve --algorithm ptr --solver ECOS": Quick(needs="ecos"),
     "python -m scp_recon.solve --method ipopt": Quick(
         "python -m scp_recon.solve --method ipopt --problem P3"
