@@ -155,6 +155,8 @@ def test_right_ascension_and_declination_swapped_are_told() -> None:
     assert is_told(RECON_B, changes)
 
 
+SHAPELESS = file_of(RECON_B, {}, name="Mine")
+"""On a shape the scenario holds the normal to that before."""
 SWAPS = {"xy": (1, 0, 2), "xz": (2, 1, 0), "yz": (0, 2, 1), "xyz": (1, 2, 0), "zyx": (2, 0, 1)}
 
 
@@ -236,7 +238,7 @@ def test_swapped_axes_of_a_site_are_told_where_its_slope_shows_them(
     site = Site(position[list(swap)], normal)
     moved = np.rad2deg(np.arccos(np.clip(site.position_body @ position / 250.0**2, -1.0, 1.0)))
     try:
-        found = check_given(Given(RECON_B, MISSION.rotation, site))
+        found = check_given(Given(SHAPELESS, MISSION.rotation, site))
         told = any(warning.entry == "site.normal_body" for warning in found)
     except InputError as error:
         assert moved > 89.9
