@@ -288,6 +288,7 @@ def test_without_any_spread_the_means_side_tells(rng: np.random.Generator, out: 
 
 
 @given(generators)
+@few
 def test_where_nothing_is_left_to_see_g_stays_beyond_what_is_told(rng: np.random.Generator) -> None:
     """A slender law beside a ball: its tangent plane is near, and the ball itself out of reach."""
     ball = Ball(np.zeros((1, 3)), 0.43)
@@ -329,23 +330,22 @@ def test_gradients_are_those_of_finite_differences(
     np.testing.assert_allclose(by, slope, rtol=0.0, atol=GRADIENT * (1.0 + np.abs(by).max()))
 
 
-GRADIENT = 2e-3
+GRADIENT = 1e-4
 """Near an apex; the next test has what is reached elsewhere."""
 
 
-@pytest.mark.parametrize(("spread", "accuracy"), [(0.02, 1e-6), (0.1, 1e-6), (0.2, 1e-4)])
+@pytest.mark.parametrize("slenderness", [2.0, SLENDER])
+@pytest.mark.parametrize("spread", [0.02, 0.1, 0.5])
 @pytest.mark.parametrize("kind", ["ball", "cone", "shell"])
-def test_gradients_are_good_while_the_spread_is_small(
-    kind: str, spread: float, accuracy: float
-) -> None:
+def test_gradients_are_good_to_a_millionth(kind: str, spread: float, slenderness: float) -> None:
     rng = np.random.default_rng(11)
-    ball, hole = Ball(np.zeros((1, 3)), 1.0), Ball(np.zeros((1, 3)), 1.0 - 3.0 * spread)
+    ball, hole = Ball(np.zeros((1, 3)), 1.0), Ball(np.zeros((1, 3)), 1.0 / (1.0 + 3.0 * spread))
     cone = Cone(np.zeros((1, 3)), random_unit(rng, 1), 0.7)
-    for _ in range(10):
-        factor = root(rng, spread)
+    for _ in range(8):
+        factor = root(rng, spread, slenderness)
         nearest: Region = cone if kind == "cone" else ball
         mean = away(rng, nearest, factor, float(rng.uniform(-2.0, 2.0)))
-        step = 1e-4 * spread
+        step = 2e-4 * spread / slenderness
         moves = np.concatenate([np.eye(18), -np.eye(18)]) * step
 
         def values(means: Array, factors: Array, nearest: Region = nearest) -> Quantiles:
@@ -357,7 +357,7 @@ def test_gradients_are_good_while_the_spread_is_small(
         forward, backward = np.split(moved, 2)
         slope = spread * (forward - backward) / (2.0 * step)
         by = spread * np.concatenate([found.by_mean.ravel(), found.by_factor.ravel()])
-        np.testing.assert_allclose(by, slope, rtol=0.0, atol=accuracy * (1.0 + np.abs(by).max()))
+        np.testing.assert_allclose(by, slope, rtol=0.0, atol=1e-6 * (1.0 + np.abs(by).max()))
 
 
 # --- what must be true --------------------------------------------------------------------------
@@ -391,7 +391,7 @@ def test_about_its_centre_a_ball_holds_less_of_a_wider_law(
     ball = Ball(rng.normal(size=(1, 3)), float(rng.uniform(1.0, 4.0) * spread))
     added = np.concatenate([factor, (more - 1.0) * spread * rng.normal(size=(1, 3, 2))], axis=2)
     less, wider = (node_quantiles(event((ball,)), ball.center, f).value for f in (factor, added))
-    assert wider.item() < less.item() + 1e-3
+    assert wider.item() < less.item() + 1e-6
 
 
 @given(generators)
