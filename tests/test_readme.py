@@ -115,6 +115,8 @@ def one_cell(patch: pytest.MonkeyPatch) -> None:
     for name in ("quick_design", "full_design"):
         assert callable(getattr(study, name))
         patch.setattr(study, name, lambda: cells)
+    exact = study.exact_design(range(1))[:1]
+    patch.setattr(study, "exact_design", lambda *_: exact)
 
 
 def one_trick(patch: pytest.MonkeyPatch) -> None:
@@ -250,6 +252,7 @@ QUICK = {
     f"{TABLE} --as-flown FILE": Quick(f"{TABLE} --as-flown flight.bsp {FEW}", needs="spiceypy"),
     COMPARISON: Quick(cut=one_cell),
     "python -m experiments.compare_solvers --full": Quick(cut=one_cell),
+    "python -m experiments.compare_solvers --exact": Quick(cut=one_cell),
     "python -m experiments.nlp_tricks": Quick(cut=one_trick),
     "python -m experiments.frontier": Quick(cut=two_kinds),
     "python -m experiments.openscvx_peer": Quick(cut=one_case, needs="openscvx"),

@@ -12,31 +12,35 @@ if __name__ == "__main__":
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import inf
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from experiments.compare_solvers.cases import Cell, full_design, quick_design
-from experiments.compare_solvers.claims import claims
-from experiments.compare_solvers.report import claim_line, shown, to_csv, to_markdown
+from experiments.compare_solvers.cases import EXACT, Cell, full_design, quick_design
+from experiments.compare_solvers.exact.cell import solve_exact
+from experiments.compare_solvers.exact.scenarios import QUICK, exact_design
+from experiments.compare_solvers.report import claim_line, every_claim, shown, to_csv, to_markdown
 from experiments.compare_solvers.row import FAILED, Row
 from experiments.compare_solvers.runs import FILE_NAME, PEER_NAME, read_rows, run_cells
 from scp_recon.files import write_atomically
 
 DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
 REPORT_NAME = "comparison.md"
-FLIGHTS, LIMIT_S, QUICK_LIMIT_S = 2_000, 30.0, 20.0
+FLIGHTS, LIMIT_S, QUICK_LIMIT_S, EXACT_LIMIT_S = 2_000, 30.0, 20.0, 150.0
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(prog="python -m experiments.compare_solvers", description=__doc__)
     size = p.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="a cell of every kind: two minutes")
-    size.add_argument("--full", action="store_true", help="everything, an hour (default)")
+    size.add_argument("--quick", action="store_true", help="a cell of every kind: three minutes")
+    size.add_argument("--full", action="store_true", help="everything, two hours (default)")
+    size.add_argument(
+        "--exact", action="store_true", help="exact risk in 50 scenarios alone: half an hour"
+    )
     p.add_argument(
         "--out",
         type=Path,
@@ -61,11 +65,11 @@ def _run(options: argparse.Namespace, console: Console) -> int:
     out.mkdir(parents=True, exist_ok=True)
     if options.fresh:
         (out / FILE_NAME).unlink(missing_ok=True)
-    cells = quick_design() if options.quick else full_design()
+    cells = _design(options)
     limit_s = QUICK_LIMIT_S if options.quick else LIMIT_S
     rows = _rows(console, cells, out / FILE_NAME, limit_s)
     rows += read_rows(out / PEER_NAME, inf).values()
-    for claim in claims(rows):
+    for claim in every_claim(rows):
         console.print(claim_line(claim), highlight=False, soft_wrap=True)
     for path in _write(rows, out):
         console.print(f"written: {path}", highlight=False, soft_wrap=True)
@@ -77,6 +81,22 @@ def _run(options: argparse.Namespace, console: Console) -> int:
         words += " A quick run shows a few cells of each kind: only --full settles the claims."
     console.print(words, highlight=False, soft_wrap=True)
     return 0
+
+
+def _design(options: argparse.Namespace) -> Sequence[Cell]:
+    if options.exact:
+        return exact_design()
+    if options.quick:
+        return (*quick_design(), *exact_design(QUICK))
+    return (*full_design(), *exact_design())
+
+
+def _solved(cells: Sequence[Cell], path: Path, limit_s: float) -> Iterator[Row]:
+    """Rows of the cells, those of exact risk last."""
+    exact = [cell for cell in cells if cell.group == EXACT]
+    others = [cell for cell in cells if cell.group != EXACT]
+    yield from run_cells(others, path, flights=FLIGHTS, limit_s=limit_s)
+    yield from run_cells(exact, path, flights=0, limit_s=EXACT_LIMIT_S, solve=solve_exact)
 
 
 def _rows(console: Console, cells: Sequence[Cell], path: Path, limit_s: float) -> list[Row]:
@@ -91,7 +111,7 @@ def _rows(console: Console, cells: Sequence[Cell], path: Path, limit_s: float) -
     )
     with bar:
         task = bar.add_task("cells", total=len(cells))
-        for row in run_cells(cells, path, flights=FLIGHTS, limit_s=limit_s):
+        for row in _solved(cells, path, limit_s):
             rows.append(row)
             if row.status == FAILED:
                 bar.console.print(f"{row.key}: {shown(row)}", highlight=False, markup=False)

@@ -42,6 +42,8 @@ class Method:
 
 
 Start = Literal["cold", "warm", "p3", "random"]
+Group = Literal["matrix", "scenarios", "guesses", "exact"]
+EXACT: Group = "exact"
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ class Cell:
         seed: of the random guess.
     """
 
-    group: Literal["matrix", "scenarios", "guesses"]
+    group: Group
     scenario: str
     overrides: tuple[str, ...]
     method: Method

@@ -10,6 +10,7 @@ from dataclasses import asdict
 import numpy as np
 
 from experiments.compare_solvers.claims import AGREE, Claim, agreements, best_of, claims, of_group
+from experiments.compare_solvers.exact.claims import exact_claims, exact_table
 from experiments.compare_solvers.row import Row
 from scp_recon.monte_carlo.estimates import proportion
 
@@ -25,6 +26,18 @@ tries. Shares are of all guesses."""
 PEER_NOTE = """\
 Left by `experiments.openscvx_peer`; numbers after *ptr* are its weights of cost, virtual control and
 virtual buffer and the step at which it stops. All start at the ballistic arc."""
+
+
+EXACT_NOTE = """\
+Each scenario is the default one with other errors, boundary states, limits and probability, drawn from
+its number. *Reached* is the check's, with its standard error; *s* are of the processor, for references
+without the plan that they start from. A reference's delta-v is printed where the check finds that it
+holds."""
+
+
+def every_claim(rows: Sequence[Row]) -> list[Claim]:
+    """What the comparison is to show, of uniform risk and of exact risk."""
+    return [*claims(rows), *exact_claims(rows)]
 
 
 def to_csv(rows: Sequence[Row]) -> str:
@@ -44,7 +57,7 @@ def to_markdown(rows: Sequence[Row]) -> str:
     parts = [
         "# Comparison of solvers",
         "",
-        *(f"- {claim_line(claim)}" for claim in claims(rows)),
+        *(f"- {claim_line(claim)}" for claim in every_claim(rows)),
         "",
     ]
     for title, table, note in (
@@ -52,6 +65,7 @@ def to_markdown(rows: Sequence[Row]) -> str:
         ("P2 from the same P3 solution and facets", _scenarios(rows), SCENARIOS_NOTE),
         ("Random guesses", _guesses(rows), GUESSES_NOTE),
         ("Optima reached from random guesses", _optima(rows), ""),
+        ("Exact risk against nonlinear programming", exact_table(rows), EXACT_NOTE),
         ("P3 by OpenSCvx, an outside peer", peer_table(rows), PEER_NOTE),
     ):
         parts += [f"## {title}", "", *table, "", *([note, ""] if note else [])]

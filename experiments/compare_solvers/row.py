@@ -26,8 +26,10 @@ class Row:
         merit_m_s: with the exact penalty of SCvx, first weight; IPOPT's burns are flown first, because
             gaps between its arcs cost next to nothing there.
         heavy_merit_m_s: with its second weight, which infeasible cases end with.
-        violation_m: largest violation; velocities count as metres per unit of time.
-        iterations_p3, iterations_p2: the latter over all facet restorations.
+        violation_m: largest violation; velocities count as metres per unit of time. With exact risk it
+            is of the final state and of the limits on the burns alone.
+        iterations_p3, iterations_p2: the latter over all facet restorations; evaluations of the
+            references of exact risk.
         first_status: of the first try, where another was made.
         from_arc: whether the answer is that of a later try, from the ballistic arc or a turn.
         total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
@@ -37,6 +39,9 @@ class Row:
         peak_mib: resident memory of the process, imports included.
         observed_s: mean observation time of many flights.
         burns_m_s: all components.
+        asked: probability, of exact risk.
+        reached: what the check finds of it, at the worst node or of whole flights.
+        reached_error: its standard error.
         limit_s: seconds of the processor that it was allowed.
         version: of the sources that solved it.
     """
@@ -66,6 +71,9 @@ class Row:
     peak_mib: float = np.nan
     observed_s: float = np.nan
     burns_m_s: tuple[float, ...] = ()
+    asked: float = np.nan
+    reached: float = np.nan
+    reached_error: float = np.nan
     limit_s: float = np.nan
     version: str = ""
 

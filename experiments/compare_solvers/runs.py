@@ -26,7 +26,7 @@ from experiments.compare_solvers.cell import solve_cell
 from experiments.compare_solvers.row import FAILED, Row, failed_row
 
 FILE_NAME, PEER_NAME = "rows.jsonl", "peer.jsonl"
-PRELOADED = ["experiments.compare_solvers.cell"]
+PRELOADED = ["experiments.compare_solvers.cell", "experiments.compare_solvers.exact.cell"]
 """Imported once by the server that the cells' processes are forked from."""
 
 ASLEEP = 20.0
@@ -39,6 +39,7 @@ SOURCES = (
     "scp_recon/**/*.py",
     "scp_recon/data/*.*",
     "experiments/compare_solvers/ca*.py",
+    "experiments/compare_solvers/exact/[cprs]*.py",
     "experiments/compare_solvers/cell.py",
     "experiments/compare_solvers/unguarded.py",
 )

@@ -301,6 +301,7 @@ def test_the_command_leaves_table_and_figures_and_takes_up_its_rows(
 ) -> None:
     cells = (Cell("matrix", "recon_b", (), REFERENCE, "cold"),)
     monkeypatch.setattr(compare_solvers, "quick_design", lambda: cells)
+    monkeypatch.setattr(compare_solvers, "exact_design", lambda *_: ())
     monkeypatch.setattr(compare_solvers, "FLIGHTS", 1000)
     for _ in range(2):
         printed = io.StringIO()

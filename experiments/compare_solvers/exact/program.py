@@ -1,0 +1,265 @@
+"""Exact P2 as a nonlinear program in the burns alone: single shooting, exact first derivatives.
+
+    min sum |v_i|   over the burns v
+    s.t. the final state is met, the burns keep their limits, Phi^-1(P(v)) >= Phi^-1(p)
+
+Everything is evaluated at the nonlinear flight of the burns, nothing at a model. A node's P is that of
+`rays`; a whole flight's is the planner's own estimate, from the same directions, so that both solve one
+problem. Vanishing burns make a kink in the cost, which is rounded off as sqrt(|v|^2 + r^2) - r.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from time import process_time
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from experiments.compare_solvers.exact.rays import RAYS, SURE, ray_quantiles
+from formulations.linearisation.condensation import Sensitivity, condense
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    LinearisationError,
+    final_state_map,
+    step_mean,
+)
+from formulations.problem.flyby import FlybyProblem, Iterate, factor_columns_used
+from formulations.problem.regions import Array
+from formulations.risk.uniform import quantile
+from formulations.rows.flight_probability import FlightProbability, sphere_directions
+from formulations.rows.node_probability import joint_events
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.planner import LINES
+
+COARSE_RAYS, COARSE_LINES = 512, 512
+REACH = 5.0
+"""Deviations within which a flight's limits are looked for: one farther off ends 3e-7 of flights."""
+
+MISS, SHORT, BEYOND = 1e-6, 1e-5, 1e-7
+"""Allowed of the final state, of a probability in deviations, and of the burns' limits."""
+
+NEARLY, GAIN = 100.0, 1e-5
+"""A point that misses no more than so many times that, and promises no such gain, gets nowhere."""
+EVALUATIONS_MAX = 120
+"""After which a search has come to its end."""
+
+CLOSINGS, CLOSED = 8, 1e-12
+"""Newton iterations that close the arcs of a flight before it is rolled out instead, and to what."""
+
+
+class Stop(Exception):  # noqa: N818 -- no error: a search ends with its best point
+    """It gets no further, or has used its evaluations or its seconds of the processor."""
+
+
+class ProbabilityRows(Protocol):
+    """Margins Phi^-1(P) - Phi^-1(p) and their derivatives in the burns, shapes (r,) and (r, nz)."""
+
+    def __call__(self, lin: Linearisation) -> tuple[Array, Array]:
+        """At a flight."""
+        ...
+
+
+class NodeRows:
+    """Every joint constraint at each of its nodes, by rays.
+
+    Args:
+        problem: of the constraints.
+        probability: p.
+        rays: directions at each node.
+    """
+
+    def __init__(self, problem: FlybyProblem, probability: float, rays: int) -> None:
+        self.events, self.asked = joint_events(problem.constraints), quantile(probability)
+        self.rays = rays
+
+    def __call__(self, lin: Linearisation) -> tuple[Array, Array]:
+        """See `ProbabilityRows`."""
+        mean, factor = lin.iterate.mean[:, :3], lin.factor[:, :3]
+        node = np.concatenate([event.nodes for event in self.events])
+        parts = [ray_quantiles(e, mean[e.nodes], factor[e.nodes], self.rays) for e in self.events]
+        value, by_mean, by_factor = (np.concatenate(part) for part in zip(*parts, strict=True))
+        told = np.flatnonzero(value < SURE)
+        slope = np.zeros((len(value), lin.iterate.burns.size))
+        nodes, at = np.unique(node[told], return_inverse=True)
+        if len(told):
+            s = condense(lin, nodes)
+            slope[told] = _moved(s, at, by_mean[told], by_factor[told])
+        return value - self.asked, slope
+
+
+class FlightRow:
+    """The whole flight, by the planner's directions.
+
+    Args:
+        problem: of the constraints.
+        probability: p.
+        lines: directions; `LINES` is what the planner ends with.
+    """
+
+    def __init__(self, problem: FlybyProblem, probability: float, lines: int) -> None:
+        events, self.asked = joint_events(problem.constraints), quantile(probability)
+        nodes = np.unique(np.concatenate([event.nodes for event in events]))
+        directions = sphere_directions(lines, factor_columns_used(problem, nodes))
+        self.estimate = FlightProbability(events, directions, REACH)
+
+    def __call__(self, lin: Linearisation) -> tuple[Array, Array]:
+        """See `ProbabilityRows`."""
+        g = self.estimate(lin.iterate.mean[:, :3], lin.factor[:, :3])
+        if len(g.nodes) == 0:
+            return np.array([g.value - self.asked]), np.zeros((1, lin.iterate.burns.size))
+        nodes, at = np.unique(g.nodes, return_inverse=True)
+        slope = _moved(condense(lin, nodes), at, g.by_mean, g.by_factor)
+        return np.array([g.value - self.asked]), slope.sum(axis=0, keepdims=True)
+
+
+def _moved(s: Sensitivity, at: np.ndarray, by_mean: Array, by_factor: Array) -> Array:
+    """Derivatives in the burns from those in mean and factor at some nodes, shape (r, nz)."""
+    slope = np.einsum("ri,riz->rz", by_mean, s.mean_jacobian[at, :3])
+    columns = by_factor.shape[2]
+    slope += np.einsum(
+        "rk,rkz->rz",
+        by_factor.reshape(len(at), -1),
+        s.factor_jacobian[at, :3, :columns].reshape(len(at), 3 * columns, -1),
+    )
+    return slope
+
+
+def rows_of(mission: Mission) -> tuple[ProbabilityRows, ProbabilityRows]:
+    """What a search holds first, and in the end."""
+    problem, risk = mission.problem, mission.scenario.risk
+    few, many = (
+        [NodeRows(problem, risk.p_chance, rays) for rays in (COARSE_RAYS, RAYS)]
+        if risk.scope == "node"
+        else [FlightRow(problem, risk.p_chance, lines) for lines in (COARSE_LINES, LINES)]
+    )
+    return few, many
+
+
+class Point(NamedTuple):
+    """Cost and constraints at some burns, with derivatives; equal = 0 and least >= 0.
+
+    Attributes:
+        burns: all components, shape (nz,).
+        cost: rounded off.
+        by_cost: shape (nz,).
+        equal: the miss of the final state, shape (6,).
+        by_equal: shape (6, nz).
+        least: limits of the burns, then of the probability, shape (r,).
+        by_least: shape (r, nz).
+        allowed: whether all of it holds as it counts here.
+    """
+
+    burns: Array
+    cost: float
+    by_cost: Array
+    equal: Array
+    by_equal: Array
+    least: Array
+    by_least: Array
+    allowed: bool
+
+
+@dataclass
+class BurnsProgram:
+    """The nonlinear program; remembers the best point that it was asked for.
+
+    Attributes:
+        mission: what is planned.
+        rows: of the probability.
+        rounding: r of the cost.
+        until: `process_time` after which it stops.
+        flown: the last flight, where the next begins.
+        patience: points in a row that promise no gain, after which it stops.
+        evaluations: so far.
+        best: cheapest of the points that hold.
+        nowhere: points in a row that promise no gain.
+    """
+
+    mission: Mission
+    rows: ProbabilityRows
+    rounding: float
+    until: float
+    flown: Linearisation
+    patience: int
+    evaluations: int = 0
+    best: Point | None = None
+    nowhere: int = 0
+    _last: Point | None = None
+
+    def at(self, burns: Array) -> Point:
+        """Evaluate.
+
+        Raises:
+            Stop: if the search is to end.
+            LinearisationError: if there is no finite flight of these burns.
+        """
+        if self._last is not None and np.array_equal(self._last.burns, burns):
+            return self._last
+        if process_time() > self.until:
+            raise Stop("out of time")
+        if self.nowhere >= self.patience:
+            raise Stop(f"no gain of {GAIN:g}")
+        if self.evaluations >= EVALUATIONS_MAX:
+            raise Stop(f"{EVALUATIONS_MAX} evaluations")
+        self.evaluations += 1
+        burns = burns.copy()  # a solver may write its next point over this one
+        lin = fly(self.mission, self.flown, burns.reshape(-1, 3))
+        self.flown = lin
+        value, slope = self.rows(lin)
+        limits, by_limits = burn_limits(self.mission.problem, lin.iterate.burns)
+        size = np.sqrt((lin.iterate.burns**2).sum(axis=1) + self.rounding**2)
+        miss = lin.iterate.mean[-1] - self.mission.problem.final_state
+        worst = max(np.abs(miss).max() / MISS, -value.min() / SHORT, -limits.min() / BEYOND)
+        point = Point(
+            burns,
+            float(size.sum() - len(size) * self.rounding),
+            (lin.iterate.burns / size[:, None]).ravel(),
+            miss,
+            final_state_map(lin)[1],
+            np.concatenate([limits, value]),
+            np.vstack([by_limits, slope]),
+            bool(worst <= 1.0),
+        )
+        if self.best and worst <= NEARLY:
+            gains = point.cost < self.best.cost * (1.0 - GAIN)
+            self.nowhere = 0 if gains else self.nowhere + 1
+        if point.allowed and (self.best is None or point.cost < self.best.cost):
+            self.best = point
+        self._last = point
+        return point
+
+
+def fly(mission: Mission, last: Linearisation, burns: Array) -> Linearisation:
+    """The flight of some burns, its arcs closed by Newton's method from another flight.
+
+    Raises:
+        LinearisationError: if it has none that is finite.
+    """
+    with np.errstate(all="ignore"):
+        lin = last
+        for _ in range(CLOSINGS):
+            lin = mission.dynamics.linearise(lin.problem, Iterate(burns, step_mean(lin, burns)))
+            defect = np.abs(lin.defects[:-1]).max()
+            if not defect < 1.0:
+                break
+            if defect <= CLOSED:
+                return lin
+        problem = mission.problem
+        mean = mission.dynamics.rollout(problem.initial_state, burns)
+        if not np.isfinite(mean).all():
+            raise LinearisationError("no finite flight")
+        return mission.dynamics.linearise(problem, Iterate(burns, mean))
+
+
+def burn_limits(problem: FlybyProblem, burns: Array) -> tuple[Array, Array]:
+    """Margins of size and battery cones, shape (3 m,), and their derivatives (3 m, 3 m)."""
+    m = len(burns)
+    planes = [cone.supporting(burns) for cone in problem.burn_cones]
+    size = 0.5 * (problem.dv_max - (burns**2).sum(axis=1) / problem.dv_max)
+    margins = np.concatenate([size, *(-plane.slack(burns) for plane in planes)])
+    normals = [-burns / problem.dv_max, *(plane.normal for plane in planes)]
+    jacobian = np.zeros((3 * m, m, 3))
+    for kind, normal in enumerate(normals):
+        jacobian[kind * m + np.arange(m), np.arange(m)] = normal
+    return margins, jacobian.reshape(3 * m, 3 * m)
