@@ -106,7 +106,12 @@ class Flyby:
 
 
 def random_flyby(
-    rng: np.random.Generator, *, nodes: int = 9, burns: int = 3, curvature: float = 0.1
+    rng: np.random.Generator,
+    *,
+    nodes: int = 9,
+    burns: int = 3,
+    curvature: float = 0.1,
+    coast: int = 0,
 ) -> Flyby:
     """Drifts of about one unit of length with random forces; no constraints.
 
@@ -115,6 +120,7 @@ def random_flyby(
         nodes: of the grid.
         burns: at the first, the last, and random nodes between.
         curvature: size of the arcs' nonlinear part; 0 makes them linear.
+        coast: node of the first burn, before which a flight that is under way coasts.
     """
     n = nodes - 1
     drift = np.eye(6) + np.eye(6, k=3) / n
@@ -123,10 +129,10 @@ def random_flyby(
         curvature * rng.normal(size=(n, 6, 6)),
         0.5 * rng.normal(size=(n, 6, 6)),
     )
-    between = 1 + rng.choice(nodes - 2, burns - 2, replace=False)
+    between = coast + 1 + rng.choice(nodes - 2 - coast, burns - 2, replace=False)
     problem = FlybyProblem(
         n_nodes=nodes,
-        burn_nodes=np.array([0, *sorted(between), n]),
+        burn_nodes=np.array([coast, *sorted(between), n]),
         initial_state=rng.normal(size=6),
         final_state=np.zeros(6),
         initial_factor=0.02 * rng.normal(size=(6, int(rng.integers(1, 7)))),

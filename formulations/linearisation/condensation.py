@@ -72,11 +72,11 @@ def _factor_sensitivity(lin: Linearisation, nodes: Nodes, *, curvature: bool) ->
 
     With P the STM from the leg's start, d(P S) = P dS + (T . dmu) S there.
     """
-    problem, legs = lin.problem, lin.problem.legs
+    problem, legs, starts = lin.problem, lin.problem.legs, lin.problem.leg_starts
     c, q = problem.factor_columns, lin.burn_sensitivity.shape[-1]
     last = int(nodes.max(initial=0))
     bent = _composed_tensor(lin, last) if curvature else None
-    start = np.zeros((problem.n_burns, 6, c, q))
+    start = np.zeros((len(starts), 6, c, q))
     errors = problem.execution_errors
     shared, of_errors = errors.shared, errors.jacobian(lin.iterate.burns)
 
@@ -86,21 +86,23 @@ def _factor_sensitivity(lin: Linearisation, nodes: Nodes, *, curvature: bool) ->
         derivative = derivative.reshape(-1, 6, c, q)
         if bent is not None:
             d_stm = bent[at] @ lin.burn_sensitivity[leg][:, None]  # (n, 6, 6, q)
-            derivative += lin.factor[problem.burn_nodes[leg], None].swapaxes(-1, -2) @ d_stm
+            derivative += lin.factor[starts[leg], None].swapaxes(-1, -2) @ d_stm
         return derivative
 
-    for i, node in enumerate(problem.burn_nodes):
+    for leg, node in enumerate(starts):
         if node > last:
             break
-        if i > 0:
-            start[i] = reached(problem.burn_nodes[i : i + 1])[0]
-        by = slice(3 * i, 3 * i + 3)
-        start[i, 3:, problem.shared_columns, by] += of_errors[i, :, :shared]
-        start[i, 3:, problem.columns_of_burn(i), by] += of_errors[i, :, shared:]
+        if leg > 0:
+            start[leg] = reached(starts[leg : leg + 1])[0]
+        i = leg - problem.coasts
+        if i >= 0:
+            by = slice(3 * i, 3 * i + 3)
+            start[leg, 3:, problem.shared_columns, by] += of_errors[i, :, :shared]
+            start[leg, 3:, problem.columns_of_burn(i), by] += of_errors[i, :, shared:]
     derivative = reached(nodes)
-    burn = np.searchsorted(problem.burn_nodes, nodes)
-    here = problem.burn_nodes[burn] == nodes
-    derivative[here] = start[burn[here]]
+    last_leg = np.searchsorted(starts, nodes)
+    here = starts[last_leg] == nodes
+    derivative[here] = start[last_leg[here]]
     return derivative
 
 
@@ -111,7 +113,7 @@ def _composed_tensor(lin: Linearisation, last: int) -> Array:
     the second term adds at each arc needs no recursion; the first carries it on.
     """
     legs, before = lin.problem.legs, lin.affine_map_from_last_burn.copy()
-    before[lin.problem.burn_nodes] = np.eye(7)
+    before[lin.problem.leg_starts] = np.eye(7)
     before = before[:last]
     stm, tensor = lin.arcs.stm[:last], lin.arcs.tensor[:last]
     added = tensor @ before[:, None, :6]  # rows i, columns (j, l)

@@ -33,16 +33,18 @@ def propagate_factor(
         burns: shape (m, 3).
     """
     legs = problem.legs
-    start = np.zeros((problem.n_burns, 6, problem.factor_columns))
+    start = np.zeros((len(problem.leg_starts), 6, problem.factor_columns))
     start[0, :, : problem.first_factor.shape[1]] = problem.first_factor
     shared, columns = problem.execution_errors.shared, problem.execution_errors.columns(burns)
-    for i in range(problem.n_burns):
-        if i > 0:
-            start[i] = affine_map_from_last_burn[legs.ends[i - 1]] @ start[i - 1]
-        start[i, 3:, problem.shared_columns] += columns[i, :, :shared]
-        start[i, 3:, problem.columns_of_burn(i)] = columns[i, :, shared:]
+    for leg in range(len(start)):
+        if leg > 0:
+            start[leg] = affine_map_from_last_burn[legs.ends[leg - 1]] @ start[leg - 1]
+        burn = leg - problem.coasts
+        if burn >= 0:
+            start[leg, 3:, problem.shared_columns] += columns[burn, :, :shared]
+            start[leg, 3:, problem.columns_of_burn(burn)] = columns[burn, :, shared:]
     factor = affine_map_from_last_burn @ start[legs.of]
-    factor[problem.burn_nodes] = start
+    factor[problem.leg_starts] = start
     return factor
 
 
@@ -99,31 +101,36 @@ class Linearisation:
         return self.problem.legs.compose(maps)
 
     def after_burns(self, kicks: Array, constant: Array) -> Array:
-        """Deviations after each burn, (m, 7, q), for kicks (m, 3, q) and the constant's row (q,)."""
-        start = np.zeros((len(kicks), 7, len(constant)))
+        """Deviations at the legs' starts, (legs + 1, 7, q), after the burns there.
+
+        Args:
+            kicks: of the burns, shape (m, 3, q).
+            constant: row of the constant, shape (q,).
+        """
+        legs, coasts = self.problem.legs, self.problem.coasts
+        start = np.zeros((len(kicks) + coasts, 7, len(constant)))
         start[0, 6] = constant
-        for i, kick in enumerate(kicks):
-            if i > 0:
-                start[i] = (
-                    self.affine_map_from_last_burn[self.problem.legs.ends[i - 1]] @ start[i - 1]
-                )
-            start[i, 3:6] += kick
+        for leg in range(len(start)):
+            if leg > 0:
+                start[leg] = self.affine_map_from_last_burn[legs.ends[leg - 1]] @ start[leg - 1]
+            if leg >= coasts:
+                start[leg, 3:6] += kicks[leg - coasts]
         return start
 
     @cached_property
     def burn_sensitivity(self) -> Array:
-        """`after_burns` of every burn component and, last, of closing the defects, (m, 7, nz + 1)."""
+        """`after_burns` of every burn component and, last, of closing the defects, (., 7, nz + 1)."""
         m = self.problem.n_burns
         kicks = np.eye(3 * m, 3 * m + 1).reshape(m, 3, -1)
         return self.after_burns(kicks, np.eye(3 * m + 1)[-1])
 
     def at_nodes(self, start: Array, nodes: Nodes) -> Array:
-        """Deviations (n, 6, q) at some nodes from those after the burns."""
+        """Deviations (n, 6, q) at some nodes from those at the legs' starts."""
         problem = self.problem
         deviation = self.affine_map_from_last_burn[nodes, :6] @ start[problem.legs.of[nodes]]
-        burn = np.searchsorted(problem.burn_nodes, nodes)
-        here = problem.burn_nodes[burn] == nodes
-        deviation[here] = start[burn[here], :6]
+        leg = np.searchsorted(problem.leg_starts, nodes)
+        here = problem.leg_starts[leg] == nodes
+        deviation[here] = start[leg[here], :6]
         return deviation
 
 

@@ -68,7 +68,11 @@ class MultipleShooting:
         blocks = (
             NlpRows("arcs", smooth, weight=0.0, equality=True),
             NlpRows(
-                "final_state", mean[:, -1] - problem.final_state, DYNAMICS_WEIGHT, equality=True
+                "final_state",
+                mean[:, -1] - problem.final_state,
+                DYNAMICS_WEIGHT,
+                equality=True,
+                price=problem.miss_weight,
             ),
             *burn_blocks(problem, burns, printed=printed),
             *state_blocks(problem, facets, spread, node, printed=printed),

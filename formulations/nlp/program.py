@@ -48,12 +48,14 @@ class NlpRows:
         value: shape (m,).
         weight: of a unit of violation against the penalty; 0 keeps the rows hard.
         equality: whether the rows are defects instead of margins.
+        price: of a unit of violation that is a part of the cost, with a penalty and without.
     """
 
     name: str
     value: ca.MX
     weight: float = 1.0
     equality: bool = False
+    price: float | None = None
 
 
 @dataclass(frozen=True)
@@ -149,10 +151,14 @@ class Assembled:
 
 
 def assemble(program: Program, penalty: float | None) -> Assembled:
-    """Stack the blocks; with a penalty w the objective is cost + w sum(weight * violation)."""
+    """Stack the blocks; with a penalty w the objective is cost + w sum(weight * violation).
+
+    Violations that have a price are weighed by it in any case.
+    """
     counts = [block.value.numel() for block in program.blocks]
     equality = np.repeat([block.equality for block in program.blocks], counts)
-    prices = np.repeat([block.weight for block in program.blocks], counts) * (penalty or 0.0)
+    each = [b.weight * (penalty or 0.0) if b.price is None else b.price for b in program.blocks]
+    prices = np.repeat(each, counts)
     # A slack fills what a row lacks; a second one empties what an equation has too much.
     row = np.r_[np.flatnonzero(prices), np.flatnonzero(prices * equality)]
     sign = np.ones(len(row))

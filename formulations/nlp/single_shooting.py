@@ -35,7 +35,11 @@ class SingleShooting:
         mean = ca.horzcat(*(y[:6] for y in node))
         blocks = (
             NlpRows(
-                "final_state", mean[:, -1] - problem.final_state, DYNAMICS_WEIGHT, equality=True
+                "final_state",
+                mean[:, -1] - problem.final_state,
+                DYNAMICS_WEIGHT,
+                equality=True,
+                price=problem.miss_weight,
             ),
             *burn_blocks(problem, burns, printed=False),
             *state_blocks(problem, facets, spread, node, printed=False),
@@ -51,8 +55,8 @@ def _roll_out(
     burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
     entries = spread.pack(problem.first_factor, 0) if spread else np.zeros(0)
     y = ca.MX(np.concatenate([problem.initial_state, entries]))
-    node = [_burnt(y, spread, burns[:, 0], 0)]
-    cuts = sorted({*burn_at, max(last, 0)})
+    node = [y if problem.coasts else _burnt(y, spread, burns[:, 0], 0)]
+    cuts = sorted({0, *burn_at, max(last, 0)})
     for first, end in itertools.pairwise(cuts):
         y = node[-1] if end <= last else node[-1][:6]
         node += ca.horzsplit(_fly(arcs, spread, y, first, end))

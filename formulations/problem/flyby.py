@@ -69,19 +69,22 @@ class FlybyProblem:
     """Boundary states, burns, uncertainty and constraints on a grid of `n_nodes`; nondimensional.
 
     Node states are those after the burn where one falls on the node, so that
-    mu_0 = x_0 + B dv_0 and mu_{k+1} = F_k(mu_k) + B dv_i where burn i is at node k + 1.
+    mu_0 = x_0 + B dv_0 and mu_{k+1} = F_k(mu_k) + B dv_i where burn i is at node k + 1. A flight
+    that is under way may coast before its first burn; then mu_0 = x_0.
 
     Attributes:
         n_nodes: nodes of the grid, arcs plus one.
-        burn_nodes: node of each burn, the first 0 and the last n_nodes - 1, shape (m,).
-        initial_state: mean before the first burn, shape (6,).
+        burn_nodes: node of each burn, ascending, the last n_nodes - 1, shape (m,).
+        initial_state: mean at the first node, before a burn there, shape (6,).
         final_state: mean after the last burn, shape (6,).
-        initial_factor: S with S S' the covariance before the first burn, shape (6, c).
+        initial_factor: S with S S' its covariance, shape (6, c).
         execution_errors: of the burns.
         dv_max: largest burn.
         sun: unit vectors to the Sun at each burn, shape (m, 3).
         dv_cone: half-angle of the double cone about the Sun line that burns stay out of.
         constraints: on the position.
+        miss_weight: price of each component of the final state's miss, where the burns are too few to
+            meet it; without it the final state is a condition.
     """
 
     n_nodes: int
@@ -94,6 +97,7 @@ class FlybyProblem:
     sun: Array
     dv_cone: float
     constraints: tuple[StateConstraint, ...]
+    miss_weight: float | None = None
 
     @property
     def n_burns(self) -> int:
@@ -102,8 +106,18 @@ class FlybyProblem:
 
     @cached_property
     def legs(self) -> Legs:
-        """The arcs between the burns."""
-        return Legs(self.n_nodes, self.burn_nodes)
+        """The arcs between the burns, and before the first one."""
+        return Legs(self.n_nodes, self.leg_starts)
+
+    @property
+    def coasts(self) -> int:
+        """Legs before the first burn: one, or none."""
+        return int(self.burn_nodes[0] > 0)
+
+    @cached_property
+    def leg_starts(self) -> Nodes:
+        """Nodes at which legs start, the last node included; burn i is at the one of i + `coasts`."""
+        return np.r_[np.zeros(self.coasts, dtype=np.intp), self.burn_nodes]
 
     @cached_property
     def first_factor(self) -> Array:
@@ -132,7 +146,8 @@ class FlybyProblem:
     def defects(self, iterate: Iterate, arcs: Array) -> Array:
         """Defects F_k(mu_k) + B dv - mu_{k+1} per arc, and last mu_N - x_f; shape (n_nodes, 6)."""
         defect = arcs - iterate.mean[1:]
-        defect[self.burn_nodes[1:] - 1, 3:] += iterate.burns[1:]
+        later = self.burn_nodes > 0
+        defect[self.burn_nodes[later] - 1, 3:] += iterate.burns[later]
         return np.vstack([defect, iterate.mean[-1] - self.final_state])
 
     @cached_property
@@ -140,6 +155,10 @@ class FlybyProblem:
         """The two nappes of the cone that burns stay out of, apex at zero."""
         apex = np.zeros((self.n_burns, 3))
         return Cone(apex, self.sun, self.dv_cone), Cone(apex, -self.sun, self.dv_cone)
+
+    def missed(self, defects: Array) -> float:
+        """What the miss of the final state costs, of `defects`; nothing where it is a condition."""
+        return (self.miss_weight or 0.0) * float(np.abs(defects[-1]).sum())
 
     def burn_margins(self, burns: Array) -> dict[str, Array]:
         """Margins of the limits on the burns, >= 0 where satisfied, (m,) each."""

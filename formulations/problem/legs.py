@@ -1,6 +1,7 @@
 """Legs: what the arcs between two burns do together.
 
-A leg starts after one burn and ends before the next. Everything linear that happens along it is a
+A leg starts after one burn and ends before the next; where a flight coasts before its first burn, that
+is a leg too. Everything linear that happens along it is a
 product of the arcs' matrices from its start, so those products are made once for all nodes.
 """
 
@@ -20,20 +21,21 @@ class Legs:
 
     Args:
         n_nodes: nodes of the grid.
-        burn_nodes: nodes of the burns, ascending, the first 0 and the last n_nodes - 1.
+        starts: nodes at which legs start, and the last node, where a burn ends the last one; ascending
+            from 0 to n_nodes - 1.
 
     Attributes:
         of: leg in which each node is reached, shape (n_nodes,); the first node counts to leg 0.
         ends: node at which each leg ends, shape (legs,).
     """
 
-    def __init__(self, n_nodes: int, burn_nodes: Nodes) -> None:
-        self.of = np.maximum(np.searchsorted(burn_nodes, np.arange(n_nodes)) - 1, 0)
-        self.ends = burn_nodes[1:]
+    def __init__(self, n_nodes: int, starts: Nodes) -> None:
+        self.of = np.maximum(np.searchsorted(starts, np.arange(n_nodes)) - 1, 0)
+        self.ends = starts[1:]
         length = round(np.sqrt(n_nodes))
         blocks: list[Nodes] = []
         self._continued: list[int] = []
-        for first, last in itertools.pairwise(burn_nodes.tolist()):
+        for first, last in itertools.pairwise(starts.tolist()):
             for start in range(first, last, length):
                 arcs = np.arange(start, start + length)
                 if start > first:

@@ -114,7 +114,8 @@ class ConvexSubproblem(Subproblem):
             "dv_max": np.array(self.problem.dv_max),
             "cone_normals": planes.reshape(-1, 3),
         }
-        prices = penalty_values(self._penalty, charge, len(burns), buffers)
+        weight = self.problem.miss_weight
+        prices = penalty_values(self._penalty, charge, len(burns), buffers, weight)
         program = compiled.evaluate(own | prices | states)
         try:
             answer = self._solver.solve(program)

@@ -91,7 +91,7 @@ class LiftedDynamics:
 
     def __init__(self, problem: FlybyProblem, nodes: Nodes, with_factor: bool) -> None:
         self._problem, self._used = problem, nodes
-        self._nodes = np.union1d(nodes, problem.burn_nodes)
+        self._nodes = np.union1d(nodes, problem.leg_starts)
         factor = with_factor and len(nodes) > 0
         self._columns = factor_columns_used(problem, nodes) if factor else 0
         self._arcs = len(self._nodes) - 1
@@ -193,6 +193,7 @@ class LiftedDynamics:
     def _mean_constant(self, lin: Linearisation, mean: Array, stm: Array, shift: Array) -> Array:
         """mu^_{k+1} - A_k mu^_k + d_k - B dv^_i, (arcs, 6)."""
         constant = mean[1:] - np.einsum("kij,kj->ki", stm, mean[:-1]) + shift
-        at = np.searchsorted(self._nodes, lin.problem.burn_nodes[1:]) - 1
-        constant[at, 3:] -= lin.iterate.burns[1:]
+        later = lin.problem.burn_nodes > 0
+        at = np.searchsorted(self._nodes, lin.problem.burn_nodes[later]) - 1
+        constant[at, 3:] -= lin.iterate.burns[later]
         return constant

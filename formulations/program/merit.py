@@ -30,6 +30,7 @@ class MeritFunction:
     def __call__(self, lin: Linearisation, charge: float | PenaltyParameters) -> float:
         """Total delta-v plus the charge for every violation, from the nonlinear dynamics.
 
+        Where the final state need not be met its weighed miss is a part of the cost, and no violation.
         A number is the exact penalty's weight.
         """
         if isinstance(charge, PenaltyParameters) and charge.multipliers is not None:
@@ -40,7 +41,8 @@ class MeritFunction:
         violations = self.violations(lin)
         defects = violations.pop("dynamics")
         rows = np.concatenate(list(violations.values()))
-        return lin.iterate.total_dv + exact_value(defects, rows, weight)
+        cost = lin.iterate.total_dv + self.problem.missed(lin.defects)
+        return cost + exact_value(defects, rows, weight)
 
     def excess(self, lin: Linearisation) -> Array:
         """Miss of the final state and every row's signed violation, shape (6 + rows,).
@@ -70,8 +72,9 @@ class MeritFunction:
         if self._seen is None or self._seen[0] is not lin:
             burns = lin.iterate.burns
             toward, away = (cone.inside(burns) for cone in self.problem.burn_cones)
+            defects = lin.defects if self.problem.miss_weight is None else lin.defects[:-1]
             amounts = {
-                "dynamics": np.abs(lin.defects).ravel(),
+                "dynamics": np.abs(defects).ravel(),
                 "dv_max": -self.problem.burn_margins(burns)["dv_max"],
                 "dv_battery": np.concatenate([toward, away]),
             }

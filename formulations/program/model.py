@@ -113,7 +113,11 @@ def write_model(n_burns: int, penalty: Penalty, write_states: StateModelWriter) 
 
 
 def penalty_values(
-    penalty: Penalty, charge: PenaltyParameters, n_burns: int, rows: Nodes
+    penalty: Penalty,
+    charge: PenaltyParameters,
+    n_burns: int,
+    rows: Nodes,
+    miss_weight: float | None = None,
 ) -> Values:
     """What prices and curvature are for a charge.
 
@@ -122,6 +126,7 @@ def penalty_values(
         charge: of this iteration.
         n_burns: m.
         rows: row of the constraints that each buffer belongs to, -1 for none; shape (buffers,).
+        miss_weight: see `FlybyProblem`; not with the penalty "augmented".
     """
     limits = 6 + 3 * n_burns
     prices = np.full(limits + len(rows), charge.weight)
@@ -130,7 +135,7 @@ def penalty_values(
         prices[:limits] = charge.multipliers[:limits]
         prices[limits:] = np.where(rows < 0, 0.0, charge.multipliers[limits:][rows])
         return {"prices": prices, "curvature": np.array(0.5 * charge.weight)}
-    prices[:6] *= DYNAMICS_WEIGHT
+    prices[:6] = charge.weight * DYNAMICS_WEIGHT if miss_weight is None else miss_weight
     if penalty == "proximal":
         return {"prices": prices, "curvature": np.array(0.5 * charge.prox)}
     return {"prices": prices}
