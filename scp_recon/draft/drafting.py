@@ -14,7 +14,8 @@ from scp_recon.draft.flyby import burn_times, design_flyby, window_opens_s
 from scp_recon.draft.text import draft_text
 from scp_recon.errors import InputError
 from scp_recon.mission.lighting import Lighting, lighting_slack
-from scp_recon.mission.mission import rotation_of, site_of, sun_direction
+from scp_recon.mission.mission import rotation_of, site_of
+from scp_recon.mission.states import sun_direction
 from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import Window, all_windows, scan_step_s, whole_windows
 from scp_recon.physics.frames import DAY_S

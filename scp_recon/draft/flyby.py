@@ -17,7 +17,8 @@ import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
 from scp_recon.mission.legal_burns import before_burn_s, sun_leg_s
-from scp_recon.mission.mission import rotation_of, site_of, sun_direction
+from scp_recon.mission.mission import rotation_of, site_of
+from scp_recon.mission.states import sun_direction
 from scp_recon.mission.windows import Window
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000

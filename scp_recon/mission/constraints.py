@@ -95,6 +95,8 @@ def state_constraints(
     everywhere = np.arange(n_nodes)
     body = Ball(np.zeros((n_nodes, 3)), scenario.safety.radius_min_m / length_m)
     found = [StateConstraint("safety_radius", everywhere, body, "out", p)]
+    if not len(window):  # which is over for a flight that is under way
+        return tuple(found)
     for limit in limits:
         region = (
             Ball(at, limit.value / length_m)

@@ -19,15 +19,23 @@ from scp_recon.mission.checks.spread import check_spread
 from scp_recon.mission.checks.table import check_given, check_window
 from scp_recon.mission.constraints import state_constraints
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
+from scp_recon.mission.in_flight import BURNS_TO_MEET, MISS_WEIGHT, check_in_flight, what_is_left
 from scp_recon.mission.lighting import Lighting
 from scp_recon.mission.plausibility import check_plausible
 from scp_recon.mission.schedule import Schedule, find_window, make_schedule
-from scp_recon.mission.uncertainty import execution_errors, initial_factor
+from scp_recon.mission.states import (
+    boundary_state,
+    first_factor,
+    first_state,
+    state_axes,
+    sun_direction,
+)
+from scp_recon.mission.uncertainty import execution_errors
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import ForceModel, cannonball_srp
-from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
+from scp_recon.physics.frames import Rotation, unit
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 
@@ -69,7 +77,7 @@ class Mission:
         scenario: what it came from.
         rotation: attitude of the body.
         site: body-fixed.
-        initial_state: mean before the first burn, shape (6,).
+        initial_state: mean before the first burn, or in flight at the first node, shape (6,).
         final_state: mean after the last burn, shape (6,).
         schedule: window and attitude modes.
         times_s: nodes of the grid, shape (n,).
@@ -88,34 +96,43 @@ class Mission:
     warnings: tuple[ScenarioWarning, ...] = ()
 
     @classmethod
-    def from_scenario(cls, scenario: Scenario) -> Mission:
+    def from_scenario(cls, scenario: Scenario, known: Mission | None = None) -> Mission:
         """Resolve a scenario.
+
+        Args:
+            scenario: what to resolve.
+            known: another mission, whose window is taken if both differ in the state in flight alone.
 
         Raises:
             InputError: if there is no window, a firing time breaks a rule of the schedule, or
                 entries do not make sense together (`plausibility`, `checks`).
         """
         check_plausible(scenario)
+        check_in_flight(scenario)
         rotation, site = rotation_of(scenario), site_of(scenario)
         warnings = check_given(Given(scenario, rotation, site))
         lighting = Lighting(site, rotation, partial(sun_direction, scenario))
         step = scan_step_s(rotation.rate, (0.0, scenario.duration_s))
-        window = find_window(scenario, lighting.incidence, lighting.local_solar_time, step)
+        if known is not None and known.scenario.same_but_in_flight(scenario):
+            window = known.schedule.window_s
+        else:
+            window = find_window(scenario, lighting.incidence, lighting.local_solar_time, step)
         warnings += check_window(scenario, window, lighting.incidence, lighting.local_solar_time)
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
-        initial = _boundary_state(scenario, rotation, "initial")
+        initial = first_state(scenario, rotation)
         execution_errors(scenario)
-        factor = initial_factor(scenario, initial, rotation, sun_direction(scenario, 0.0))
+        factor = first_factor(scenario, rotation, initial)
         warnings += tuple(check_spread(scenario, initial, np.linalg.norm(factor, axis=1)))
+        start, fixed = scenario.start_s, (*window, *scenario.grid.nodes_s)
         return cls(
             scenario=scenario,
             rotation=rotation,
             site=site,
             initial_state=initial,
-            final_state=_boundary_state(scenario, rotation, "final"),
-            schedule=schedule,
+            final_state=boundary_state(scenario, rotation, "final"),
+            schedule=what_is_left(schedule, scenario),
             times_s=make_grid(
-                (*scenario.burns.times_s, *window, *scenario.grid.nodes_s),
+                (start, *scenario.burn_times_s, *(time for time in fixed if time > start)),
                 scenario.grid.step_max_s,
             ),
             units=Units.of_orbit(initial, scenario.body.gm_m3_s2),
@@ -123,7 +140,7 @@ class Mission:
         )
 
     def with_initial_state(self, state: Array) -> Mission:
-        """The same mission from another state before the first burn, shape (6,), in the same units.
+        """The same mission from another state at its first node, shape (6,), in the same units.
 
         Raises:
             ValueError: if it is not a finite state outside the body's reference radius.
@@ -134,13 +151,15 @@ class Mission:
             raise ValueError(f"an initial state has six finite components, not {state}")
         if np.linalg.norm(state[:3]) <= radius:
             raise ValueError(f"an initial state is outside the body, whose radius is {radius:g} m")
-        matrix = _boundary_axes(self.scenario, self.rotation)
+        flight = self.scenario.in_flight
+        frame, which = (flight.frame, "") if flight else (self.scenario.boundary.frame, "initial_")
+        matrix = state_axes(self.scenario, self.rotation, frame)
         given = {
-            "initial_position_m": tuple((matrix.T @ state[:3]).tolist()),
-            "initial_velocity_m_s": tuple((matrix.T @ state[3:]).tolist()),
+            f"{which}position_m": tuple((matrix.T @ state[:3]).tolist()),
+            f"{which}velocity_m_s": tuple((matrix.T @ state[3:]).tolist()),
         }
-        boundary = self.scenario.boundary.model_copy(update=given)
-        scenario = self.scenario.model_copy(update={"boundary": boundary})
+        name, table = ("in_flight", flight) if flight else ("boundary", self.scenario.boundary)
+        scenario = self.scenario.model_copy(update={name: table.model_copy(update=given)})
         return replace(self, scenario=scenario, initial_state=state.copy())
 
     def sun_direction(self, time_s: npt.ArrayLike) -> Array:
@@ -168,24 +187,37 @@ class Mission:
 
     @cached_property
     def initial_factor(self) -> Array:
-        """S with S S' the covariance before the first burn, shape (6, 6)."""
-        sun = self.sun_direction(0.0)
-        return initial_factor(self.scenario, self.initial_state, self.rotation, sun)
+        """S with S S' the covariance of the initial state, shape (6, 6)."""
+        return first_factor(self.scenario, self.rotation, self.initial_state)
 
     @property
     def initial_sigma(self) -> Array:
-        """1-sigma of each component before the first burn, shape (6,)."""
+        """1-sigma of each component of the initial state, shape (6,)."""
         return np.linalg.norm(self.initial_factor, axis=1)
 
     @property
     def burn_nodes(self) -> npt.NDArray[np.intp]:
-        """Node of each burn."""
-        return np.searchsorted(self.times_s, self.scenario.burns.times_s)
+        """Node of each burn that is to be planned."""
+        return np.searchsorted(self.times_s, self.scenario.burn_times_s)
+
+    @property
+    def observed_s(self) -> tuple[float, float] | None:
+        """What is left of the observation window from the first node on; None if it is over."""
+        first, last = self.schedule.window_s
+        start = float(self.times_s[0])
+        return (max(first, start), last) if last > start else None
+
+    @property
+    def must_meet(self) -> bool:
+        """Whether the final state is a condition: not with fewer burns than it takes."""
+        return len(self.scenario.burn_times_s) >= BURNS_TO_MEET
 
     @property
     def window_nodes(self) -> npt.NDArray[np.intp]:
-        """Nodes of the observation window, its edges included."""
-        first, last = self.schedule.window_s
+        """Nodes of what is left of the observation window, its edges included; none if it is over."""
+        if self.observed_s is None:
+            return np.zeros(0, dtype=np.intp)
+        first, last = self.observed_s
         return np.flatnonzero((self.times_s >= first) & (self.times_s <= last))
 
     @cached_property
@@ -200,7 +232,7 @@ class Mission:
             initial_factor=self.initial_factor / units.state[:, None],
             execution_errors=execution_errors(scenario, units.speed_m_s),
             dv_max=scenario.burns.dv_max_m_s / units.speed_m_s,
-            sun=self.sun_direction(np.array(scenario.burns.times_s)),
+            sun=self.sun_direction(np.array(scenario.burn_times_s)),
             dv_cone=float(np.deg2rad(scenario.battery.delta_v_cone_deg)),
             constraints=state_constraints(
                 scenario,
@@ -210,6 +242,7 @@ class Mission:
                 geometry.track(self.site, self.rotation, self.times_s[window]),
                 self.sun_direction(self.times_s[window]),
             ),
+            miss_weight=None if self.must_meet else MISS_WEIGHT,
         )
 
     @cached_property
@@ -254,28 +287,3 @@ def rotation_of(scenario: Scenario) -> Rotation:
 def site_of(scenario: Scenario) -> geometry.Site:
     """The scenario's site, body-fixed."""
     return geometry.Site(np.array(scenario.site.position_body_m), unit(scenario.site.normal_body))
-
-
-def sun_direction(scenario: Scenario, time_s: npt.ArrayLike) -> Array:
-    """Unit vectors from the body to the Sun, J2000, shape (..., 3).
-
-    The body moves on a straight line: over ten hours the curvature of its orbit is 2e-5 rad of
-    mostly radial displacement.
-    """
-    position = np.array(scenario.sun.body_position_km)
-    velocity = np.array(scenario.sun.body_velocity_km_s)
-    return unit(-(position + np.multiply.outer(np.asarray(time_s, dtype=float), velocity)))
-
-
-def _boundary_axes(scenario: Scenario, rotation: Rotation) -> Array:
-    """From the frame of the boundary states to J2000, shape (3, 3)."""
-    if scenario.boundary.frame == "j2000":
-        return np.eye(3)
-    return sun_north_to_j2000(sun_direction(scenario, 0.0), rotation.pole)
-
-
-def _boundary_state(scenario: Scenario, rotation: Rotation, which: str) -> Array:
-    boundary, matrix = scenario.boundary, _boundary_axes(scenario, rotation)
-    position = matrix @ np.array(getattr(boundary, f"{which}_position_m"))
-    velocity = matrix @ np.array(getattr(boundary, f"{which}_velocity_m_s"))
-    return np.concatenate([position, velocity])

@@ -41,11 +41,17 @@ def check_plausible(scenario: Scenario) -> None:
             f"must carry the body less than half its {away:g} km from the Sun in the flight",
         )
     radius, gm = scenario.body.reference_radius_m, scenario.body.gm_m3_s2
-    for which in ("initial", "final"):
-        distance = math.hypot(*getattr(scenario.boundary, f"{which}_position_m"))
+    positions = {
+        "boundary.initial_position_m": scenario.boundary.initial_position_m,
+        "boundary.final_position_m": scenario.boundary.final_position_m,
+    }
+    if scenario.in_flight is not None:
+        positions["in_flight.position_m"] = scenario.in_flight.position_m
+    for entry, position in positions.items():
+        distance = math.hypot(*position)
         if distance <= radius:
             raise InputError(
-                f"boundary.{which}_position_m",
+                entry,
                 f"{distance:g} m from the centre",
                 f"must be outside the body, whose reference radius is {radius:g} m",
             )
@@ -53,6 +59,6 @@ def check_plausible(scenario: Scenario) -> None:
             raise InputError(
                 "body.gm_m3_s2",
                 f"{gm:g}",
-                f"must be below {distance**3 / RK4_STEP_MAX_S**2:g}: the {which} position is "
+                f"must be below {distance**3 / RK4_STEP_MAX_S**2:g}: {entry} is "
                 f"{distance:g} m from the centre, and the planner's steps are {RK4_STEP_MAX_S:g} s",
             )

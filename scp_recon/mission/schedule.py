@@ -88,9 +88,10 @@ class Schedule:
 
     Attributes:
         window_s: observation window.
-        legs: contiguous from 0 to the last burn; the attitude of the first burn is acquired before.
-        firing_intervals_s: earliest and latest time of each burn; both 0 for the first, and the last
-            has no latest time (infinity).
+        legs: contiguous from the epoch, or a state in flight, to the last burn; the attitude of the
+            first burn is acquired before.
+        firing_intervals_s: earliest and latest time of each burn to be planned; both 0 for the flight's
+            first, and the last has no latest time (infinity).
     """
 
     window_s: tuple[float, float]

@@ -20,6 +20,22 @@ ALONG = 1e-6
 """Sine of the angle between position and velocity below which they span no plane."""
 
 
+def factor_in_flight(
+    scenario: Scenario, state: Array, rotation: Rotation, sun: Array
+) -> Array | None:
+    """S with S S' the covariance that a scenario gives for a state in flight; None if it gives none.
+
+    Arguments, and what is raised, are those of `initial_factor`, the state being that in flight.
+    """
+    flight = scenario.in_flight
+    if flight is None or flight.covariance is None:
+        return None
+    root = _root(np.array(flight.covariance))
+    _check_size(root, state, scenario, "in_flight.covariance")
+    axes = _axes(flight.covariance_frame, state, rotation, sun, "in_flight.covariance_frame")
+    return np.vstack([axes @ root[:3], axes @ root[3:]])
+
+
 def initial_factor(scenario: Scenario, state: Array, rotation: Rotation, sun: Array) -> Array:
     """S with S S' the covariance of the initial state, J2000, m and m/s, shape (6, 6).
 
@@ -56,7 +72,7 @@ def _root(covariance: Array) -> Array:
     return known[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _check_size(root: Array, state: Array, scenario: Scenario) -> None:
+def _check_size(root: Array, state: Array, scenario: Scenario, entry: str | None = None) -> None:
     """Beyond these sigmas the spread is no spread about a flight: a slip of units, most likely."""
     sigma, gm = np.linalg.norm(root, axis=1), scenario.body.gm_m3_s2
     matrix = scenario.uncertainty.initial_covariance is not None
@@ -68,28 +84,34 @@ def _check_size(root: Array, state: Array, scenario: Scenario) -> None:
     ):
         if given.max() >= most:
             raise InputError(
-                "uncertainty.initial_" + ("covariance" if matrix else f"sigma_{key}"),
+                entry or "uncertainty.initial_" + ("covariance" if matrix else f"sigma_{key}"),
                 f"a 1-sigma error of {given.max():g} {unit_name}",
                 f"must be below the initial {what}, {most:g} {unit_name}",
             )
 
 
-def _axes(frame: str, state: Array, rotation: Rotation, sun: Array) -> Array:
+def _axes(
+    frame: str,
+    state: Array,
+    rotation: Rotation,
+    sun: Array,
+    entry: str = "uncertainty.initial_frame",
+) -> Array:
     """From the components in a frame to J2000 at the epoch, shape (3, 3)."""
     if frame == "rtn":
-        return _rtn_to_j2000(state)
+        return _rtn_to_j2000(state, entry)
     if frame == "sun_north":
         return sun_north_to_j2000(sun, rotation.pole)
     return rotation.body_to_j2000(0.0) if frame == "body_fixed" else np.eye(3)
 
 
-def _rtn_to_j2000(state: Array) -> Array:
+def _rtn_to_j2000(state: Array, entry: str) -> Array:
     """Radial, transverse (towards the velocity) and normal axes of a state, as columns, J2000."""
     radial, momentum = unit(state[:3]), np.cross(state[:3], state[3:])
     size = np.linalg.norm(state[:3]) * np.linalg.norm(state[3:])
     if np.linalg.norm(momentum) <= ALONG * size:
         raise InputError(
-            "uncertainty.initial_frame",
+            entry,
             "rtn",
             "must be another frame: the initial velocity points along the position or is zero",
         )

@@ -36,25 +36,35 @@ COLUMNS = {
 
 def cold(mission: Mission) -> Iterate:
     """States on the straight line from the initial to the final one, burns next to nothing."""
-    fraction = (mission.times_s / mission.times_s[-1])[:, None]
-    states = mission.initial_state + fraction * (mission.final_state - mission.initial_state)
+    states = mission.initial_state + _fraction(mission)[:, None] * (
+        mission.final_state - mission.initial_state
+    )
     burns = np.full((len(mission.burn_nodes), 3), COLD_BURN_M_S)
     return _scaled(mission, burns, states)
+
+
+def _fraction(mission: Mission) -> Array:
+    """Of the time from the first node to the last, shape (n,)."""
+    times = mission.times_s
+    return (times - times[0]) / (times[-1] - times[0])
 
 
 def ballistic(mission: Mission, entry: str = "init") -> Iterate:
     """Two impulses, at the first and the last burn, joined by the arc of least total delta-v.
 
-    Both ways round the body are tried; each is a boundary-value problem for the planner's forces,
-    started from a circular sweep of the direction. A surrogate for a flown trajectory.
+    A flight that is under way coasts to its first burn. Both ways round the body are tried; each is a
+    boundary-value problem for the planner's forces, started from a circular sweep of the direction. A
+    surrogate for a flown trajectory.
 
     Args:
         mission: gives the boundary states.
         entry: what messages call it.
 
     Raises:
-        InputError: if neither boundary-value problem can be solved.
+        InputError: if neither boundary-value problem can be solved, or there are not two burns.
     """
+    if len(mission.burn_nodes) < 2:
+        raise InputError(entry, "warm", "one burn joins no two positions; use cold")
     candidates = [iterate for way in (1.0, -1.0) if (iterate := _two_impulses(mission, way))]
     if not candidates:
         raise InputError(entry, "warm", "no ballistic arc joins the boundary positions; use cold")
@@ -70,17 +80,19 @@ def circular(mission: Mission, way: float) -> Iterate:
         mission: gives the boundary states.
         way: 1 for the shorter way round the body, -1 for the longer.
     """
-    position = _circular_positions(mission, way, mission.times_s / mission.times_s[-1]).T
+    ends = mission.initial_state, mission.final_state
+    position = _circular_positions(mission, ends, way, _fraction(mission)).T
     velocity = np.gradient(position, mission.times_s, axis=0)
     burns = np.full((len(mission.burn_nodes), 3), COLD_BURN_M_S)
     return _scaled(mission, burns, np.hstack([position, velocity]))
 
 
-def _circular_positions(mission: Mission, way: float, fraction: Array) -> Array:
+def _circular_positions(
+    mission: Mission, ends: tuple[Array, Array], way: float, fraction: Array
+) -> Array:
     """A steady turn about the body and change of radius, shape (3, n), at fractions of it (n,)."""
-    ends = mission.initial_state[:3], mission.final_state[:3]
-    radii = [float(np.linalg.norm(position)) for position in ends]
-    first, last = (position / radius for position, radius in zip(ends, radii, strict=True))
+    radii = [float(np.linalg.norm(state[:3])) for state in ends]
+    first, last = (state[:3] / radius for state, radius in zip(ends, radii, strict=True))
     normal = way * np.cross(first, last)
     if np.linalg.norm(normal) < 1e-9:  # (anti)parallel: any plane will do, take one with the pole
         normal = way * np.cross(first, mission.forces.pole)
@@ -91,10 +103,12 @@ def _circular_positions(mission: Mission, way: float, fraction: Array) -> Array:
 
 
 def _two_impulses(mission: Mission, way: float) -> Iterate | None:
-    start, end = mission.initial_state, mission.final_state
-    duration, forces = mission.times_s[-1], mission.forces
+    first, times = mission.burn_nodes[0], mission.times_s
+    coast = _coast(mission)
+    start, end = coast[-1], mission.final_state
+    duration, forces = times[-1] - times[first], mission.forces
     mesh = np.linspace(0.0, 1.0, 41)
-    position = _circular_positions(mission, way, mesh)
+    position = _circular_positions(mission, (start, end), way, mesh)
     length, time = mission.units.length_m, duration
     scaled = forces.in_units(length, time)
     guess = np.vstack([position / length, np.gradient(position / length, mesh, axis=1)])
@@ -108,13 +122,22 @@ def _two_impulses(mission: Mission, way: float) -> Iterate | None:
     solution = solve_bvp(rate, boundary, mesh, guess, tol=1e-8, max_nodes=20_000)
     if not solution.success:
         return None
-    states = solution.sol(mission.times_s / duration).T * np.repeat([length, length / time], 3)
+    states = solution.sol((times[first:] - times[first]) / duration).T
+    states = np.vstack([coast[:-1], states * np.repeat([length, length / time], 3)])
     burns = np.zeros((len(mission.burn_nodes), 3))
-    burns[0] = states[0, 3:] - start[3:]
+    burns[0] = states[first, 3:] - start[3:]
     burns[-1] = end[3:] - states[-1, 3:]
     burns[1:-1] = COLD_BURN_M_S
     states[-1, 3:] = end[3:]
     return _scaled(mission, burns, states)
+
+
+def _coast(mission: Mission) -> Array:
+    """States at the nodes up to the first burn, before it, shape (n, 6)."""
+    states = [mission.initial_state]
+    for duration in np.diff(mission.times_s[: mission.burn_nodes[0] + 1]):
+        states.append(propagate(states[-1], duration, mission.forces, mission.arc_substeps))
+    return np.array(states)
 
 
 def random(mission: Mission, seed: int) -> Iterate:
@@ -136,11 +159,11 @@ def bent(mission: Mission, rng: np.random.Generator, bend_m: float, burn_m_s: fl
             third of it.
         burn_m_s: of the burns in every component, m/s, 1 sigma.
     """
-    end = mission.times_s[-1]
-    phase = np.pi * mission.times_s[:, None] / end * np.arange(1, 4)
+    fraction = _fraction(mission)
+    phase = np.pi * fraction[:, None] * np.arange(1, 4)
     bend = rng.normal(scale=bend_m, size=(3, 3)) / np.arange(1, 4)[:, None]
     position = mission.initial_state[:3] + np.outer(
-        mission.times_s / end, mission.final_state[:3] - mission.initial_state[:3]
+        fraction, mission.final_state[:3] - mission.initial_state[:3]
     )
     position += np.sin(phase) @ bend
     velocity = np.gradient(position, mission.times_s, axis=0)
@@ -159,7 +182,7 @@ def from_burns(mission: Mission, burns_m_s: Array, entry: str = "init") -> Itera
         raise InputError(
             entry,
             f"{len(burns_m_s)} burns",
-            f"must have {len(mission.burn_nodes)} as the scenario",
+            f"must have {len(mission.burn_nodes)} as the scenario has to plan",
         )
     burns = burns_m_s / mission.units.speed_m_s
     return Iterate(burns, mission.dynamics.rollout(mission.problem.initial_state, burns))
@@ -198,14 +221,14 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
     if not np.all(np.isfinite(table)):
         raise InputError(entry, "an array of numbers that are not finite", "must be finite")
     time, states = table[:, 0], table[:, 1:]
-    end = mission.times_s[-1]
+    start, end = mission.times_s[[0, -1]]
     if len(time) < 2 or np.any(np.diff(time) <= 0.0):
         raise InputError(entry, f"{len(time)} rows", "times must be strictly ascending")
-    if time[0] > 0.0 or time[-1] < end:
+    if time[0] > start or time[-1] < end:
         raise InputError(
             entry,
             f"{time[0]:g} to {time[-1]:g} s",
-            f"must cover the flight, 0 to {end:g} s",
+            f"must cover the flight, {start:g} to {end:g} s",
         )
     _check_units(mission, entry, time, states)
     position = CubicHermiteSpline(time, states[:, :3], states[:, 3:])
@@ -214,7 +237,7 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
     )
     durations = np.diff(mission.times_s)
     arrivals = propagate(nodes[:-1], durations, mission.forces, mission.arc_substeps)
-    before = np.vstack([mission.initial_state, arrivals[mission.burn_nodes[1:] - 1]])
+    before = np.vstack([mission.initial_state, arrivals])[mission.burn_nodes]
     after = nodes[mission.burn_nodes]
     after[-1] = mission.final_state
     nodes[-1] = mission.final_state

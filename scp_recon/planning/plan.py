@@ -164,6 +164,21 @@ class Starts:
     optima: tuple[Optimum, ...]
 
 
+@dataclass(frozen=True)
+class Parent:
+    """The plan that was flown before another was made in flight.
+
+    Attributes:
+        name: its file, or what it was.
+        plan_hash: of its scenario and burns.
+        at_s: time of the state from which the new one was made, s past the epoch.
+    """
+
+    name: str
+    plan_hash: str
+    at_s: float
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
     """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
@@ -183,6 +198,7 @@ class Plan:
     aim: float | None = None
     certificate: Certificate | None = None
     starts: Starts | None = None
+    parent: Parent | None = None
 
     def __eq__(self, other: object) -> bool:
         """Whether another plan is the same but for the time it took."""
@@ -251,7 +267,7 @@ class Plan:
             "burn   time s      x m/s      y m/s      z m/s   size m/s",
         ]
         for number, (time, burn) in enumerate(
-            zip(scenario.burns.times_s, self.burns_m_s, strict=True), start=1
+            zip(scenario.burn_times_s, self.burns_m_s, strict=True), start=1 + scenario.burns_flown
         ):
             cells = "".join(f" {component:+10.6f}" for component in burn)
             lines.append(f"{number:4} {time:8g}{cells} {np.linalg.norm(burn):10.6f}")

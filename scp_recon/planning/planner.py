@@ -98,6 +98,9 @@ class Planner:
         algorithm: a key of `algorithms.ALGORITHMS`.
         solver: one of `formulations.program.solvers.installed()`.
         aim: probability that exact constraints are held to; what the scenario asks, if not given.
+
+    Raises:
+        InputError: if the algorithm cannot weigh a miss of the final state where that is needed.
     """
 
     def __init__(
@@ -115,6 +118,12 @@ class Planner:
         self.solver: Final = solver
         self.algorithm_name: Final = algorithm
         self.algorithm: Final = ALGORITHMS[algorithm]()
+        if self.algorithm.penalty == "augmented" and not mission.must_meet:
+            raise InputError(
+                "algorithm",
+                algorithm,
+                "must be scvx or ptr where too few burns are left to meet the final state",
+            )
         self._make = subproblem_maker(formulation)
         self._p2_rows: ChanceRows | None = None
         self._kept: dict[type[Rows], Subproblem] = {}

@@ -148,7 +148,8 @@ class StageRunner:
         """Linearised at a guess; whatever it says, the flight starts where the problem does."""
         problem, mean = self.mission.problem, guess.mean.copy()
         mean[0] = problem.initial_state
-        mean[0, 3:] += guess.burns[0]
+        if not problem.coasts:
+            mean[0, 3:] += guess.burns[0]
         return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
 
     def _solve_p3(self, name: str, start: Linearisation) -> Stage:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from scp_recon.errors import InputError
 from scp_recon.scenario.body import Body, Sun
 from scp_recon.scenario.fields import Name, Section
+from scp_recon.scenario.in_flight import InFlight
 from scp_recon.scenario.inherit import inherit, merge, nested
 from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.resolve import resolve
@@ -51,11 +52,33 @@ class Scenario(Section):
     risk: Risk
     polytopes: PolytopeSection
     grid: Grid
+    in_flight: InFlight | None = None
+    """State after the burns flown, of a flight that is under way; the whole flight if left out."""
 
     @property
     def duration_s(self) -> float:
         """Time of the last burn."""
         return self.burns.times_s[-1]
+
+    @property
+    def start_s(self) -> float:
+        """Time from which on there is something to plan: the epoch, or that of the state in flight."""
+        return 0.0 if self.in_flight is None else self.in_flight.at_s
+
+    @property
+    def burns_flown(self) -> int:
+        """Burns at or before the state in flight."""
+        return 0 if self.in_flight is None else sum(t <= self.start_s for t in self.burns.times_s)
+
+    @property
+    def burn_times_s(self) -> tuple[float, ...]:
+        """Firing times of the burns that are to be planned."""
+        return self.burns.times_s[self.burns_flown :]
+
+    def same_but_in_flight(self, other: Scenario) -> bool:
+        """Whether another scenario differs in where a flight is at most."""
+        alone = {"in_flight": None}
+        return self.model_copy(update=alone) == other.model_copy(update=alone)
 
     @classmethod
     def validated(cls, data: Mapping[str, Any]) -> Self:

@@ -127,7 +127,7 @@ class Battery(Section):
 
 
 class ScheduleRules(Section):
-    """Worst-case durations: slew to steady state, thruster heating, recharge from empty."""
+    """Worst-case durations of slew, heating and recharge, and how late a decision may be."""
 
     attitude_s: FlightTime
     """Slew until steady in s."""
@@ -135,6 +135,8 @@ class ScheduleRules(Section):
     """Heating of the thruster before a burn in s."""
     recharge_s: FlightTime
     """Recharge of the battery from empty in s."""
+    decision_lead_s: FlightTime = 1800.0
+    """Least time in s from a state in flight to the next burn that can still be planned anew."""
 
 
 class Risk(Section):

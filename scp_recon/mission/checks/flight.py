@@ -71,19 +71,23 @@ def boundary(given: Given) -> Iterator[ScenarioWarning]:
     """A flight about a body begins and ends near it, at speeds that its gravity knows."""
     body, states = given.scenario.body, given.scenario.boundary
     radius = body.reference_radius_m
-    for which in ("initial", "final"):
-        distance = float(np.linalg.norm(getattr(states, f"{which}_position_m")))
-        speed = float(np.linalg.norm(getattr(states, f"{which}_velocity_m_s")))
+    flight = given.scenario.in_flight
+    for table, which in ((states, "initial_"), (states, "final_"), (flight, "")):
+        if table is None:
+            continue
+        name = "in_flight" if table is flight else "boundary"
+        distance = float(np.linalg.norm(getattr(table, f"{which}position_m")))
+        speed = float(np.linalg.norm(getattr(table, f"{which}velocity_m_s")))
         if distance > FAR_RADII * radius:
             yield ScenarioWarning.of(
-                f"boundary.{which}_position_m",
+                f"{name}.{which}position_m",
                 f"{distance:g} m from the centre",
                 f"at most {FAR_RADII * radius:g} m, {FAR_RADII:g} radii, would be no surprise",
             )
         escape = float(np.sqrt(2.0 * body.gm_m3_s2 / distance))
         if speed > FAST_ESCAPES * escape or 0.0 < speed < SLOW_ESCAPES * escape:
             yield ScenarioWarning.of(
-                f"boundary.{which}_velocity_m_s",
+                f"{name}.{which}velocity_m_s",
                 f"{speed:.3g} m/s",
                 f"{SLOW_ESCAPES * escape:.3g} to {FAST_ESCAPES * escape:.3g} m/s would be no surprise: "
                 f"escape speed there is {escape:.3g} m/s",

@@ -67,6 +67,8 @@ def check_spread(scenario: Scenario, state: Array, sigma: Array) -> Iterator[Sce
 def _entry(scenario: Scenario, key: str) -> str:
     """Which entry says it."""
     given = scenario.uncertainty
+    if scenario.in_flight is not None and scenario.in_flight.covariance is not None:
+        return "in_flight.covariance"
     if given.initial_sigma_fraction is not None:
         return "uncertainty.initial_sigma_fraction"
     if given.initial_covariance is not None:

@@ -177,6 +177,8 @@ def test_the_plans_hash_knows_every_entry_of_the_scenario(solution: Solution) ->
     for name, section in scenario:
         if isinstance(section, str):
             copies = [other(section)]
+        elif section is None:  # nor is it under way
+            continue
         else:
             given = {key: other(value) for key, value in section if value is not None}
             copies = [section.model_copy(update={key: value}) for key, value in given.items()]
