@@ -31,6 +31,7 @@ from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000
 from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.parent import require_whole_flight
 
 Array = npt.NDArray[np.float64]
 
@@ -133,6 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def work(console: Console) -> int:
         solution = read_solution(options.solution)
+        require_whole_flight(solution.scenario, "solution")
         path = save(draw(solution), options.picture, dpi=140, plan_hash=solution.plan_hash)
         show_written(console, path)
         return 0

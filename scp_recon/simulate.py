@@ -22,6 +22,7 @@ from scp_recon.cli.options import SEED
 from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.files import check_writable, unwritable
 from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.parent import require_whole_flight
 from scp_recon.solution.runs import folder_of, only_run_in, resolve_run
 from scp_recon.spacecraft.basilisk.optional import needing_basilisk
 from scp_recon.spacecraft.flight import Flight
@@ -60,6 +61,7 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
         import scp_recon.spacecraft.basilisk.simulation  # noqa: F401
     home = resolve_run(options.solution)
     solution, vehicle = read_solution(home), load_vehicle(options.vehicle)
+    require_whole_flight(solution.scenario, "solution")
     folder = options.out or folder_of(home)
     check_writable(folder, FILE_NAME, "--out")
     check_holds(folder, solution, "--out")

@@ -17,13 +17,15 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
         summary: what to show.
         asked: probability of every joint constraint, if one was.
     """
-    first, last = summary.window_s
+    first, last = summary.window_s or (0.0, 0.0)
+    window = f"window {last - first:.1f} s" if summary.window_s else "the window is over"
     console.print(
         f"{summary.samples} flights, truth {summary.truth}, errors {summary.errors}, "
-        f"{100 * summary.confidence:.0f} % intervals; window {last - first:.1f} s",
+        f"{100 * summary.confidence:.0f} % intervals; {window}",
         highlight=False,
     )
-    console.print(_times_held(summary))
+    if summary.held_s:
+        console.print(_times_held(summary))
     console.print(_probabilities(summary, asked))
     for label, spread, digits in (
         ("all hold from", summary.entry_s, 0),

@@ -33,7 +33,7 @@ from scp_recon.verification.reintegration import (
 def show_mission(console: Console, mission: Mission) -> None:
     """Scenario, window, schedule and grid."""
     scenario, schedule = mission.scenario, mission.schedule
-    first, last = schedule.window_s
+    first, last = mission.observed_s or schedule.window_s
     origin = "given" if scenario.observation.window_s else "from incidence and local solar time"
     console.print(
         Text(scenario.name, style="bold")
@@ -44,18 +44,23 @@ def show_mission(console: Console, mission: Mission) -> None:
             style="not bold",
         )
     )
+    if mission.observed_s is None:
+        origin += "; over, nothing is observed any more"
     console.print(
         f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})", highlight=False
     )
     legs = ", ".join(f"{leg.mode} {leg.start_s:.0f}-{leg.end_s:.0f}" for leg in schedule.legs)
     console.print(Text(f"schedule  {legs} s"))
     burns = "; ".join(
-        f"{time:g} ({_interval(*interval)})"
-        for time, interval in zip(
-            scenario.burns.times_s[1:], schedule.firing_intervals_s[1:], strict=True
-        )
+        f"{time:g} ({_interval(*interval)})" if time else "0"
+        for time, interval in zip(scenario.burn_times_s, schedule.firing_intervals_s, strict=True)
     )
-    console.print(Text(f"burns     0; {burns} s, in brackets where each may be moved"))
+    console.print(Text(f"burns     {burns} s, in brackets where each may be moved"))
+    if scenario.in_flight is not None:
+        console.print(
+            f"in flight from {scenario.start_s:g} s on, {scenario.burns_flown} burns flown",
+            highlight=False,
+        )
     arcs = np.diff(mission.times_s)
     console.print(
         f"grid      {len(mission.times_s)} nodes, {len(mission.window_nodes)} of them in the "
@@ -125,7 +130,7 @@ def show_solution(console: Console, solution: Solution) -> None:
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("burn", "time s", "x m/s", "y m/s", "z m/s", "size m/s"):
         table.add_column(heading, justify="right")
-    for number, burn in enumerate(solution.burns, start=1):
+    for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown):
         size = float(np.linalg.norm(burn.dv_m_s))
         cells = [f"{component:+.6f}" for component in burn.dv_m_s]
         table.add_row(str(number), f"{burn.t_s:g}", *cells, f"{size:.6f}")
@@ -258,6 +263,8 @@ def show_verification(
     console.print(table)
     show_warnings(console, warnings)
     show_verdict(console, "verified", v.failed)
+    if v.missed is not None:
+        console.print(str(v.missed), highlight=False, soft_wrap=True)
     if v.failed and "status" not in v.failed and _between_nodes(mission, v):
         console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
 

@@ -66,8 +66,10 @@ class FlightConfig:
 
     @property
     def looks_s(self) -> Array:
-        """Times in the window, its edges and the grid's nodes included."""
-        first, last = self.mission.schedule.window_s
+        """Times in what is left of the window, its edges and the grid's nodes included."""
+        if self.mission.observed_s is None:
+            return np.zeros(0)
+        first, last = self.mission.observed_s
         even = np.linspace(first, last, int(np.ceil((last - first) / LOOK_STEP_S)) + 1)
         return np.union1d(even, self.mission.times_s[self.mission.window_nodes])
 
@@ -101,18 +103,19 @@ def run_block(config: FlightConfig, job: tuple[int, int]) -> FlightBlock:
         truth=config.truth,
         errors=config.errors,
     )
-    seen = flown.states[:-1]
-    held = time_held(mission, looks, seen)
-    joint = joint_margins(mission, looks, seen[..., :3])
+    seen, nothing = flown.states[:-1], np.zeros(0)
+    held = time_held(mission, looks, seen) if len(looks) else {}
+    joint = joint_margins(mission, looks, seen[..., :3]) if len(looks) else {}
     holds = {name: margin >= 0.0 for name, margin in joint.items()}
-    holds[ALL] = np.logical_and.reduce([holds[name] for name in SCIENCE])
     whole = flown.closest_m >= mission.scenario.safety.radius_min_m
     for name in joint:
         whole &= holds[name].all(axis=0)
+    if joint:
+        holds[ALL] = np.logical_and.reduce([holds[name] for name in SCIENCE])
     return FlightBlock(
         held={name: h.duration for name, h in held.items()},
-        entry=held[ALL].entry,
-        exit=held[ALL].exit,
+        entry=held[ALL].entry if held else nothing,
+        exit=held[ALL].exit if held else nothing,
         node_counts={name: h.sum(axis=1) for name, h in holds.items()},
         whole=int(whole.sum()),
         closest_m=flown.closest_m,
@@ -151,10 +154,12 @@ class FlightTally:
 
     def __post_init__(self) -> None:
         """Empty tallies that span what can occur."""
-        first, last = self.config.mission.schedule.window_s
+        observed = self.config.mission.observed_s
+        first, last = observed or self.config.mission.schedule.window_s
         planned = float(np.linalg.norm(self.config.burns_m_s, axis=1).sum())
         far = 20.0 * float(np.linalg.norm(self.config.mission.initial_state[:3]))
-        self.held = {name: Tally.empty(0.0, last - first, TIME_BIN_S) for name in (*SCIENCE, ALL)}
+        names = (*SCIENCE, ALL) if observed else ()
+        self.held = {name: Tally.empty(0.0, last - first, TIME_BIN_S) for name in names}
         self.full = dict.fromkeys(self.held, 0)
         self.entry = self.exit = Tally.empty(first, last, TIME_BIN_S)
         self.closest = Tally.empty(0.0, far, DISTANCE_BIN_M)
@@ -162,7 +167,7 @@ class FlightTally:
 
     def add(self, block: FlightBlock) -> None:
         """Count a block in; blocks come in order, so that sums round the same way every time."""
-        first, last = self.config.mission.schedule.window_s
+        first, last = self.config.mission.observed_s or (0.0, 0.0)
         for name, seconds in block.held.items():
             self.held[name] = self.held[name].add(seconds)
             self.full[name] += int((seconds >= last - first - 1e-6).sum())
@@ -189,8 +194,12 @@ class FlightTally:
         return float(self.config.looks_s[at]), proportion(int(counts[at]), self.samples)
 
     def widest_interval(self) -> float:
-        """Width of the widest confidence interval among the joint probabilities."""
+        """Width of the widest confidence interval among the joint probabilities.
+
+        Where nothing is observed any more it is that of the flights that keep clear of the body.
+        """
         estimates = [self.worst_probability(name)[1] for name in self.node_counts]
+        estimates += [] if estimates else [proportion(self.whole, self.samples)]
         return max(e.high - e.low for e in estimates)
 
     def terminal_covariance(self) -> Array:

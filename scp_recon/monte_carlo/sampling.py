@@ -81,8 +81,9 @@ def fly_block(
     state = mission.initial_state + draws[:, :6] @ mission.initial_factor.T
     executed = model.execute(burns_m_s, draws[:, 6:])
     fly = _flow(mission, truth)
-    burn_at = dict(zip(mission.scenario.burns.times_s, range(len(burns_m_s)), strict=True))
-    stops = make_grid(mission.scenario.burns.times_s, RK4_STEP_MAX_S)
+    firing = mission.scenario.burn_times_s
+    burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
+    stops = make_grid((mission.scenario.start_s, *firing), RK4_STEP_MAX_S)
     looks = np.searchsorted(times_s, stops, side="right")
     # Components first, so that an operation runs along the flights.
     states = np.empty((len(times_s), 6, flights))

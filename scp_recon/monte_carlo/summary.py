@@ -130,7 +130,7 @@ class Summary(File):
     errors: ErrorModel
     confidence: float
     planned_dv_m_s: float
-    window_s: tuple[float, float]
+    window_s: tuple[float, float] | None
     held_s: dict[Line, Held]
     entry_s: Spread
     exit_s: Spread
@@ -142,6 +142,8 @@ class Summary(File):
 
     @model_validator(mode="after")
     def _every_constraint(self) -> Self:
+        if self.window_s is None:  # it was over where the flights began
+            return self
         for name, found in (("held_s", self.held_s), ("probability", self.probability)):
             if not found.keys() >= {*SCIENCE, ALL}:
                 raise ValueError(f"{name} must have {', '.join((*SCIENCE, ALL))}")
@@ -212,7 +214,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         errors=config.errors or config.mission.scenario.uncertainty.errors,
         confidence=CONFIDENCE,
         planned_dv_m_s=solution.total_dv_m_s,
-        window_s=config.mission.schedule.window_s,
+        window_s=config.mission.observed_s,
         held_s={name: _held(flown, name) for name in flown.held},
         entry_s=Spread(**_spread(flown.entry)),
         exit_s=Spread(**_spread(flown.exit)),

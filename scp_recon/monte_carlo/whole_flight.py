@@ -61,7 +61,7 @@ def kept_flights(mission: Mission, burns_m_s: Array, samples: int, seed: int) ->
         seed: of all draws.
     """
     nodes = mission.times_s
-    looks = np.union1d(np.arange(0.0, nodes[-1], LOOK_S), nodes)
+    looks = np.union1d(np.arange(nodes[0], nodes[-1], LOOK_S), nodes)
     blocks = [
         _block(mission, burns_m_s, looks, number, min(BLOCK, samples - number * BLOCK), seed)
         for number in range(-(-samples // BLOCK))
@@ -91,7 +91,7 @@ class _Block:
 
 def _times(mission: Mission, looks: Array, name: str) -> Array:
     """The looks at which a constraint counts."""
-    first, last = mission.schedule.window_s
+    first, last = mission.observed_s or (np.inf, np.inf)
     return looks if name == SAFETY else looks[(looks >= first) & (looks <= last)]
 
 
@@ -111,7 +111,8 @@ def _block(
     states = fly_block(mission, burns, looks, number, flights=flights, seed=seed).states
     window = np.isin(looks, _times(mission, looks, ""))
     margins = _margins(mission, looks, states[..., :3], [SAFETY])
-    margins |= joint_margins(mission, looks[window], states[window, :, :3])
+    if window.any():
+        margins |= joint_margins(mission, looks[window], states[window, :, :3])
     kept_at_nodes, kept = np.ones(flights, dtype=bool), np.ones(flights, dtype=bool)
     at_looks, between, touches = {}, {}, []
     for name, margin in margins.items():

@@ -80,9 +80,11 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
         ("p_chance asked", "", tuple(s.scenario.risk.p_chance for s in solutions)),
         ("total delta-v", "m/s", tuple(_total_dv(s) for s in solutions)),
     ]
-    for i in range(max(len(s.burns) for s in solutions)):
-        sizes = [np.linalg.norm(s.burns_m_s, axis=1) for s in solutions]
-        rows.append((f"burn {i + 1}", "m/s", tuple(_item(size, i) for size in sizes)))
+    if any(len(s.flown_m_s) for s in solutions):
+        rows += _history(solutions)
+    flights = [np.linalg.norm(_whole_flight(s), axis=1) for s in solutions]
+    for i in range(max(len(sizes) for sizes in flights)):
+        rows.append((f"burn {i + 1}", "m/s", tuple(_item(sizes, i) for sizes in flights)))
     margins = [{c.name: c.worst_margin for c in s.constraints} for s in solutions]
     units = {c.name: c.unit for s in solutions for c in s.constraints}
     rows += [(f"margin {n}", unit, tuple(m.get(n) for m in margins)) for n, unit in units.items()]
@@ -114,6 +116,26 @@ def _total_dv(solution: Solution) -> float:
     return float(np.linalg.norm(solution.burns_m_s, axis=1).sum())
 
 
+def _whole_flight(solution: Solution) -> Array:
+    """Burns flown and burns planned, m/s, shape (m, 3)."""
+    return np.vstack([solution.flown_m_s, solution.burns_m_s])
+
+
+def _history(
+    solutions: Sequence[Solution],
+) -> list[tuple[str, str, tuple[float | str | None, ...]]]:
+    """What was flown before plans in flight begin, and what they miss of the final state."""
+    whole = [float(np.linalg.norm(_whole_flight(s), axis=1).sum()) for s in solutions]
+    missed = [s.verification.missed if s.verification else None for s in solutions]
+    return [
+        ("parent", "", tuple(s.parent.name if s.parent else None for s in solutions)),
+        ("begins at", "s", tuple(s.scenario.start_s for s in solutions)),
+        ("burns flown before", "", tuple(str(len(s.flown_m_s)) for s in solutions)),
+        ("with those flown", "m/s", tuple(whole)),
+        ("final state missed by", "m", tuple(m.position_m if m else None for m in missed)),
+    ]
+
+
 def _item(values: Array, i: int) -> float | None:
     return float(values[i]) if i < len(values) else None
 
@@ -124,13 +146,16 @@ def _shown(figure: float | str | None) -> str:
     return ABSENT if figure is None else figure
 
 
-def largest_distance_m(one: Solution, other: Solution) -> float:
-    """Largest distance of two mean paths at the nodes of either, while both last, m.
+def largest_distance_m(one: Solution, other: Solution) -> float | None:
+    """Largest distance of two mean paths at the nodes of either, while both last, m; None if never.
 
     J2000, at the same time past the epoch; between its nodes a path is a cubic of its states.
     """
     times = np.union1d(one.nodes.t_s, other.nodes.t_s)
-    times = times[times <= min(one.nodes.t_s[-1], other.nodes.t_s[-1])]
+    first, last = (np.array([s.nodes.t_s[end] for s in (one, other)]) for end in (0, -1))
+    times = times[(times >= first.max()) & (times <= last.min())]
+    if not len(times):
+        return None
     paths = [_path(solution)(times) for solution in (one, other)]
     return float(np.linalg.norm(paths[0] - paths[1], axis=1).max())
 
@@ -138,8 +163,9 @@ def largest_distance_m(one: Solution, other: Solution) -> float:
 def _path(solution: Solution) -> Callable[[Array], Array]:
     nodes, states = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
     arriving = states[1:].copy()  # before the burn where one falls on the node
-    for burn, dv in zip(solution.burns[1:], solution.burns_m_s[1:], strict=True):
-        arriving[int(np.argmin(np.abs(nodes - burn.t_s))) - 1, 3:] -= dv
+    for burn, dv in zip(solution.burns, solution.burns_m_s, strict=True):
+        if (at := int(np.argmin(np.abs(nodes - burn.t_s)))) > 0:
+            arriving[at - 1, 3:] -= dv
 
     def positions(times: Array) -> Array:
         k = np.clip(np.searchsorted(nodes, times, side="right") - 1, 0, len(nodes) - 2)

@@ -22,6 +22,7 @@ from scp_recon.scenario.fields import Line, Speed
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
+from scp_recon.solution.parent import ParentPlan
 from scp_recon.solution.part import File, Part, read_file
 from scp_recon.solution.risk import Risk
 from scp_recon.solution.runs import resolve_run
@@ -196,6 +197,7 @@ class Solution(File):
     facets: FacetTable | None = None
     risk: Risk | None = None
     starts: StartsSummary | None = None
+    parent: ParentPlan | None = None
     violation: Violation
     iterations: list[IterationRecord]
     timing_s: TimingSummary
@@ -206,14 +208,20 @@ class Solution(File):
 
     @model_validator(mode="after")
     def _burns_of_scenario(self) -> Self:
-        if len(self.burns) != len(self.scenario.burns.times_s):
-            raise ValueError("there must be as many burns as the scenario has firing times")
+        if len(self.burns) != len(self.scenario.burn_times_s):
+            raise ValueError("there must be as many burns as the scenario has firing times to plan")
         return self
 
     @property
     def burns_m_s(self) -> npt.NDArray[np.float64]:
         """Burns as an array, shape (m, 3)."""
         return np.array([burn.dv_m_s for burn in self.burns])
+
+    @property
+    def flown_m_s(self) -> npt.NDArray[np.float64]:
+        """Burns flown before the plan begins, shape (k, 3)."""
+        flight = self.scenario.in_flight
+        return np.array([] if flight is None else flight.flown_m_s).reshape(-1, 3)
 
     @property
     def plan_hash(self) -> str:

@@ -26,6 +26,7 @@ from scp_recon.solution.file import (
     Violation,
     ViolationAmount,
 )
+from scp_recon.solution.parent import ParentPlan
 from scp_recon.solution.risk import EventProbability, Reached, Risk
 
 FINAL_STATE = "final_state"
@@ -47,7 +48,7 @@ def make_solution(plan: Plan) -> Solution:
         total_dv_m_s=plan.total_dv_m_s,
         burns=[
             Burn(t_s=time, dv_m_s=tuple(burn.tolist()))
-            for time, burn in zip(mission.scenario.burns.times_s, plan.burns_m_s, strict=True)
+            for time, burn in zip(mission.scenario.burn_times_s, plan.burns_m_s, strict=True)
         ],
         nodes=Nodes(
             t_s=mission.times_s.tolist(),
@@ -59,6 +60,7 @@ def make_solution(plan: Plan) -> Solution:
         facets=_facet_table(mission, plan.final),
         risk=_risk(plan),
         starts=_starts(plan.starts),
+        parent=None if plan.parent is None else ParentPlan(**asdict(plan.parent)),
         violation=_violation(mission, plan.final),
         iterations=[
             iteration_record(mission, stage.name, record)

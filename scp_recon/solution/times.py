@@ -25,7 +25,7 @@ def strange_times(
         burn_times_s: of its burns, s.
         node_times_s: of its nodes, s.
     """
-    firing, nodes = np.array(mission.scenario.burns.times_s), np.array(node_times_s)
+    firing, nodes = np.array(mission.scenario.burn_times_s), np.array(node_times_s)
     agree = {
         "burns.t_s": np.array_equal(burn_times_s, firing),
         "nodes.t_s": len(nodes) == len(mission.times_s)

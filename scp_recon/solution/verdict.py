@@ -26,6 +26,24 @@ class JointProbability(Part):
     high: Probability
 
 
+class FinalMiss(Part):
+    """By how much the final state is missed, where the burns left are too few to meet it.
+
+    `weighted_m_s` is what the plan charges for it, beside its delta-v.
+    """
+
+    position_m: float
+    velocity_m_s: float
+    weighted_m_s: float
+
+    def __str__(self) -> str:
+        """In words."""
+        return (
+            f"the final state is missed by {self.position_m:.4g} m and {self.velocity_m_s:.4g} m/s: "
+            "too few burns are left to meet it"
+        )
+
+
 class Verification(Part):
     """An independent look at the result; `failed` names what keeps it from being ok."""
 
@@ -39,11 +57,13 @@ class Verification(Part):
     confidence: float
     probabilities: list[JointProbability]
     failed: list[str]
+    missed: FinalMiss | None = None
     ok: bool
 
     def __str__(self) -> str:
         """The verdict, and the lowest probabilities."""
         lines = ["verified" if self.ok else f"not verified: {', '.join(self.failed)}"]
+        lines += [str(self.missed)] if self.missed else []
         lines += [
             f"P({p.name}) {p.estimate:.4f}, {p.low:.4f} to {p.high:.4f}, at {p.worst_t_s:.0f} s"
             for p in self.probabilities

@@ -172,7 +172,9 @@ def _is_violation(mission: Mission, solution: Solution, margins: dict[str, Array
     """Whether the stored violation is what the margins and the final state leave."""
     miss = np.array(solution.nodes.state[-1]) - mission.final_state
     scaled = np.abs(miss) / mission.units.state * mission.units.length_m
-    amounts = {FINAL_STATE: scaled, **{name: -margin for name, margin in margins.items()}}
+    amounts = {name: -margin for name, margin in margins.items()}
+    if mission.must_meet:
+        amounts[FINAL_STATE] = scaled
     scale = {"m": mission.units.length_m, "m/s": mission.units.speed_m_s}
     stored = solution.violation.by_constraint
     for name, amount in amounts.items():

@@ -81,7 +81,7 @@ def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None]
     draws = np.random.default_rng(SEED).standard_normal((DRAWS, 3))
-    first, last = mission.schedule.window_s
+    first, last = mission.observed_s or (np.inf, np.inf)
     window = (times >= first) & (times <= last)
 
     def positions(nodes: npt.NDArray[np.bool_]) -> Array:
@@ -89,7 +89,7 @@ def node_probabilities(mission: Mission, solution: Solution) -> dict[str, tuple[
 
     everywhere = np.ones(len(times), dtype=bool)
     safe = np.linalg.norm(positions(everywhere), axis=2) >= mission.scenario.safety.radius_min_m
-    seen = joint_margins(mission, times[window], positions(window))
+    seen = joint_margins(mission, times[window], positions(window)) if window.any() else {}
     kept = {name: (times[window], (margin >= 0.0).mean(axis=1)) for name, margin in seen.items()}
     return {SAFETY: (times, safe.mean(axis=1)), **kept}
 

@@ -58,7 +58,7 @@ def joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability
     times = np.union1d(observed, mission.times_s)
     positions = sample_positions(mission, burns, times, SAMPLES, SEED)
     seen = np.searchsorted(times, observed)
-    joint = joint_margins(mission, observed, positions[seen])
+    joint = joint_margins(mission, observed, positions[seen]) if len(observed) else {}
     radius = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
     kept = {SAFETY: (times, holds(radius, "m"))}
     for name, margin in joint.items():

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
+from scp_recon.mission.in_flight import MISS_WEIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE
 from scp_recon.monte_carlo.observation_time import observation_margins
@@ -24,7 +25,7 @@ from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution
-from scp_recon.solution.verdict import MeanMargin, Verification
+from scp_recon.solution.verdict import FinalMiss, MeanMargin, Verification
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import (
     MARGIN_LIMIT,
@@ -54,12 +55,13 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     """Check a solution against its mission; the answer holds figures and what failed."""
     burns, times = solution.burns_m_s, np.array(solution.nodes.t_s)
     states = np.array(solution.nodes.state)
-    fine = np.arange(0.0, mission.times_s[-1], MARGIN_STEP_S)
+    fine = np.arange(mission.times_s[0], mission.times_s[-1], MARGIN_STEP_S)
     flown = _fly(mission, burns, np.union1d(times, fine), mission.initial_state)
     at_nodes = np.searchsorted(flown.times, times)
     stored = np.array(solution.nodes.covariance)
     defects = np.abs(flown.states[at_nodes] - states) / mission.units.state * mission.units.length_m
     final = np.abs(flown.states[-1] - mission.final_state)
+    missed = None if mission.must_meet else final_miss(mission, final)
     margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
     probabilities = joint_probabilities(mission, burns)
     figures = {
@@ -76,6 +78,8 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         max(DEFECT_LIMIT_M, SAMPLE_LIMIT * mission.units.length_m),
         COVARIANCE_LIMIT,
     )
+    if missed is not None:  # which no number of burns left could help: it is said, not judged
+        limits = (np.inf, np.inf, *limits[2:])
     failed = [
         name for (name, value), most in zip(figures.items(), limits, strict=True) if value > most
     ]
@@ -92,7 +96,18 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         confidence=CONFIDENCE,
         probabilities=probabilities,
         failed=failed,
+        missed=missed,
         ok=not failed,
+    )
+
+
+def final_miss(mission: Mission, miss: Array) -> FinalMiss:
+    """By how much the final state is missed, J2000, m and m/s, shape (6,), and what that weighs."""
+    weighed = MISS_WEIGHT * np.abs(miss / mission.units.state).sum() * mission.units.speed_m_s
+    return FinalMiss(
+        position_m=_finite(np.linalg.norm(miss[:3])),
+        velocity_m_s=_finite(np.linalg.norm(miss[3:])),
+        weighted_m_s=_finite(weighed),
     )
 
 
@@ -107,22 +122,24 @@ class _Flown:
 
 def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown:
     """Burn to burn, so that the integrator never steps over a jump; from a state before them."""
-    firing = mission.scenario.burns.times_s
+    start, firing = mission.scenario.start_s, mission.scenario.burn_times_s
+    stops = firing if firing[0] == start else (start, *firing)
+    burns = np.vstack([np.zeros((len(stops) - len(firing), 3)), burns])  # none where it coasts
     scale = np.concatenate([mission.units.state, np.ones(36)])
-    times = np.union1d(times, firing)
+    times = np.union1d(times, stops)
     states = np.full((len(times), 6), DIVERGED)  # for what the integrator does not reach
     covariances = np.full((len(times), 6, 6), DIVERGED)
     state, spread = initial.copy(), Spread.before_burns(mission)
-    for i, begin in enumerate(firing):
+    for i, begin in enumerate(stops):
         state[3:] += burns[i]
         spread = spread.after_burn(mission, burns[i])
-        if i + 1 == len(firing):
+        if i + 1 == len(stops):
             break
         # The leg's last time is overwritten by the next leg's first, after the burn.
-        leg = (times >= begin) & (times <= firing[i + 1])
+        leg = (times >= begin) & (times <= stops[i + 1])
         answer = solve_ivp(
             lambda _, y: variational_rate(y, mission.forces),
-            (begin, firing[i + 1]),
+            (begin, stops[i + 1]),
             np.concatenate([state, np.eye(6).ravel()]),
             method="DOP853",
             t_eval=times[leg],
@@ -160,7 +177,8 @@ def _sample_error(mission: Mission, burns: Array) -> float:
     errors = []
     for i, executed in enumerate(sampled.burns_m_s):
         initial = sampled.states[0, i].copy()
-        initial[3:] -= executed[0]
+        if not mission.problem.coasts:
+            initial[3:] -= executed[0]
         again = _fly(mission, executed, times, initial)
         looked = np.searchsorted(again.times, times)
         errors.append(np.abs(again.states[looked] - sampled.states[:, i]) / mission.units.state)
@@ -180,9 +198,10 @@ def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
 
 
 def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
-    first, last = mission.schedule.window_s
+    first, last = mission.observed_s or (np.inf, np.inf)
     window = (flown.times >= first) & (flown.times <= last)
     times = flown.times[window]
+    margins = observation_margins(mission, times, flown.states[window, :3])
     found = [
         MeanMargin(
             name=name,
@@ -190,9 +209,8 @@ def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
             worst_margin=float(margin.min()),
             worst_t_s=float(times[np.argmin(margin)]),
         )
-        for name, (unit, margin) in observation_margins(
-            mission, times, flown.states[window, :3]
-        ).items()
+        for name, (unit, margin) in margins.items()
+        if len(times)
     ]
     radius = np.linalg.norm(flown.states[:, :3], axis=1) - mission.scenario.safety.radius_min_m
     safety = MeanMargin(
@@ -206,7 +224,7 @@ def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
 
 def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:
     """Size of the planned burns and their angle from the Sun line, either way."""
-    times = np.array(mission.scenario.burns.times_s)
+    times = np.array(mission.scenario.burn_times_s)
     size = mission.scenario.burns.dv_max_m_s - np.linalg.norm(burns, axis=1)
     angle = geometry.angle(burns, mission.sun_direction(times))
     cone = np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
