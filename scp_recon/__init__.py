@@ -15,9 +15,17 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scp_recon.front_door import check, fly, load_scenario, plan, save, side_by_side
+    from scp_recon.front_door import (
+        check,
+        fly,
+        load_scenario,
+        plan,
+        plan_again,
+        save,
+        side_by_side,
+    )
 
-__all__ = ["check", "fly", "load_scenario", "plan", "save", "side_by_side"]
+__all__ = ["check", "fly", "load_scenario", "plan", "plan_again", "save", "side_by_side"]
 
 
 def __getattr__(name: str) -> Any:

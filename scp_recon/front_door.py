@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -19,6 +20,9 @@ from scp_recon.certification.certify import certify
 from scp_recon.cli.keeping import keep_plan
 from scp_recon.errors import InputError, one_of, shortened, whole_number
 from scp_recon.files import check_writable, unwritable
+from scp_recon.in_flight.delivery import Delivery
+from scp_recon.in_flight.parent import FlownPlan
+from scp_recon.in_flight.replanning import mission_left, replan
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
@@ -38,7 +42,7 @@ from scp_recon.solution.start import start_from
 from scp_recon.solution.verdict import Verification
 from scp_recon.verification.reintegration import verify
 
-__all__ = ["check", "fly", "load_scenario", "plan", "save", "side_by_side"]
+__all__ = ["check", "fly", "load_scenario", "plan", "plan_again", "save", "side_by_side"]
 
 Array = npt.NDArray[np.float64]
 
@@ -120,6 +124,53 @@ def plan(
 
     found = certify(mission, start, once) if to_certify else once(mission, start)
     return replace(found, starts=best.starts) if best else found
+
+
+def plan_again(
+    plan: Plan | Solution | str | Path,
+    at_s: float,
+    state: npt.ArrayLike,
+    covariance: npt.ArrayLike | None = None,
+    *,
+    frame: str = "j2000",
+    covariance_frame: str | None = None,
+    measured_burns: Mapping[int, npt.ArrayLike] | None = None,
+    certified: bool | None = None,
+) -> Plan:
+    """Plan what is left of a flight from a state in it.
+
+    Burns at or before that time are flown. The next one keeps the scenario's decision lead time; what
+    is left of the observation window counts. With fewer than two burns left the final state is met as
+    nearly as they can: `check` says how much is missed.
+
+    Args:
+        plan: that is flown; a solution, or its file, is verified first.
+        at_s: time of the state past the plan's epoch, s.
+        state: after the burns flown, m and m/s, body-centred, shape (6,).
+        covariance: of it, m and m/s, shape (6, 6); the scenario's initial one if not given.
+        frame: axes of state and measured burns, "j2000" or "sun_north", at the epoch.
+        covariance_frame: axes of the covariance, these or "rtn" of the state; `frame` if not given.
+        measured_burns: burns flown as telemetry saw them, by their number in the flight from 1, m/s.
+        certified: as in `plan`.
+
+    Returns:
+        A plan of the burns that are left, whose `parent` names the one that is flown.
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    flown = FlownPlan.of(plan)
+    if certified is not None and flown.mission.scenario.risk.allocation != "exact":
+        raise InputError("certified", shortened(certified), "goes with risk.allocation = exact")
+    delivery = Delivery.of(
+        at_s,
+        state,
+        frame=frame,
+        covariance=covariance,
+        covariance_frame=covariance_frame,
+        measured=measured_burns,
+    )
+    return replan(flown, mission_left(flown, delivery), certified=certified is not False)
 
 
 def _scenario(given: Scenario | str | Path) -> Scenario:

@@ -192,13 +192,13 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
     mission, start = _inputs(options)
     check_risk(options, mission.scenario)
     with run_folder(options.out, mission.scenario.name) as folder:
-        status = _plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
+        status = plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
     if options.out is None and status != Status.INTERRUPTED.value.exit_code:
         point_to(folder)
     return status
 
 
-def _plan_into(
+def plan_into(
     folder: Path, mission: Mission, make_plan: Callable[[Observer], Plan], console: Console
 ) -> int:
     """Plan, verify, show and write; the exit status."""

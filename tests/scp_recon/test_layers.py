@@ -15,7 +15,17 @@ LIBRARY = ("formulations", "scp_recon")
 COMMANDS = {
     f"scp_recon.{name}"
     for name in (
-        *("solve", "verify", "montecarlo", "simulate", "compare", "schema", "windows", "new"),
+        *(
+            "solve",
+            "verify",
+            "montecarlo",
+            "simulate",
+            "compare",
+            "schema",
+            "windows",
+            "new",
+            "replan",
+        ),
     )
 }
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
@@ -75,7 +85,10 @@ FLOORS = (
     *(f"scp_recon.{name}" for name in ("planning", "solution", "monte_carlo", "spacecraft")),
     *(
         f"scp_recon.{name}"
-        for name in ("spacecraft.basilisk", "verification", "certification", "cli", "front_door")
+        for name in (
+            *("spacecraft.basilisk", "verification", "certification", "in_flight", "cli"),
+            "front_door",
+        )
     ),
     "scp_recon",  # the lazy front door, and the commands
     *(f"experiments.{name}" for name in ("studies", "observation_table", "compare_solvers")),

@@ -1,0 +1,165 @@
+"""The options of a command that takes a state in flight, and the files that these may name."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.errors import InputError
+from scp_recon.files import read_text
+from scp_recon.in_flight.delivery import FRAMES, OPTIONS, Delivery
+
+Array = npt.NDArray[np.float64]
+
+BYTES_MAX = 100_000
+"""Of a file of 36 numbers with whatever is said of them."""
+LISTS = ("--state", "--measured-burn")
+"""Options whose value is a list of numbers, which may be negative and stand apart."""
+
+
+def add_delivery(p: argparse.ArgumentParser) -> None:
+    """Time, state, covariance and burns as they were."""
+    p.add_argument(
+        "--at",
+        required=True,
+        metavar="T",
+        help="time of the state: s past the plan's epoch, or a date in TDB; burns until then are flown",
+    )
+    p.add_argument(
+        "--state",
+        required=True,
+        metavar="STATE",
+        help="x y z in m and vx vy vz in m/s at that time, after burns flown, or a file of these six",
+    )
+    p.add_argument(
+        "--frame",
+        default="j2000",
+        metavar="NAME",
+        help=f"axes of state and measured burns: {', '.join(FRAMES)}, at the epoch (default: j2000)",
+    )
+    p.add_argument(
+        "--covariance",
+        type=Path,
+        metavar="FILE",
+        help="six rows of six numbers, m and m/s (default: the scenario's initial covariance)",
+    )
+    p.add_argument(
+        "--covariance-frame",
+        metavar="NAME",
+        help=f"its axes: {', '.join(FRAMES)}, rtn (default: that of --frame)",
+    )
+    p.add_argument(
+        "--measured-burn",
+        action="append",
+        default=[],
+        metavar="N=X,Y,Z",
+        help="a flown burn as telemetry saw it, m/s, by its number in the flight; may be repeated",
+    )
+
+
+def joined(arguments: Sequence[str]) -> list[str]:
+    """Arguments in which each list of numbers is one: a leading minus makes no option of it."""
+    found: list[str] = []
+    for argument in arguments:
+        name = found[-1].partition("=")[0] if found else ""
+        if name in LISTS and not argument.startswith("--"):
+            more = " " if "=" in found[-1] else "="
+            found[-1] += more + argument
+        else:
+            found.append(argument)
+    return found
+
+
+def delivery_from(options: argparse.Namespace, epoch: datetime) -> Delivery:
+    """What the options say.
+
+    Args:
+        options: parsed.
+        epoch: of the plan that is flown, TDB.
+
+    Raises:
+        InputError: if a number, a date or a file is none.
+    """
+    covariance = None
+    if options.covariance is not None:
+        rows = _rows(options.covariance, "--covariance")
+        if [len(row) for row in rows] != 6 * [6]:
+            sizes = " and ".join(sorted({str(len(row)) for row in rows})) or "no"
+            raise InputError(
+                f"--covariance {options.covariance}",
+                f"{len(rows)} rows of {sizes} numbers",
+                "must be six rows of six numbers, m and m/s",
+            )
+        covariance = np.array(rows)
+    return Delivery.of(
+        at_s=_time(options.at, epoch),
+        state=_state(options.state),
+        frame=options.frame,
+        covariance=covariance,
+        covariance_frame=options.covariance_frame,
+        measured=dict(_burn(text) for text in options.measured_burn),
+        names=OPTIONS,
+    )
+
+
+def _time(text: str, epoch: datetime) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        date = datetime.fromisoformat(text)
+    except ValueError:
+        date = None
+    if date is None or date.tzinfo is not None:
+        allowed = (
+            "must be seconds past the plan's epoch, or a date in TDB such as 2020-01-22T01:16:37"
+        )
+        raise InputError("--at", repr(text)[:80], allowed)
+    return (date - epoch).total_seconds()
+
+
+def _state(text: str) -> Array:
+    """Numbers, or a file of them."""
+    try:
+        given = _numbers(text)
+    except ValueError:
+        given = [number for row in _rows(Path(text), "--state") for number in row]
+    if len(given) != 6:
+        raise InputError(
+            "--state", f"{len(given)} numbers", "must be six, m and m/s, or their file"
+        )
+    return np.array(given)
+
+
+def _burn(text: str) -> tuple[int, Array]:
+    number, separator, burn = text.partition("=")
+    try:
+        if not (separator and number.strip().isdecimal()):
+            raise ValueError
+        given = _numbers(burn)
+        if len(given) != 3:
+            raise ValueError
+    except ValueError:
+        allowed = "must read N=X,Y,Z: the burn's number and three numbers in m/s"
+        raise InputError("--measured-burn", repr(text)[:80], allowed) from None
+    return int(number), np.array(given)
+
+
+def _rows(path: Path, entry: str) -> list[list[float]]:
+    """Numbers of a file, line by line; what stands behind a # is passed over."""
+    text = read_text(path, f"{entry} {path}", "file of numbers", BYTES_MAX)
+    lines = [line.partition("#")[0] for line in text.splitlines()]
+    try:
+        return [_numbers(line) for line in lines if line.strip()]
+    except ValueError as error:
+        raise InputError(f"{entry} {path}", str(error)[:80], "must be a file of numbers") from None
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(part) for part in text.replace(",", " ").split()]

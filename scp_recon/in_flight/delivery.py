@@ -1,0 +1,211 @@
+"""What orbit determination delivers in flight, and whether it can be of the plan that is flown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from scp_recon.errors import InputError, one_of, shortened, whole_number
+from scp_recon.in_flight.prediction import Prediction
+from scp_recon.mission.uncertainty import execution_errors
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.warning import ScenarioWarning
+
+Array = npt.NDArray[np.float64]
+
+UNITS_RATIO_MAX = 30.0
+"""Of distances or speeds: kilometres are a thousand metres, and no flight errs by the root of that."""
+UNLIKELY = 1e-4
+"""Probability of a state as far from the prediction, below which it hardly is that of this flight."""
+SURE_SIGMAS = 5.0
+"""Of a burn's errors, beyond which a measurement hardly is of the burn that was planned."""
+LEAST_SPREAD = 1e-6
+"""In units of length and speed, added to every spread: a millimetre is no contradiction."""
+
+FRAMES = ("j2000", "sun_north")
+WORDS = {
+    (6,): "six numbers, m and m/s",
+    (3,): "three numbers, m/s",
+    (6, 6): "six rows of six numbers",
+}
+
+OPTIONS = {
+    "at_s": "--at",
+    "state": "--state",
+    "frame": "--frame",
+    "covariance": "--covariance",
+    "covariance_frame": "--covariance-frame",
+    "measured_burns": "--measured-burn",
+}
+"""What the command line calls the entries of a delivery."""
+
+
+def numbers(entry: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+    """An array of finite numbers.
+
+    Raises:
+        InputError: if it is none, or of another shape.
+    """
+    try:
+        array = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        array = np.full(0, np.nan)
+    if array.shape != shape or not np.isfinite(array).all():
+        words = " ".join(shortened(given).replace("\\n", " ").split())
+        raise InputError(entry, words, f"must be {WORDS[shape]}, all finite")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Delivery:
+    """A state in flight, as it was delivered.
+
+    Attributes:
+        at_s: time past the plan's epoch, s; burns at or before it are flown.
+        state: after them, m and m/s, body-centred, shape (6,).
+        frame: axes of state and measured burns, at the epoch.
+        covariance: m and m/s, shape (6, 6); the scenario's initial one if there is none.
+        covariance_frame: its axes.
+        measured: flown burns as telemetry saw them, m/s, shape (3,), by their number in the flight
+            from 1.
+        names: what messages call these entries, where that is not as here.
+    """
+
+    at_s: float
+    state: Array
+    frame: str = "j2000"
+    covariance: Array | None = None
+    covariance_frame: str = "j2000"
+    measured: Mapping[int, Array] = field(default_factory=dict)
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        at_s: float,
+        state: npt.ArrayLike,
+        *,
+        frame: str = "j2000",
+        covariance: npt.ArrayLike | None = None,
+        covariance_frame: str | None = None,
+        measured: Mapping[int, npt.ArrayLike] | None = None,
+        names: Mapping[str, str] | None = None,
+    ) -> Delivery:
+        """From what a user gives, every entry checked by itself; see the attributes.
+
+        Raises:
+            InputError: naming the entry, what was given and what is allowed.
+        """
+        called = {} if names is None else names
+
+        def name(entry: str) -> str:
+            return called.get(entry, entry)
+
+        if isinstance(at_s, bool) or not isinstance(at_s, int | float) or not np.isfinite(at_s):
+            raise InputError(name("at_s"), shortened(at_s), "must be a time past the epoch, s")
+        burns = {} if measured is None else measured
+        if not isinstance(burns, Mapping):
+            raise InputError(name("measured_burns"), shortened(burns), "must be burns by number")
+        axes = frame if covariance_frame is None else covariance_frame
+        matrix = None if covariance is None else numbers(name("covariance"), covariance, (6, 6))
+        return cls(
+            at_s=float(at_s),
+            state=numbers(name("state"), state, (6,)),
+            frame=one_of(name("frame"), frame, FRAMES),
+            covariance=matrix,
+            covariance_frame=one_of(name("covariance_frame"), axes, (*FRAMES, "rtn")),
+            measured={n: numbers(name("measured_burns"), b, (3,)) for n, b in burns.items()},
+            names=called,
+        )
+
+    def name(self, entry: str) -> str:
+        """What messages call an entry."""
+        return self.names.get(entry, entry)
+
+    def measured_in(self, axes: Array) -> Delivery:
+        """The same with measured burns in J2000, whose axes from the frame's are given, (3, 3)."""
+        return replace(self, measured={n: axes @ burn for n, burn in self.measured.items()})
+
+    def burns_flown(self, scenario: Scenario, planned: Array) -> list[list[float]]:
+        """Every burn of the flight so far, m/s: measured, or as planned.
+
+        Args:
+            scenario: of the plan that is flown.
+            planned: its burns, shape (m, 3).
+
+        Raises:
+            InputError: if a burn was measured that has not been flown.
+        """
+        before = [] if scenario.in_flight is None else list(scenario.in_flight.flown_m_s)
+        ahead = zip(scenario.burn_times_s, planned.tolist(), strict=True)
+        flown = [*before, *(burn for time, burn in ahead if time <= self.at_s)]
+        for number, burn in self.measured.items():
+            entry = self.name("measured_burns")
+            if not 1 <= whole_number(entry, number, 1, 64) <= len(flown):
+                allowed = f"must be one of those flown by {self.at_s:g} s, 1 to {len(flown)}"
+                raise InputError(entry, f"burn {number}", allowed)
+            flown[number - 1] = burn.tolist()
+        return [list(burn) for burn in flown]
+
+    def strange_burns(self, scenario: Scenario, planned: Array) -> Iterator[ScenarioWarning]:
+        """Measured burns that are far from those of the plan that is flown, shape (m, 3)."""
+        errors, first = execution_errors(scenario), scenario.burns_flown + 1
+        for number, burn in sorted(self.measured.items()):
+            if not 0 <= number - first < len(planned):
+                continue
+            expected = planned[number - first]
+            sigma = float(np.linalg.norm(errors.columns(expected[None])[0]))
+            off = float(np.linalg.norm(burn - expected))
+            if off > SURE_SIGMAS * sigma and off > 0.0:
+                yield ScenarioWarning.of(
+                    self.name("measured_burns"),
+                    f"burn {number} {off:.3g} m/s from the one planned",
+                    f"at most {SURE_SIGMAS * sigma:.3g} m/s, {SURE_SIGMAS:g} sigma of its errors, "
+                    "would be no surprise; metres per second, and the frame?",
+                )
+
+    def strange_state(
+        self, state: Array, factor: Array, predicted: Prediction, units: Array
+    ) -> Iterator[ScenarioWarning]:
+        """Hold the state against what the plan that is flown predicts.
+
+        Args:
+            state: as delivered, J2000, m and m/s, shape (6,).
+            factor: S with S S' its covariance, shape (6, 6).
+            predicted: for the same time.
+            units: of length and speed, shape (6,).
+
+        Raises:
+            InputError: if it is not in metres and seconds.
+        """
+        entry = self.name("state")
+        spread = (factor @ factor.T + predicted.covariance) / np.outer(units, units)
+        spread += LEAST_SPREAD**2 * np.eye(6)
+        off = (state - predicted.state) / units
+        for part, noun, unit_name in (
+            (slice(3), "position", "m"),
+            (slice(3, 6), "velocity", "m/s"),
+        ):
+            given, expected = (float(np.linalg.norm(s[part])) for s in (state, predicted.state))
+            low, high = sorted((given, expected))
+            sigma = float(np.sqrt(np.trace(spread[part, part])))
+            if high > UNITS_RATIO_MAX * low and np.linalg.norm(off[part]) > SURE_SIGMAS * sigma:
+                raise InputError(
+                    entry,
+                    f"a {noun} of {given:.4g}",
+                    f"must be in {unit_name}: the plan has {expected:.4g} {unit_name} then",
+                )
+        distance2 = float(off @ np.linalg.solve(spread, off))
+        if chi2.sf(distance2, 6) < UNLIKELY:
+            apart = state - predicted.state
+            yield ScenarioWarning.of(
+                entry,
+                f"{np.linalg.norm(apart[:3]):.4g} m and {np.linalg.norm(apart[3:]):.3g} m/s from what "
+                f"the plan predicts at {self.at_s:g} s",
+                f"at most {np.sqrt(chi2.isf(UNLIKELY, 6)):.1f} sigma would be no surprise, and it is "
+                f"{np.sqrt(distance2):.1f}: metres, seconds, the frame, the burns flown?",
+            )

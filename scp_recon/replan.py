@@ -1,0 +1,95 @@
+"""Plan what is left of a flight: `python -m scp_recon.replan DIR --at T --state ...`."""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint, run_command
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from scp_recon.certification.certify import flights_needed
+from scp_recon.cli.delivery import add_delivery, delivery_from, joined
+from scp_recon.cli.keeping import run_folder
+from scp_recon.errors import InputError
+from scp_recon.in_flight.parent import FlownPlan
+from scp_recon.in_flight.replanning import mission_left, replan
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import read_solution
+from scp_recon.solution.runs import point_to, resolve_run
+from scp_recon.solve import plan_into
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(prog="python -m scp_recon.replan", description=__doc__)
+    p.add_argument(
+        "solution",
+        type=Path,
+        metavar="DIR",
+        help="folder with the solution.json that is flown, or the file",
+    )
+    add_delivery(p)
+    p.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        dest="overrides",
+        help="override one entry of the scenario for what is left, e.g. schedule.decision_lead_s=900; "
+        "may be repeated",
+    )
+    p.add_argument(
+        "--certify",
+        choices=("yes", "no"),
+        help="with risk.allocation = exact, fly the plan and plan again until the lower limit of the "
+        "probability reached is what was asked (default: yes)",
+    )
+    p.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for solution.json (default: runs/NAME/UTC with the scenario's name, to which "
+        "runs/latest then points); a verified plan there gives way to a verified one only",
+    )
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    options = parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments))
+    return run_command(lambda console: _replan(options, console))
+
+
+def _replan(options: argparse.Namespace, console: Console) -> int:
+    home = resolve_run(options.solution)
+    solution = read_solution(home)
+    delivery = delivery_from(options, solution.scenario.epoch.tdb)
+    flown = FlownPlan.of(solution, name=str(home))
+    mission = mission_left(flown, delivery, options.overrides)
+    exact = mission.scenario.risk.allocation == "exact" and flown.problem == "P2"
+    if options.certify is not None and not exact:
+        raise InputError("--certify", options.certify, "goes with risk.allocation = exact only")
+    certified = exact and options.certify != "no"
+    if certified:
+        flights_needed(mission.scenario.risk.p_chance)
+    with run_folder(options.out, mission.scenario.name) as folder:
+        status = plan_into(
+            folder,
+            mission,
+            lambda observe: replan(flown, mission, certified=certified, observe=observe),
+            console,
+        )
+    if options.out is None and status != Status.INTERRUPTED.value.exit_code:
+        point_to(folder)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

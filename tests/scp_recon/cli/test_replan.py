@@ -1,0 +1,202 @@
+"""`python -m scp_recon.replan`: plan and verdict, what other commands make of them, and its messages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scp_recon import compare, montecarlo, replan, simulate, verify
+from scp_recon.cli import infeasible
+from scp_recon.cli.delivery import joined
+from scp_recon.in_flight.parent import FlownPlan
+from scp_recon.in_flight.prediction import predict
+from scp_recon.planning.plan import Plan
+from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.verdict import Verification
+from scp_recon.verification import probabilities
+
+OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
+
+
+@pytest.fixture(autouse=True)
+def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the verification; what is tested here does not depend on their number."""
+    monkeypatch.setattr(probabilities, "SAMPLES", 500)
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+@pytest.fixture
+def plan_folder(solution: Solution, verification: Verification, tmp_path: Path) -> Path:
+    folder = tmp_path / "plan"
+    folder.mkdir()
+    solution.model_copy(update={"verification": verification}).write(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def state_at(default_plan: Plan) -> Callable[[float], list[str]]:
+    flown = FlownPlan.of(default_plan)
+
+    def words(at_s: float) -> list[str]:
+        return [repr(x) for x in (predict(flown, at_s, {}).state + OFF).tolist()]
+
+    return words
+
+
+StateAt = Callable[[float], list[str]]
+
+
+def test_a_replan_is_kept_verified_flown_and_compared(
+    plan_folder: Path, state_at: StateAt, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "again"
+    burn = "--measured-burn=2=-0.0066,0.0266,-0.0074"
+    words = [str(plan_folder), "--at", "17000", "--state", *state_at(17_000.0), burn]
+    assert replan.main([*words, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "in flight from 17000 s on, 2 burns flown" in said
+    assert "over, nothing is observed any more" in said
+    assert "\nverified" in said
+    found = read_solution(out)
+    assert found.parent is not None
+    assert (found.parent.name, found.parent.at_s) == (str(plan_folder), 17_000.0)
+    assert found.parent.plan_hash == read_solution(plan_folder).plan_hash
+    assert found.flown_m_s[1].tolist() == [-0.0066, 0.0266, -0.0074]
+    assert [burn.t_s for burn in found.burns] == [25_000.0, 34_842.0]
+    assert verify.main([str(out)]) == 0
+    assert montecarlo.main([str(out), "--samples", "200"]) == 0
+    assert "the window is over" in capsys.readouterr().out
+    assert compare.main([str(plan_folder), str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "with those flown m/s" in said
+    assert str(plan_folder) in said
+    assert simulate.main([str(out)]) == 2
+    assert "must be the plan of a whole flight" in capsys.readouterr().err
+
+
+def test_the_verdict_says_what_one_burn_misses(
+    plan_folder: Path, state_at: StateAt, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "again"
+    (tmp_path / "state.txt").write_text("# x y z vx vy vz\n" + "\n".join(state_at(26_000.0)))
+    words = [str(plan_folder), "--at", "2020-01-22T03:46:37.184", "--out", str(out)]
+    assert replan.main([*words, "--state", str(tmp_path / "state.txt")]) == 0
+    assert "the final state is missed by 58.8" in capsys.readouterr().out
+    found = read_solution(out)
+    assert found.scenario.start_s == 26_000.0
+    assert found.verification is not None
+    assert found.verification.missed is not None
+    assert found.verification.missed.position_m == pytest.approx(58.8, abs=0.1)
+    assert found.violation.by_constraint == {}
+    assert verify.main([str(out)]) == 0
+    assert "the final state is missed by 58.8" in capsys.readouterr().out
+
+
+def test_a_covariance_comes_from_a_file_in_axes_of_its_own(
+    plan_folder: Path, state_at: StateAt, tmp_path: Path
+) -> None:
+    rows = np.diag([100.0, 400.0, 25.0, 1e-8, 1e-8, 1e-8])
+    path, out = tmp_path / "covariance.csv", tmp_path / "again"
+    path.write_text("\n".join(",".join(map(repr, row)) for row in rows.tolist()))
+    words = [str(plan_folder), "--at", "17000", "--state", " ".join(state_at(17_000.0))]
+    more = ["--covariance", str(path), "--covariance-frame", "rtn", "--out", str(out)]
+    assert replan.main([*words, *more]) == 0
+    trace = np.trace(np.array(read_solution(out).nodes.covariance[0])[:3, :3])
+    assert trace == pytest.approx(525.0)
+
+
+def test_what_is_infeasible_is_told_as_of_a_first_plan(
+    plan_folder: Path,
+    state_at: StateAt,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(infeasible, "CLOSE", 2.0)
+    out = tmp_path / "again"
+    words = [str(plan_folder), "--at", "9000", "--state", *state_at(9_000.0), "--out", str(out)]
+    assert replan.main([*words, "--set", "risk.p_chance=0.95"]) == 3
+    assert "what binds: " in capsys.readouterr().out
+    found = read_solution(out)
+    assert found.status == "infeasible"
+    assert found.violation.max > 0.0
+
+
+def test_an_edited_or_unverified_plan_is_told_in_every_verdict(
+    plan_folder: Path, state_at: StateAt, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, out = plan_folder / "solution.json", tmp_path / "again"
+    text = file.read_text("utf-8")
+    assert text.count('"execution_error": 0.08') == 1
+    file.write_text(text.replace('"execution_error": 0.08', '"execution_error": 0.05'), "utf-8")
+    words = [str(plan_folder), "--at", "17000", "--state", *state_at(17_000.0)]
+    assert replan.main([*words, "--out", str(out)]) == 0
+    assert "which is not verified: covariance_error" in capsys.readouterr().out
+    assert verify.main([str(out)]) == 0
+    assert "which is not verified: covariance_error" in capsys.readouterr().out
+
+
+def test_files_of_before_there_were_replans_are_read(plan_folder: Path, tmp_path: Path) -> None:
+    new = json.loads((plan_folder / "solution.json").read_text("utf-8"))
+    plan_hash = read_solution(plan_folder).plan_hash
+    del new["parent"], new["verification"]["missed"]
+    del new["scenario"]["in_flight"], new["scenario"]["schedule"]["decision_lead_s"]
+    old = tmp_path / "solution.json"
+    old.write_text(json.dumps(new), "utf-8")
+    assert read_solution(old).plan_hash == plan_hash
+    assert read_solution(old).scenario.schedule.decision_lead_s == 1800.0
+
+
+BAD: dict[str, tuple[list[str], str]] = {
+    "beyond": (["--at", "34842"], "--at: got 34842 s, at or after the last burn"),
+    "late": (["--at", "24500"], "--at: got 24500 s, 500 s before burn 3"),
+    "no time": (["--at", "noon"], "--at: got 'noon'; must be seconds"),
+    "zone": (["--at", "2020-01-22T03:46:37Z"], "--at: got '2020-01-22T03:46:37Z'"),
+    "early date": (["--at", "2019-01-22T03:46:37"], "--at: got -3.1"),
+    "frame": (["--frame", "icrf"], "--frame: got 'icrf'; must be one of j2000"),
+    "five": (["--state", "1", "2", "3", "4", "5"], "--state: got 5 numbers; must be six"),
+    "no file": (["--state", "nowhere.txt"], "--state nowhere.txt: got no such file"),
+    "burn": (["--measured-burn", "3=0,0,0.1"], "--measured-burn: got burn 3; must be one of"),
+    "burns": (["--measured-burn", "0.1,0.2,0.3"], "--measured-burn: got '0.1,0.2,0.3'"),
+    "matrix": (["--covariance", "small.txt"], "--covariance small.txt: got 2 rows of 2 numbers"),
+    "indefinite": (["--covariance", "bad.txt"], "--covariance: got "),
+    "set": (["--set", "in_flight.at_s=9000.0"], "--set: got another in_flight"),
+    "flown": (["--set", "burns.times_s=[0.0, 7000.0, 25000.0, 34842.0]"], "burns.times_s: got "),
+    "fewer": (["--set", "burns.times_s=[0.0, 8000.0, 34842.0]"], "burns.times_s: got 1 burns left"),
+    "certify": (["--certify", "yes"], "--certify: got yes; goes with risk.allocation = exact"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_bad_input_is_one_message(
+    kind: str,
+    solution: Solution,
+    verification: Verification,
+    state_at: StateAt,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("scp_recon.in_flight.parent.verify", lambda *_: verification)
+    solution.write(tmp_path)
+    (tmp_path / "small.txt").write_text("1 0\n0 1\n")
+    rows = np.diag([1.0, 1.0, 1.0, -1.0, 1.0, 1.0]).tolist()
+    (tmp_path / "bad.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
+    words, message = BAD[kind]
+    options = {"--at": ["17000"], "--state": state_at(17_000.0), words[0]: words[1:]}
+    arguments = [word for name, given in options.items() for word in (name, *given)]
+    assert replan.main(["solution.json", *arguments, "--out", "again"]) == 2
+    errors = capsys.readouterr().err
+    assert errors.count("error:") == 1
+    assert message in errors
+    assert not (tmp_path / "again" / "solution.json").exists()
+
+
+def test_negative_numbers_are_no_options() -> None:
+    words = ["plan", "--at", "1", "--state", "-1e-3", "2", "-3", "--out", "x"]
+    assert joined(words) == ["plan", "--at", "1", "--state=-1e-3 2 -3", "--out", "x"]

@@ -1,0 +1,176 @@
+"""Whatever is delivered that cannot be is refused in one message; what hardly can be is told."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import scp_recon as sr
+from scp_recon.errors import InputError
+from scp_recon.in_flight.delivery import Delivery
+from scp_recon.in_flight.parent import FlownPlan
+from scp_recon.in_flight.prediction import predict
+from scp_recon.in_flight.replanning import mission_left
+from scp_recon.planning.plan import Plan
+from scp_recon.solution.from_plan import make_solution
+from tests.helpers import Array
+
+AT = 17_000.0
+SIGMA = np.array([10.0, 10.0, 10.0, 3e-4, 3e-4, 3e-4])
+METRES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def state(default_plan: Plan) -> Array:
+    return predict(FlownPlan.of(default_plan), AT, {}).state
+
+
+def test_a_state_on_the_planned_path_raises_no_question(default_plan: Plan, state: Array) -> None:
+    assert not sr.plan_again(default_plan, AT, state, np.diag(SIGMA**2)).mission.warnings
+
+
+@pytest.mark.parametrize(
+    ("at_s", "words"),
+    [
+        (34_842.0, "at or after the last burn"),
+        (1e6, "at or after the last burn"),
+        (24_000.0, "decision lead time.*at most 23200 s, or 25000 s and more"),
+        (34_000.0, "decision lead time.*at most 33042 s$"),
+        (-1.0, "must not be before 0 s"),
+        (float("nan"), "must be a time"),
+        ("17000", "must be a time"),
+        (True, "must be a time"),
+    ],
+)
+def test_a_time_that_leaves_nothing_to_decide_is_refused(
+    default_plan: Plan, state: Array, at_s: Any, words: str
+) -> None:
+    with pytest.raises(InputError, match=f"^at_s: .*{words}"):
+        sr.plan_again(default_plan, at_s, state)
+
+
+def changed(state: Array, kind: str) -> Any:
+    return {
+        "km": state / 1000.0,
+        "km/s": state * np.where(METRES > 0.0, 1.0, 1e-3),
+        "500 km off": state + 5e5 * np.eye(6)[0],
+        "inside": state * np.where(METRES > 0.0, 0.2, 1.0),
+        "five": state[:5],
+        "nan": state * np.nan,
+        "words": ["a"] * 6,
+        "none": None,
+    }[kind]
+
+
+@pytest.mark.parametrize(
+    "kind", ["km", "km/s", "500 km off", "inside", "five", "nan", "words", "none"]
+)
+def test_a_state_that_is_none_of_this_flight_is_refused(
+    default_plan: Plan, state: Array, kind: str
+) -> None:
+    with pytest.raises(InputError, match=r"^state: ") as caught:
+        sr.plan_again(default_plan, AT, changed(state, kind))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("off", [10_000.0 * METRES, 60.0 * METRES, 0.01 * (1.0 - METRES)])
+def test_a_state_far_from_the_prediction_is_told(
+    default_plan: Plan, state: Array, off: Array
+) -> None:
+    flown = FlownPlan.of(default_plan)
+    mission = mission_left(flown, Delivery(AT, state + off))
+    assert "state" in [warning.entry for warning in mission.warnings]
+
+
+def test_a_state_in_other_axes_is_told(default_plan: Plan, state: Array) -> None:
+    """Its numbers are those of J2000."""
+    plan = sr.plan_again(default_plan, AT, state, frame="sun_north")
+    assert [warning.entry for warning in plan.mission.warnings] == ["state"]
+    with pytest.raises(InputError, match=r"^frame: got 'icrf'; must be one of j2000, sun_north"):
+        sr.plan_again(default_plan, AT, state, frame="icrf")
+
+
+NEGATIVE = np.diag(SIGMA**2) + 200.0 * (np.eye(6, k=1) + np.eye(6, k=-1))[:, :] * np.outer(
+    METRES, METRES
+)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "words"),
+    [
+        (np.diag(-(SIGMA**2)), "no negative variance"),
+        (NEGATIVE, "positive semidefinite"),
+        (np.diag(SIGMA**2) + 10.0 * np.eye(6, k=1) * np.outer(METRES, METRES), "symmetric"),
+        (np.eye(5), "six rows of six"),
+        (1e6 * np.diag(SIGMA**2), "must be below the initial distance"),
+        ("none", "six rows of six"),
+    ],
+)
+def test_a_covariance_that_is_none_is_refused(
+    default_plan: Plan, state: Array, covariance: Any, words: str
+) -> None:
+    with pytest.raises(InputError, match=f"^covariance: .*{words}"):
+        sr.plan_again(default_plan, AT, state, covariance)
+
+
+def test_a_covariance_in_square_kilometres_is_told(default_plan: Plan, state: Array) -> None:
+    plan = sr.plan_again(default_plan, AT, state, 1e-6 * np.diag(SIGMA**2))
+    assert {warning.entry for warning in plan.mission.warnings} == {"in_flight.covariance"}
+
+
+def test_a_covariance_has_axes_of_its_own(default_plan: Plan, state: Array) -> None:
+    """The radial direction is the position's."""
+    radial = np.diag([100.0, 0.0, 0.0, 1e-8, 1e-8, 1e-8])
+    plan = sr.plan_again(default_plan, AT, state, radial, covariance_frame="rtn")
+    axis = state[:3] / np.linalg.norm(state[:3])
+    assert plan.covariances[0, :3, :3] == pytest.approx(100.0 * np.outer(axis, axis), abs=1e-6)
+    with pytest.raises(InputError, match=r"^covariance_frame: .*must be one of"):
+        sr.plan_again(default_plan, AT, state, radial, covariance_frame="body")
+
+
+@pytest.mark.parametrize(
+    ("measured", "words"),
+    [
+        ({3: np.ones(3)}, "burn 3; must be one of those flown by 17000 s, 1 to 2"),
+        ({0: np.ones(3)}, "whole number"),
+        ({1: np.ones(2)}, "three numbers"),
+        ({1: [np.inf, 0.0, 0.0]}, "three numbers"),
+        ([0.1, 0.2, 0.3], "by number"),
+        ({"1": np.ones(3)}, "whole number"),
+    ],
+)
+def test_a_burn_that_was_not_flown_cannot_have_been_measured(
+    default_plan: Plan, state: Array, measured: Any, words: str
+) -> None:
+    with pytest.raises(InputError, match=f"^measured_burns: .*{words}"):
+        sr.plan_again(default_plan, AT, state, measured_burns=measured)
+
+
+def test_a_burn_measured_in_kilometres_per_second_is_told(default_plan: Plan, state: Array) -> None:
+    burn = 1e-3 * default_plan.burns_m_s[1]
+    plan = sr.plan_again(default_plan, AT, state, measured_burns={2: burn})
+    assert "measured_burns" in [warning.entry for warning in plan.mission.warnings]
+
+
+def test_what_is_no_plan_is_refused(state: Array) -> None:
+    with pytest.raises(InputError, match=r"^plan: got 7"):
+        sr.plan_again(7, AT, state)  # type: ignore[arg-type]
+
+
+def test_a_plan_that_is_not_verified_is_told(default_plan: Plan, state: Array) -> None:
+    solution = make_solution(default_plan)
+    errors = solution.scenario.replace({"uncertainty.execution_error": 0.05})
+    edited = solution.model_copy(update={"scenario": errors})
+    found = sr.plan_again(edited, AT, state).mission.warnings
+    assert [warning.entry for warning in found] == ["parent"]
+    assert "covariance_error" in found[0].given
+
+
+def test_a_time_before_the_state_that_a_plan_begins_at_is_refused(
+    default_plan: Plan, state: Array
+) -> None:
+    plan = sr.plan_again(default_plan, AT, state)
+    with pytest.raises(InputError, match=r"^at_s: .*must not be before 17000 s"):
+        sr.plan_again(plan, 16_000.0, state)
