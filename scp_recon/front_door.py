@@ -6,9 +6,9 @@ Paths may be strings.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 

@@ -190,6 +190,8 @@ FEW = "--quick --skip-ipopt --samples 100"
 CONES = "python -m experiments.battery_cones"
 DRAW = "python -m paper_figs.studies.solver_comparison"
 
+STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
+IN_FLIGHT = f"python -m scp_recon.replan runs/latest --at 17000 --state {STATE} --out runs/again"
 EXACT = "python -m scp_recon.solve --set 'risk.allocation=\"exact\"'"
 
 QUICK = {
@@ -242,6 +244,11 @@ QUICK = {
         "python -m paper_figs.frames frames.png", needs="matplotlib"
     ),
     "python -m scp_recon.schema docs/scenario.schema.json": Quick(),
+    # in flight
+    IN_FLIGHT: Quick(),
+    "python -m scp_recon.replan runs/mine --at 17000 --state state.txt": Quick(
+        f"python -m scp_recon.replan runs/mine --at 17000 --state {STATE}"
+    ),
     # the spacecraft
     "python -m scp_recon.simulate runs/mine": simulated("runs/short"),
     "python -m scp_recon.simulate runs/latest": simulated("runs/short --seed 1"),

@@ -1,4 +1,4 @@
-"""`python -m scp_recon.replan`: plan and verdict, what other commands make of them, and its messages."""
+"""`python -m scp_recon.replan`: plan and verdict, what others make of them, and its messages."""
 
 from __future__ import annotations
 
