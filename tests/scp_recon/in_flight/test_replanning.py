@@ -103,11 +103,13 @@ def test_in_the_window_what_is_left_of_it_counts(flown: FlownPlan) -> None:
 @pytest.mark.parametrize("at_s", [3_000.0, 17_000.0, 26_000.0])
 def test_ipopt_finds_the_same_of_the_remaining_problem(flown: FlownPlan, at_s: float) -> None:
     """From scratch: a cold start, facets at IPOPT's own solution without spread."""
-    plan = again(flown, at_s, drawn(flown, at_s))
+    plan = again(flown, at_s, drawn(flown, at_s), "risk.p_chance=0.9")
     mission = plan.mission
     reference = ipopt.plan(mission, initial_guess.cold(mission))
     assert reference.status is Status.CONVERGED
-    assert plan.total_dv_m_s == pytest.approx(reference.total_dv_m_s, rel=1e-4)
+    assert plan.total_dv_m_s == pytest.approx(reference.total_dv_m_s, rel=1e-6)
+    if mission.problem.n_burns == 3:  # chance constraints bind
+        assert min(margin for margin, _ in plan.worst_margins.values()) < 1e-3
     if mission.problem.n_burns < 3:
         assert plan.burns_m_s == pytest.approx(reference.burns_m_s, abs=1e-6)
 
@@ -198,10 +200,10 @@ def test_a_plan_without_uncertainty_is_replanned_without(mission: Mission) -> No
 
 def test_exact_risk_goes_on_in_flight(flown: FlownPlan) -> None:
     off = drawn(flown, 3_000.0)
-    uniform = again(flown, 3_000.0, off)
-    exact = again(flown, 3_000.0, off, "risk.allocation=exact")
+    uniform = again(flown, 3_000.0, off, "risk.p_chance=0.95")
+    exact = again(flown, 3_000.0, off, "risk.p_chance=0.95", "risk.allocation=exact")
     assert exact.status is Status.CONVERGED
-    assert exact.total_dv_m_s < uniform.total_dv_m_s
+    assert exact.total_dv_m_s < 0.99 * uniform.total_dv_m_s
     assert verify(exact.mission, make_solution(exact)).ok
 
 
