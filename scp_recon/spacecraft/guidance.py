@@ -22,6 +22,7 @@ from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
 from scp_recon.solution.file import Solution
+from scp_recon.solution.parent import require_whole_flight
 from scp_recon.spacecraft.panels import SolarArray, align, irradiance
 from scp_recon.spacecraft.vehicle import Vehicle
 
@@ -76,8 +77,10 @@ class FlightPlan:
         """Prepare a solution for flight.
 
         Raises:
-            InputError: if the vehicle's thruster takes longer for a burn than the schedule has.
+            InputError: if the vehicle's thruster takes longer for a burn than the schedule has, or the
+                plan begins in flight.
         """
+        require_whole_flight(solution.scenario, "solution")
         thrust, mass = vehicle.chemical_thruster.thrust_n, vehicle.mass.mass_kg
         firings = []
         for burn in solution.burns:
