@@ -230,6 +230,7 @@ QUICK = {
     # its result
     "python -m scp_recon.verify runs/mine": Quick(),
     "python -m scp_recon.compare runs/latest runs/mine": Quick(),
+    "python -m scp_recon.report runs/latest runs/mine": Quick(needs="plotly"),
     "python -m scp_recon.montecarlo": Quick(
         "python -m scp_recon.montecarlo runs/mine --samples 500"
     ),

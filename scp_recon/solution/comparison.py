@@ -156,11 +156,15 @@ def largest_distance_m(one: Solution, other: Solution) -> float | None:
     times = times[(times >= first.max()) & (times <= last.min())]
     if not len(times):
         return None
-    paths = [_path(solution)(times) for solution in (one, other)]
+    paths = [path_of(solution)(times) for solution in (one, other)]
     return float(np.linalg.norm(paths[0] - paths[1], axis=1).max())
 
 
-def _path(solution: Solution) -> Callable[[Array], Array]:
+def path_of(solution: Solution) -> Callable[[Array], Array]:
+    """Mean positions of a plan at times within it, J2000, m: times (n,) to (n, 3).
+
+    Between its nodes a cubic of their states, before the burn where one falls on the node.
+    """
     nodes, states = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
     arriving = states[1:].copy()  # before the burn where one falls on the node
     for burn, dv in zip(solution.burns, solution.burns_m_s, strict=True):

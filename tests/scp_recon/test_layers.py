@@ -86,7 +86,7 @@ FLOORS = (
     *(
         f"scp_recon.{name}"
         for name in (
-            *("spacecraft.basilisk", "verification", "certification", "in_flight", "cli"),
+            *("spacecraft.basilisk", "verification", "certification", "in_flight", "cli", "report"),
             "front_door",
         )
     ),

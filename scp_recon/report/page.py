@@ -1,0 +1,126 @@
+"""The page: what stands on it, and how it becomes one HTML file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
+from typing import Any
+
+from scp_recon.report.clock import told, utc_of
+from scp_recon.report.numbers import script
+from scp_recon.report.subject import Subject
+from scp_recon.report.table import Table
+from scp_recon.report.verdict import Verdict
+
+SHOWN = 12
+"""Digits of a plan's hash on a sheet."""
+CURSORS = ("observation", "probability", "ranges", "lighting", "resolution", "timeline", "craft")
+"""Charts over time, in which the time that the view shows is marked."""
+NOTES = {
+    "observation": "Line: planned mean. Bands: where 68.3 % and 95.4 % of the sampled flights are. "
+    "Dashed: limits.",
+    "probability": "Of sampled flights, with 95 % intervals. Shaded: observation window.",
+    "ranges": "To the surface along the line to the centre. Bands: 1 and 3 sigma (99.7 %) of the "
+    "sampled flights. Shaded: observation window.",
+    "lighting": "Certain: both follow from the body's rotation alone. Shaded: observation window.",
+    "ground": "Planned mean, body-fixed. Outlines: field of view at five times of the window, the "
+    "camera pointed to the site. Ring: the time that the 3-D view shows.",
+    "resolution": "Ground that a pixel sees at the site; along the slope it is stretched by the "
+    "emission angle. Bands: 68.3 % and 95.4 % of the flights.",
+    "timeline": "Triangles: burns. Lines below them: where each may be moved, the others kept.",
+    "budget": "Bars: planned. Whiskers: what 99 % of the executions stay below.",
+    "craft": "One flight of the spacecraft's simulation. Shaded: observation window.",
+    "convergence": "Magnitudes. Hover names stage and iteration.",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """Everything on it.
+
+    Attributes:
+        subjects: plans.
+        verdicts: of each.
+        tables: of each.
+        comparison: of several.
+        scene: the 3-D view.
+        charts: the others, in their order.
+        body: what is drawn of the body.
+        camera: whose view is drawn.
+        samples: flights behind bands and probabilities.
+        made: when the page was made, UTC.
+    """
+
+    subjects: tuple[Subject, ...]
+    verdicts: tuple[Verdict, ...]
+    tables: tuple[tuple[Table, ...], ...]
+    comparison: Table | None
+    scene: dict[str, Any]
+    charts: tuple[dict[str, Any], ...]
+    body: str
+    camera: str
+    samples: int
+    made: datetime
+
+
+def version_of_planner() -> str:
+    """As installed; unknown where it only lies on the path."""
+    try:
+        return version("scp_recon")
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def identity(page: Page) -> str:
+    """What every sheet says: scenarios, their epochs in UTC, plans, version, and when it was made."""
+    plans = "; ".join(
+        f"{s.solution.scenario.name}, t = 0 at {told(utc_of(s.solution.scenario.epoch.tdb))} UTC, "
+        f"plan {s.solution.plan_hash[:SHOWN]}"
+        for s in page.subjects
+    )
+    return f"{plans} | scp_recon {version_of_planner()} | made {told(page.made)} UTC"
+
+
+def render(page: Page) -> str:
+    """One HTML file that needs nothing else."""
+    from jinja2 import Environment, StrictUndefined
+    from plotly.offline import get_plotlyjs
+
+    folder = files("scp_recon.report").joinpath("page_files")
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    template = environment.from_string(folder.joinpath("page.html").read_text("utf-8"))
+    first = page.subjects[0]
+    data = {
+        "scene": page.scene,
+        "charts": page.charts,
+        "cursors": CURSORS,
+        "epoch_utc": utc_of(first.solution.scenario.epoch.tdb).isoformat() + "Z",
+        "file": f"{first.solution.scenario.name}-{first.solution.plan_hash[:SHOWN]}",
+    }
+    names = [subject.name for subject in page.subjects]
+    return template.render(
+        page=page,
+        names=names,
+        title=", ".join(dict.fromkeys(s.solution.scenario.name for s in page.subjects)),
+        identity=identity(page),
+        notes=NOTES,
+        groups=_groups(page),
+        css=folder.joinpath("report.css").read_text("utf-8"),
+        js=folder.joinpath("report.js").read_text("utf-8"),
+        plotly=get_plotlyjs(),
+        data=script(data),
+    )
+
+
+def _groups(page: Page) -> list[tuple[str, bool, str]]:
+    """What may be shown and hidden in the view: name, whether it is shown at first, and colour."""
+    found: dict[str, tuple[bool, str]] = {}
+    for trace in page.scene["traces"]:
+        shown = trace.get("visible", True) is not False
+        colour = trace.get("color") or trace.get("line", {}).get("color") or "#b9b09e"
+        found.setdefault(trace["meta"]["group"], (shown, colour))
+    return [(name, shown, colour) for name, (shown, colour) in found.items()]

@@ -1,0 +1,120 @@
+"""What a report is of: plans, and what was flown of each and lies beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo import summary as summary_file
+from scp_recon.monte_carlo.summary import Summary, read_summary
+from scp_recon.solution.comparison import path_of
+from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.runs import folder_of, resolve_run
+from scp_recon.spacecraft import record as record_file
+from scp_recon.spacecraft.record import Record, read_record
+
+Array = npt.NDArray[np.float64]
+
+PLANS_MAX = 6
+"""Colours that people without full colour vision tell apart."""
+PARTS_PER_ARC = 3
+"""Points of a path between two nodes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A plan and what is known of it.
+
+    Attributes:
+        name: as the report calls it.
+        solution: the plan.
+        summary: of many flights of this very plan, if they were flown.
+        record: of the spacecraft's simulation of this very plan, if there is one.
+        passed_over: files beside the plan that are of another one, and why.
+    """
+
+    name: str
+    solution: Solution
+    summary: Summary | None = None
+    record: Record | None = None
+    passed_over: tuple[str, ...] = ()
+
+    @cached_property
+    def mission(self) -> Mission:
+        """The scenario resolved."""
+        return Mission.from_scenario(self.solution.scenario)
+
+    @property
+    def nodes_s(self) -> Array:
+        """Times of the nodes, shape (n,)."""
+        return np.array(self.solution.nodes.t_s)
+
+    @cached_property
+    def fine_s(self) -> Array:
+        """The nodes' times and even ones between, shape (n,)."""
+        nodes, parts = self.nodes_s, np.arange(PARTS_PER_ARC) / PARTS_PER_ARC
+        inner = nodes[:-1, None] + np.diff(nodes)[:, None] * parts
+        return np.append(inner.ravel(), nodes[-1])
+
+    def positions(self, times_s: Array) -> Array:
+        """The planned mean, J2000, m, shape (n, 3): a cubic of the nodes' states between them."""
+        return path_of(self.solution)(times_s)
+
+
+def subjects_of(given: Sequence[Solution | Path]) -> list[Subject]:
+    """Plans with what lies beside their files.
+
+    Raises:
+        InputError: if there is none or there are too many, one cannot be read, or they are of
+            several bodies.
+    """
+    if not 1 <= len(given) <= PLANS_MAX:
+        raise InputError("plans", f"{len(given)}", f"must be 1 to {PLANS_MAX} plans")
+    names = [str(one) if isinstance(one, Path) else one.scenario.name for one in given]
+    found = [
+        _read(one, name) if isinstance(one, Path) else Subject(name, one)
+        for one, name in zip(given, _told_apart(names), strict=True)
+    ]
+    first = found[0].solution.scenario.body
+    for subject in found[1:]:
+        other = subject.solution.scenario.body
+        if other.name != first.name:
+            raise InputError(
+                f"plan {subject.name}",
+                f"body {other.name}",
+                f"must be of {first.name}, as the first",
+            )
+    return found
+
+
+def _told_apart(names: list[str]) -> list[str]:
+    """The same name twice gets numbers."""
+    return [
+        f"{name} ({names[: i + 1].count(name)})" if names.count(name) > 1 else name
+        for i, name in enumerate(names)
+    ]
+
+
+def _read(path: Path, name: str) -> Subject:
+    home = resolve_run(path)
+    solution, folder = read_solution(home), folder_of(home)
+    passed_over = []
+    summary = record = None
+    if (folder / summary_file.FILE_NAME).is_file():
+        summary = read_summary(folder)
+        if not summary.is_of(solution):
+            passed_over.append(f"{folder / summary_file.FILE_NAME}: flights of another plan")
+            summary = None
+    if (folder / record_file.FILE_NAME).is_file():
+        record = read_record(folder)
+        if record.plan_hash != solution.plan_hash:
+            passed_over.append(f"{folder / record_file.FILE_NAME}: a simulation of another plan")
+            record = None
+    return Subject(name, solution, summary, record, tuple(passed_over))

@@ -1,0 +1,208 @@
+"""The report's tables: what the solution file says, with its numbers to the last digit in the cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import timedelta
+
+import numpy as np
+
+from scp_recon.report.budget import SHARE, Budget
+from scp_recon.report.clock import told, utc_of
+from scp_recon.report.flight_tables import flights_table, simulation_tables
+from scp_recon.report.subject import Subject
+from scp_recon.report.table import Cell, Row, Table, cell, table
+from scp_recon.solution.comparison import compare
+from scp_recon.verification.reintegration import (
+    COVARIANCE_LIMIT,
+    DEFECT_LIMIT_M,
+    POSITION_LIMIT_M,
+    VELOCITY_LIMIT_M_S,
+)
+
+
+def tables_of(subject: Subject, budget: Budget) -> list[Table]:
+    """All tables of a plan that have anything in them."""
+    found = [
+        _burns(subject),
+        _budget(budget),
+        _probabilities(subject),
+        _constraints(subject),
+        _mean_margins(subject),
+        _reintegration(subject),
+        _stages(subject),
+        _iterations(subject),
+        flights_table(subject),
+        *simulation_tables(subject),
+    ]
+    return [each for each in found if each.rows]
+
+
+def _burns(subject: Subject) -> Table:
+    solution = subject.solution
+    start = solution.scenario.epoch.tdb
+    rows: list[Row] = []
+    for number, burn in enumerate(solution.burns, start=1):
+        components = [cell(component, "+.6f") for component in burn.dv_m_s]
+        size = float(np.linalg.norm(burn.dv_m_s))
+        when = told(utc_of(start + timedelta(seconds=burn.t_s)))
+        rows.append([str(number), burn.t_s, when, *components, cell(size, ".6f")])
+    total: Row = ["total", "", "", "", "", "", cell(solution.total_dv_m_s, ".6f")]
+    heading = ("burn", "time (s)", "UTC", "x (m/s)", "y (m/s)", "z (m/s)", "size (m/s)")
+    return table("burns", "Burns, J2000", heading, [*rows, total])
+
+
+def _budget(budget: Budget) -> Table:
+    each = zip(budget.planned_m_s, budget.mean_m_s, budget.high_m_s, strict=True)
+    rows: list[Row] = [
+        [str(number), *(cell(float(figure), ".6f") for figure in figures)]
+        for number, figures in enumerate(each, start=1)
+    ]
+    total = (float(budget.planned_m_s.sum()), budget.total_mean_m_s, budget.total_high_m_s)
+    rows.append(["whole flight", *(cell(figure, ".6f") for figure in total)])
+    low, high = budget.interval_m_s
+    percent = f"{100.0 * SHARE:g} %"
+    return table(
+        "budget",
+        "Delta-v budget",
+        ("burn", "planned (m/s)", "executed, mean (m/s)", f"executed, {percent} stay below (m/s)"),
+        rows,
+        f"95 % interval of the flights' {percent}: {low:.6f} to {high:.6f} m/s. Of the planned burns "
+        "with their execution errors; no burns to correct them.",
+    )
+
+
+def _probabilities(subject: Subject) -> Table:
+    found = subject.solution.verification
+    asked = subject.solution.scenario.risk.p_chance
+    return table(
+        "probabilities",
+        "Lowest probabilities, by the verification's flights",
+        ("joint constraint", "achieved", "low", "high", "at (s)", "asked"),
+        [
+            [
+                p.name,
+                cell(p.estimate, ".4f"),
+                cell(p.low, ".4f"),
+                cell(p.high, ".4f"),
+                cell(p.worst_t_s, ".0f"),
+                cell(asked, "g"),
+            ]
+            for p in (found.probabilities if found else ())
+        ],
+        f"{found.samples} flights, {100 * found.confidence:.0f} % intervals." if found else "",
+    )
+
+
+def _constraints(subject: Subject) -> Table:
+    solution = subject.solution
+    violated = solution.violation.by_constraint
+    listed = {c.name for c in solution.constraints}
+    rows: list[Row] = [
+        [
+            c.name,
+            c.kind.replace("_", " "),
+            cell(c.worst_margin, "+.4f"),
+            c.unit,
+            cell(c.worst_t_s, ".0f"),
+            c.facets or None,
+            violated[c.name].max if c.name in violated else None,
+        ]
+        for c in solution.constraints
+    ]
+    rows += [
+        [name, "", None, amount.unit, None, None, amount.max]
+        for name, amount in violated.items()
+        if name not in listed
+    ]
+    words = "chance margin" if solution.problem == "P2" else "margin"
+    return table(
+        "constraints",
+        "Margins at the nodes",
+        ("constraint", "kind", f"worst {words}", "unit", "at (s)", "facets", "violated by"),
+        rows,
+        "A margin of 0 or more is satisfied.",
+    )
+
+
+def _mean_margins(subject: Subject) -> Table:
+    found = subject.solution.verification
+    rows: list[Row] = []
+    for margin in found.mean_margins if found else ():
+        scale, unit = (np.rad2deg(1.0), "deg") if margin.unit == "rad" else (1.0, margin.unit)
+        shown = Cell(f"{scale * margin.worst_margin:+.4f}", margin.worst_margin)
+        rows.append([margin.name, shown, unit, cell(margin.worst_t_s, ".0f")])
+    return table(
+        "mean_margins",
+        "Margins of the mean, between the nodes too",
+        ("original constraint", "worst margin", "unit", "at (s)"),
+        rows,
+    )
+
+
+def _reintegration(subject: Subject) -> Table:
+    v = subject.solution.verification
+    rows: list[tuple[str, float, float, str]] = [] if v is None else [
+        ("final position", v.terminal_position_error_m, POSITION_LIMIT_M, "m"),
+        ("final velocity", v.terminal_velocity_error_m_s, VELOCITY_LIMIT_M_S, "m/s"),
+        ("nodes", v.max_defect, DEFECT_LIMIT_M, "m"),
+        ("sampled flights", v.sample_error_m, DEFECT_LIMIT_M, "m"),
+        ("covariance, relative", v.covariance_error, COVARIANCE_LIMIT, "1"),
+    ]  # fmt: skip
+    return table(
+        "reintegration",
+        "Integrated again without the solver",
+        ("what", "off by", "allowed", "unit"),
+        [[name, cell(off, ".1e"), cell(most, ".1e"), unit] for name, off, most, unit in rows],
+    )
+
+
+def _stages(subject: Subject) -> Table:
+    return table(
+        "stages",
+        "Stages",
+        ("stage", "status", "iterations", "total delta-v (m/s)"),
+        [
+            [s.name, s.status, s.iterations, cell(s.total_dv_m_s, ".6f")]
+            for s in subject.solution.stages
+        ],
+    )
+
+
+def _iterations(subject: Subject) -> Table:
+    heading = (
+        *("stage", "k", "merit (m/s)", "predicted (m/s)", "actual (m/s)", "step"),
+        *("radius (m/s)", "violation (m)", "defect (m)", "solver (s)"),
+    )
+    return table(
+        "iterations",
+        "Iterations",
+        heading,
+        [
+            [
+                r.stage,
+                r.k,
+                cell(r.merit, ".6f"),
+                cell(r.predicted, ".2e"),
+                cell(r.actual, ".2e"),
+                "accepted" if r.accepted else "rejected",
+                cell(r.trust_radius, ".1e"),
+                cell(r.max_violation, ".1e"),
+                cell(r.max_defect, ".1e"),
+                cell(r.solver_s, ".3f"),
+            ]
+            for r in subject.solution.iterations
+        ],
+        "Merit: total delta-v plus penalties. Violation and defect: velocities count as metres per "
+        "unit of time.",
+    )
+
+
+def comparison_table(subjects: Sequence[Subject]) -> Table:
+    """Plans side by side."""
+    found = compare([s.name for s in subjects], [s.solution for s in subjects])
+    rows: list[Row] = [
+        [f"{name} ({unit})" if unit else name, *(cell(figure) for figure in figures)]
+        for name, unit, figures in found.rows
+    ]
+    return table("comparison", "Plans side by side", ("", *found.names), rows)
