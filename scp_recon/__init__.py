@@ -23,9 +23,19 @@ if TYPE_CHECKING:
         plan_again,
         save,
         side_by_side,
+        write_report,
     )
 
-__all__ = ["check", "fly", "load_scenario", "plan", "plan_again", "save", "side_by_side"]
+__all__ = [
+    "check",
+    "fly",
+    "load_scenario",
+    "plan",
+    "plan_again",
+    "save",
+    "side_by_side",
+    "write_report",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -42,7 +42,16 @@ from scp_recon.solution.start import start_from
 from scp_recon.solution.verdict import Verification
 from scp_recon.verification.reintegration import verify
 
-__all__ = ["check", "fly", "load_scenario", "plan", "plan_again", "save", "side_by_side"]
+__all__ = [
+    "check",
+    "fly",
+    "load_scenario",
+    "plan",
+    "plan_again",
+    "save",
+    "side_by_side",
+    "write_report",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -266,6 +275,27 @@ def side_by_side(*plans: Plan | Solution | str | Path) -> Comparison:
         names.append(str(named))
         solutions.append(_solution(given))
     return compare(names, solutions)
+
+
+def write_report(*plans: Plan | Solution | str | Path, file: str | Path = "report.html") -> Path:
+    """Write the page that shows plans, laid over each other; it needs nothing else to be looked at.
+
+    Args:
+        plans: one to six, of one body; what lies beside a plan's file is shown with it.
+        file: to write.
+
+    Raises:
+        InputError: if one is no plan and no file of a solution, the extra [report] is missing, or the
+            file cannot be written.
+    """
+    from scp_recon.report import write
+
+    write.check_extra()
+    for given in plans:
+        if not isinstance(given, Plan | Solution | str | Path):
+            raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
+    found = [_solution(p) if isinstance(p, Plan | Solution) else Path(p) for p in plans]
+    return write.write_report(found, Path(file))
 
 
 def _solution(given: Plan | Solution | str | Path) -> Solution:

@@ -88,6 +88,11 @@ def parser() -> argparse.ArgumentParser:
     _add_starts(p)
     _add_method(p)
     p.add_argument(
+        "--report",
+        action="store_true",
+        help="write report.html too, a page to look at; the extra [report]",
+    )
+    p.add_argument(
         "--facet-rounds",
         type=int_between(0, FACET_ROUNDS_MAX),
         default=0,
@@ -189,10 +194,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _solve(options: argparse.Namespace, console: Console) -> int:
     make_plan = planning(options)
+    if options.report:
+        from scp_recon.report.write import check_extra
+
+        check_extra()
     mission, start = _inputs(options)
     check_risk(options, mission.scenario)
     with run_folder(options.out, mission.scenario.name) as folder:
         status = plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
+        if options.report and status != Status.INTERRUPTED.value.exit_code:
+            _report(folder, console)
     if options.out is None and status != Status.INTERRUPTED.value.exit_code:
         point_to(folder)
     return status
@@ -234,6 +245,18 @@ def plan_into(
     if status is Status.INFEASIBLE:
         show_what_would_do(console, result)
     return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
+
+
+def _report(folder: Path, console: Console) -> None:
+    """Of the plan that was just written, be it the verified one or the one beside it."""
+    from scp_recon.report import write
+
+    aside = folder / UNVERIFIED
+    if aside.is_file():
+        path = write.write_report([aside], aside.with_name(write.UNVERIFIED_NAME))
+    else:
+        path = write.write_report([folder], folder / write.FILE_NAME)
+    show_written(console, path)
 
 
 def _inputs(options: argparse.Namespace) -> tuple[Mission, Iterate]:

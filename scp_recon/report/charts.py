@@ -26,6 +26,8 @@ from scp_recon.report.panels import (
 )
 from scp_recon.report.subject import Subject
 
+LEVELS = 3
+"""Heights at which burns are named."""
 OUTLINES_SHOWN = 5
 """Of the field of view, over the window."""
 CONVERGENCE = (
@@ -115,7 +117,7 @@ def _outlines(one: Shown, number: int, *, alone: bool) -> list[Trace]:
 def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
     """Attitude modes, the burns above them, and where each burn may be moved."""
     data: list[Trace] = []
-    layout = stacked(["attitude modes and burns"], panel_px=max(130, 90 * len(subjects)))
+    layout = stacked(["attitude modes and burns"], panel_px=max(170, 140 * len(subjects)))
     for row, subject in enumerate(reversed(subjects)):
         schedule = subject.mission.schedule
         for mode, colour in palette.MODES.items():
@@ -140,7 +142,7 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
     layout["yaxis"] |= {
         "tickvals": list(range(len(names))),
         "ticktext": names if len(names) > 1 else [""],
-        "range": [-0.35, len(names) - 0.2],
+        "range": [-0.25, len(names) - 0.15],
         "automargin": True,
         "showgrid": False,
         "zeroline": False,
@@ -156,26 +158,31 @@ def _burn_marks(subject: Subject, row: int) -> list[Trace]:
     reach: list[float | None] = []
     for low, high in subject.mission.schedule.firing_intervals_s:
         reach += [low, min(high, end), None]
+    times = [burn.t_s for burn in burns]
     marks = {
         "type": "scatter",
-        "mode": "markers+text",
+        "mode": "markers",
         "name": "burn",
         "legendgroup": "burn",
         "showlegend": row == 0,
-        "x": [burn.t_s for burn in burns],
-        "y": [row + 0.32] * len(burns),
-        "text": [f"{i}: {1000.0 * size:.1f} mm/s" for i, size in enumerate(sizes, start=1)],
-        # Beside the axis ends, words go inward.
-        "textposition": [
-            "top right"
-            if burn.t_s < 0.1 * end
-            else "top left"
-            if burn.t_s > 0.9 * end
-            else "top center"
-            for burn in burns
-        ],
+        "x": times,
+        "y": [row + 0.3] * len(burns),
         "marker": {"symbol": "triangle-down", "size": 13, "color": palette.BURN},
-        "hovertemplate": "burn %{text} at %{x:.0f} s<extra></extra>",
+        "hovertemplate": "burn at %{x:.0f} s<extra></extra>",
+    }
+    words = {
+        "type": "scatter",
+        "mode": "text",
+        "showlegend": False,
+        "hoverinfo": "skip",
+        "x": times,
+        # Neighbours stand at different heights, so that on a phone too none lies on another.
+        "y": [row + 0.42 + 0.15 * (i % LEVELS) for i in range(len(burns))],
+        "text": [f"{i}: {1000.0 * size:.1f} mm/s" for i, size in enumerate(sizes, start=1)],
+        "textposition": [
+            "middle right" if t < 0.1 * end else "middle left" if t > 0.9 * end else "middle center"
+            for t in times
+        ],
     }
     moves = {
         "type": "scatter",
@@ -184,11 +191,11 @@ def _burn_marks(subject: Subject, row: int) -> list[Trace]:
         "legendgroup": "moves",
         "showlegend": row == 0,
         "x": reach,
-        "y": [row + 0.23] * len(reach),
+        "y": [row + 0.22] * len(reach),
         "line": {"color": palette.BURN, "width": 4},
         "hoverinfo": "skip",
     }
-    return [moves, marks]
+    return [moves, marks, words]
 
 
 def budget_chart(named: Sequence[tuple[str, Budget]]) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def _curves(record: Record, before: str, number: int) -> list[Trace]:
     return data
 
 
-def thinned(times: Array, values: npt.NDArray[Any]) -> tuple[Array, Array]:
+def thinned(times: npt.NDArray[Any], values: npt.NDArray[Any]) -> tuple[Array, Array]:
     """Least and largest value of even parts, each at its time: no peak is lost."""
     if len(times) <= 2 * BINS:
         return times, values

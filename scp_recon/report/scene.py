@@ -181,7 +181,7 @@ def _layout(frame: Frame, subject: Subject, shape: Shape) -> dict[str, Any]:
             "xyz", compact(frame.low_m, 0), compact(frame.high_m, 0), strict=True
         )
     }
-    camera = {"eye": {"x": 1.3, "y": -1.05, "z": 0.5}, "up": {"x": 0, "y": 0, "z": 1}}
+    camera = {"eye": {"x": 1.4, "y": -1.15, "z": 0.55}, "up": {"x": 0, "y": 0, "z": 1}}
     return {
         "scene": {
             **axes,

@@ -32,7 +32,8 @@ from scp_recon.report.subject import Subject, subjects_of
 from scp_recon.report.verdict import verdict_of
 from scp_recon.solution.file import Solution
 
-FILE_NAME = "report.html"
+FILE_NAME, UNVERIFIED_NAME = "report.html", "report_unverified.html"
+"""Beside a plan, and beside one that a verified one keeps from its place."""
 ENTRY = "report"
 
 

@@ -6,9 +6,14 @@ window.report = (() => {
   const scene = document.getElementById("scene");
   const slider = document.getElementById("time");
   const root = document.documentElement;
+  const touch = window.matchMedia("(hover: none)").matches;
+  const buttons = {
+    view: [["toImage", "orbitRotation", "zoom3d", "pan3d", "resetCameraDefault3d"]],
+    chart: [["toImage", "zoom2d", "pan2d", "resetScale2d"]],
+  };
   const config = (name) => ({
-    displaylogo: false, responsive: true, scrollZoom: false,
-    modeBarButtonsToRemove: ["lasso2d", "select2d", "tableRotation", "orbitRotation"],
+    displaylogo: false, responsive: true, scrollZoom: false, displayModeBar: touch ? false : "hover",
+    modeBarButtons: buttons[name] || buttons.chart,
     toImageButtonOptions: { filename: `${data.file}-${name}`, scale: 2 },
   });
   const [start, end] = motion.ends_s;
@@ -19,12 +24,12 @@ window.report = (() => {
 
   const systemDark = window.matchMedia("(prefers-color-scheme: dark)");
   const isDark = () => !printing && (root.dataset.theme ? root.dataset.theme === "dark" : systemDark.matches);
-  const colours = () => (isDark()
+  const colours = (dark) => (dark
     ? { ink: "#e8eaee", rule: "#3a414c", raised: "#1d2128" }
     : { ink: "#1c1f24", rule: "#d5d9df", raised: "#ffffff" });
 
-  function themed(layout) {
-    const { ink, rule } = colours();
+  function themed(layout, dark = isDark()) {
+    const { ink, rule } = colours(dark);
     const styled = {
       ...layout, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: ink, size: 12, family: "system-ui, sans-serif" },
@@ -229,7 +234,7 @@ window.report = (() => {
   function now(div) {
     const { key, layout, data: traces } = data.charts[Number(div.dataset.chart)];
     if (data.cursors.includes(key)) {
-      const line = { type: "line", xref: "x", yref: "paper", x0: time, x1: time, y0: 0, y1: 1, line: { color: colours().ink, width: 1 } };
+      const line = { type: "line", xref: "x", yref: "paper", x0: time, x1: time, y0: 0, y1: 1, line: { color: colours(isDark()).ink, width: 1 } };
       Plotly.relayout(div, { shapes: [...layout.shapes, line] });
     }
     const marked = traces.findIndex((trace) => trace.meta && trace.meta.now !== undefined);
@@ -240,14 +245,21 @@ window.report = (() => {
     }
   }
 
-  /* What may wait until nothing moves: the time in the charts. */
-  let waiting = 0;
+  /* What may wait until nothing moves: the time in the charts; later the picture that is printed. */
+  let waiting = 0, picturing = 0;
   function later() {
     clearTimeout(waiting);
-    waiting = setTimeout(() => {
-      if (playing) return;
-      ready.forEach(now);
-    }, 250);
+    clearTimeout(picturing);
+    waiting = setTimeout(() => { if (!playing) ready.forEach(now); }, 250);
+    picturing = setTimeout(() => { if (!playing) picture(); }, 1500);
+  }
+
+  async function picture() {
+    const layout = { ...data.scene.layout, scene: { ...data.scene.layout.scene, camera: camera() } };
+    const figure = { data: scene.data, layout: themed(layout, false) };
+    const still = document.getElementById("still");
+    still.src = await Plotly.toImage(figure, { format: "png", width: 1000, height: 660 });
+    still.dataset.time = String(time);
   }
 
   // ---- theme and print ----------------------------------------------------------------------
@@ -347,6 +359,11 @@ window.report = (() => {
     Plotly.restyle(scene, { visible: event.target.checked }, which).then(() => show(time));
   });
   systemDark.addEventListener("change", () => { if (!root.dataset.theme) restyled(); });
+
+  // A narrow view is seen from farther, so that nothing is cut off at its sides.
+  const far = Math.max(1, 1.3 * scene.clientHeight / scene.clientWidth);
+  const { eye } = data.scene.layout.scene.camera;
+  for (const axis of ["x", "y", "z"]) eye[axis] *= far;
 
   // ---- first the view, then what is looked at, then the rest ------------------------------------
 
