@@ -42,9 +42,8 @@ bench: $(VENV)/.dev  ## time everything, and renew the README's performance sect
 
 check: lint types test  ## everything that a change has to pass
 
-figures: $(VENV)/.test  ## make the paper's table and figures, and the README's picture
-	$(BIN)/python -m experiments.observation_table
-	$(BIN)/python -m paper_figs
+figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and the README's picture
+	$(BIN)/python -m paper_figs --all
 	$(BIN)/python -m paper_figs.flyby runs/paper/scp_cold docs/flyby.png
 
 clean:  ## remove the environment and what it produced

@@ -7,7 +7,7 @@ drawn where their folders are found.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import exit_on_sigint, run_command, show_line, show_written
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from paper_figs.drawing import PICTURES, plan_hash_of, save
+from paper_figs.first import run_first
 from paper_figs.inputs import TABLE, Runs, read_runs
 from paper_figs.paper import (
     cone_polytopes,
@@ -125,9 +126,10 @@ def make_all(runs: Runs, source: Path, out: Path, studies: Path | None = None) -
         OSError: if the folder cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
-    for name, tabulated in TABLES.items():
-        yield write_atomically(out / f"{name}.md", tabulated.table(runs))
-    yield write_atomically(out / TABLE, (source / TABLE).read_bytes())
+    yield write_atomically(out / "parameters.md", parameters.table(runs))
+    if runs.table:
+        yield write_atomically(out / "observation_table.md", observation_table.table(runs))
+        yield write_atomically(out / TABLE, (source / TABLE).read_bytes())
     captions = ["# Captions"]
     paper = ((name, drawn, runs) for name, drawn in FIGURES.items())
     for name, drawn, found in chain(paper, _read_studies(studies)):
@@ -156,7 +158,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         type=Path,
         default=Path("runs") / "paper",
         metavar="DIR",
-        help="what experiments.observation_table wrote (default: runs/paper)",
+        help="what experiments.observation_table wrote, or a plan of one's own (default: runs/paper)",
     )
     p.add_argument(
         "--studies",
@@ -172,11 +174,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="DIR",
         help="folder for all of it (default: runs/figures)",
     )
+    p.add_argument(
+        "--all",
+        action="store_true",
+        help="run first whatever study has left nothing in its folder; hours, with all extras",
+    )
     options = p.parse_args(arguments)
     return run_command(lambda console: _make(options, console))
 
 
 def _make(options: argparse.Namespace, console: Console) -> int:
+    if options.all:
+        wanted = [(study.FOLDER, study.COMMAND) for study in STUDIES.values()]
+        run_first(options.runs, options.studies, wanted, lambda line: show_line(console, line))
     runs = read_runs(options.runs)
     try:
         for path in make_all(runs, options.runs, options.out, options.studies):

@@ -25,6 +25,7 @@ from matplotlib.patches import Circle
 from rich.console import Console
 
 from paper_figs.drawing import BANDS, STYLE, plain, save
+from paper_figs.labels import place_labels
 from paper_figs.paper.observed import SEED, observed
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
@@ -36,6 +37,8 @@ from scp_recon.solution.parent import require_whole_flight
 Array = npt.NDArray[np.float64]
 
 PATHS_SHOWN = 150
+ARROW, SHORT = 0.2, 1e-3
+"""Arrow of the largest burn over the extent of the path, and km below which there is no arrow."""
 
 
 def draw(solution: Solution) -> Figure:
@@ -54,15 +57,38 @@ def draw(solution: Solution) -> Figure:
             f"{solution.total_dv_m_s:.4f} m/s in {len(solution.burns)} burns",
             fontweight="bold",
         )
+        _name_burns(path, mission, solution)
     return figure
 
 
-def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
+def seen_from_sun(mission: Mission, vectors: Array) -> Array:
+    """Sun-North Y and Z over a thousand; the Sun is behind the viewer, so Y points right."""
     to_frame = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
+    return (vectors @ to_frame)[..., 1:] / 1000.0
 
+
+def _name_burns(axes: Axes, mission: Mission, solution: Solution) -> None:
+    """Number and size of each, beside where it is."""
+    burns = solution.burns_m_s
+    path = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
+    starts, tips = path[mission.burn_nodes], _tips(mission, solution)
+    words = [f"{i}: {1000.0 * np.linalg.norm(b):.0f} mm/s" for i, b in enumerate(burns, start=1)]
+    shares = np.linspace(0.0, 1.0, 9)[:, None, None]
+    arrows = (starts + shares * (tips - starts)).reshape(-1, 2)
+    place_labels(axes, starts, words, np.vstack([path, arrows]), color="C3")
+
+
+def _tips(mission: Mission, solution: Solution) -> Array:
+    """Ends of the burns' arrows, shape (m, 2)."""
+    burns = seen_from_sun(mission, solution.burns_m_s)
+    starts = seen_from_sun(mission, np.array(solution.nodes.state)[mission.burn_nodes, :3])
+    extent = float(np.ptp(np.array(solution.nodes.state)[:, :3], axis=0).max()) / 1000.0
+    return starts + ARROW * extent * burns / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
+
+
+def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
     def seen(position: Array) -> Array:
-        """Sun-North Y and Z in km; the Sun is behind the viewer, so Y points right."""
-        return (position @ to_frame)[..., 1:] / 1000.0
+        return seen_from_sun(mission, position)
 
     times = mission.times_s
     samples = seen(sample_positions(mission, solution.burns_m_s, times, PATHS_SHOWN, SEED))
@@ -76,27 +102,15 @@ def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
     axes.plot(*seen(track.position).T, color="C1", lw=3, label="site in the window", zorder=3)
     radius = float(np.linalg.norm(mission.site.position_body)) / 1000.0
     axes.add_patch(Circle((0.0, 0.0), radius, facecolor="0.9", edgecolor="0.4", zorder=2))
-    burns = seen(solution.burns_m_s) * 1000.0
-    largest = np.linalg.norm(burns, axis=1).max()
-    for number, (node, burn) in enumerate(zip(mission.burn_nodes, burns, strict=True), start=1):
-        start = mean[node]
+    for start, tip in zip(mean[mission.burn_nodes], _tips(mission, solution), strict=True):
+        if np.linalg.norm(tip - start) < SHORT:
+            continue
         axes.annotate(
             "",
-            start + 0.4 * burn / largest,
+            tip,
             start,
             arrowprops={"arrowstyle": "-|>", "color": "C3", "lw": 1.5},
             zorder=4,
-        )
-        # Beside upright arrows on the side away from the body, below those that lie.
-        side = np.sign(start[0])
-        lies = abs(burn[0]) > 2.0 * abs(burn[1])
-        axes.annotate(
-            f"{number}: {np.linalg.norm(solution.burns_m_s[number - 1]) * 1000.0:.0f} mm/s",
-            start,
-            (0.0, -16.0) if lies else (14.0 * side, 4.0),
-            textcoords="offset points",
-            color="C3",
-            ha="center" if lies else "left" if side > 0.0 else "right",
         )
     axes.set(xlabel="Sun-North Y (km), seen from the Sun", ylabel="Sun-North Z (km)")
     axes.set_aspect("equal")

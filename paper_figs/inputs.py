@@ -8,14 +8,19 @@ from pathlib import Path
 
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
-from scp_recon.monte_carlo.summary import Summary, read_summary
+from scp_recon.monte_carlo.summary import Summary, read_summary, summarise
+from scp_recon.solution.evaluated import ballistic_arc
 from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
 from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.runs import folder_of, resolve_run
 
 PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
 TABLE = "observation_table.csv"
 COMMAND = "python -m experiments.observation_table"
+FLIGHTS = 10_000
+"""Of a plan that was not flown before."""
 SHOWN = 16
 """Digits of a plan's hash in messages."""
 
@@ -42,9 +47,9 @@ class Runs:
     """Everything that the figures need.
 
     Attributes:
-        plan: P2 by sequential convex programming from the cold start.
+        plan: P2 by sequential convex programming from the cold start; or a plan of one's own.
         reference: the flight itself where its kernel was given, else the ballistic arc.
-        table: the observation-time table, a dictionary per row.
+        table: the observation-time table, a dictionary per row; none of a plan of one's own.
     """
 
     plan: Flown
@@ -53,11 +58,14 @@ class Runs:
 
 
 def read_runs(folder: Path) -> Runs:
-    """Read what `experiments.observation_table` left in a folder.
+    """Read what `experiments.observation_table` left in a folder; or a plan, and fly what is wanting.
 
     Raises:
         InputError: if a file is missing or unusable, naming the command that writes it.
     """
+    home = resolve_run(folder)
+    if home.is_file() or (home / SOLUTION_FILE).exists():
+        return own_plan(home)
     flown = (folder / AS_FLOWN / SOLUTION_FILE).exists()
     reference = (
         _flown(folder, AS_FLOWN, "OSIRIS-REx as flown")
@@ -65,6 +73,29 @@ def read_runs(folder: Path) -> Runs:
         else _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
     )
     return Runs(_flown(folder, PLAN, "plan"), reference, _table(folder))
+
+
+def own_plan(home: Path) -> Runs:
+    """Any plan beside the ballistic arc of its mission.
+
+    Flights that lie beside it are taken if they are of this plan; others are flown.
+    """
+    solution = read_solution(home)
+    mission = Mission.from_scenario(solution.scenario)
+    file = folder_of(home) / SUMMARY_FILE
+    summary = read_summary(file) if file.is_file() else None
+    if summary is None or not summary.is_of(solution):
+        summary = _fly(mission, solution)
+    arc = ballistic_arc(mission)
+    return Runs(
+        Flown("plan", solution, mission, summary),
+        Flown("ballistic arc", arc, mission, _fly(mission, arc)),
+        [],
+    )
+
+
+def _fly(mission: Mission, solution: Solution) -> Summary:
+    return summarise(fly_many(FlightConfig(mission, solution.burns_m_s), samples=FLIGHTS), solution)
 
 
 def _flown(folder: Path, key: str, label: str) -> Flown:

@@ -280,6 +280,10 @@ QUICK = {
     ),
     # the figures
     "python -m paper_figs": Quick(after=(TABLE, CONES), cut=one_figure, needs="matplotlib"),
+    "python -m paper_figs --runs runs/mine": Quick(cut=one_figure, needs="matplotlib"),
+    "python -m paper_figs --all": Quick(
+        "python -m paper_figs", after=(TABLE, CONES), cut=one_figure, needs="matplotlib"
+    ),
     "python -m paper_figs.studies.NAME runs/NAME FILE": Quick(
         "python -m paper_figs.studies.battery_cones runs/battery_cones cones.svg",
         after=(CONES,),

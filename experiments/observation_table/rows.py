@@ -13,16 +13,11 @@ import numpy.typing as npt
 
 from experiments.observation_table.as_flown import as_flown_burns, flown_guess
 from formulations.problem.flyby import Iterate
-from formulations.program.merit import MeritFunction
-from formulations.rows.deterministic import DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import plan
-from scp_recon.scp.loop import Result, Timing
-from scp_recon.scp.scvx import SCvx
-from scp_recon.scp.status import Status
+from scp_recon.solution.evaluated import ballistic_arc, evaluated
 from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.from_plan import make_solution
 
@@ -31,9 +26,6 @@ Guess = Callable[[Mission], Iterate]
 
 VARIANT = "tuned"
 """How the nonlinear programs are written down for IPOPT."""
-
-NOT_OPTIMISED = "none"
-"""The `algorithm` of a solution file whose burns were given and only evaluated."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +105,7 @@ def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tu
             "OSIRIS-REx surrogate: ballistic two-impulse arc",
             "reference",
             OSIRIS_REX,
-            _ballistic,
+            ballistic_arc,
             "ballistic",
         ),
         Row(
@@ -139,24 +131,6 @@ def rows(*, ipopt: bool = True, as_flown: tuple[Path, Path] | None = None) -> tu
         label = "OSIRIS-REx as flown (SPK)"
         found.append(Row("as_flown", label, "reference", OSIRIS_REX, given, warm.init, anew))
     return tuple(found)
-
-
-def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> Solution:
-    """Given burns in the form of a solution: rolled out, with P3's margins, nothing optimised."""
-    lin = mission.dynamics.linearise(mission.problem, initial_guess.from_burns(mission, burns_m_s))
-    merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
-    # No iteration was allowed, which is what the status says of a plan that is none.
-    result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
-    stage = Stage(init, result, merit, None, SCvx().feasible)
-    provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, init, "none")
-    solution = make_solution(Plan(mission, provenance, (stage,), stage, Timing(), 0.0))
-    return solution.model_copy(update={"message": message})
-
-
-def _ballistic(mission: Mission) -> Solution:
-    burns = initial_guess.ballistic(mission).burns * mission.units.speed_m_s
-    message = "Not a plan: the ballistic arc between the boundary positions, evaluated as it is."
-    return evaluated(mission, burns, "ballistic", message)
 
 
 def _as_flown(kernel: Path, table: Path, mission: Mission) -> Solution:

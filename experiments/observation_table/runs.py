@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from experiments.observation_table.rows import NOT_OPTIMISED, Row
+from experiments.observation_table.rows import Row
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
@@ -22,6 +22,7 @@ from scp_recon.monte_carlo.summary import (
     read_summary_as,
     summarise,
 )
+from scp_recon.solution.evaluated import NOT_OPTIMISED
 from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
 from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.part import Part

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from paper_figs.drawing import STYLE, WIDTH_IN, command
 from paper_figs.inputs import Runs
+from paper_figs.labels import place_labels
 from scp_recon.physics import geometry
 
 Array = npt.NDArray[np.float64]
@@ -51,25 +52,22 @@ def draw(runs: Runs) -> Figure:
             bottom.text(middle, angle, text, ha="center", va="center", bbox=box)
         bottom.set(ylabel="angle to the Sun (deg)", xlabel="time (s)", ylim=(0.0, 180.0))
         bottom.set_yticks(np.arange(0, 181, 30))
-        _mark(top, runs, times, sizes)
-        _mark(bottom, runs, times, angles)
+        _shade(top, runs, times)
+        _shade(bottom, runs, times)
         window = np.mean(mission.schedule.window_s)
         top.text(
             float(window), 0.5 * limit, "observation\nwindow", ha="center", va="center", size=8
         )
+        for axes, values in ((top, sizes), (bottom, angles)):
+            marked = np.column_stack([times, values])
+            place_labels(axes, marked, [f"{value:.1f}" for value in values], marked)
     return figure
 
 
-def _mark(axes: Axes, runs: Runs, times: Array, values: Array) -> None:
-    """The value at each burn, and the observation window."""
+def _shade(axes: Axes, runs: Runs, times: Array) -> None:
+    """The observation window."""
     first, last = runs.plan.mission.schedule.window_s
     axes.axvspan(first, last, facecolor="0.92", edgecolor="none", zorder=0)
-    for time, value in zip(times, values, strict=True):
-        right = time < times[-1]
-        axes.annotate(
-            f"{value:.1f}", (time, value), (7 if right else -7, 0), va="center",
-            textcoords="offset points", ha="left" if right else "right",
-        )  # fmt: skip
     axes.set_xlim(-0.02 * times[-1], 1.02 * times[-1])
 
 
@@ -81,8 +79,8 @@ def caption(runs: Runs) -> str:
         f"Control history of the plan ({solution.problem}, {solution.init} start, "
         f"{solution.total_dv_m_s:.5f} m/s in {len(solution.burns)} burns). Above: size of each "
         f"impulse, and the limit of {1000 * scenario.burns.dv_max_m_s:g} mm/s. Below: angle between "
-        "each impulse and the direction from Bennu to the Sun; hatched are the two cones of "
-        f"{scenario.battery.delta_v_cone_deg:g} deg about the Sun line that the battery keeps "
+        f"each impulse and the direction from {scenario.body.name} to the Sun; hatched are the two "
+        f"cones of {scenario.battery.delta_v_cone_deg:g} deg about the Sun line that the battery keeps "
         f"burns out of. Lightly shaded: the observation window, {first:.0f} to {last:.0f} s."
     )
 

@@ -17,10 +17,11 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from matplotlib.ticker import MultipleLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from paper_figs.drawing import HALO, LEGEND_PT, STYLE, WIDTH_IN, command
 from paper_figs.inputs import Flown, Runs
+from paper_figs.labels import place_labels
 from paper_figs.paper.observed import SEED, planned_positions
 from scp_recon.monte_carlo.sampling import sample_positions
 
@@ -28,10 +29,9 @@ Array = npt.NDArray[np.float64]
 
 PATHS, TIMES = 60, 600
 SIGMAS = ((2.0, "0.87", "2 sigma"), (1.0, "0.7", "1 sigma"))
-ARROW_KM = 0.3
-"""Of the largest burn."""
-
-X_KM, Y_KM, Z_KM = (-0.55, 0.55), (-1.0, 1.55), (-1.15, 1.0)
+ARROW, SHORT, MARGIN, TICKS = 0.12, 0.01, 0.15, 7
+"""The largest burn's arrow over the longest side, what part of it is no arrow, what is left free around
+the paths, and ticks at most."""
 AXES = ("x", "y", "z")
 PLANES = ((1, 2), (0, 2), (1, 0))
 """Horizontal and vertical axis of each panel, placed so that neighbours share one."""
@@ -72,9 +72,11 @@ def paths(runs: Runs) -> Paths:
 
 def draw(runs: Runs) -> Figure:
     """Front, side and top view as in a technical drawing, the legend in the free corner."""
-    limits = (X_KM, Y_KM, Z_KM)
-    spans = [high - low for low, high in limits]
     flown = paths(runs)
+    limits = limits_km(runs, flown)
+    spans = [high - low for low, high in limits]
+    locator = MaxNLocator(TICKS, steps=[1, 2, 5, 10])
+    step = float(np.diff(locator.tick_values(0.0, max(spans)))[0])
     with style.context(STYLE):
         figure = Figure(figsize=(WIDTH_IN, 5.95), layout="constrained")
         panels = figure.subplots(
@@ -91,13 +93,24 @@ def draw(runs: Runs) -> Figure:
                 ylim=limits[up],
                 aspect="equal",
             )
-            axes.xaxis.set_major_locator(MultipleLocator(0.5))
-            axes.yaxis.set_major_locator(MultipleLocator(0.5))
+            axes.xaxis.set_major_locator(MultipleLocator(step))
+            axes.yaxis.set_major_locator(MultipleLocator(step))
             axes.set_axisbelow(True)
+        for axes, plane in zip((panels[0, 0], panels[0, 1], panels[1, 0]), PLANES, strict=True):
+            _number(axes, runs.plan, list(plane), ARROW * max(spans))
         corner.axis("off")
         handles, labels = panels[0, 0].get_legend_handles_labels()
         corner.legend(handles, labels, loc="center", borderaxespad=0.0, fontsize=LEGEND_PT)
     return figure
+
+
+def limits_km(runs: Runs, flown: Paths) -> list[tuple[float, float]]:
+    """Of each coordinate: both paths, the sphere to stay out of, and room around them."""
+    safe = runs.plan.mission.scenario.safety.radius_min_m / 1000.0
+    drawn = np.vstack([flown.plan, flown.reference, np.full(3, safe), np.full(3, -safe)])
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    room = MARGIN * float((high - low).max())
+    return list(zip((low - room).tolist(), (high + room).tolist(), strict=True))
 
 
 def _panel(axes: Axes, runs: Runs, flown: Paths, pair: list[int]) -> None:
@@ -111,7 +124,8 @@ def _panel(axes: Axes, runs: Runs, flown: Paths, pair: list[int]) -> None:
     label = runs.reference.label.replace(" (", "\n(")
     axes.plot(*flown.reference[:, pair].T, "k:", lw=1.4, label=label, zorder=4)
     _bodies(axes, runs)
-    _burns(axes, runs.plan, pair)
+    low, high = np.array(limits_km(runs, flown)).T
+    _burns(axes, runs.plan, pair, ARROW * float((high - low).max()))
     edges = flown.window[:, pair].T
     axes.plot(*edges, "s", mfc="w", mec="k", ms=5, zorder=6, label="window opens, closes")
 
@@ -160,22 +174,40 @@ def _bodies(axes: Axes, runs: Runs) -> None:
     axes.add_patch(ring)
 
 
-def _burns(axes: Axes, flown: Flown, pair: list[int]) -> None:
+def _burns(axes: Axes, flown: Flown, pair: list[int], arrow_km: float) -> None:
     """Numbered dots and arrows in proportion to the impulses."""
-    burns = flown.solution.burns_m_s
-    arrows = ARROW_KM * burns[:, pair] / np.linalg.norm(burns, axis=1).max()
-    starts = np.array(flown.solution.nodes.state)[flown.mission.burn_nodes][:, pair] / 1000.0
-    for number, (start, arrow) in enumerate(zip(starts, arrows, strict=True), start=1):
+    starts, arrows = _arrows(flown, pair, arrow_km)
+    for start, arrow in zip(starts, arrows, strict=True):
+        if np.hypot(*arrow) < SHORT * arrow_km:
+            continue
         axes.annotate(
             "", start + arrow, start, zorder=7,
             arrowprops={"arrowstyle": "-|>", "color": "C3", "lw": 1.8, "shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
-        axes.annotate(
-            str(number), start + arrow, 6.0 * arrow / max(np.hypot(*arrow), 1e-9), zorder=7,
-            textcoords="offset points", ha="center", va="center", color="C3", fontweight="bold",
-            path_effects=HALO,
-        )  # fmt: skip
-    axes.plot(*starts.T, "o", color="C3", ms=4.5, zorder=7, label="burns 1 to 4, arrows to scale")
+    axes.plot(
+        *starts.T,
+        "o",
+        color="C3",
+        ms=4.5,
+        zorder=7,
+        label=f"burns 1 to {len(starts)}, arrows to scale",
+    )
+
+
+def _number(axes: Axes, flown: Flown, pair: list[int], arrow_km: float) -> None:
+    """The burns' numbers at their arrows' tips."""
+    starts, arrows = _arrows(flown, pair, arrow_km)
+    numbers = [str(number) for number in range(1, len(starts) + 1)]
+    look = {"color": "C3", "fontweight": "bold", "path_effects": HALO, "zorder": 7}
+    place_labels(axes, starts + arrows, numbers, np.vstack([starts, starts + arrows]), **look)
+
+
+def _arrows(flown: Flown, pair: list[int], arrow_km: float) -> tuple[Array, Array]:
+    """Where the burns are, and their arrows, km, shape (m, 2) each."""
+    burns = flown.solution.burns_m_s
+    arrows = arrow_km * burns[:, pair] / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
+    starts = np.array(flown.solution.nodes.state)[flown.mission.burn_nodes][:, pair] / 1000.0
+    return starts, arrows
 
 
 def caption(runs: Runs) -> str:

@@ -19,7 +19,7 @@ from matplotlib.text import Annotation
 from experiments.observation_table.__main__ import measure
 from experiments.observation_table.report import to_csv
 from experiments.observation_table.rows import rows
-from paper_figs import flyby
+from paper_figs import flyby, inputs
 from paper_figs.__main__ import FIGURES, TABLES, main, make_all
 from paper_figs.drawing import PICTURES, command, save
 from paper_figs.inputs import COMMAND, TABLE, Runs, read_runs
@@ -32,7 +32,11 @@ from paper_figs.paper import (
 from paper_figs.paper.observation_times import rebinned
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
+from scp_recon.solution.from_plan import make_solution
+from tests.scp_recon.support import mission_of
 
 SAMPLES = 400
 NEEDED = ("scp_cold", "ballistic")
@@ -381,3 +385,55 @@ def test_a_figure_on_a_full_disk_leaves_the_old_one(
     assert command(control_history.draw, None, [str(folder), str(picture)]) == 2
     assert [file.name for file in tmp_path.iterdir()] == ["x.png"]
     assert picture.read_text("utf-8") == "old"
+
+
+# --- of any plan --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def five_burns(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan of one's own: five burns, two of them close to each other, and no flights beside it."""
+    own = mission_of("burns.times_s=[0.0, 8000.0, 23200.0, 29800.0, 36400.0]")
+    found = plan(own, initial_guess.cold(own), problem="P3")
+    folder = tmp_path_factory.mktemp("own")
+    make_solution(found).write(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def own_runs(five_burns: Path) -> Runs:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(inputs, "FLIGHTS", SAMPLES)
+        return read_runs(five_burns)
+
+
+@pytest.fixture(scope="module")
+def own_drawn(own_runs: Runs) -> dict[str, Figure]:
+    figures = {name: module.draw(own_runs) for name, module in FIGURES.items()}
+    figures["flyby"] = flyby.draw(own_runs.plan.solution)
+    for figure in figures.values():
+        FigureCanvasAgg(figure).draw()
+    return figures
+
+
+@pytest.mark.parametrize("name", [*FIGURES, "flyby"])
+def test_words_keep_apart_in_figures_of_five_burns(own_drawn: dict[str, Figure], name: str) -> None:
+    test_no_words_lie_on_others(own_drawn, name)
+    test_no_words_leave_the_page(own_drawn, name)
+    words = {text.get_text() for axes in own_drawn[name].axes for text in axes.texts}
+    if name == "trajectories":
+        assert words >= set("12345")
+    if name == "flyby":
+        assert {word[:2] for word in words} >= {f"{number}:" for number in range(1, 6)}
+
+
+def test_figures_of_one_s_own_plan_are_written_without_the_paper_s_table(
+    own_runs: Runs, five_burns: Path, tmp_path: Path
+) -> None:
+    written = {path.name for path in make_all(own_runs, five_burns, tmp_path)}
+    assert written == {
+        *("parameters.md", "captions.md"),
+        *(f"{name}{ending}" for name in FIGURES for ending in PICTURES),
+    }
+    assert "ballistic arc" in FIGURES["trajectories"].caption(own_runs)
+    assert own_runs.plan.summary.is_of(own_runs.plan.solution)

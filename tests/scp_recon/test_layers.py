@@ -93,7 +93,10 @@ FLOORS = (
     "scp_recon",  # the lazy front door, and the commands
     *(f"experiments.{name}" for name in ("studies", "observation_table", "compare_solvers")),
     "experiments",
-    *(f"paper_figs.{name}" for name in ("inputs", "drawing", "paper", "studies")),
+    *(
+        f"paper_figs.{name}"
+        for name in ("inputs", "first", "labels", "drawing", "paper", "studies")
+    ),
     *("paper_figs", "benchmarks"),
 )
 """Folders, and modules that stand alone, from the lowest up: the README's tree read backwards."""

@@ -1,0 +1,90 @@
+"""Words beside points, so placed that they lie neither on each other nor on what is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.text import Annotation
+from matplotlib.transforms import Bbox
+
+Array = npt.NDArray[np.float64]
+
+AWAY_PT = (9.0, 16.0, 26.0, 38.0, 52.0, 70.0)
+"""Distances from a point at which words are tried, the nearest first."""
+WAYS = 16
+"""Directions at each distance."""
+ON_WORDS, OFF_PAGE, ON_POINT = 1000.0, 300.0, 8.0
+"""What it costs to lie on other words, to leave the axes, or to cover a point; a point's distance
+costs its size."""
+ROOM_PX = 2.0
+
+
+def place_labels(
+    axes: Axes, points: Array, words: Sequence[str], avoid: Array, **style: Any
+) -> list[Annotation]:
+    """Write words beside points; those far from their point have a line to it.
+
+    One after the other where it costs least: the layout has to be final but for small changes.
+
+    Args:
+        axes: to write in, with everything else drawn.
+        points: in data coordinates, shape (n, 2).
+        words: as many.
+        avoid: points that should stay visible, in data coordinates, shape (m, 2).
+        style: of the words.
+    """
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.draw_without_rendering()
+    taken = [text.get_window_extent() for text in axes.texts if text.get_text()]
+    keep = axes.transData.transform(avoid) if len(avoid) else np.zeros((0, 2))
+    found = []
+    for point, text in zip(points, words, strict=True):
+        line = {"arrowstyle": "-", "color": style.get("color", "k"), "lw": 0.6, "shrinkB": 3}
+        note = axes.annotate(
+            text, tuple(point), (0, 0), textcoords="offset points", arrowprops=line, **style
+        )
+        costs = []
+        for offset, across, up in _places():
+            note.set(ha=across, va=up)
+            note.xyann = offset
+            cost = _cost(_box(note), axes.bbox, taken, keep) + float(np.hypot(*offset))
+            costs.append((cost, offset, across, up))
+        _, offset, across, up = min(costs, key=lambda each: each[0])
+        note.set(ha=across, va=up)
+        note.xyann = offset
+        if note.arrow_patch is not None and np.hypot(*offset) <= AWAY_PT[1]:
+            note.arrow_patch.set_visible(False)
+        taken.append(_box(note))
+        found.append(note)
+    return found
+
+
+def _places() -> list[tuple[tuple[float, float], str, str]]:
+    """Offsets, and how words hang on them: away from the point."""
+    places = []
+    for away in AWAY_PT:
+        for way in np.arange(WAYS) * 2.0 * np.pi / WAYS:
+            x, y = float(np.cos(way)), float(np.sin(way))
+            across = "left" if x > 0.3 else "right" if x < -0.3 else "center"
+            up = "bottom" if y > 0.3 else "top" if y < -0.3 else "center"
+            places.append(((away * x, away * y), across, up))
+    return places
+
+
+def _box(note: Annotation) -> Bbox:
+    """Of the words alone, with room around them, where they stand now."""
+    note.get_window_extent()  # which moves them there
+    return super(Annotation, note).get_window_extent().padded(ROOM_PX)
+
+
+def _cost(box: Bbox, page: Bbox, taken: Sequence[Bbox], keep: Array) -> float:
+    on_words = sum(bool(box.overlaps(other)) for other in taken)
+    inside = (keep > [box.x0, box.y0]).all(axis=1) & (keep < [box.x1, box.y1]).all(axis=1)
+    corners = [(box.x0, box.y0), (box.x1, box.y1)]
+    off = not all(page.contains(*corner) for corner in corners)
+    return ON_WORDS * on_words + OFF_PAGE * off + ON_POINT * int(inside.sum())
