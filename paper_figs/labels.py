@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.text import Annotation
+from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 
 Array = npt.NDArray[np.float64]
@@ -40,7 +40,7 @@ def place_labels(
     figure = axes.get_figure(root=True)
     assert figure is not None
     figure.draw_without_rendering()
-    taken = [text.get_window_extent() for text in axes.texts if text.get_text()]
+    taken = [_words(text) for text in axes.texts if text.get_text()]
     keep = axes.transData.transform(avoid) if len(avoid) else np.zeros((0, 2))
     found = []
     for point, text in zip(points, words, strict=True):
@@ -48,20 +48,36 @@ def place_labels(
         note = axes.annotate(
             text, tuple(point), (0, 0), textcoords="offset points", arrowprops=line, **style
         )
+        size = _words(note)
+        at = axes.transData.transform(point)
+        scale = figure.dpi / 72.0
         costs = []
         for offset, across, up in _places():
-            note.set(ha=across, va=up)
-            note.xyann = offset
-            cost = _cost(_box(note), axes.bbox, taken, keep) + float(np.hypot(*offset))
-            costs.append((cost, offset, across, up))
-        _, offset, across, up = min(costs, key=lambda each: each[0])
+            box = _box(at + scale * np.array(offset), (size.width, size.height), across, up)
+            cost = _cost(box, axes.bbox, taken, keep) + float(np.hypot(*offset))
+            costs.append((cost, offset, across, up, box))
+        _, offset, across, up, box = min(costs, key=lambda each: each[0])
         note.set(ha=across, va=up)
         note.xyann = offset
         if note.arrow_patch is not None and np.hypot(*offset) <= AWAY_PT[1]:
             note.arrow_patch.set_visible(False)
-        taken.append(_box(note))
+        taken.append(box)
         found.append(note)
     return found
+
+
+def _words(text: Text) -> Bbox:
+    """Where words are, without the arrow of an annotation."""
+    box = text.get_window_extent()
+    return super(Annotation, text).get_window_extent() if isinstance(text, Annotation) else box
+
+
+def _box(at: Array, size: tuple[float, float], across: str, up: str) -> Bbox:
+    """Of words that hang on a point, with room around them, all in pixels."""
+    (width, height), x, y = size, float(at[0]), float(at[1])
+    left = {"left": x, "center": x - 0.5 * width, "right": x - width}[across]
+    low = {"bottom": y, "center": y - 0.5 * height, "top": y - height}[up]
+    return Bbox.from_bounds(left, low, width, height).padded(ROOM_PX)
 
 
 def _places() -> list[tuple[tuple[float, float], str, str]]:
@@ -74,12 +90,6 @@ def _places() -> list[tuple[tuple[float, float], str, str]]:
             up = "bottom" if y > 0.3 else "top" if y < -0.3 else "center"
             places.append(((away * x, away * y), across, up))
     return places
-
-
-def _box(note: Annotation) -> Bbox:
-    """Of the words alone, with room around them, where they stand now."""
-    note.get_window_extent()  # which moves them there
-    return super(Annotation, note).get_window_extent().padded(ROOM_PX)
 
 
 def _cost(box: Bbox, page: Bbox, taken: Sequence[Bbox], keep: Array) -> float:

@@ -3,7 +3,7 @@
 window.report = (() => {
   const data = JSON.parse(document.getElementById("report-data").textContent);
   const motion = data.scene.motion;
-  const scene = document.getElementById("scene");
+  const scene = document.getElementById("flight");
   const slider = document.getElementById("time");
   const root = document.documentElement;
   const touch = window.matchMedia("(hover: none)").matches;

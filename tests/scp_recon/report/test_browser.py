@@ -95,7 +95,7 @@ def test_every_chart_is_drawn(seen: Seen) -> None:
     )
     assert len(drawn) == 9
     assert all(drawn)
-    assert seen.page.locator("#scene canvas").count() >= 1
+    assert seen.page.locator("#flight canvas").count() >= 1
 
 
 def test_the_slider_moves_the_spacecraft_to_the_solution_s_nodes(
@@ -110,13 +110,13 @@ def test_the_slider_moves_the_spacecraft_to_the_solution_s_nodes(
             float(time),
         )
         seen.page.wait_for_function(
-            "t => { const s = document.getElementById('scene'); const i = s.data.findIndex("
+            "t => { const s = document.getElementById('flight'); const i = s.data.findIndex("
             "d => d.meta.moves === 'craft'); const p = report.craftAt(0, t);"
             " return Math.hypot(s.data[i].x[0] - p[0], s.data[i].y[0] - p[1]) < 1e-6; }",
             arg=float(time),
         )
         shown = seen.page.evaluate(
-            "() => { const s = document.getElementById('scene');"
+            "() => { const s = document.getElementById('flight');"
             " const d = s.data.find(d => d.meta.moves === 'craft'); return [d.x[0], d.y[0], d.z[0]]; }"
         )
         expected = np.linalg.norm(states[node, :3])
@@ -133,7 +133,7 @@ def test_the_site_that_is_drawn_is_the_distance_away_that_is_told(
     told = site_distance_m(subject, np.array([15_000.0]))[0]
     assert f"observation, {told:.0f} m from the site" in seen.page.inner_text("#readout")
     apart = seen.page.evaluate(
-        "() => { const s = document.getElementById('scene');"
+        "() => { const s = document.getElementById('flight');"
         " const c = s.data.find(d => d.meta.moves === 'craft');"
         " const p = s.data.find(d => d.meta.group === 'site');"
         " return Math.hypot(c.x[0] - p.x[0], c.y[0] - p.y[0], c.z[0] - p.z[0]); }"
@@ -143,7 +143,7 @@ def test_the_site_that_is_drawn_is_the_distance_away_that_is_told(
 
 def test_the_body_turns_and_night_moves_over_it(seen: Seen) -> None:
     take = (
-        "() => { const d = document.getElementById('scene').data[0];"
+        "() => { const d = document.getElementById('flight').data[0];"
         " return [Array.from(d.x), Array.from(d.intensity)]; }"
     )
     seen.page.evaluate("report.show(0)")
@@ -162,7 +162,7 @@ def eye(seen: Seen) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 def test_the_view_turns_by_mouse_and_by_keys(seen: Seen) -> None:
     seen.page.evaluate("window.scrollTo(0, 0)")
-    box = seen.page.locator("#scene").bounding_box()
+    box = seen.page.locator("#flight").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     before = eye(seen)
     seen.page.mouse.move(x, y)
@@ -171,7 +171,7 @@ def test_the_view_turns_by_mouse_and_by_keys(seen: Seen) -> None:
     seen.page.mouse.up()
     by_mouse = eye(seen)
     assert np.linalg.norm(by_mouse - before) > 0.1
-    seen.page.focus("#scene")
+    seen.page.focus("#flight")
     seen.page.keyboard.press("ArrowLeft")
     seen.page.wait_for_timeout(300)
     by_keys = eye(seen)
@@ -185,7 +185,7 @@ def test_playing_moves_time_by_button_and_by_space(seen: Seen) -> None:
     seen.page.evaluate("report.show(1000)")
     seen.page.click("#play")
     seen.page.wait_for_function("report.time() > 1100")
-    seen.page.focus("#scene")
+    seen.page.focus("#flight")
     seen.page.keyboard.press(" ")
     seen.page.wait_for_function("document.getElementById('play').textContent === 'Play'")
     seen.page.wait_for_timeout(300)
@@ -199,7 +199,7 @@ def test_playing_moves_time_by_button_and_by_space(seen: Seen) -> None:
 
 def test_sets_are_shown_on_demand(seen: Seen) -> None:
     find = (
-        "() => document.getElementById('scene').data.filter(d => d.meta.group.startsWith('keep'))"
+        "() => document.getElementById('flight').data.filter(d => d.meta.group.startsWith('keep'))"
         ".map(d => d.visible)"
     )
     assert seen.page.evaluate(find) == [False] * 4
@@ -221,7 +221,7 @@ def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject:
 
 def test_it_fits_a_phone_without_scrolling_aside(seen: Seen) -> None:
     seen.page.set_viewport_size({"width": 390, "height": 844})
-    seen.page.wait_for_function("document.getElementById('scene').clientWidth < 390")
+    seen.page.wait_for_function("document.getElementById('flight').clientWidth < 390")
     assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
     seen.page.wait_for_function(
         "[...document.querySelectorAll('.main-svg')].every(s => s.clientWidth <= 390)"
