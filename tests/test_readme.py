@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scp_recon import solve
+from scp_recon import export, solve
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.file import read_solution
@@ -250,6 +250,10 @@ QUICK = {
     "python -m scp_recon.replan runs/mine --at 17000 --state state.txt": Quick(
         f"python -m scp_recon.replan runs/mine --at 17000 --state {STATE}"
     ),
+    "python -m scp_recon.export runs/mine --format oem": Quick(),
+    "python -m scp_recon.solve --init runs/mine/export/FILE.csv": Quick(
+        "python -m scp_recon.solve --init start.csv --problem P3"
+    ),
     # the spacecraft
     "python -m scp_recon.simulate runs/mine": simulated("runs/short"),
     "python -m scp_recon.simulate runs/latest": simulated("runs/short --seed 1"),
@@ -368,6 +372,11 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
         plan = read_solution(folder / "runs" / "latest")
         mission = Mission.from_scenario(plan.scenario)
         write_kernel(folder / "flight.bsp", mission, np.array(plan.nodes.state))
+        for form in ("spk", "ck"):
+            assert export.main([str(folder / "runs" / "mine"), "--format", form]) == 0
+    assert export.main([str(folder / "runs" / "mine"), "--format", "csv"]) == 0
+    (table,) = (folder / "runs" / "mine" / "export").glob("*.csv")
+    shutil.copy(table, folder / "start.csv")
     return Workspace(folder)
 
 

@@ -6,6 +6,12 @@ A command imports for about a second before its work begins. Its module starts w
         exit_on_sigint()
 
 above the other imports, so that Ctrl-C ends it in one line from there on; this module is light.
+
+With --json one document goes to standard output, and all that people read to standard error:
+
+    {"schema": "scp_recon.command/1", "command": ..., "status": ..., ...}
+
+`status` is the exit status. After bad input there is `error` with `entry`, `given` and `allowed`.
 """
 
 from __future__ import annotations
@@ -14,18 +20,61 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from scp_recon.errors import InputError, printable
 from scp_recon.scp.status import Status
 
 if TYPE_CHECKING:
+    import argparse
+
     from rich.console import Console
 
 BAD_INPUT, NOT_VERIFIED = 2, 4
+DOCUMENT = "scp_recon.command/1"
+MODULE, SCRIPT = "python -m scp_recon.", "scp-recon"
+WIDE = 200
+"""Columns where no terminal says how many there are: wide enough for every table."""
+
+
+class Answer(NamedTuple):
+    """How a command ends: its exit status, and what --json says of it, in SI with units in the keys."""
+
+    status: int
+    document: Mapping[str, Any]
+
+
+def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read a command line, which may ask for --json and --quiet; `run_command` takes what comes of it.
+
+    Raises:
+        SystemExit: 0 after --help, 2 after what cannot be understood; with --json in the document too.
+    """
+    if Path(sys.argv[0]).name == SCRIPT:
+        p.prog = p.prog.replace(MODULE, f"{SCRIPT} ")
+    p.add_argument(
+        "--json",
+        action="store_true",
+        help="one JSON document on standard output, in SI; all else goes to standard error",
+    )
+    p.add_argument(
+        "--quiet", action="store_true", help="nothing but errors, and with --json its document"
+    )
+    words = sys.argv[1:] if arguments is None else arguments
+    usual = p.error
+
+    def error(message: str) -> NoReturn:
+        if "--json" in words:
+            _print_document(p.prog, BAD_INPUT, {"error": {"message": message}})
+        usual(message)
+
+    p.error = error  # type: ignore[method-assign]
+    found = p.parse_args(arguments)
+    found.prog = p.prog
+    return found
 
 
 def exit_on_sigint() -> None:
@@ -39,25 +88,32 @@ def _end(*_: object) -> None:
     os._exit(Status.INTERRUPTED.value.exit_code)
 
 
-def run_command(action: Callable[[Console], int]) -> int:
+def run_command(
+    action: Callable[[Console], int | Answer], options: argparse.Namespace | None = None
+) -> int:
     """Do a command's work, and end with its exit status or with that of what went wrong.
 
     Args:
-        action: prints to the console that it is given, and returns an exit status.
+        action: prints to the console that it is given, and returns an exit status or an answer.
+        options: of `parse`; without them there is no --json and no --quiet.
     """
-    from rich.console import Console  # which takes longer to import than all the rest here
-
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # what it cannot encode must not end the command
             stream.reconfigure(errors="backslashreplace")
-    errors = Console(stderr=True)
+    as_json, quiet = getattr(options, "json", False), getattr(options, "quiet", False)
+    errors = make_console(stderr=True)
 
-    def fail(message: str) -> int:
+    def end(status: int, document: Mapping[str, Any]) -> int:
+        if as_json and options is not None:
+            _print_document(options.prog, status, document)
+        return status
+
+    def fail(message: str, **error: str) -> int:
         # the terminal, not the message, breaks long lines: a path stays whole for who copies it
         errors.print(
             f"error: {message}", style="red", markup=False, highlight=False, soft_wrap=True
         )
-        return BAD_INPUT
+        return end(BAD_INPUT, {"error": {"message": message, **error}})
 
     started = signal.getsignal(signal.SIGINT) is _end
     try:
@@ -66,19 +122,48 @@ def run_command(action: Callable[[Console], int]) -> int:
         with warnings.catch_warnings():
             # What overflows shows in the figures, which have to be finite, and not on the terminal.
             warnings.filterwarnings("ignore", category=RuntimeWarning)
-            return action(Console())
+            answer = action(make_console(stderr=as_json, quiet=quiet))
+        return end(*answer) if isinstance(answer, Answer) else end(answer, {})
     except InputError as error:
-        return fail(str(error))
+        return fail(str(error), entry=error.entry, given=error.given, allowed=error.allowed)
     except MemoryError:
         return fail("not enough memory: take a larger grid.step_max_s")
     except OSError as error:  # files have messages of their own: this is the terminal, or a pipe
         return fail(f"cannot write the output: {error.strerror or error}")
     except KeyboardInterrupt:
         errors.print("\ninterrupted", style="red")
-        return Status.INTERRUPTED.value.exit_code
+        return end(Status.INTERRUPTED.value.exit_code, {})
     finally:
         if started:
             exit_on_sigint()
+
+
+def make_console(*, stderr: bool = False, quiet: bool = False) -> Console:
+    """As wide as the terminal, or where there is none as the widest table."""
+    from rich.console import Console  # which takes longer to import than all the rest here
+
+    wide = (
+        None if (sys.stderr if stderr else sys.stdout).isatty() or "COLUMNS" in os.environ else WIDE
+    )
+    return Console(stderr=stderr, quiet=quiet, width=wide)
+
+
+def progress_console(console: Console) -> Console:
+    """For bars that grow: standard error, and nothing where the command is to be quiet."""
+    return make_console(stderr=True, quiet=console.quiet)
+
+
+def _print_document(prog: str, status: int, document: Mapping[str, Any]) -> None:
+    import json
+
+    command = prog.removeprefix(MODULE).removeprefix(f"{SCRIPT} ")
+    whole = {"schema": DOCUMENT, "command": command, "status": status, **document}
+    try:
+        sys.stdout.write(json.dumps(whole, allow_nan=False, default=str) + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:  # as rich ends, without a word
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        raise SystemExit(1) from None
 
 
 def show_written(console: Console, path: Path) -> None:

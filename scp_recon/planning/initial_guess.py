@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -206,7 +207,8 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
 
     Args:
         mission: gives the grid.
-        table: s, m and m/s, J2000 and body-centred, shape (n, 7).
+        table: s, m and m/s, J2000 and body-centred, shape (n, 7). Two states at the same time are those
+            before and after a burn.
         entry: what messages call it.
 
     Raises:
@@ -222,8 +224,13 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
         raise InputError(entry, "an array of numbers that are not finite", "must be finite")
     time, states = table[:, 0], table[:, 1:]
     start, end = mission.times_s[[0, -1]]
-    if len(time) < 2 or np.any(np.diff(time) <= 0.0):
-        raise InputError(entry, f"{len(time)} rows", "times must be strictly ascending")
+    pieces = np.split(table, np.flatnonzero(np.diff(time) == 0.0) + 1)
+    if any(len(piece) < 2 for piece in pieces) or np.any(np.diff(time) < 0.0):
+        raise InputError(
+            entry,
+            f"{len(time)} rows",
+            "times must be ascending, strictly but for two states at a burn",
+        )
     if time[0] > start or time[-1] < end:
         raise InputError(
             entry,
@@ -231,10 +238,7 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
             f"must cover the flight, {start:g} to {end:g} s",
         )
     _check_units(mission, entry, time, states)
-    position = CubicHermiteSpline(time, states[:, :3], states[:, 3:])
-    nodes = np.concatenate(
-        [position(mission.times_s), position.derivative()(mission.times_s)], axis=1
-    )
+    nodes = _interpolated(pieces, mission.times_s)
     durations = np.diff(mission.times_s)
     arrivals = propagate(nodes[:-1], durations, mission.forces, mission.arc_substeps)
     before = np.vstack([mission.initial_state, arrivals])[mission.burn_nodes]
@@ -242,6 +246,17 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
     after[-1] = mission.final_state
     nodes[-1] = mission.final_state
     return _scaled(mission, after[:, 3:] - before[:, 3:], nodes)
+
+
+def _interpolated(pieces: Sequence[Array], times: Array) -> Array:
+    """States by cubics within each piece of a table, at a burn those after it; shape (n, 6)."""
+    index = np.searchsorted([piece[0, 0] for piece in pieces[1:]], times, side="right")
+    states = np.empty((len(times), 6))
+    for i, piece in enumerate(pieces):
+        position = CubicHermiteSpline(piece[:, 0], piece[:, 1:4], piece[:, 4:])
+        chosen = times[index == i]
+        states[index == i] = np.hstack([position(chosen), position.derivative()(chosen)])
+    return states
 
 
 UNITS_RATIO_MAX = 30.0
@@ -261,7 +276,10 @@ def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> No
             f"positions about {distance:.3g} from the centre",
             f"must be in metres: the flight is {ends.min():.3g} to {ends.max():.3g} m from it",
         )
-    path_speed = np.linalg.norm(np.diff(states[:, :3], axis=0), axis=1) / np.diff(time)
+    took = np.diff(time)
+    path_speed = (
+        np.linalg.norm(np.diff(states[:, :3], axis=0), axis=1)[took > 0.0] / took[took > 0.0]
+    )
     speed, moved = np.median(np.linalg.norm(states[:, 3:], axis=1)), np.median(path_speed)
     if not moved / UNITS_RATIO_MAX <= speed <= moved * UNITS_RATIO_MAX:
         raise InputError(

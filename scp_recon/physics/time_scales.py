@@ -1,0 +1,99 @@
+"""UTC and TDB to the nanosecond: leap seconds by the IERS's Bulletin C, TDB - TT as SPICE has it.
+
+    TDB = UTC + (TAI - UTC) + 32.184 s + K sin E,  E = M + EB sin M,  M = M0 + M1 t,
+
+with t in TDB seconds past J2000. The constants of the last term are those of NAIF's leap-second
+kernels. What it leaves out is about 30 microseconds. An instant is here a whole number of nanoseconds
+of TDB past J2000.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from datetime import UTC, datetime, timedelta
+from math import sin
+
+from scp_recon.errors import InputError
+from scp_recon.physics.frames import J2000_TDB
+
+TT_MINUS_TAI_S = 32.184
+K_S, EB, M0, M1 = 1.657e-3, 1.671e-2, 6.239996, 1.99096871e-7
+"""In s, 1, rad and rad/s."""
+NS = 1_000_000_000
+"""In a second."""
+
+FIRST_TAI_MINUS_UTC_S = 10
+LEAPS = (
+    *((1972, 1), (1972, 7), (1973, 1), (1974, 1), (1975, 1), (1976, 1), (1977, 1), (1978, 1)),
+    *((1979, 1), (1980, 1), (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1)),
+    *((1991, 1), (1992, 7), (1993, 7), (1994, 7), (1996, 1), (1997, 7), (1999, 1), (2006, 1)),
+    *((2009, 1), (2012, 7), (2015, 7), (2017, 1)),
+)
+"""Year and month from whose first day on TAI - UTC is 10 s, 11 s, ... The last, of Bulletin C 52, holds
+for all later dates; one that is announced belongs here."""
+
+
+def _ns(date: datetime) -> int:
+    """Nanoseconds from noon of 1 January 2000 on, in a date's own scale."""
+    since = date - J2000_TDB
+    return (since.days * 86_400 + since.seconds) * NS + since.microseconds * 1000
+
+
+_BEGINS = tuple(
+    _ns(datetime(year, month, 1)) + (FIRST_TAI_MINUS_UTC_S + i) * NS
+    for i, (year, month) in enumerate(LEAPS)
+)
+"""In TAI: when each offset begins."""
+
+
+def instant(epoch_tdb: datetime, seconds: float = 0.0) -> int:
+    """Nanoseconds of TDB past J2000 at some seconds past an epoch in TDB."""
+    return _ns(epoch_tdb) + round(seconds * NS)
+
+
+def iso_tdb(when: int) -> str:
+    """Calendar date in TDB, to the nanosecond."""
+    return _iso(when)
+
+
+def iso_utc(when: int) -> str:
+    """Calendar date in UTC, to the nanosecond; a leap second reads 23:59:60.
+
+    Raises:
+        InputError: before 1972, when UTC had no whole seconds.
+    """
+    tai = when - _tdb_minus_tai(when)
+    index = bisect_right(_BEGINS, tai) - 1
+    if index < 0:
+        raise InputError("epoch.tdb", iso_tdb(when), "must be in 1972 or later: UTC has no seconds")
+    offset = FIRST_TAI_MINUS_UTC_S + index
+    if index + 1 < len(_BEGINS) and tai >= _BEGINS[index + 1] - NS:  # in the leap second itself
+        return _iso(tai - (offset + 1) * NS).replace(":59.", ":60.")
+    return _iso(tai - offset * NS)
+
+
+def tdb_of_utc(utc: datetime) -> datetime:
+    """TDB, to the microsecond, of a date in UTC; one with a zone is brought to UTC first.
+
+    Raises:
+        InputError: before 1972.
+    """
+    if utc.tzinfo is not None:
+        utc = utc.astimezone(UTC).replace(tzinfo=None)
+    count = bisect_right([datetime(year, month, 1) for year, month in LEAPS], utc)
+    if not count:
+        raise InputError("UTC", utc.isoformat(), "must be in 1972 or later")
+    tai = utc + timedelta(seconds=FIRST_TAI_MINUS_UTC_S + count - 1)
+    tt = tai + timedelta(seconds=TT_MINUS_TAI_S)
+    return tai + timedelta(microseconds=round(_tdb_minus_tai(_ns(tt)) / 1000))
+
+
+def _tdb_minus_tai(when: int) -> int:
+    """In nanoseconds."""
+    anomaly = M0 + M1 * (when / NS)
+    return round((TT_MINUS_TAI_S + K_S * sin(anomaly + EB * sin(anomaly))) * NS)
+
+
+def _iso(count: int) -> str:
+    seconds, fraction = divmod(count, NS)
+    return f"{(J2000_TDB + timedelta(seconds=seconds)).isoformat()}.{fraction:09d}"
