@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command
+from scp_recon.cli.command import Answer, exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from scp_recon.cli.documents import comparison_document
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.errors import printable
 from scp_recon.solution.comparison import compare
@@ -28,11 +29,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     p.add_argument(
         "plans", type=Path, nargs="+", metavar="PLAN", help="folder with a solution.json, or a file"
     )
-    options = p.parse_args(arguments)
-    return run_command(lambda console: _compare(options.plans, console))
+    options = parse(p, arguments)
+    return run_command(lambda console: _compare(options.plans, console), options)
 
 
-def _compare(paths: Sequence[Path], console: Console) -> int:
+def _compare(paths: Sequence[Path], console: Console) -> Answer:
     solutions = [read_solution(path) for path in paths]
     found = compare([str(path) for path in paths], solutions)
     heading, *rows = found.cells()
@@ -44,7 +45,7 @@ def _compare(paths: Sequence[Path], console: Console) -> int:
     console.print(table)
     for path, solution in zip(paths, solutions, strict=True):
         show_warnings(console, solution.warnings, of=printable(str(path)))
-    return 0
+    return Answer(0, comparison_document(found))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import (
+    NOT_VERIFIED,
+    Answer,
+    exit_on_sigint,
+    parse,
+    progress_console,
+    run_command,
+    show_written,
+)
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -93,11 +101,11 @@ def _width(text: str) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 4 where what was asked is not met."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _fly(options, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _fly(options, console), options)
 
 
-def _fly(options: argparse.Namespace, console: Console) -> int:
+def _fly(options: argparse.Namespace, console: Console) -> Answer:
     home = resolve_run(options.solution)
     solution, folder = read_solution(home), folder_of(home)
     mission = Mission.from_scenario(solution.scenario)
@@ -105,7 +113,7 @@ def _fly(options: argparse.Namespace, console: Console) -> int:
     check_writable(folder, FILE_NAME, "folder")
     check_holds(folder, solution, "folder")
     with only_run_in(folder, "folder"):
-        summary = summarise(_flown(options, config), solution)
+        summary = summarise(_flown(options, config, console), solution)
         try:
             path = summary.write(folder)
         except OSError as error:
@@ -115,13 +123,14 @@ def _fly(options: argparse.Namespace, console: Console) -> int:
     failed = shortfalls(summary, solution)
     show_verdict(console, "as asked", failed)
     show_written(console, path)
-    return NOT_VERIFIED if failed else 0
+    document = {"failed": failed, "files": [str(path)], **summary.model_dump(mode="json")}
+    return Answer(NOT_VERIFIED if failed else 0, document)
 
 
-def _flown(options: argparse.Namespace, config: FlightConfig) -> FlightTally:
+def _flown(options: argparse.Namespace, config: FlightConfig, console: Console) -> FlightTally:
     """Fly, with a bar that grows."""
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=progress_console(console)) as bar:
         task = bar.add_task("flights", total=options.samples)
         return fly_many(
             config,

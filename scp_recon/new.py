@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import (
+    NOT_VERIFIED,
+    Answer,
+    exit_on_sigint,
+    parse,
+    run_command,
+    show_written,
+)
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -17,6 +24,7 @@ import numpy as np
 from rich.console import Console
 
 from scp_recon.cli import plan_tables
+from scp_recon.cli.documents import plan_document
 from scp_recon.cli.options import date_tdb, number_between
 from scp_recon.draft.draft import Draft, GivenBody
 from scp_recon.draft.drafting import drafts, scenario_of
@@ -99,8 +107,8 @@ def _numbers(count: int) -> Callable[[str], tuple[float, ...]]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; the exit status of planning what was drafted, or 2."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _new(options, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _new(options, console), options)
 
 
 @dataclass(frozen=True)
@@ -125,7 +133,7 @@ class Planned:
         return f"{self.solution.status}, {verdict}, {self.solution.total_dv_m_s:.4f} m/s"
 
 
-def _new(options: argparse.Namespace, console: Console) -> int:
+def _new(options: argparse.Namespace, console: Console) -> Answer:
     path, first = Path(f"{options.name}.toml"), _first(options)
     if path.exists():
         raise InputError("NAME", str(path), "must not exist yet")
@@ -148,7 +156,8 @@ def _new(options: argparse.Namespace, console: Console) -> int:
     plan_tables.show_solution(console, best.solution)
     plan_tables.show_verification(console, best.mission, best.verification, best.mission.warnings)
     show_written(console, path)
-    return best.status
+    checked = best.solution.model_copy(update={"verification": best.verification})
+    return Answer(best.status, plan_document(checked, [path]))
 
 
 def _planned(draft: Draft) -> Planned:

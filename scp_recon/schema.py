@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import Answer, exit_on_sigint, parse, run_command, show_written
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -28,8 +28,8 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _write(options.file, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _write(options.file, console), options)
 
 
 def schema_text() -> str:
@@ -37,14 +37,14 @@ def schema_text() -> str:
     return json.dumps(json_schema(), indent=2) + "\n"
 
 
-def _write(file: Path, console: Console) -> int:
+def _write(file: Path, console: Console) -> Answer:
     check_writable(file.parent, file.name, "FILE")
     try:
         path = write_atomically(file, schema_text())
     except OSError as error:
         raise unwritable(file.parent, "FILE", error) from None
     show_written(console, path)
-    return 0
+    return Answer(0, {"files": [str(path)]})
 
 
 if __name__ == "__main__":

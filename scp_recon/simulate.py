@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import (
+    NOT_VERIFIED,
+    Answer,
+    exit_on_sigint,
+    parse,
+    progress_console,
+    run_command,
+    show_written,
+)
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -52,11 +60,11 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0, 2 after bad input or without Basilisk, 4 if less than asked is kept."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _simulate(options, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _simulate(options, console), options)
 
 
-def _simulate(options: argparse.Namespace, console: Console) -> int:
+def _simulate(options: argparse.Namespace, console: Console) -> Answer:
     with needing_basilisk("python -m scp_recon.simulate"):
         import scp_recon.spacecraft.basilisk.simulation  # noqa: F401
     home = resolve_run(options.solution)
@@ -66,7 +74,7 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
     check_writable(folder, FILE_NAME, "--out")
     check_holds(folder, solution, "--out")
     with only_run_in(folder, "--out"):
-        flight = _flight(options, solution, vehicle)
+        flight = _flight(options, solution, vehicle, console)
         record = make_record(flight, solution, options.seed)
         try:
             path = write_record(record, folder)
@@ -78,15 +86,18 @@ def _simulate(options: argparse.Namespace, console: Console) -> int:
     failed = shortfalls(record.summary, solution)
     show_verdict(console, "as asked", failed)
     show_written(console, path)
-    return NOT_VERIFIED if failed else 0
+    document = {"failed": failed, "files": [str(path)], "summary": record.summary}
+    return Answer(NOT_VERIFIED if failed else 0, document)
 
 
-def _flight(options: argparse.Namespace, solution: Solution, vehicle: Vehicle) -> Flight:
+def _flight(
+    options: argparse.Namespace, solution: Solution, vehicle: Vehicle, console: Console
+) -> Flight:
     """Fly, with a bar that grows."""
     from scp_recon.spacecraft.basilisk.simulation import simulate
 
     columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    with Progress(*columns, console=progress_console(console)) as bar:
         task = bar.add_task("flight", total=solution.scenario.duration_s)
         return simulate(
             solution, vehicle, options.seed, progress=lambda time: bar.update(task, completed=time)

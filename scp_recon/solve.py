@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from scp_recon.cli.command import (
     NOT_VERIFIED,
+    Answer,
     exit_on_sigint,
+    parse,
     run_command,
     show_line,
     show_written,
@@ -24,6 +26,7 @@ from rich.console import Console
 from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
 from scp_recon.cli import plan_tables
+from scp_recon.cli.documents import plan_document
 from scp_recon.cli.infeasible import show_what_would_do
 from scp_recon.cli.keeping import UNVERIFIED, run_folder, written
 from scp_recon.cli.method import check_risk, planning
@@ -188,11 +191,11 @@ def _start(text: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _solve(options, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _solve(options, console), options)
 
 
-def _solve(options: argparse.Namespace, console: Console) -> int:
+def _solve(options: argparse.Namespace, console: Console) -> Answer:
     make_plan = planning(options)
     if options.report:
         from scp_recon.report.write import check_extra
@@ -201,18 +204,18 @@ def _solve(options: argparse.Namespace, console: Console) -> int:
     mission, start = _inputs(options)
     check_risk(options, mission.scenario)
     with run_folder(options.out, mission.scenario.name) as folder:
-        status = plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
-        if options.report and status != Status.INTERRUPTED.value.exit_code:
+        answer = plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
+        if options.report and answer.status != Status.INTERRUPTED.value.exit_code:
             _report(folder, console)
-    if options.out is None and status != Status.INTERRUPTED.value.exit_code:
+    if options.out is None and answer.status != Status.INTERRUPTED.value.exit_code:
         point_to(folder)
-    return status
+    return answer
 
 
 def plan_into(
     folder: Path, mission: Mission, make_plan: Callable[[Observer], Plan], console: Console
-) -> int:
-    """Plan, verify, show and write; the exit status."""
+) -> Answer:
+    """Plan, verify, show and write."""
     plan_tables.show_mission(console, mission)
     console.print()
     try:
@@ -232,10 +235,11 @@ def plan_into(
     if status is Status.INTERRUPTED:
         show_warnings(console, solution.warnings)
         show_written(console, path)
-        return status.value.exit_code
+        return Answer(status.value.exit_code, plan_document(solution, [path]))
     mission = result.mission  # certifying may have added nodes
     verification = verify(mission, solution)
-    path, more = written(solution.model_copy(update={"verification": verification}), folder)
+    checked = solution.model_copy(update={"verification": verification})
+    path, more = written(checked, folder)
     plan_tables.show_verification(console, mission, verification, mission.warnings)
     for old in [*aside, *more]:
         show_line(console, f"set aside, as it is of another plan: {old}")
@@ -244,7 +248,8 @@ def plan_into(
     show_written(console, path)
     if status is Status.INFEASIBLE:
         show_what_would_do(console, result)
-    return status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
+    code = status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
+    return Answer(code, plan_document(checked, [path]))
 
 
 def _report(folder: Path, console: Console) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import NOT_VERIFIED, exit_on_sigint, run_command
+from scp_recon.cli.command import NOT_VERIFIED, Answer, exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -15,6 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from scp_recon.cli import plan_tables
+from scp_recon.cli.documents import plan_document
 from scp_recon.mission.mission import Mission
 from scp_recon.solution.file import read_solution
 from scp_recon.verification.reintegration import verify
@@ -26,11 +27,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     p.add_argument(
         "solution", type=Path, metavar="DIR", help="folder with a solution.json, or the file"
     )
-    options = p.parse_args(arguments)
-    return run_command(lambda console: _verify(options.solution, console))
+    options = parse(p, arguments)
+    return run_command(lambda console: _verify(options.solution, console), options)
 
 
-def _verify(path: Path, console: Console) -> int:
+def _verify(path: Path, console: Console) -> Answer:
     solution = read_solution(path)
     mission = Mission.from_scenario(solution.scenario)
     plan_tables.show_solution(console, solution)
@@ -38,7 +39,8 @@ def _verify(path: Path, console: Console) -> int:
     plan_tables.show_verification(
         console, mission, verification, [*solution.warnings, *mission.warnings]
     )
-    return 0 if verification.ok else NOT_VERIFIED
+    checked = solution.model_copy(update={"verification": verification})
+    return Answer(0 if verification.ok else NOT_VERIFIED, plan_document(checked))
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import Answer, exit_on_sigint, parse, run_command, show_written
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -14,6 +14,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from scp_recon.cli.documents import survey_document
 from scp_recon.cli.options import date_tdb, number_between
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.cli.window_tables import as_csv, show_survey
@@ -61,11 +62,11 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0, or 2 after bad input."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _windows(options, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _windows(options, console), options)
 
 
-def _windows(options: argparse.Namespace, console: Console) -> int:
+def _windows(options: argparse.Namespace, console: Console) -> Answer:
     scenario = load_scenario(options.scenario)
     begin = options.begin or scenario.epoch.tdb
     first = (begin - scenario.epoch.tdb).total_seconds()
@@ -93,7 +94,8 @@ def _windows(options: argparse.Namespace, console: Console) -> int:
         _write(options.csv, "--csv", as_csv(scenario, found), console)
     if options.chart:
         _write(options.chart, "--chart", draw(scenario, found, options.chart.suffix), console)
-    return 0
+    files = [str(path) for path in (options.csv, options.chart) if path]
+    return Answer(0, {**survey_document(scenario, found), "files": files})
 
 
 def _write(path: Path, entry: str, content: str | bytes, console: Console) -> None:

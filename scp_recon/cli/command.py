@@ -22,6 +22,7 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from io import TextIOWrapper
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
@@ -157,13 +158,22 @@ def _print_document(prog: str, status: int, document: Mapping[str, Any]) -> None
     import json
 
     command = prog.removeprefix(MODULE).removeprefix(f"{SCRIPT} ")
-    whole = {"schema": DOCUMENT, "command": command, "status": status, **document}
+    whole = _finite({"schema": DOCUMENT, "command": command, "status": status, **document})
     try:
         sys.stdout.write(json.dumps(whole, allow_nan=False, default=str) + "\n")
         sys.stdout.flush()
     except BrokenPipeError:  # as rich ends, without a word
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         raise SystemExit(1) from None
+
+
+def _finite(value: Any) -> Any:
+    """What JSON has no number for becomes null."""
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def show_written(console: Console, path: Path) -> None:

@@ -40,7 +40,9 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
 
 
 def _times_held(summary: Summary) -> Table:
-    table = _table("time held, s", "mean", "worst 1 sigma", "worst 2 sigma", "throughout")
+    table = _table(
+        "time held, s", "mean", "worst 1 sigma", "worst 2 sigma", "probability of\nthroughout"
+    )
     for name, held in summary.held_s.items():
         table.add_row(
             _label(name),
@@ -89,9 +91,9 @@ def _show_terminal(console: Console, terminal: Terminal) -> None:
         console.print("final state: no component spreads", highlight=False)
         return
     ratios = ", ".join(f"{name} {_shown(r, 3)}" for name, r in terminal.sigma_ratio.items())
-    console.print(f"final state, sampled over predicted sigma: {ratios}", highlight=False)
+    console.print(f"final state, J2000, sampled over predicted sigma: {ratios}", highlight=False)
     normal = ", ".join(f"{name} {test.p_value:.2g}" for name, test in terminal.normality.items())
-    console.print(f"final state, p-value of normality: {normal}", highlight=False)
+    console.print(f"final state, J2000, p-value of normality: {normal}", highlight=False)
 
 
 def _shown(interval: Interval, digits: int, gap: str = " ") -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from rich.console import Console
@@ -12,9 +12,12 @@ from rich.table import Table
 from rich.text import Text
 
 from scp_recon.cli.warnings import show_verdict, show_warnings
+from scp_recon.errors import InputError
 from scp_recon.mission.constraints import observation_limits
 from scp_recon.mission.mission import Mission
+from scp_recon.physics.time_scales import instant, iso_utc
 from scp_recon.planning.stages import Observer
+from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
@@ -136,6 +139,9 @@ def show_solution(console: Console, solution: Solution) -> None:
         table.add_row(str(number), f"{burn.t_s:g}", *cells, f"{size:.6f}")
     console.print(table)
     console.print(
+        f"{frame_and_time(solution.scenario)}", style="dim", highlight=False, soft_wrap=True
+    )
+    console.print(
         Text.assemble(
             "total delta-v ",
             (f"{solution.total_dv_m_s:.6f} m/s", "bold"),
@@ -171,6 +177,15 @@ def show_solution(console: Console, solution: Solution) -> None:
     console.print(table)
     _show_risk(console, solution.risk)
     _show_starts(console, solution.starts)
+
+
+def frame_and_time(scenario: Scenario) -> str:
+    """What the components and the times of a plan's tables count along and from."""
+    epoch = scenario.epoch.tdb
+    said = f"x, y, z along J2000; times from {epoch.isoformat(timespec='milliseconds')} TDB"
+    with suppress(InputError):  # there is no UTC before 1972
+        said += f", {iso_utc(instant(epoch))[:-6]} UTC"
+    return said
 
 
 def _show_risk(console: Console, risk: Risk | None) -> None:

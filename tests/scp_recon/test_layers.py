@@ -16,7 +16,7 @@ COMMANDS = {
     f"scp_recon.{name}"
     for name in (
         *("solve", "verify", "montecarlo", "simulate", "compare", "schema", "windows", "new"),
-        *("replan", "export"),
+        *("replan", "export", "__main__"),
     )
 }
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from scp_recon import simulate
 from scp_recon.errors import InputError
 from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.flight import Flight
@@ -83,3 +84,20 @@ def test_the_digest_knows_every_entry_of_the_vehicle(
     assert inputs_digest(elsewhere, vehicle) not in digests
     again = short_solution.model_copy(update={"message": "planned again"})
     assert inputs_digest(again, vehicle) in digests
+
+
+def test_a_simulation_is_one_document_with_json(
+    perfect: Flight,
+    short_solution: Solution,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(simulate, "_flight", lambda *_: perfect)
+    short_solution.write(tmp_path)
+    status = simulate.main([str(tmp_path), "--json", "--quiet"])
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert (document["command"], document["status"]) == ("simulate", status)
+    assert document["summary"]["terminal_miss"]["position_m"] > 0.0
+    assert said.err == ""
