@@ -25,9 +25,11 @@ from rich.console import Console
 
 from scp_recon.cli import plan_tables
 from scp_recon.cli.documents import plan_document
+from scp_recon.cli.from_track import add_track_options, source_of, track_draft
 from scp_recon.cli.options import date_tdb, number_between
 from scp_recon.draft.draft import Draft, GivenBody
 from scp_recon.draft.drafting import drafts, scenario_of
+from scp_recon.draft.flown import start_csv, start_table
 from scp_recon.draft.text import draft_text
 from scp_recon.environment.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
 from scp_recon.errors import InputError
@@ -69,10 +71,10 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--epoch",
-        required=True,
         type=date_tdb,
         metavar="TDB",
-        help="earliest time of the first burn, TDB, e.g. 2020-01-21T20:33:17",
+        help="earliest time of the first burn, TDB, e.g. 2020-01-21T20:33:17; where no trajectory is "
+        "given",
     )
     p.add_argument("--gm", type=number_between(1e-6, 1e20), metavar="GM", help="in m^3/s^2")
     p.add_argument("--radius", type=number_between(1.0, 1e7), metavar="R", help="in m; a sphere")
@@ -89,6 +91,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="X,Y,Z,VX,VY,VZ",
         help="the body from the Sun at --epoch in km and km/s, J2000",
     )
+    add_track_options(p)
     return p
 
 
@@ -134,9 +137,14 @@ class Planned:
 
 
 def _new(options: argparse.Namespace, console: Console) -> Answer:
-    path, first = Path(f"{options.name}.toml"), _first(options)
-    if path.exists():
-        raise InputError("NAME", str(path), "must not exist yet")
+    path, source = Path(f"{options.name}.toml"), source_of(options)
+    start = path.with_name(f"{path.stem}_start.csv")
+    for file in (path, start) if source else (path,):
+        if file.exists():
+            raise InputError("NAME", str(file), "must not exist yet")
+    if source is not None:
+        return _from_track(options, source, (path, start), console)
+    first = _first(options)
     check_writable(path.parent, path.name, "NAME")
     tried: list[Planned] = []
     for draft in drafts(first):
@@ -152,12 +160,34 @@ def _new(options: argparse.Namespace, console: Console) -> Answer:
             break
     best = min(tried, key=lambda planned: (planned.status != 0, planned.solution.violation.total))
     _write(path, draft_text(replace(best.draft, outcome=_outcome(best))))
+    return _shown(best, [path], console)
+
+
+def _from_track(
+    options: argparse.Namespace, source: str, files: tuple[Path, Path], console: Console
+) -> Answer:
+    """A scenario about a trajectory, planned from it, and the start beside it."""
+    path, start = files
+    flown, track = track_draft(options, source, lambda: _first(options))
+    mission = Mission.from_scenario(flown.scenario)
+    check_writable(path.parent, path.name, "NAME")
+    guess = initial_guess.from_states(mission, start_table(track), track.source)
+    solution = make_solution(plan(mission, guess, init=start.name))
+    planned = Planned(flown.draft, mission, solution, verify(mission, solution))
+    outcome = _outcome(planned, f" --init {start.name}")
+    _write(start, start_csv(track, list(initial_guess.COLUMNS.values())))
+    _write(path, draft_text(replace(flown.draft, outcome=outcome), flown.tables))
+    return _shown(planned, [path, start], console)
+
+
+def _shown(best: Planned, files: Sequence[Path], console: Console) -> Answer:
     plan_tables.show_mission(console, best.mission)
     plan_tables.show_solution(console, best.solution)
     plan_tables.show_verification(console, best.mission, best.verification, best.mission.warnings)
-    show_written(console, path)
+    for file in files:
+        show_written(console, file)
     checked = best.solution.model_copy(update={"verification": best.verification})
-    return Answer(best.status, plan_document(checked, [path]))
+    return Answer(best.status, plan_document(checked, files))
 
 
 def _planned(draft: Draft) -> Planned:
@@ -166,9 +196,9 @@ def _planned(draft: Draft) -> Planned:
     return Planned(draft, mission, solution, verify(mission, solution))
 
 
-def _outcome(planned: Planned) -> list[str]:
+def _outcome(planned: Planned, options: str = "") -> list[str]:
     """What the head of the file says of planning it."""
-    lines = [f"python -m scp_recon.solve --scenario FILE ended so: {planned.verdict}."]
+    lines = [f"python -m scp_recon.solve --scenario FILE{options} ended so: {planned.verdict}."]
     if planned.status == 0:
         return lines
     broken = ", ".join(planned.solution.violation.by_constraint) or "none"

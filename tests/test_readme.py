@@ -224,6 +224,15 @@ QUICK = {
     ),
     # where it may go
     "python -m scp_recon.new mission --body Bennu --site 20,150 --epoch 2020-01-21T20:33:17": Quick(),
+    "python -m scp_recon.new flown --from-spice all.tm --spacecraft=-64 --body Bennu --site 55.9,41.8 "
+    "--from 2020-01-21T20:32:08 --to 2020-01-22T06:12:49": Quick(
+        "python -m scp_recon.new flown --from-spice all.tm --spacecraft=-999 --body Bennu "
+        "--site 55.9,41.8 --from 2020-01-21T20:32:08 --to 2020-01-22T06:12:49",
+        needs="spiceypy",
+    ),
+    "python -m scp_recon.solve --scenario flown.toml --init flown_start.csv": Quick(
+        "python -m scp_recon.solve --scenario mine.toml --init start.csv --problem P3"
+    ),
     "python -m scp_recon.windows recon_b": Quick(),
     "python -m scp_recon.windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
     "--chart windows.png": Quick(needs="matplotlib"),
@@ -374,6 +383,8 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
         write_kernel(folder / "flight.bsp", mission, np.array(plan.nodes.state))
         for form in ("spk", "ck"):
             assert export.main([str(folder / "runs" / "mine"), "--format", form]) == 0
+        (listed,) = (folder / "runs" / "mine" / "export").glob("*.tm")
+        shutil.copy(listed, folder / "all.tm")
     assert export.main([str(folder / "runs" / "mine"), "--format", "csv"]) == 0
     (table,) = (folder / "runs" / "mine" / "export").glob("*.csv")
     shutil.copy(table, folder / "start.csv")

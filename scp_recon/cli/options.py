@@ -6,6 +6,9 @@ import argparse
 from collections.abc import Callable
 from datetime import datetime
 
+from scp_recon.errors import InputError
+from scp_recon.physics.time_scales import tdb_of_utc
+
 LONGEST = 20
 """Digits: longer numbers are beyond every bound, and slow to read."""
 
@@ -41,6 +44,17 @@ def number_between(low: float, high: float) -> Callable[[str], float]:
         return value
 
     return parse
+
+
+def date_utc(text: str) -> datetime:
+    """A type of option: a date and time in UTC, which comes out in TDB."""
+    try:
+        return tdb_of_utc(datetime.fromisoformat(text))
+    except ValueError as error:  # an InputError is one
+        reason = "" if not isinstance(error, InputError) else f", {error.allowed}"
+        raise argparse.ArgumentTypeError(
+            f"got {text!r}; must be a date and time such as 2020-01-21T20:32:08, UTC{reason}"
+        ) from None
 
 
 def date_tdb(text: str) -> datetime:

@@ -48,11 +48,10 @@ def drafts(first: Draft) -> Iterator[Draft]:
     scenario = scenario_of(first)
     period = abs(2.0 * np.pi / max(abs(rotation_of(scenario).rate), 1e-12))
     span = 0.0, 2.2 * period + window_opens_s(scenario.schedule)
-    limit, best_hour = _lit(scenario, span)
+    limit, best_hour = lit(scenario, span)
     known: set[Window] = set()
     for half in HALF_WIDTHS_H:
-        middle = 12.0 if half == HALF_WIDTHS_H[0] else best_hour
-        hours = max(0.0, round(middle - half, 2)), min(24.0, round(middle + half, 2))
+        hours = hours_about(best_hour, half)
         limited = replace(first, hours=hours, incidence_max_deg=limit)
         opens = window_opens_s(scenario.schedule)
         windows = [w.edges_s for w in survey(scenario_of(limited), span).windows]
@@ -72,8 +71,22 @@ def drafts(first: Draft) -> Iterator[Draft]:
         )
 
 
-def _lit(scenario: Scenario, span: Window) -> tuple[float, float]:
-    """Limit of incidence, raised where the site is never in it by far, and the hour of the least."""
+def hours_about(best_hour: float, half: float) -> tuple[float, float]:
+    """Local solar times of a half-width about a site's best hour; the widest ones are about noon."""
+    middle = 12.0 if half == HALF_WIDTHS_H[0] else best_hour
+    return max(0.0, round(middle - half, 2)), min(24.0, round(middle + half, 2))
+
+
+def lit(scenario: Scenario, span: Window) -> tuple[float, float]:
+    """Limit of incidence in deg, raised where a site is never in it by far, and its best hour.
+
+    Args:
+        scenario: site, body, Sun and the limit as a rule.
+        span: seconds past its epoch.
+
+    Raises:
+        InputError: if the site is dark.
+    """
     lighting = Lighting(
         site_of(scenario), rotation_of(scenario), lambda t: sun_direction(scenario, t)
     )

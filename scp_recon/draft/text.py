@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from scp_recon.draft.draft import INCIDENCE_MAX_DEG, ROOM_DEG, Draft
 from scp_recon.draft.flyby import HOME_RADII
@@ -15,15 +15,20 @@ DISTANCES, SAFETY = (1.7, 2.6), 1.5
 """In reference radii, about what Reconnaissance B keeps: to the site, and from the centre."""
 
 
-def draft_text(draft: Draft) -> str:
-    """The file."""
+def draft_text(draft: Draft, instead: Mapping[str, Sequence[Entry]] | None = None) -> str:
+    """The file.
+
+    Args:
+        draft: what it is written from.
+        instead: tables by name that come from elsewhere, in place of the draft's own.
+    """
     lines = [
         f"# A flyby of {draft.body}, drafted by python -m scp_recon.new.",
         *(f"# {line}" for line in draft.outcome),
         *_lines([("name", draft.name, "of the scenario, for tables and figures")]),
     ]
     for title, entries in _tables(draft):
-        lines += ["", f"[{title}]", *_lines(entries)]
+        lines += ["", f"[{title}]", *_lines((instead or {}).get(title, entries))]
     return "\n".join(lines) + "\n"
 
 

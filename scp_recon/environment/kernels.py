@@ -174,3 +174,49 @@ def _no_kernel(entry: str, paths: Sequence[Path], error: Any) -> InputError:
     return InputError(
         entry, ", ".join(map(str, paths)), f"must be a SPICE kernel of its kind: {error.short}"
     )
+
+
+def number_of(paths: Sequence[Path], name: str, entry: str) -> int | None:
+    """NAIF's number of a body by its name, or the number itself in digits; None if unknown."""
+    with _kernels(entry, paths) as spice:
+        try:
+            return int(spice.bods2c(name))
+        except spice.SpiceyError:
+            return None
+
+
+def read_gm(paths: Sequence[Path], naif_id: int, entry: str) -> float | None:
+    """Gravitational parameter of a body in m^3/s^2; None where no kernel has it."""
+    with _kernels(entry, paths) as spice:
+        if not spice.bodfnd(naif_id, "GM"):
+            return None
+        return float(spice.bodvcd(naif_id, "GM", 1)[1][0]) * 1e9
+
+
+def read_states(
+    paths: Sequence[Path], spacecraft: int, naif_id: int, seconds: Array, entry: str
+) -> Array:
+    """States of a spacecraft about a body, geometric, J2000, m and m/s, shape (n, 6).
+
+    Args:
+        paths: of kernels, or of one that lists them.
+        spacecraft: NAIF's number.
+        naif_id: of the body.
+        seconds: TDB past J2000, shape (n,).
+        entry: what messages call them.
+
+    Raises:
+        InputError: if spiceypy is missing, a file is no kernel, or they do not cover the times.
+    """
+    with _kernels(entry, paths) as spice:
+        try:
+            states = [
+                spice.spkgeo(spacecraft, time, "J2000", naif_id)[0] for time in seconds.tolist()
+            ]
+        except spice.SpiceyError as error:
+            raise InputError(
+                entry,
+                ", ".join(map(str, paths)),
+                f"must give spacecraft {spacecraft} about body {naif_id} throughout: {error.short}",
+            ) from None
+    return 1e3 * np.array(states)

@@ -199,7 +199,7 @@ def from_table(mission: Mission, path: Path, entry: str = "init") -> Iterate:
             plainly not in metres and seconds.
     """
     entry = f"{entry} {path}"
-    return from_states(mission, _read_table(path, entry), entry)
+    return from_states(mission, read_table(path, entry), entry)
 
 
 def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
@@ -289,7 +289,16 @@ def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> No
         )
 
 
-def _read_table(path: Path, entry: str) -> Array:
+def read_table(path: Path, entry: str) -> Array:
+    """A table of states as it stands in its file, in the order of `COLUMNS`, shape (n, 7).
+
+    Args:
+        path: of a CSV; lines that begin with # are passed over.
+        entry: what messages call it.
+
+    Raises:
+        InputError: if it cannot be read, or is no table of finite numbers with these columns.
+    """
     text = read_text(path, entry, "file")
     try:
         lines = [line for line in text.splitlines() if not line.startswith("#")]

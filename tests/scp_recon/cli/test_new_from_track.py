@@ -1,0 +1,251 @@
+"""`python -m scp_recon.new --from-spice`, `--from-oem`, `--from-csv`: kernels that the tests write."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scp_recon import new
+from scp_recon.errors import InputError
+from scp_recon.exchange.ccsds import oem_text
+from scp_recon.exchange.heading import Export, Ids
+from scp_recon.exchange.path import fly_path
+from scp_recon.exchange.table import csv_text
+from scp_recon.exchange.tracks import csv_track, cut, oem_track
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.time_scales import tdb_of_utc
+from scp_recon.scenario.load import load_scenario
+from scp_recon.solution.file import Solution
+from tests import reference
+
+CRAFT, STONE, SUN = -64, 20099942, 10
+FROM, TO = "2020-01-21T20:32:08", "2020-01-22T06:12:49"
+SITE = ("--site", "55.9,41.8")
+SPAN = ("--from", FROM, "--to", TO)
+SUN_STATE = np.array([1.5e8, -5e6, -3.4e6, -4.3, 26.8, 15.2])
+"""Of Stone about the Sun at --from, km and km/s."""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def export(mission: Mission, solution: Solution) -> Export:
+    return Export(solution, mission, fly_path(mission, solution), Ids(CRAFT, reference.BENNU))
+
+
+@pytest.fixture(scope="module")
+def meta(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A meta-kernel of Bennu and of Stone, with the plan as what CRAFT flew about both."""
+    spice = pytest.importorskip("spiceypy")
+    folder = tmp_path_factory.mktemp("kernels")
+    pck = reference.write_bennu_kernel(folder)
+    meridian = " ".join(map(repr, reference.PRIME_MERIDIAN))
+    (folder / "stone.tpc").write_text(
+        "KPL/PCK\n\\begindata\n"
+        f"BODY{STONE}_POLE_RA = ( {reference.POLE_RA_DEG!r} 0. 0. )\n"
+        f"BODY{STONE}_POLE_DEC = ( {reference.POLE_DEC_DEG!r} 0. 0. )\n"
+        f"BODY{STONE}_PM = ( {meridian} )\n"
+        f"BODY{STONE}_RADII = ( 0.29 0.27 0.25 )\n"
+        f"BODY{STONE}_GM = {reference.GM_M3_S2 * 1e-9!r}\n"
+        f"NAIF_BODY_NAME += 'STONE'\nNAIF_BODY_CODE += {STONE}\n\\begintext\n"
+    )
+    et = [export.et(coast.times_s) for coast in export.path.coasts]
+    begin = (tdb_of_utc(datetime.fromisoformat(FROM)) - datetime(2000, 1, 1, 12)).total_seconds()
+    handle = spice.spkopn(str(folder / "all.bsp"), "test", 0)
+    for body in (reference.BENNU, STONE):
+        for times, coast in zip(et, export.path.coasts, strict=True):
+            states = np.ascontiguousarray(coast.states / 1e3)
+            spice.spkw13(
+                handle, CRAFT, body, "J2000", times[0], times[-1], "flight", 3, len(times), states,
+                times,
+            )  # fmt: skip
+        span = np.array([begin - 1e5, begin + 1e5])
+        line = SUN_STATE[:3] + np.outer(span - begin, SUN_STATE[3:])
+        about = np.hstack([line, np.tile(SUN_STATE[3:], (2, 1))])
+        spice.spkw13(handle, body, SUN, "J2000", *span, "way", 3, 2, about, span)
+    spice.spkcls(handle)
+    listed = folder / "all.tm"
+    files = ", ".join(f"'{p}'" for p in (pck.name, "stone.tpc", "all.bsp"))
+    listed.write_text(
+        f"KPL/MK\n\\begindata\nPATH_VALUES = ( '{folder}' )\nPATH_SYMBOLS = ( 'K' )\n"
+        f"KERNELS_TO_LOAD = ( {files.replace(chr(39), chr(39) + '$K/', 1)} )\n".replace(
+            ", '", ", '$K/"
+        )
+        + "\\begintext\n"
+    )
+    return listed
+
+
+def run(*arguments: str) -> int:
+    try:
+        return new.main(arguments)
+    except SystemExit as end:  # argparse ends this way
+        return int(end.code or 0)
+
+
+def state_of(meta: Path, body: int, utc: str) -> np.ndarray:
+    import spiceypy
+
+    et = (tdb_of_utc(datetime.fromisoformat(utc)) - datetime(2000, 1, 1, 12)).total_seconds()
+    with spiceypy.KernelPool(str(meta)):
+        return np.array(spiceypy.spkgeo(CRAFT, et, "J2000", body)[0]) * 1e3
+
+
+@pytest.mark.parametrize(("name", "number"), [("Bennu", reference.BENNU), ("Stone", STONE)])
+def test_body_sun_boundary_and_start_are_the_kernels(
+    meta: Path, name: str, number: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", name, *SITE, *SPAN)
+    assert run("mine", *words) == 0
+    assert "\nverified" in capsys.readouterr().out
+    scenario = load_scenario("mine.toml")
+    body, boundary = scenario.body, scenario.boundary
+    assert scenario.epoch.tdb == tdb_of_utc(datetime.fromisoformat(FROM))
+    assert (body.name, body.naif_id) == (name, number)
+    assert body.gm_m3_s2 == pytest.approx(reference.GM_M3_S2)
+    assert (body.pole_ra_deg, body.pole_dec_deg) == (reference.POLE_RA_DEG, reference.POLE_DEC_DEG)
+    assert body.prime_meridian_deg == reference.PRIME_MERIDIAN[0]
+    assert body.prime_meridian_rate_deg_day == reference.PRIME_MERIDIAN[1]
+    assert boundary.frame == "j2000"
+    for which, utc in (("initial", FROM), ("final", TO)):
+        expected = state_of(meta, number, utc)
+        given = (
+            *getattr(boundary, f"{which}_position_m"),
+            *getattr(boundary, f"{which}_velocity_m_s"),
+        )
+        np.testing.assert_allclose(given, expected, rtol=1e-9)
+    sun = (*scenario.sun.body_position_km, *scenario.sun.body_velocity_km_s)
+    np.testing.assert_allclose(sun, SUN_STATE, rtol=1e-9)
+    duration = datetime.fromisoformat(TO) - datetime.fromisoformat(FROM)
+    assert scenario.duration_s == pytest.approx(duration.total_seconds(), abs=1e-4)
+    start = csv_track(Path("mine_start.csv"), scenario.epoch.tdb)
+    assert start.duration_s == pytest.approx(scenario.duration_s)
+    np.testing.assert_allclose(start.states[0], state_of(meta, number, FROM), rtol=1e-12)
+
+
+def test_a_kernels_way_about_the_sun_is_held_to_what_is_known(
+    meta: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a packaged body the kernel has to have the same Sun within 0.1 deg: here a week off."""
+    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
+    late = ("--from", "2020-01-29T20:32:08", "--to", "2020-01-30T06:12:49")
+    assert run("mine", *words, *late) == 2
+    assert "--from-spice" in capsys.readouterr().err
+    assert not Path("mine.toml").exists()
+
+
+def test_an_oem_and_a_csv_of_one_path_come_to_the_same(export: Export) -> None:
+    pytest.importorskip("oem")
+    Path("plan.oem").write_text(oem_text(export), encoding="ascii")
+    Path("plan.csv").write_text(csv_text(export), encoding="utf-8")
+    epoch = export.mission.scenario.epoch.tdb
+    first, second = oem_track(Path("plan.oem"), "Bennu"), csv_track(Path("plan.csv"), epoch)
+    assert first.epoch == second.epoch == epoch - timedelta(seconds=600)
+    np.testing.assert_allclose(first.times_s, second.times_s, atol=1e-8)
+    np.testing.assert_allclose(first.states, second.states, rtol=1e-13)
+    end = epoch + timedelta(seconds=export.mission.scenario.duration_s)
+    part = cut(first, epoch, end)
+    np.testing.assert_allclose(part.states[0], export.mission.initial_state, rtol=1e-12)
+    np.testing.assert_allclose(part.states[-1], export.path.coasts[-1].states[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("form", ["oem", "csv"])
+def test_a_message_or_a_table_is_a_start(
+    export: Export, form: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if form == "oem":
+        pytest.importorskip("oem")
+    path = Path(f"plan.{form}")
+    path.write_text(oem_text(export) if form == "oem" else csv_text(export), encoding="utf-8")
+    epoch = export.mission.scenario.epoch.tdb.isoformat()
+    words = () if form == "oem" else ("--epoch", epoch)
+    # UTC of the first and last burn, to the microsecond
+    ends = ("--from", "2020-01-21T20:32:07.999497", "--to", "2020-01-22T06:12:49.999486")
+    assert run("mine", f"--from-{form}", str(path), "--body", "Bennu", *SITE, *words, *ends) == 0
+    assert "\nverified" in capsys.readouterr().out
+    scenario = load_scenario("mine.toml")
+    given = (*scenario.boundary.initial_position_m, *scenario.boundary.initial_velocity_m_s)
+    np.testing.assert_allclose(given, export.mission.initial_state, rtol=1e-6)
+    assert scenario.duration_s == pytest.approx(export.mission.scenario.duration_s, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("key", "given", "message"),
+    [
+        ("REF_FRAME", "TEME", "EME2000"),
+        ("CENTER_NAME", "EARTH", "BENNU"),
+        ("TIME_SYSTEM", "MRT", "TIME_SYSTEM"),
+        ("TIME_SYSTEM", "UT1", "UTC or TDB"),
+    ],
+)
+def test_another_frame_centre_or_scale_is_refused(
+    export: Export, key: str, given: str, message: str
+) -> None:
+    pytest.importorskip("oem")
+    lines = oem_text(export).splitlines()
+    text = "\n".join(f"{key} = {given}" if line.startswith(f"{key} =") else line for line in lines)
+    Path("plan.oem").write_text(text, encoding="ascii")
+    with pytest.raises(InputError, match=message):
+        oem_track(Path("plan.oem"), "Bennu")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("--from-spice", "META"), "--spacecraft"),
+        (("--from-spice", "META", "--spacecraft=-64", "--from", FROM), "--to"),
+        (("--from-spice", "META", "--spacecraft=-64", "--from", TO, "--to", FROM), "--to"),
+        (("--from-spice", "META", "--spacecraft=-65", *SPAN), "-65"),
+        (("--from-spice", "nothing.tm", "--spacecraft=-64", *SPAN), "--from-spice"),
+        (("--from-spice", "META", "--spacecraft=-64", *SPAN, "--epoch", FROM), "--epoch"),
+        (("--from-spice", "META", "--from-csv", "x.csv", "--epoch", FROM), "more than one"),
+        (("--from-csv", "nothing.csv", "--epoch", FROM), "nothing.csv"),
+        (("--from-csv", "nothing.csv"), "--epoch"),
+        (("--from-oem", "nothing.oem"), "nothing.oem"),
+        ((), "--epoch"),
+        (("--from-spice", "META", "--spacecraft=x"), "--spacecraft"),
+        (("--from-oem", "x", "--from", "yesterday"), "UTC"),
+        (("--from-oem", "x", "--from", "1960-01-01"), "1972"),
+    ],
+)
+def test_bad_input_ends_in_one_message(
+    meta: Path, words: tuple[str, ...], expected: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [str(meta) if word == "META" else word for word in words]
+    assert run("mine", "--body", "Bennu", *SITE, *given) == 2
+    said = capsys.readouterr()
+    assert expected in said.err
+    assert "Traceback" not in said.err
+    assert not list(Path().glob("mine*"))
+
+
+def test_a_body_that_no_kernel_names_is_refused(
+    meta: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", *SITE, *SPAN)
+    assert run("mine", "--body", "Pebble", *words) == 2
+    assert "--body" in capsys.readouterr().err
+
+
+def test_what_is_too_short_for_its_burns_says_so(
+    meta: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
+    assert run("mine", *words, "--from", FROM, "--to", "2020-01-22T02:00:00") == 2
+    assert "begin earlier or end later" in capsys.readouterr().err
+
+
+def test_the_extra_is_named_where_it_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "oem", None)
+    Path("plan.oem").write_text("", encoding="ascii")
+    assert run("mine", "--from-oem", "plan.oem", "--body", "Bennu", *SITE) == 2
+    assert "scp_recon[oem]" in capsys.readouterr().err
