@@ -9,6 +9,7 @@ from scp_recon.cli.command import (
     parse,
     progress_console,
     run_command,
+    show_line,
     show_written,
 )
 
@@ -17,18 +18,20 @@ if __name__ == "__main__":
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
 from scp_recon.cli.flight_tables import show_summary
+from scp_recon.cli.interrupts import asked_to_stop
 from scp_recon.cli.keeping import check_holds
 from scp_recon.cli.options import SEED, int_between
 from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.checkpoint import forget_flights, keep_flights, kept_flights
 from scp_recon.monte_carlo.flights import (
     SAMPLES_MAX,
     SAMPLES_MIN,
@@ -39,7 +42,8 @@ from scp_recon.monte_carlo.flights import (
 )
 from scp_recon.monte_carlo.summary import FILE_NAME, summarise
 from scp_recon.monte_carlo.verdict import probability_asked, shortfalls
-from scp_recon.solution.file import read_solution
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.runs import folder_of, only_run_in, resolve_run
 
 
@@ -112,10 +116,20 @@ def _fly(options: argparse.Namespace, console: Console) -> Answer:
     config = FlightConfig(mission, solution.burns_m_s, options.seed, options.truth, options.errors)
     check_writable(folder, FILE_NAME, "folder")
     check_holds(folder, solution, "folder")
-    with only_run_in(folder, "folder"):
-        summary = summarise(_flown(options, config, console), solution)
+    with asked_to_stop() as stop, only_run_in(folder, "folder"):
+        begun = kept_flights(config, solution, folder)
+        if begun is not None and begun.samples > options.samples:
+            begun = None
+        if begun is not None:
+            show_line(console, f"continued after {begun.samples} flights that were stopped")
+        flown = _flown(options, config, begun, stop, console)
+        stopped = stop() and flown.samples < options.samples
         try:
+            if stopped:
+                return _kept(flown, solution, folder, console)
+            summary = summarise(flown, solution)
             path = summary.write(folder)
+            forget_flights(folder)
         except OSError as error:
             raise unwritable(folder, "folder", error) from None
     show_summary(console, summary, probability_asked(solution))
@@ -127,7 +141,24 @@ def _fly(options: argparse.Namespace, console: Console) -> Answer:
     return Answer(NOT_VERIFIED if failed else 0, document)
 
 
-def _flown(options: argparse.Namespace, config: FlightConfig, console: Console) -> FlightTally:
+def _kept(flown: FlightTally, solution: Solution, folder: Path, console: Console) -> Answer:
+    """Ctrl-C loses nothing."""
+    path = keep_flights(flown, solution, folder)
+    show_line(
+        console, f"interrupted: {flown.samples} flights are kept, and the same command goes on"
+    )
+    show_written(console, path)
+    document = {"samples": flown.samples, "files": [str(path)]}
+    return Answer(Status.INTERRUPTED.value.exit_code, document)
+
+
+def _flown(
+    options: argparse.Namespace,
+    config: FlightConfig,
+    begun: FlightTally | None,
+    stop: Callable[[], bool],
+    console: Console,
+) -> FlightTally:
     """Fly, with a bar that grows."""
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=progress_console(console)) as bar:
@@ -138,6 +169,8 @@ def _flown(options: argparse.Namespace, config: FlightConfig, console: Console) 
             until=options.until,
             workers=options.workers,
             progress=lambda done: bar.update(task, completed=done),
+            stop=stop,
+            begun=begun,
         )
 
 

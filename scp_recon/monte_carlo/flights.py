@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
@@ -216,10 +217,21 @@ def fly_many(
     until: float | None = None,
     workers: int = 1,
     progress: Callable[[int], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+    begun: FlightTally | None = None,
 ) -> FlightTally:
     """Fly `samples`, or at most that many until every probability's interval is `until` wide.
 
-    The result does not depend on the number of workers.
+    The result does not depend on the number of workers, nor on having been stopped and continued.
+
+    Args:
+        config: what is flown.
+        samples: flights in all, those begun with included.
+        until: width at which to end.
+        workers: processes.
+        progress: is told how many are flown after each block.
+        stop: asked after each block; where it says so, what is flown by then comes back.
+        begun: whole blocks of the same configuration, which are counted on.
 
     Raises:
         InputError: if samples, until or workers are out of bounds; before any flight.
@@ -228,23 +240,29 @@ def fly_many(
     whole_number("workers", workers, 1, WORKERS_MAX)
     if until is not None and not 0.0 < until < 1.0:
         raise InputError("until", repr(until), "must be a width between 0 and 1")
-    flown = FlightTally(config)
-    for block in _blocks(config, samples, workers):
+    flown = FlightTally(config) if begun is None else begun
+    whole_number("begun", flown.samples, 0, samples)
+    for block in _blocks(config, flown.samples // BLOCK, samples, workers):
+        if until is not None and flown.samples and flown.widest_interval() <= until:
+            break
         flown.add(block)
         if progress:
             progress(flown.samples)
-        if until is not None and flown.widest_interval() <= until:
+        if stop and stop():
             break
     return flown
 
 
-def _blocks(config: FlightConfig, samples: int, workers: int) -> Iterator[FlightBlock]:
-    jobs = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(-(-samples // BLOCK)))
+def _blocks(config: FlightConfig, first: int, samples: int, workers: int) -> Iterator[FlightBlock]:
+    """From the block of that number on."""
+    jobs = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(first, -(-samples // BLOCK)))
     work = partial(run_block, config)
     if workers == 1:
         yield from map(work, jobs)
         return
-    with ProcessPoolExecutor(workers) as pool:
+    # Ctrl-C is the parent's to handle: a worker ends its block.
+    ignoring = signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    with ProcessPoolExecutor(workers, initializer=ignoring[0], initargs=ignoring[1]) as pool:
         # A few blocks ahead, not all of them: memory stays bounded.
         pending = [pool.submit(work, job) for job in islice(jobs, 2 * workers)]
         try:
