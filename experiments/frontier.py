@@ -3,7 +3,8 @@
 The default scenario planned for probabilities from 0.55 to 0.999, with the paper's bookkeeping (uniform
 risk on its polytopes, and on tangent spheres with 12-facet cones), with exact risk per node and for
 whole flights, and with flights that certify it. Every plan is flown 10,000 times. OUT/frontier.csv has
-a row for each, OUT/frontier.md the table; `paper_figs.studies.frontier` draws it.
+a row for each, OUT/frontier.md the table; `paper_figs.studies.frontier` draws it. What was found before
+Ctrl-C is kept and taken up.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ if __name__ == "__main__":
 import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from experiments.kept import Kept
 from experiments.studies import Cell, add_out, markdown, run, to_csv
 from scp_recon.certification.certify import certify
 from scp_recon.files import write_atomically
@@ -60,17 +63,20 @@ def planned(scenario: Scenario, *, certified: bool) -> Plan:
     return certify(mission, start, lambda m, s, aim: plan(m, s, aim=aim))
 
 
-def study(probabilities: Sequence[float], flights: int) -> Iterator[dict[str, Cell]]:
-    """A row for each kind of plan and probability."""
+def study(probabilities: Sequence[float], flights: int, kept: Kept) -> Iterator[dict[str, Cell]]:
+    """A row for each kind of plan and probability; those that are kept are not made again."""
     base = load_scenario()
     for kind, (changes, certified) in KINDS.items():
         for p in probabilities:
-            yield record(
-                kind,
-                p,
-                planned(base.replace({**changes, "risk.p_chance": p}), certified=certified),
-                flights,
+            scenario = base.replace({**changes, "risk.p_chance": p})
+            yield kept.row(
+                f"{kind} {p:g}",
+                partial(_row, kind, p, scenario, certified, flights),
             )
+
+
+def _row(kind: str, p: float, scenario: Scenario, certified: bool, flights: int) -> dict[str, Cell]:
+    return record(kind, p, planned(scenario, certified=certified), flights)
 
 
 def record(kind: str, p: float, found: Plan, flights: int) -> dict[str, Cell]:
@@ -145,13 +151,15 @@ def _run(options: argparse.Namespace) -> int:
     flights = QUICK_FLIGHTS if options.quick else FLIGHTS
     options.out.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Cell]] = []
-    for row in study(probabilities, flights):
+    kept = Kept(options.out / f"{NAME}_partial.jsonl", __file__, {"flights": flights})
+    for row in study(probabilities, flights, kept):
         print(
             f"{row['kind']}, {row['asked']:g}: {row['status']}, {float(row['total_dv_m_s']):.5f} m/s"
         )
         rows.append(row)
         write_atomically(options.out / f"{NAME}.csv", to_csv(rows))
     path = write_atomically(options.out / f"{NAME}.md", to_markdown(rows, flights))
+    kept.forget()
     print(f"written: {options.out / NAME}.csv\nwritten: {path}")
     return 0
 

@@ -23,7 +23,7 @@ from rich.console import Console
 
 from scp_recon.cli.options import int_between
 from scp_recon.cli.warnings import show_verdict
-from scp_recon.exchange.files import FORMATS, stem, write_export
+from scp_recon.exchange.files import FORMATS, require, stem, write_export
 from scp_recon.exchange.heading import (
     SPACECRAFT_ID,
     UNNAMED_BODY_ID,
@@ -92,6 +92,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _export(options: argparse.Namespace, console: Console) -> Answer:
+    require(options.format)
     home = resolve_run(options.solution)
     solution, vehicle = read_solution(home), load_vehicle(options.vehicle)
     mission = Mission.from_scenario(solution.scenario)

@@ -15,8 +15,9 @@ if __name__ == "__main__":
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import track
 
+from experiments.kept import Kept
 from experiments.studies import Cell, add_out, markdown, run, to_csv
 from experiments.timing_rules.flights import STEADY_DEG, Slew, measure_recharge, measure_slew
 from scp_recon.cli.options import int_between
@@ -129,6 +131,24 @@ def record(slew: Slew) -> dict[str, Cell]:
     }
 
 
+def as_kept(slew: Slew) -> dict[str, Cell]:
+    """All of it, in a row of one kind of figures."""
+    x, y, z = slew.axis.tolist()
+    settled = {f"settled_{i}": time for i, time in enumerate(slew.settling_s)}
+    figures = {"wheel_share": slew.wheel_share, "steady_deg": slew.steady_deg}
+    return {"x": x, "y": y, "z": z, **figures, **settled}
+
+
+def from_kept(row: Mapping[str, Cell]) -> Slew:
+    """The slew of a row of `as_kept`."""
+    return Slew(
+        np.array([row["x"], row["y"], row["z"]], dtype=float),
+        float(row["wheel_share"]),
+        tuple(float(row[f"settled_{i}"]) for i in range(len(STEADY_DEG))),
+        float(row["steady_deg"]),
+    )
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     p = argparse.ArgumentParser(prog=f"python -m experiments.{NAME}", description=__doc__)
@@ -161,7 +181,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     mission, vehicle = Mission.from_scenario(load_scenario()), load_vehicle(options.vehicle)
     indices = track(range(options.slews), "slews", console=Console(stderr=True))
-    slews = [measure_slew(mission, vehicle, index, options.seed) for index in indices]
+    setting = {"seed": options.seed, "vehicle": repr(vehicle)}
+    kept = Kept(options.out / f"{NAME}_partial.jsonl", __file__, setting)
+
+    def figures(index: int) -> dict[str, Cell]:
+        return as_kept(measure_slew(mission, vehicle, index, options.seed))
+
+    slews = [from_kept(kept.row(f"{index}", partial(figures, index))) for index in indices]
     recharges = (
         measure_recharge(mission, vehicle, options.seed),
         measure_recharge(mission, vehicle, options.seed, vehicle.loads.attitude_control_w),
@@ -177,6 +203,7 @@ def _run(options: argparse.Namespace) -> int:
     print(table)
     for name, text in files.items():
         print(f"written: {write_atomically(options.out / name, text)}")
+    kept.forget()
     return 0
 
 

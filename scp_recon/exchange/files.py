@@ -28,6 +28,18 @@ def stem(export: Export) -> str:
     return f"{name}_{export.solution.plan_hash[:8]}_{abs(export.ids.spacecraft)}"
 
 
+def require(form: str) -> None:
+    """Find out before the work whether a format's extra is there.
+
+    Raises:
+        InputError: if not.
+    """
+    if form in ("spk", "ck"):
+        kernels.needing_spice()
+    elif form == "parquet":
+        table.needing_pyarrow()
+
+
 def write_export(export: Export, form: str, folder: Path, vehicle: Vehicle) -> list[Path]:
     """Write a plan in a format.
 

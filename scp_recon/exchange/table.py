@@ -63,17 +63,27 @@ def parquet_bytes(export: Export) -> bytes:
     Raises:
         InputError: if pyarrow is missing.
     """
+    pyarrow = needing_pyarrow()
+    about: Mapping[str, str] = {"scp_recon": "\n".join(heading(export))}
+    table = pyarrow.table(columns(export)).replace_schema_metadata(about)
+    buffer = io.BytesIO()
+    pyarrow.parquet.write_table(table, buffer)
+    return buffer.getvalue()
+
+
+def needing_pyarrow() -> Any:
+    """The package pyarrow, with its module for Parquet.
+
+    Raises:
+        InputError: if there is none.
+    """
     try:
         import pyarrow
-        from pyarrow import parquet
+        import pyarrow.parquet
     except ModuleNotFoundError:
         raise InputError(
             "--format",
             "no module named pyarrow",
             "needs the extra scp_recon[parquet]: pip install 'scp_recon[parquet]'",
         ) from None
-    about: Mapping[str, str] = {"scp_recon": "\n".join(heading(export))}
-    table = pyarrow.table(columns(export)).replace_schema_metadata(about)
-    buffer = io.BytesIO()
-    parquet.write_table(table, buffer)
-    return buffer.getvalue()
+    return pyarrow

@@ -13,7 +13,8 @@ from tests import reliability
 
 PROJECT = Path(__file__).parents[3]
 COMMANDS = [
-    f"scp_recon.{name}" for name in ("solve", "verify", "montecarlo", "simulate", "compare")
+    f"scp_recon.{name}"
+    for name in ("solve", "verify", "montecarlo", "simulate", "compare", "export")
 ]
 COMMANDS += ["paper_figs", "paper_figs.flyby", "benchmarks"]
 
