@@ -7,7 +7,7 @@ and without calibration, go to OUT/battery_cones.csv and .md, the samples to bat
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
+from scp_recon.cli.command import exit_on_sigint, parse
 from scp_recon.cli.options import int_between
 
 if __name__ == "__main__":
@@ -251,7 +251,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 if everything was written, 2 for bad input."""
-    return run(_run, parser().parse_args(arguments))
+    return run(_run, parse(parser(), arguments))
 
 
 def _run(options: argparse.Namespace) -> int:

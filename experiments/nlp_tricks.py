@@ -8,7 +8,7 @@ was tried instead of one of them. The table goes to OUT/nlp_tricks.csv and .md.
 from __future__ import annotations
 
 from formulations.problem.facets import choose_facets
-from scp_recon.cli.command import exit_on_sigint, run_command
+from scp_recon.cli.command import exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -159,8 +159,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line."""
     p = argparse.ArgumentParser(prog="python -m experiments.nlp_tricks", description=__doc__)
     p.add_argument("--out", type=Path, default=DEFAULT_OUT, metavar="DIR")
-    options = p.parse_args(arguments)
-    return run_command(lambda console: _run(options.out, console))
+    options = parse(p, arguments)
+    return run_command(lambda console: _run(options.out, console), options)
 
 
 def _run(out: Path, console: Console) -> int:

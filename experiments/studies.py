@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from rich.console import Console
 
-from scp_recon.cli.command import run_command
+from scp_recon.cli.command import Answer, run_command
 from scp_recon.errors import InputError
 
 Cell = str | float | int | bool
@@ -30,16 +33,31 @@ def add_out(parser: argparse.ArgumentParser, default: Path) -> None:
 def run(study: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
     """Run a study to its exit status; what goes wrong ends it as it ends every command."""
 
-    def action(_: Console) -> int:
+    def action(console: Console) -> Answer:
         try:
-            return study(options)
+            with _printing_to(console):
+                status = study(options)
         except OSError as error:
             if error.filename is None:  # the terminal, or a pipe
                 raise
             reason = (error.strerror or "unusable").lower()
             raise InputError(str(error.filename), reason, "must be writable") from None
+        return Answer(status, {"folder": str(options.out)})
 
-    return run_command(action)
+    return run_command(action, options)
+
+
+@contextmanager
+def _printing_to(console: Console) -> Iterator[None]:
+    """What a study prints goes where the console writes: with --quiet nowhere, its bars neither."""
+    with ExitStack() as stack:
+        if console.stderr:
+            stack.enter_context(redirect_stdout(sys.stderr))
+        if console.quiet:
+            nowhere = stack.enter_context(Path(os.devnull).open("w", encoding="utf-8"))
+            stack.enter_context(redirect_stdout(nowhere))
+            stack.enter_context(redirect_stderr(nowhere))
+        yield
 
 
 def to_csv(records: Sequence[Mapping[str, Cell]]) -> str:

@@ -5,7 +5,7 @@ Rows and tables are left in OUT; a run that was stopped continues with the first
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command
+from scp_recon.cli.command import exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -56,8 +56,8 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 once every cell has its row, failed ones included."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _run(options, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _run(options, console), options)
 
 
 def _run(options: argparse.Namespace, console: Console) -> int:

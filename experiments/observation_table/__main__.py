@@ -8,7 +8,7 @@ without it they start from the ballistic arc.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command
+from scp_recon.cli.command import exit_on_sigint, parse
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -24,6 +24,7 @@ from experiments.observation_table.claims import claims
 from experiments.observation_table.report import shown, to_csv, to_markdown
 from experiments.observation_table.rows import Row, rows
 from experiments.observation_table.runs import Failed, Measured, run_row
+from experiments.studies import run
 from scp_recon.cli.options import int_between
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
@@ -104,8 +105,7 @@ def _progress(entry: Measured | Failed, seconds: float) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 if every row is there, 4 if one failed, 2 for bad input."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda _: _run(options))
+    return run(_run, parse(parser(), arguments))
 
 
 def _run(options: argparse.Namespace) -> int:

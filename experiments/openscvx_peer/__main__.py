@@ -7,7 +7,7 @@ to OUT, from where `experiments.compare_solvers` takes them into its table and C
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command
+from scp_recon.cli.command import exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -157,8 +157,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line."""
     p = argparse.ArgumentParser(prog="python -m experiments.openscvx_peer", description=__doc__)
     p.add_argument("--out", type=Path, default=DEFAULT_OUT, metavar="DIR")
-    options = p.parse_args(arguments)
-    return run_command(lambda console: _run(options.out, console))
+    options = parse(p, arguments)
+    return run_command(lambda console: _run(options.out, console), options)
 
 
 def _run(out: Path, console: Console) -> int:

@@ -8,7 +8,7 @@ slews to timing_rules_slews.csv.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
+from scp_recon.cli.command import exit_on_sigint, parse
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -175,7 +175,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0 if everything was written, 2 for bad input."""
-    return run(_run, parser().parse_args(arguments))
+    return run(_run, parse(parser(), arguments))
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -157,7 +157,7 @@ def progress_console(console: Console) -> Console:
 def _print_document(prog: str, status: int, document: Mapping[str, Any]) -> None:
     import json
 
-    command = prog.removeprefix(MODULE).removeprefix(f"{SCRIPT} ")
+    command = prog.removeprefix(MODULE).removeprefix(f"{SCRIPT} ").removeprefix("python -m ")
     whole = _finite({"schema": DOCUMENT, "command": command, "status": status, **document})
     try:
         sys.stdout.write(json.dumps(whole, allow_nan=False, default=str) + "\n")

@@ -221,7 +221,7 @@ def test_a_folder_that_cannot_be_written_exits_with_two(
 ) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     assert main([*QUICK, "--out", str(tmp_path / "file")]) == 2
-    assert "cannot write" in capsys.readouterr().err
+    assert "must be writable" in capsys.readouterr().err
 
 
 def test_the_reference_solver_is_imported_only_where_it_is_used() -> None:
