@@ -54,7 +54,7 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
     Raises:
         SystemExit: 0 after --help, 2 after what cannot be understood; with --json in the document too.
     """
-    if Path(sys.argv[0]).name == SCRIPT:
+    if Path(sys.argv[0]).stem == SCRIPT:
         p.prog = p.prog.replace(MODULE, f"{SCRIPT} ")
     p.add_argument(
         "--json",
