@@ -110,8 +110,10 @@ def track_draft(
         name = Path(options.name).name
         draft = Draft(name, options.body, None, options.site, track.epoch, radius)
     else:
+        packaged = packaged_body(options.body)
+        center = str(packaged.entries["name"]) if packaged else options.body
         track = (
-            oem_track(options.from_oem, options.body)
+            oem_track(options.from_oem, center)
             if source == "from_oem"
             else csv_track(options.from_csv, options.epoch)
         )

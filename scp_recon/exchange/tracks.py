@@ -25,6 +25,7 @@ from scp_recon.environment.kernels import (
     read_states,
 )
 from scp_recon.errors import InputError
+from scp_recon.exchange.ccsds import plain_name
 from scp_recon.physics.frames import DAY_S, J2000_TDB
 from scp_recon.planning.initial_guess import read_table
 
@@ -143,7 +144,7 @@ def oem_track(path: Path, body: str) -> Track:
         for segment in segments:
             about = segment.metadata
             _one_of(entry, "REF_FRAME", about["REF_FRAME"], FRAMES)
-            _one_of(entry, "CENTER_NAME", about["CENTER_NAME"], (body.upper(),))
+            _one_of(entry, "CENTER_NAME", about["CENTER_NAME"], (body.upper(), plain_name(body)))
             _one_of(entry, "TIME_SYSTEM", about["TIME_SYSTEM"], SCALES)
             rows += [(s.epoch.tdb, 1e3 * s.position, 1e3 * s.velocity) for s in segment.states]
     first = rows[0][0]
