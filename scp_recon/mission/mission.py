@@ -14,6 +14,7 @@ import numpy.typing as npt
 from formulations.problem.facets import Polytopes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
+from scp_recon.errors import InputError
 from scp_recon.mission.checks.given import Given
 from scp_recon.mission.checks.spread import check_spread
 from scp_recon.mission.checks.table import check_given, check_window
@@ -107,6 +108,13 @@ class Mission:
             InputError: if there is no window, a firing time breaks a rule of the schedule, or
                 entries do not make sense together (`plausibility`, `checks`).
         """
+        if scenario.boundary.home is not None and scenario.boundary.home.is_free:
+            raise InputError(
+                "boundary.home",
+                "a home orbit with free phases",
+                "must have departure_deg and arrival_deg fixed here; python -m scp_recon.design finds "
+                "them, and writes a scenario of its own",
+            )
         check_plausible(scenario)
         check_in_flight(scenario)
         rotation, site = rotation_of(scenario), site_of(scenario)
@@ -154,7 +162,8 @@ class Mission:
         flight = self.scenario.in_flight
         frame, which = (flight.frame, "") if flight else (self.scenario.boundary.frame, "initial_")
         matrix = state_axes(self.scenario, self.rotation, frame)
-        given = {
+        given: dict[str, object] = {} if flight else {"home": None}
+        given |= {
             f"{which}position_m": tuple((matrix.T @ state[:3]).tolist()),
             f"{which}velocity_m_s": tuple((matrix.T @ state[3:]).tolist()),
         }

@@ -22,6 +22,10 @@ MERIDIAN = (
 )
 SPIN = ("body.rotation_period_h", "body.prime_meridian_at_epoch_deg")
 COORDINATES = ("site.latitude_deg", "site.longitude_deg")
+ENDS = (
+    *("boundary.initial_position_m", "boundary.initial_velocity_m_s"),
+    *("boundary.final_position_m", "boundary.final_velocity_m_s"),
+)
 STATE = ("sun.body_position_km", "sun.body_velocity_km_s")
 
 FOLLOWS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
@@ -37,11 +41,15 @@ FOLLOWS: tuple[tuple[tuple[str, ...], tuple[str, ...]], ...] = (
         ("body.gm_m3_s2", "body.j2", "body.reference_radius_m", "body.gravity"),
     ),
     (("sun.spk_files",), STATE),
+    (("boundary.home",), ENDS),
+    (ENDS, ("boundary.home",)),
     (("site.position_body_m",), ("site.normal_body", *COORDINATES)),
     (COORDINATES, ("site.position_body_m", "site.normal_body")),
     (("site.normal_radius_m",), ("site.normal_body",)),
 )
 """Entries that a file may say anew, and what it then does not take over from its base."""
+GM = ("body.gm_m3_s2", "body.gravity_file", "body.name")
+"""From which the speed in a home orbit follows."""
 SURFACE = ("body.shape_file", "body.shape_unit", "body.radii_m")
 """From which the position of a site follows that is said by its coordinates."""
 
@@ -64,6 +72,8 @@ def inherit(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
     followers = [gone for said, gone in FOLLOWS if changed & set(said)]
     if changed & set(SURFACE) and found(base, COORDINATES[0]) is not None:
         followers.append(("site.position_body_m", "site.normal_body"))
+    if found(base, "boundary.home") is not None and changed & set(GM):
+        followers.append(ENDS)
     for entry in (entry for gone in followers for entry in gone):
         table, _, key = entry.partition(".")
         if not key:

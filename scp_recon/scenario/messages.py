@@ -56,6 +56,7 @@ INSTEAD = {
     "body.": "body: the name of a packaged body gives the rest; so do pck_file, gravity_file, and "
     "rotation_period_h with prime_meridian_at_epoch_deg. Another body inherits nothing.",
     "sun.": "sun: computed for packaged bodies, and from spk_files. Another epoch inherits no Sun.",
+    "boundary.": "boundary: a home orbit, boundary.home, gives the states.",
     "site.": "site: latitude_deg and longitude_deg will do on a shape, which is body.radii_m, "
     "body.shape_file or a packaged body's. Another body inherits no site.",
 }

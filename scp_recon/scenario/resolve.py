@@ -18,10 +18,12 @@ from scp_recon.environment.catalogue import DAY_S, J2000_TDB, packaged_body
 from scp_recon.scenario.body import Body, Sun
 from scp_recon.scenario.fields import Section
 from scp_recon.scenario.inherit import entries, found
+from scp_recon.scenario.resolution.boundary import resolve_boundary
 from scp_recon.scenario.resolution.gravity import resolve_gravity
 from scp_recon.scenario.resolution.rotation import resolve_rotation
 from scp_recon.scenario.resolution.site import resolve_site
 from scp_recon.scenario.resolution.sun import resolve_sun
+from scp_recon.scenario.sections import Boundary
 from scp_recon.scenario.site import SiteSection
 
 Tables = dict[str, Any]
@@ -38,6 +40,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     "gravity": ("body.gm_", "body.j2", "body.reference_", "body.gravity", "body.name"),
     "sun": ("sun.", "epoch.", "body.name", "body.naif_"),
     "site": ("site.", "body.name", "body.radii_", "body.shape_", "body.pck_"),
+    "boundary": ("boundary.", "body.gm_", "body.gravity_", "body.name"),
 }
 """What each subject is computed from and checked against: beginnings of entries."""
 FILES = ("body.shape_file", "body.pck_file", "body.gravity_file")
@@ -73,6 +76,9 @@ def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -
         _table(tables, "sun", Sun, lambda sun: resolve_sun(sun, body, known, days))
     if "site" in wanted:
         _table(tables, "site", SiteSection, lambda site: resolve_site(site, body))
+    if "boundary" in wanted:
+        gm = body.get("gm_m3_s2")
+        _table(tables, "boundary", Boundary, lambda boundary: resolve_boundary(boundary, gm))
     return tables
 
 

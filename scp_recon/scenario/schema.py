@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from scp_recon.errors import InputError
 from scp_recon.scenario.body import Body, Sun
 from scp_recon.scenario.fields import Name, Section
+from scp_recon.scenario.home import Design
 from scp_recon.scenario.in_flight import InFlight
 from scp_recon.scenario.inherit import inherit, merge, nested
 from scp_recon.scenario.messages import input_error
@@ -54,6 +55,8 @@ class Scenario(Section):
     grid: Grid
     in_flight: InFlight | None = None
     """State after the burns flown, of a flight that is under way; the whole flight if left out."""
+    design: Design | None = None
+    """What a design may choose; planning itself takes burns and phases as they are."""
 
     @property
     def duration_s(self) -> float:

@@ -17,6 +17,7 @@ from scp_recon.scenario.fields import (
     Section,
     Velocity,
 )
+from scp_recon.scenario.home import HomeOrbit
 
 
 class Epoch(Section):
@@ -57,6 +58,8 @@ class Boundary(Section):
     """Mean position after the last burn in m, in boundary.frame."""
     final_velocity_m_s: Velocity
     """Mean velocity after the last burn in m/s, in boundary.frame."""
+    home: HomeOrbit | None = None
+    """Home orbit, in place of the four states, which follow from it: at the beginnings of its spans."""
 
 
 class Burns(Section):

@@ -1,0 +1,85 @@
+"""The tables `[boundary.home]` and `[design]`: where passes begin and end, what a design chooses."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from scp_recon.scenario.fields import NonZeroVector, Positive, Section
+
+Array = npt.NDArray[np.float64]
+
+Phase = Annotated[float, Field(ge=-720, le=720)]
+Moment = Annotated[float, Field(ge=-1e7, le=1e7)]
+FULL_TURN_DEG = 360.0
+
+
+class HomeOrbit(Section):
+    """A circle about the body with two-body speed, from and to anywhere on which a pass may lead."""
+
+    radius_m: Positive
+    """Radius of the home orbit in m, from the body's centre."""
+    normal: NonZeroVector
+    """Normal of its plane in boundary.frame, of any length; the terminator's in sun_north is [1, 0, 0].
+    Phases count right-handed about it from the part of +Y in the plane (of +Z where +Y is normal)."""
+    sense: Literal["right_handed", "left_handed"] = "right_handed"
+    """Whether the spacecraft flies towards growing phases or the other way."""
+    departure_deg: tuple[Phase, Phase] = (0.0, FULL_TURN_DEG)
+    """Least and greatest phase of departure in deg; equal where it is not free."""
+    arrival_deg: tuple[Phase, Phase] = (0.0, FULL_TURN_DEG)
+    """Least and greatest phase of arrival in deg; equal where it is not free."""
+
+    @model_validator(mode="after")
+    def _one_turn(self) -> Self:
+        for name in ("departure_deg", "arrival_deg"):
+            low, high = getattr(self, name)
+            if not low <= high <= low + FULL_TURN_DEG:
+                raise ValueError(f"{name} must ascend by at most {FULL_TURN_DEG:g} deg")
+        return self
+
+    @property
+    def is_free(self) -> bool:
+        """Whether a phase is left to a design."""
+        return any(low < high for low, high in (self.departure_deg, self.arrival_deg))
+
+    def state(self, phase_rad: float, gm: float) -> Array:
+        """Position and velocity in boundary.frame, m and m/s, shape (6,), with the speed sqrt(GM / r).
+
+        Args:
+            phase_rad: where.
+            gm: of the body, m^3/s^2.
+        """
+        axis = np.array(self.normal) / np.linalg.norm(self.normal)
+        zero = np.eye(3)[2 if abs(axis[1]) > ALONG else 1]
+        first = zero - (zero @ axis) * axis
+        first /= np.linalg.norm(first)
+        second, c, s = np.cross(axis, first), np.cos(phase_rad), np.sin(phase_rad)
+        speed = np.sqrt(gm / self.radius_m) * (1.0 if self.sense == "right_handed" else -1.0)
+        position, ahead = c * first + s * second, c * second - s * first
+        return np.concatenate([self.radius_m * position, speed * ahead])
+
+
+ALONG = 0.999999
+"""Component of the normal from which on +Y has no part in the plane worth the name."""
+
+
+class Design(Section):
+    """What `python -m scp_recon.design` may choose besides the phases of boundary.home."""
+
+    departure_s: tuple[Moment, Moment] | None = None
+    """Earliest and latest first burn in s past epoch.tdb; the epoch itself if left out."""
+    arrival_s: tuple[Moment, Moment] | None = None
+    """Earliest and latest last burn in s past epoch.tdb; that of burns.times_s if left out."""
+    burn_times: Literal["free", "given"] = "free"
+    """Whether the burns between are moved within the schedule's rules, or stay as in burns.times_s."""
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        for name in ("departure_s", "arrival_s"):
+            span = getattr(self, name)
+            if span is not None and span[0] > span[1]:
+                raise ValueError(f"{name} must ascend")
+        return self
