@@ -16,7 +16,7 @@ COMMANDS = {
     f"scp_recon.{name}"
     for name in (
         *("solve", "verify", "montecarlo", "simulate", "compare", "schema", "windows", "new"),
-        *("replan", "export", "__main__"),
+        *("replan", "design", "export", "__main__"),
     )
 }
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
@@ -78,6 +78,7 @@ FLOORS = (
         f"scp_recon.{name}"
         for name in (
             *("spacecraft.basilisk", "verification", "exchange", "certification", "in_flight"),
+            "pass_design",
             *("cli", "report"),
             "front_door",
         )

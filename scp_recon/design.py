@@ -1,0 +1,140 @@
+"""Design a whole pass from a home orbit: `python -m scp_recon.design SCENARIO`."""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint, run_command, show_line, show_written
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+
+from scp_recon.certification.certify import certify, flights_needed
+from scp_recon.cli.design_tables import as_csv, progress, why_nothing
+from scp_recon.cli.keeping import run_folder
+from scp_recon.files import unwritable, write_atomically
+from scp_recon.mission.mission import Mission
+from scp_recon.pass_design.design import Designer, Tried
+from scp_recon.pass_design.setting import settled
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import Observer
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.write import scenario_text
+from scp_recon.scp.status import Status
+from scp_recon.solution.runs import point_to
+from scp_recon.solve import plan_into
+
+Array = npt.NDArray[np.float64]
+
+TABLE, MAP, SCENARIO = "design.csv", "design.png", "scenario.toml"
+FACET_ROUNDS = 3
+"""Of the plan in the end, whose facets are chosen as `solve` chooses them."""
+INIT = "design"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(prog="python -m scp_recon.design", description=__doc__)
+    p.add_argument(
+        "scenario",
+        metavar="SCENARIO",
+        help="TOML file with boundary.home, or a packaged one's name",
+    )
+    p.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        dest="overrides",
+        help="override one entry of the scenario, e.g. risk.p_chance=0.8; may be repeated",
+    )
+    p.add_argument(
+        "--certify",
+        choices=("yes", "no"),
+        default="yes",
+        help="with risk.allocation = exact, fly the plan and plan again until the lower limit of the "
+        "probability reached is what was asked (default: yes)",
+    )
+    p.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder for solution.json, {SCENARIO}, {TABLE} and {MAP} (default: runs/NAME/UTC)",
+    )
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    options = parser().parse_args(arguments)
+    return run_command(lambda console: _design(options, console))
+
+
+def _design(options: argparse.Namespace, console: Console) -> int:
+    scenario = load_scenario(options.scenario, options.overrides)
+    certified = scenario.risk.allocation == "exact" and options.certify == "yes"
+    if certified:
+        flights_needed(scenario.risk.p_chance)  # or says at once that they are too many
+    with run_folder(options.out, scenario.name) as folder:
+        with progress(console) as observe:
+            designer = Designer(scenario, observe)
+            space, found = designer.run()
+        _keep(folder, TABLE, as_csv(designer.tried))
+        _keep_map(folder, designer.tried, console)
+        if not found.converged:
+            show_line(console, why_nothing(found, len(designer.tried)))
+            show_written(console, folder / TABLE)
+            return Status.INFEASIBLE.value.exit_code
+        fixed = settled(scenario, space, found.at)
+        _keep(folder, SCENARIO, scenario_text(fixed))
+        mission = Mission.from_scenario(fixed)
+        burns = found.burns_m_s
+        status = plan_into(
+            folder, mission, lambda seen: _plan(mission, burns, seen, certified=certified), console
+        )
+    if options.out is None and status != Status.INTERRUPTED.value.exit_code:
+        point_to(folder)
+    return status
+
+
+def _plan(mission: Mission, burns_m_s: Array, observe: Observer, *, certified: bool) -> Plan:
+    """The plan of the design as `solve` makes it, begun at its burns."""
+    start = from_burns(mission, burns_m_s, INIT)
+    rounds = 0 if mission.scenario.risk.allocation == "exact" else FACET_ROUNDS
+    if certified:
+        return certify(
+            mission, start, lambda m, s, aim: plan(m, s, aim=aim, init=INIT, observe=observe)
+        )
+    return plan(mission, start, facet_rounds=rounds, init=INIT, observe=observe)
+
+
+def _keep(folder: Path, name: str, content: str | bytes) -> None:
+    try:
+        write_atomically(folder / name, content)
+    except OSError as error:
+        raise unwritable(folder, "--out", error) from None
+
+
+def _keep_map(folder: Path, tried: Sequence[Tried], console: Console) -> None:
+    if not any(one.found.converged for one in tried):
+        return
+    if importlib.util.find_spec("matplotlib") is None:
+        show_line(console, f"no {MAP}: pip install 'scp_recon[report]' for the map")
+        return
+    from scp_recon.cli.design_map import draw
+
+    _keep(folder, MAP, draw(tried))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Design of a whole pass from a home orbit: phases, epochs and burn times, in a loop around plans."""

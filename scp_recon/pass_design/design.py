@@ -1,0 +1,150 @@
+"""The loop around planning: a map over both phases, descents from its valleys, the best one refined."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from scp_recon.pass_design.local import ROUNDS_MAX, WORTH, descend
+from scp_recon.pass_design.near import Found
+from scp_recon.pass_design.ring import TURN
+from scp_recon.pass_design.scan import scan, starts
+from scp_recon.pass_design.setting import spaces_of
+from scp_recon.pass_design.space import Pass, Space
+from scp_recon.scenario.schema import Scenario
+
+STARTS_MAX = 4
+"""Valleys of the map from which descents begin."""
+FIRST_ROUNDS, FIRST_WORTH = 2, 1e-2
+"""Of the descents that are only to be compared."""
+EXACT_ROUNDS, EXACT_WORTH = 3, 1e-3
+"""Of the descent under exact risk, whose plans take ten times as long."""
+SURROGATE = {
+    "risk": {"allocation": "uniform", "scope": "node"},
+    "polytopes": {"ball": "tangent", "cone": 12},
+}
+"""What stands for exact risk until the last descent: quicker, and near it."""
+
+Step = Literal["map", "descent", "window", "refinement", "exact"]
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A plan that was made on the way.
+
+    Attributes:
+        step: of the design.
+        window: number of the lighting window, from 0.
+        begin_s: past the scenario's epoch, where the pass's own times begin.
+        found: the plan.
+    """
+
+    step: Step
+    window: int
+    begin_s: float
+    found: Found
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """A space, its number, when its times begin past the scenario's epoch, and legal times in it."""
+
+    space: Space
+    number: int
+    begin_s: float
+    times_s: tuple[float, ...]
+
+
+@dataclass
+class Designer:
+    """A design at work.
+
+    Attributes:
+        scenario: with a home orbit.
+        observe: called with every plan.
+        tried: every plan.
+    """
+
+    scenario: Scenario
+    observe: Callable[[Tried], None]
+    tried: list[Tried] = field(default_factory=list)
+
+    def run(self) -> tuple[Space, Found]:
+        """The cheapest pass found, with its space; where none has a plan, the furthest that one came.
+
+        Raises:
+            InputError: see `spaces_of`.
+        """
+        exact = self.scenario.risk.allocation == "exact"
+        given = self.scenario.changed(SURROGATE) if exact else self.scenario
+        around = [
+            Around(space, number, times[0], tuple(time - times[0] for time in times))
+            for number, (space, times) in enumerate(spaces_of(given))
+        ]
+        first = around[0]
+        mapped = scan(first.space, first.times_s, self._seen("map", first))
+        valleys = starts(mapped, STARTS_MAX)
+        if not valleys:
+            return first.space, furthest(mapped)
+        seen = self._seen("descent", first)
+        tries = [
+            (first, descend(about(first.space, one.at), one, seen, FIRST_ROUNDS, FIRST_WORTH))
+            for one in valleys
+        ]
+        where, best = cheapest(tries)
+        if not best.converged:
+            return where.space, furthest([one for _, one in tries])
+        where, best = cheapest([(where, best), *self._elsewhere(around[1:], best)])
+        where, best = self._refined("refinement", where, best, ROUNDS_MAX, WORTH)
+        if exact:
+            wanted = under_risk_of(where.space, self.scenario)
+            where = replace(where, space=wanted)
+            where, best = self._refined("exact", where, best, EXACT_ROUNDS, EXACT_WORTH)
+        return where.space, best
+
+    def _elsewhere(self, others: Iterable[Around], best: Found) -> Iterable[tuple[Around, Found]]:
+        """The best pass about the other windows, its times as far from each as from its own."""
+        for other in others:
+            start = replace(best, at=Pass(best.at.phases, other.times_s))
+            space, seen = about(other.space, best.at), self._seen("window", other)
+            yield other, descend(space, start, seen, FIRST_ROUNDS, FIRST_WORTH)
+
+    def _refined(
+        self, step: Step, where: Around, best: Found, rounds: int, worth: float
+    ) -> tuple[Around, Found]:
+        space, seen = about(where.space, best.at), self._seen(step, where)
+        return where, descend(space, best, seen, rounds, worth)
+
+    def _seen(self, step: Step, where: Around) -> Callable[[Found], None]:
+        def seen(found: Found) -> None:
+            self.tried.append(Tried(step, where.number, where.begin_s, found))
+            self.observe(self.tried[-1])
+
+        return seen
+
+
+def cheapest(tries: Iterable[tuple[Around, Found]]) -> tuple[Around, Found]:
+    """The cheapest of some passes that have a plan, or any."""
+    return min(tries, key=lambda one: one[1].dv_m_s)
+
+
+def furthest(tries: Iterable[Found]) -> Found:
+    """The one that violates least."""
+    return min(tries, key=lambda one: one.stage.merit.worst_violation(one.stage.result.lin))
+
+
+def about(space: Space, one: Pass) -> Space:
+    """The same space, a whole turn of phases laid about a pass."""
+    spans = [
+        (phase - 0.5 * TURN, phase + 0.5 * TURN) if high - low >= TURN - 1e-9 else (low, high)
+        for phase, (low, high) in zip(one.phases, space.phase_spans, strict=True)
+    ]
+    return replace(space, phase_spans=(spans[0], spans[1]))
+
+
+def under_risk_of(space: Space, scenario: Scenario) -> Space:
+    """The same space under a scenario's own risk and polytopes."""
+    own = space.mission.scenario
+    update = {"risk": scenario.risk, "polytopes": scenario.polytopes}
+    return replace(space, mission=replace(space.mission, scenario=own.model_copy(update=update)))

@@ -1,0 +1,77 @@
+"""`python -m scp_recon.design`: what it leaves on disk, and what it says where nothing is found."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from scp_recon import design, solve
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.write import scenario_text
+from scp_recon.solution.file import read_solution
+from tests.scp_recon.pass_design.support import home_scenario
+
+
+def scenario_file(folder: Path, changes: dict[str, object]) -> Path:
+    path = folder / "home.toml"
+    path.write_text(scenario_text(home_scenario(changes)), "utf-8")
+    return path
+
+
+NARROW = {
+    "boundary.home.departure_deg": [140.0, 175.0],
+    "boundary.home.arrival_deg": [-20.0, 15.0],
+    "grid.step_max_s": 464.0,
+}
+
+
+def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert design.main([str(scenario_file(tmp_path, NARROW)), "--out", str(out)]) == 0
+    solution = read_solution(out)
+    assert solution.verification is not None
+    assert solution.verification.ok
+    assert solution.total_dv_m_s <= 0.0254
+    # The scenario stands for itself, and a plan of it from cold is no cheaper.
+    fixed = load_scenario(out / "scenario.toml")
+    assert fixed == solution.scenario
+    Mission.from_scenario(fixed)
+    again = tmp_path / "again"
+    assert solve.main(["--scenario", str(out / "scenario.toml"), "--out", str(again)]) == 0
+    assert read_solution(again).total_dv_m_s == pytest.approx(solution.total_dv_m_s, rel=2e-3)
+    with (out / "design.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {row["step"] for row in rows} == {"map", "descent", "refinement"}
+    least = min(float(row["dv_m_s"]) for row in rows if row["dv_m_s"] and row["problem"] == "P2")
+    assert least == pytest.approx(solution.total_dv_m_s, rel=1e-2)
+    assert (out / "design.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_design_that_finds_nothing_tells_limit_and_departure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    changes = NARROW | {"burns.dv_max_m_s": 0.001, "boundary.home.arrival_deg": [0.0, 0.0]}
+    out = tmp_path / "out"
+    assert design.main([str(scenario_file(tmp_path, changes)), "--out", str(out)]) == 3
+    said = capsys.readouterr().out
+    assert "no pass found" in said
+    assert "dv_max, short by" in said
+    assert "from 1" in said  # a departure between 140 and 175 deg
+    assert not (out / "solution.json").exists()
+    assert (out / "design.csv").exists()
+
+
+@pytest.mark.parametrize("command", ["solve", "design"])
+def test_each_command_refuses_the_other_s_boundary(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    free = scenario_file(tmp_path, {})
+    status = (
+        solve.main(["--scenario", str(free)]) if command == "solve" else design.main(["recon_b"])
+    )
+    assert status == 2
+    assert "boundary.home" in capsys.readouterr().err

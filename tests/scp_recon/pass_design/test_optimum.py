@@ -1,0 +1,56 @@
+"""The derivative of the least delta-v: held against plans at either side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scp_recon.mission.mission import Mission
+from scp_recon.pass_design.local import descend
+from scp_recon.pass_design.near import Found, Near
+from scp_recon.pass_design.setting import settled, spaces_of
+from scp_recon.pass_design.space import Pass, Space
+from scp_recon.planning.initial_guess import cold
+from scp_recon.planning.planner import Planner
+from tests.scp_recon.pass_design.support import home_scenario
+
+
+@pytest.fixture(scope="module")
+def space() -> Space:
+    return spaces_of(home_scenario(design={"departure_s": [-500.0, 500.0]}))[0][0]
+
+
+@pytest.fixture(scope="module")
+def near(space: Space) -> Near:
+    at = Pass((np.deg2rad(155.0), 0.0), (0.0, 8000.0, 24_000.0, 34_842.0))
+    mission = space.mission_of(at)
+    plan = Planner(mission).plan(cold(mission))
+    return Near(space, at, plan.burns_m_s)
+
+
+STEP = 1e-3
+
+
+def test_multipliers_give_the_derivative_by_phases_and_times(space: Space, near: Near) -> None:
+    first = near.first
+    assert first.converged
+    unit = first.mission.units.speed_m_s
+    slope = unit * near.slope(first, np.ones(6, dtype=np.bool_))
+    x = space.vector(first.at)
+    for j in (0, 1, 2, 4, 5):
+        step = STEP * np.eye(6)[j]
+        ahead, behind = (near.plan(x + side * step).dv_m_s for side in (1.0, -1.0))
+        assert slope[j] == pytest.approx((ahead - behind) / (2.0 * STEP), rel=2e-3, abs=1e-6)
+
+
+def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(
+    space: Space, near: Near
+) -> None:
+    seen: list[Found] = []
+    best = descend(space, near.first, seen.append, rounds_max=1)
+    assert best.dv_m_s < 0.95 * near.first.dv_m_s
+    assert best.dv_m_s <= min(seen[0].dv_m_s, seen[-1].dv_m_s)
+    scenario = home_scenario(design={"departure_s": [-500.0, 500.0]})
+    mission = Mission.from_scenario(settled(scenario, space, best.at))
+    again = Planner(mission).plan(cold(mission))
+    assert again.total_dv_m_s == pytest.approx(best.dv_m_s, rel=2e-3)
