@@ -194,6 +194,18 @@ STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
 IN_FLIGHT = f"python -m scp_recon.replan runs/latest --at 17000 --state {STATE} --out runs/again"
 EXACT = "python -m scp_recon.solve --set 'risk.allocation=\"exact\"'"
 
+NARROW = " ".join(
+    f"--set '{entry}'"
+    for entry in (
+        "design={departure_s = [0, 0], arrival_s = [34842, 34842]}",
+        "boundary.home.departure_deg=[158, 158]",
+        "boundary.home.arrival_deg=[0, 0]",
+        'risk={allocation = "uniform", scope = "node"}',
+        'polytopes.ball="tangent"',
+        "polytopes.cone=12",
+    )
+)
+
 QUICK = {
     # planning
     "python -m scp_recon.solve --init warm --facet-rounds 1": Quick(),
@@ -234,6 +246,12 @@ QUICK = {
         "python -m scp_recon.solve --scenario mine.toml --init start.csv --problem P3"
     ),
     "python -m scp_recon.windows recon_b": Quick(),
+    "python -m scp_recon.design nightingale": Quick(
+        f"python -m scp_recon.design nightingale {NARROW}", needs="matplotlib"
+    ),
+    "python -m scp_recon.solve --scenario runs/latest/scenario.toml": Quick(
+        "python -m scp_recon.solve"
+    ),
     "python -m scp_recon.windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
     "--chart windows.png": Quick(needs="matplotlib"),
     # its result

@@ -111,9 +111,9 @@ class Mission:
         if scenario.boundary.home is not None and scenario.boundary.home.is_free:
             raise InputError(
                 "boundary.home",
-                "a home orbit with free phases",
-                "must have departure_deg and arrival_deg fixed here; python -m scp_recon.design finds "
-                "them, and writes a scenario of its own",
+                "a home orbit that is flown, or has free phases",
+                "must be a circle with departure_deg and arrival_deg fixed here; "
+                "python -m scp_recon.design finds the rest, and writes a scenario of its own",
             )
         check_plausible(scenario)
         check_in_flight(scenario)

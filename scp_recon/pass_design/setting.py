@@ -10,7 +10,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission, boundary_axes, rotation_of
 from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import Window
-from scp_recon.pass_design.ring import home_ring
+from scp_recon.pass_design.ring import flown_ring, home_ring
 from scp_recon.pass_design.rules import Span, nearest_legal
 from scp_recon.pass_design.space import Pass, Space
 from scp_recon.physics.orbit import two_body
@@ -104,6 +104,7 @@ def _space(
     assert home is not None
     fixed = at_epoch(scenario, begin).replace(
         {
+            "boundary.home.flown": False,
             "boundary.home.departure_deg": [home.departure_deg[0]] * 2,
             "boundary.home.arrival_deg": [home.arrival_deg[0]] * 2,
             "burns.times_s": [time - begin for time in times],
@@ -114,8 +115,11 @@ def _space(
     inner = [(departure[0], arrival[1]) if free else (time, time) for time in times[1:-1]]
     spans = [(low - begin, high - begin) for low, high in (departure, *inner, arrival)]
     phases = [tuple(np.deg2rad(span).tolist()) for span in (home.departure_deg, home.arrival_deg)]
-    ring = home_ring(home, scenario.body.gm_m3_s2, boundary_axes(scenario, rotation_of(scenario)))
-    mission = Mission.from_scenario(fixed)
+    mission, axes = Mission.from_scenario(fixed), boundary_axes(scenario, rotation_of(scenario))
+    if home.flown:
+        ring = flown_ring(home, mission.forces, axes)
+    else:
+        ring = home_ring(home, scenario.body.gm_m3_s2, axes)
     return Space(mission, ring, mission.schedule.window_s, (phases[0], phases[1]), tuple(spans))
 
 

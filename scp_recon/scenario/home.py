@@ -18,7 +18,7 @@ FULL_TURN_DEG = 360.0
 
 
 class HomeOrbit(Section):
-    """A circle about the body with two-body speed, from and to anywhere on which a pass may lead."""
+    """A circle about the body with two-body speed, on which a pass begins and ends."""
 
     radius_m: Positive
     """Radius of the home orbit in m, from the body's centre."""
@@ -27,6 +27,9 @@ class HomeOrbit(Section):
     Phases count right-handed about it from the part of +Y in the plane (of +Z where +Y is normal)."""
     sense: Literal["right_handed", "left_handed"] = "right_handed"
     """Whether the spacecraft flies towards growing phases or the other way."""
+    flown: bool = False
+    """Whether it is one revolution flown under the mission's forces, from the circle's state at phase 0
+    and the epoch on, instead of the circle. A design alone can tell its states."""
     departure_deg: tuple[Phase, Phase] = (0.0, FULL_TURN_DEG)
     """Least and greatest phase of departure in deg; equal where it is not free."""
     arrival_deg: tuple[Phase, Phase] = (0.0, FULL_TURN_DEG)
@@ -42,8 +45,8 @@ class HomeOrbit(Section):
 
     @property
     def is_free(self) -> bool:
-        """Whether a phase is left to a design."""
-        return any(low < high for low, high in (self.departure_deg, self.arrival_deg))
+        """Whether its states are left to a design."""
+        return self.flown or any(low < high for low, high in (self.departure_deg, self.arrival_deg))
 
     def state(self, phase_rad: float, gm: float) -> Array:
         """Position and velocity in boundary.frame, m and m/s, shape (6,), with the speed sqrt(GM / r).

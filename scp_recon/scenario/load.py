@@ -36,7 +36,7 @@ def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ())
     """
     name = "recon_b" if path is None else str(path)
     if name in base_names():
-        return _validated(packaged(name), overrides)
+        return _validated(_with_base(packaged(name), Path(), ()), overrides)
     file = Path(name)
     return _validated(_with_base(_read(file), file.parent, (file.absolute(),)), overrides)
 
@@ -118,7 +118,7 @@ def _with_base(data: Mapping[str, Any], folder: Path, above: tuple[Path, ...]) -
         return own
     name, names = data["base"], base_names()
     if isinstance(name, str) and name in names:
-        return inherit(packaged(name), own)
+        return inherit(_with_base(packaged(name), Path(), ()), own)
     if not isinstance(name, str) or not (folder / name).is_file():
         allowed = f"must be one of {', '.join(names)}, or a scenario file"
         raise InputError("base", repr(name)[:80], f"{allowed}, relative to the one that names it")

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scp_recon.errors import InputError
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import Rotation
-from scp_recon.scenario.load import packaged
+from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 
@@ -75,4 +75,4 @@ def angle_deg(vector: Array, direction: Array) -> float:
 @cache
 def packaged_tables(name: str) -> dict[str, Any]:
     """Tables of a packaged scenario, validated."""
-    return Scenario.validated(packaged(name)).model_dump()
+    return load_scenario(name).model_dump()

@@ -18,6 +18,7 @@ from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.sections import ScheduleRules
 from scp_recon.scenario.write import scenario_text
 from tests.scp_recon.pass_design.support import home_scenario
+from tests.scp_recon.support import integrate
 
 RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
 
@@ -36,6 +37,24 @@ def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(
     assert momentum[0] * (1.0 if sense == "right_handed" else -1.0) == pytest.approx(
         1000.0 * np.linalg.norm(v), rel=1e-12
     )
+
+
+def test_a_flown_home_orbit_leaves_the_circle_slowly_and_obeys_the_forces() -> None:
+    """Held against an integration of the test's own, from one phase to another."""
+    space, _ = spaces_of(home_scenario(flown=True))[0]
+    circle, _ = spaces_of(home_scenario())[0]
+    np.testing.assert_allclose(space.ring(0.0), circle.ring(0.0), atol=1e-6)
+    apart = [np.linalg.norm(space.ring(-a)[:3] - circle.ring(-a)[:3]) for a in (0.1, 1.0, 3.0)]
+    assert 0.0 < apart[0] < apart[1] < apart[2] < 200.0
+    begin, end = space.ring(-1.0), space.ring(-2.0)
+    times = np.linspace(0.0, 20_000.0, 4001)
+    there = integrate(space.mission.forces, begin, times)
+    nearest = np.argmin(np.linalg.norm(there[:, :3] - end[:3], axis=1))
+    assert np.linalg.norm(there[nearest] - end) < 1.0  # a look is 5 s, 0.35 m
+    with pytest.raises(InputError, match=r"boundary\.home"):
+        Mission.from_scenario(
+            home_scenario(flown=True, departure_deg=[0.0, 0.0], arrival_deg=[1.0, 1.0])
+        )
 
 
 def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary() -> None:
