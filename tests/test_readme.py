@@ -250,7 +250,7 @@ QUICK = {
         f"python -m scp_recon.design nightingale {NARROW}", needs="matplotlib"
     ),
     "python -m scp_recon.solve --scenario runs/latest/scenario.toml": Quick(
-        "python -m scp_recon.solve"
+        "python -m scp_recon.solve --scenario recon_b --problem P3"
     ),
     "python -m scp_recon.windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
     "--chart windows.png": Quick(needs="matplotlib"),

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
+
+import numpy as np
 
 from scp_recon.pass_design.local import ROUNDS_MAX, WORTH, descend
 from scp_recon.pass_design.near import Found
@@ -26,7 +29,10 @@ SURROGATE = {
 }
 """What stands for exact risk until the last descent: quicker, and near it."""
 
-Step = Literal["map", "descent", "window", "refinement", "exact"]
+VANISHED_M_S = 1e-6
+"""Size of a burn that is none."""
+
+Step = Literal["map", "descent", "window", "refinement", "fewer", "exact"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,34 +93,47 @@ class Designer:
         valleys = starts(mapped, STARTS_MAX)
         if not valleys:
             return first.space, furthest(mapped)
-        seen = self._seen("descent", first)
         tries = [
-            (first, descend(about(first.space, one.at), one, seen, FIRST_ROUNDS, FIRST_WORTH))
+            (first, self._descent(first, "descent", one.at, one, FIRST_ROUNDS, FIRST_WORTH))
             for one in valleys
         ]
         where, best = cheapest(tries)
         if not best.converged:
             return where.space, furthest([one for _, one in tries])
         where, best = cheapest([(where, best), *self._elsewhere(around[1:], best)])
-        where, best = self._refined("refinement", where, best, ROUNDS_MAX, WORTH)
+        best = self._descent(where, "refinement", best.at, best, ROUNDS_MAX, WORTH)
+        where, best = self._without_vanished(where, best)
         if exact:
-            wanted = under_risk_of(where.space, self.scenario)
-            where = replace(where, space=wanted)
-            where, best = self._refined("exact", where, best, EXACT_ROUNDS, EXACT_WORTH)
+            where = replace(where, space=under_risk_of(where.space, self.scenario))
+            best = self._descent(where, "exact", best.at, best, EXACT_ROUNDS, EXACT_WORTH)
         return where.space, best
 
     def _elsewhere(self, others: Iterable[Around], best: Found) -> Iterable[tuple[Around, Found]]:
-        """The best pass about the other windows, its times as far from each as from its own."""
+        """The best pass about the other windows, at their own legal times."""
         for other in others:
-            start = replace(best, at=Pass(best.at.phases, other.times_s))
-            space, seen = about(other.space, best.at), self._seen("window", other)
-            yield other, descend(space, start, seen, FIRST_ROUNDS, FIRST_WORTH)
+            at = Pass(best.at.phases, other.times_s)
+            yield other, self._descent(other, "window", at, best, FIRST_ROUNDS, FIRST_WORTH)
 
-    def _refined(
-        self, step: Step, where: Around, best: Found, rounds: int, worth: float
-    ) -> tuple[Around, Found]:
-        space, seen = about(where.space, best.at), self._seen(step, where)
-        return where, descend(space, best, seen, rounds, worth)
+    def _without_vanished(self, where: Around, best: Found) -> tuple[Around, Found]:
+        """The pass without inner burns that have vanished, if no worse; their rules go with them."""
+        there = np.linalg.norm(best.burns_m_s, axis=1) > VANISHED_M_S
+        there[[0, -1]] = True
+        given = self.scenario.design is not None and self.scenario.design.burn_times == "given"
+        if given or there.all():
+            return where, best
+        spans = tuple(itertools.compress(where.space.time_spans, there))
+        times = tuple(itertools.compress(best.at.times_s, there))
+        fewer = replace(where, space=replace(where.space, time_spans=spans))
+        space, seen = about(fewer.space, best.at), self._seen("fewer", fewer)
+        found = descend(space, Pass(best.at.phases, times), best.burns_m_s[there], seen)
+        return (fewer, found) if found.dv_m_s <= (1.0 + WORTH) * best.dv_m_s else (where, best)
+
+    def _descent(
+        self, where: Around, step: Step, at: Pass, known: Found, rounds: int, worth: float
+    ) -> Found:
+        """From a pass, begun at the burns of a known plan."""
+        space, seen = about(where.space, at), self._seen(step, where)
+        return descend(space, at, known.burns_m_s, seen, rounds, worth)
 
     def _seen(self, step: Step, where: Around) -> Callable[[Found], None]:
         def seen(found: Found) -> None:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from scp_recon.pass_design.near import Found, Near
-from scp_recon.pass_design.space import Space
+from scp_recon.pass_design.space import Pass, Space
 
 Array = npt.NDArray[np.float64]
 
@@ -25,13 +25,19 @@ Observe = Callable[[Found], None]
 
 
 def descend(
-    space: Space, start: Found, observe: Observe, rounds_max: int = ROUNDS_MAX, worth: float = WORTH
+    space: Space,
+    at: Pass,
+    burns_m_s: Array,
+    observe: Observe,
+    rounds_max: int = ROUNDS_MAX,
+    worth: float = WORTH,
 ) -> Found:
-    """The best pass that rounds of SLSQP find from one whose plan is known.
+    """The best pass that rounds of SLSQP find from one.
 
     Args:
         space: of the passes.
-        start: a plan of P2, or of P3 to begin P2's at.
+        at: where it begins.
+        burns_m_s: at which the first plan begins, J2000, shape (m, 3).
         observe: called with every plan.
         rounds_max: limit.
         worth: relative gain of a round for which there is another.
@@ -39,7 +45,7 @@ def descend(
     Returns:
         Never a worse one than P2 at the start; one that has not converged if that has not.
     """
-    near = Near(space, start.at, start.burns_m_s)
+    near = Near(space, at, burns_m_s)
     best = near.first
     observe(best)
     if not best.converged:

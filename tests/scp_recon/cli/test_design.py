@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from scp_recon import design, solve
@@ -44,7 +45,10 @@ def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_p
     assert read_solution(again).total_dv_m_s == pytest.approx(solution.total_dv_m_s, rel=2e-3)
     with (out / "design.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert {row["step"] for row in rows} == {"map", "descent", "refinement"}
+    assert {row["step"] for row in rows} == {"map", "descent", "refinement", "fewer"}
+    sizes = np.linalg.norm([burn.dv_m_s for burn in solution.burns], axis=1)
+    assert len(sizes) == 3  # the second of the four given vanishes
+    assert sizes.min() > 1e-4
     least = min(float(row["dv_m_s"]) for row in rows if row["dv_m_s"] and row["problem"] == "P2")
     assert least == pytest.approx(solution.total_dv_m_s, rel=1e-2)
     assert (out / "design.png").read_bytes().startswith(b"\x89PNG")

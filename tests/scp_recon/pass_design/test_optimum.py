@@ -47,7 +47,7 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(
     space: Space, near: Near
 ) -> None:
     seen: list[Found] = []
-    best = descend(space, near.first, seen.append, rounds_max=1)
+    best = descend(space, near.first.at, near.first.burns_m_s, seen.append, rounds_max=1)
     assert best.dv_m_s < 0.95 * near.first.dv_m_s
     assert best.dv_m_s <= min(seen[0].dv_m_s, seen[-1].dv_m_s)
     scenario = home_scenario(design={"departure_s": [-500.0, 500.0]})

@@ -57,6 +57,14 @@ def test_a_flown_home_orbit_leaves_the_circle_slowly_and_obeys_the_forces() -> N
         )
 
 
+@pytest.mark.parametrize("site", ["nightingale", "kingfisher", "osprey", "sandpiper"])
+def test_packaged_designs_have_a_window_and_legal_times(site: str) -> None:
+    scenario = load_scenario(site)
+    assert scenario.site.name.casefold() == site
+    assert scenario.body == load_scenario("recon_b").body
+    assert spaces_of(scenario)
+
+
 def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary() -> None:
     fixed = home_scenario(departure_deg=[150.0, 150.0], arrival_deg=[0.0, 0.0])
     mission = Mission.from_scenario(fixed)
