@@ -78,7 +78,9 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
         rate, (0.0, LONGEST * period), start, "DOP853", dense_output=True, rtol=1e-10, atol=1e-6
     )
     times = np.linspace(0.0, LONGEST * period, SAMPLES)
-    places = flown.sol(times)[:3]
+    track: Callable[[npt.ArrayLike], Array] | None = flown.sol
+    assert track is not None  # of a dense output
+    places = track(times)[:3]
     angle = sense * np.unwrap(np.arctan2(second @ places, first @ places))
     once = int(np.argmax(angle >= TURN)) + 1
     if not flown.success or once == 1 or np.any(np.diff(angle[:once]) <= 0.0):
@@ -90,7 +92,7 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     when = PchipInterpolator(angle[:once], times[:once])
 
     def state(phase: float) -> Array:
-        return np.asarray(flown.sol(float(when(np.mod(sense * phase, TURN)))))
+        return np.asarray(track(float(when(np.mod(sense * phase, TURN)))))
 
     return Ring(state)
 
