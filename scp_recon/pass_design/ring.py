@@ -78,7 +78,7 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
         rate, (0.0, LONGEST * period), start, "DOP853", dense_output=True, rtol=1e-10, atol=1e-6
     )
     times = np.linspace(0.0, LONGEST * period, SAMPLES)
-    track: Callable[[npt.ArrayLike], Array] | None = flown.sol
+    track = flown.sol
     assert track is not None  # of a dense output
     places = track(times)[:3]
     angle = sense * np.unwrap(np.arctan2(second @ places, first @ places))
