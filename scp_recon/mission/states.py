@@ -30,6 +30,11 @@ def state_axes(scenario: Scenario, rotation: Rotation, frame: str) -> Array:
     return sun_north_to_j2000(sun_direction(scenario, 0.0), rotation.pole)
 
 
+def boundary_axes(scenario: Scenario, rotation: Rotation) -> Array:
+    """`state_axes` of the boundary states."""
+    return state_axes(scenario, rotation, scenario.boundary.frame)
+
+
 def first_state(scenario: Scenario, rotation: Rotation) -> Array:
     """Where planning begins: in flight, or before the first burn."""
     flight = scenario.in_flight

@@ -7,7 +7,8 @@ from datetime import timedelta
 import numpy as np
 
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission, boundary_axes, rotation_of
+from scp_recon.mission.mission import Mission, rotation_of
+from scp_recon.mission.states import boundary_axes
 from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import Window
 from scp_recon.pass_design.ring import flown_ring, home_ring
@@ -34,6 +35,8 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
     home, design = scenario.boundary.home, scenario.design or Design()
     if home is None:
         raise InputError("boundary.home", "nothing", "must be a home orbit for a design")
+    if scenario.in_flight is not None:
+        raise InputError("in_flight", "a flight under way", "must be left out of a design")
     departure = design.departure_s or (0.0, 0.0)
     arrival = design.arrival_s or (scenario.duration_s,) * 2
     if arrival[1] <= departure[0]:

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission, boundary_axes
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.states import boundary_axes
 from scp_recon.pass_design.rules import nearest_legal
 from scp_recon.pass_design.setting import settled, spaces_of
 from scp_recon.pass_design.space import Pass
