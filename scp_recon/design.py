@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_line, show_written
+from scp_recon.cli.command import (
+    Answer,
+    exit_on_sigint,
+    parse,
+    run_command,
+    show_line,
+    show_written,
+)
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -76,11 +83,11 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _design(options, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _design(options, console), options)
 
 
-def _design(options: argparse.Namespace, console: Console) -> int:
+def _design(options: argparse.Namespace, console: Console) -> Answer:
     scenario = load_scenario(options.scenario, options.overrides)
     certified = scenario.risk.allocation == "exact" and options.certify == "yes"
     if certified:
@@ -94,17 +101,17 @@ def _design(options: argparse.Namespace, console: Console) -> int:
         if not found.converged:
             show_line(console, why_nothing(found, len(designer.tried)))
             show_written(console, folder / TABLE)
-            return Status.INFEASIBLE.value.exit_code
+            return Answer(Status.INFEASIBLE.value.exit_code, {"files": [str(folder / TABLE)]})
         fixed = settled(scenario, space, found.at)
         _keep(folder, SCENARIO, scenario_text(fixed))
         mission = Mission.from_scenario(fixed)
         burns = found.burns_m_s
-        status = plan_into(
+        answer = plan_into(
             folder, mission, lambda seen: _plan(mission, burns, seen, certified=certified), console
         )
-    if options.out is None and status != Status.INTERRUPTED.value.exit_code:
+    if options.out is None and answer.status != Status.INTERRUPTED.value.exit_code:
         point_to(folder)
-    return status
+    return answer
 
 
 def _plan(mission: Mission, burns_m_s: Array, observe: Observer, *, certified: bool) -> Plan:

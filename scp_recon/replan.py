@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command
+from scp_recon.cli.command import Answer, exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -63,11 +63,11 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    options = parser().parse_args(joined(sys.argv[1:] if arguments is None else arguments))
-    return run_command(lambda console: _replan(options, console))
+    options = parse(parser(), joined(sys.argv[1:] if arguments is None else arguments))
+    return run_command(lambda console: _replan(options, console), options)
 
 
-def _replan(options: argparse.Namespace, console: Console) -> int:
+def _replan(options: argparse.Namespace, console: Console) -> Answer:
     home = resolve_run(options.solution)
     solution = read_solution(home)
     delivery = delivery_from(options, solution.scenario.epoch.tdb)
@@ -80,15 +80,15 @@ def _replan(options: argparse.Namespace, console: Console) -> int:
     if certified:
         flights_needed(mission.scenario.risk.p_chance)
     with run_folder(options.out, mission.scenario.name) as folder:
-        status = plan_into(
+        answer = plan_into(
             folder,
             mission,
             lambda observe: replan(flown, mission, certified=certified, observe=observe),
             console,
         )
-    if options.out is None and status != Status.INTERRUPTED.value.exit_code:
+    if options.out is None and answer.status != Status.INTERRUPTED.value.exit_code:
         point_to(folder)
-    return status
+    return answer
 
 
 if __name__ == "__main__":

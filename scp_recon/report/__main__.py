@@ -7,7 +7,14 @@ beside a plan are shown with it.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_line, show_written
+from scp_recon.cli.command import (
+    Answer,
+    exit_on_sigint,
+    parse,
+    run_command,
+    show_line,
+    show_written,
+)
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -61,17 +68,17 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; 0, or 2 after bad input."""
-    options = parser().parse_args(arguments)
-    return run_command(lambda console: _write(options, console))
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _write(options, console), options)
 
 
-def _write(options: argparse.Namespace, console: Console) -> int:
+def _write(options: argparse.Namespace, console: Console) -> Answer:
     file = options.out or folder_of(resolve_run(options.plans[0])) / FILE_NAME
     camera = Camera(options.field_deg, options.pixels)
     path = write_report(options.plans, file, camera)
     show_line(console, f"{path.stat().st_size / 1e6:.1f} MB")
     show_written(console, path)
-    return 0
+    return Answer(0, {"files": [str(path)]})
 
 
 if __name__ == "__main__":

@@ -14,7 +14,17 @@ from tests import reliability
 PROJECT = Path(__file__).parents[3]
 COMMANDS = [
     f"scp_recon.{name}"
-    for name in ("solve", "verify", "montecarlo", "simulate", "compare", "export")
+    for name in (
+        "solve",
+        "design",
+        "replan",
+        "verify",
+        "montecarlo",
+        "simulate",
+        "compare",
+        "report",
+        "export",
+    )
 ]
 COMMANDS += ["paper_figs", "paper_figs.flyby", "benchmarks"]
 
