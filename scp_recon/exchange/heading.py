@@ -75,7 +75,7 @@ def maker() -> str:
 def heading(export: Export) -> list[str]:
     """Lines of plain ASCII, none longer than a message's line may be."""
     scenario, solution, path = export.mission.scenario, export.solution, export.path
-    end = scenario.burns.times_s[-1]
+    end = solution.burns[-1].t_s
     lines = [
         f"scenario {scenario.name}, {solution.problem}, by {maker()}",
         f"plan {solution.plan_hash}",

@@ -85,9 +85,17 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
     Raises:
         InputError: if its nodes are not where its burns lead, or it needs too many states.
     """
-    nodes, firing = np.array(solution.nodes.t_s), mission.scenario.burns.times_s
+    nodes, firing = np.array(solution.nodes.t_s), [burn.t_s for burn in solution.burns]
+    start = float(nodes[0])
     state, spread = mission.initial_state.copy(), Spread.before_burns(mission)
-    coasts = [_coast(mission, state, spread.covariance, np.array([0.0, -MARGIN_S]))]
+    first = _coast(mission, state, spread.covariance, np.array([start, start - MARGIN_S]))
+    if firing[0] > start:  # it coasts before its first burn
+        edges = np.append(nodes[nodes < firing[0]], firing[0])
+        flown = _flight(mission, state, start, firing[0])
+        first = _joined(first, _sampled(flown, edges, spread.covariance))
+        stm = flown(firing[0])[6:].reshape(6, 6)
+        state, spread = flown(firing[0])[:6], spread.carried(stm)
+    coasts = [first]
     for number, burn in enumerate(solution.burns_m_s):
         state[3:] += burn
         spread = spread.after_burn(mission, burn)
@@ -103,6 +111,17 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
     path = FlownPath(tuple(coasts))
     _check(path, solution)
     return path
+
+
+def _joined(one: Coast, other: Coast) -> Coast:
+    """Two that follow each other without a burn."""
+    return Coast(
+        np.concatenate([one.times_s, other.times_s[1:]]),
+        np.concatenate([one.states, other.states[1:]]),
+        np.concatenate([one.covariances, other.covariances[1:]]),
+        max(one.linear_error_m, other.linear_error_m),
+        max(one.cubic_error_m, other.cubic_error_m),
+    )
 
 
 def _coast(mission: Mission, state: Array, covariance: Array, edges: Array) -> Coast:
@@ -169,8 +188,8 @@ def _check(path: FlownPath, solution: Solution) -> None:
     """What the file says must be what is exported."""
     nodes = np.array(solution.nodes.t_s)
     stored = np.array(solution.nodes.state)
-    times = np.concatenate([coast.times_s for coast in path.coasts[1:]])
-    states = np.concatenate([coast.states for coast in path.coasts[1:]])
+    times = np.concatenate([coast.times_s for coast in path.coasts])
+    states = np.concatenate([coast.states for coast in path.coasts])
     flown = states[np.searchsorted(times, nodes, side="right") - 1]  # after the burn
     off = float(np.linalg.norm(flown[:, :3] - stored[:, :3], axis=1).max())
     if not off <= DEFECT_LIMIT_M:
