@@ -142,7 +142,6 @@ def judged(mission: Mission, kept: KeptFlights) -> tuple[Estimate, Estimate]:
 def with_nodes_at(mission: Mission, times_s: npt.NDArray[np.float64]) -> Mission:
     """The mission with a node in each arc in which flights touch a limit, where most of them do."""
     arcs = np.searchsorted(mission.times_s, times_s)
-    added = [round(float(np.median(times_s[arcs == arc]))) for arc in np.unique(arcs)]
-    grid = mission.scenario.grid
-    nodes = tuple(sorted({*grid.nodes_s, *map(float, added)} - set(mission.times_s.tolist())))
-    return Mission.from_scenario(mission.scenario.replace({"grid.nodes_s": list(nodes)}))
+    new = {float(round(float(np.median(times_s[arcs == arc])))) for arc in np.unique(arcs)}
+    nodes = sorted({*mission.scenario.grid.nodes_s} | (new - set(mission.times_s.tolist())))
+    return Mission.from_scenario(mission.scenario.replace({"grid.nodes_s": nodes}))

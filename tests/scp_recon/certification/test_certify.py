@@ -146,6 +146,8 @@ def test_nodes_are_added_where_flights_touch() -> None:
     assert {round(a + 30.0), round(b + 40.0)} <= {round(t) for t in finer.times_s.tolist()}
     assert len(finer.times_s) > len(mission.times_s)
     assert finer.scenario.grid.nodes_s
+    again = with_nodes_at(finer, np.array([mission.times_s[80] + 20.0]))
+    assert set(finer.scenario.grid.nodes_s) < set(again.scenario.grid.nodes_s)
 
 
 def test_flights_are_kept_or_not_at_every_second() -> None:
