@@ -72,6 +72,15 @@ def iso_utc(when: int) -> str:
     return _iso(tai - offset * NS)
 
 
+def shown_utc(when: int) -> str:
+    """UTC to the second, as in 2020-01-21 20:32:08.
+
+    Raises:
+        InputError: before 1972.
+    """
+    return iso_utc(when + NS // 2)[:19].replace("T", " ")
+
+
 def tdb_of_utc(utc: datetime) -> datetime:
     """TDB, to the microsecond, of a date in UTC; one with a zone is brought to UTC first.
 

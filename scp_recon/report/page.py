@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from typing import Any
 
-from scp_recon.report.clock import told, utc_of
+from scp_recon.physics.time_scales import instant, iso_utc, shown_utc
 from scp_recon.report.numbers import script
 from scp_recon.report.subject import Subject
 from scp_recon.report.table import Table
@@ -76,11 +76,12 @@ def version_of_planner() -> str:
 def identity(page: Page) -> str:
     """What every sheet says: scenarios, their epochs in UTC, plans, version, and when it was made."""
     plans = "; ".join(
-        f"{s.solution.scenario.name}, t = 0 at {told(utc_of(s.solution.scenario.epoch.tdb))} UTC, "
+        f"{s.solution.scenario.name}, "
+        f"t = 0 at {shown_utc(instant(s.solution.scenario.epoch.tdb))} UTC, "
         f"plan {s.solution.plan_hash[:SHOWN]}"
         for s in page.subjects
     )
-    return f"{plans} | scp_recon {version_of_planner()} | made {told(page.made)} UTC"
+    return f"{plans} | scp_recon {version_of_planner()} | made {page.made:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def render(page: Page) -> str:
@@ -98,7 +99,7 @@ def render(page: Page) -> str:
         "scene": page.scene,
         "charts": page.charts,
         "cursors": CURSORS,
-        "epoch_utc": utc_of(first.solution.scenario.epoch.tdb).isoformat() + "Z",
+        "epoch_utc": iso_utc(instant(first.solution.scenario.epoch.tdb))[:23] + "Z",
         "file": f"{first.solution.scenario.name}-{first.solution.plan_hash[:SHOWN]}",
     }
     names = [subject.name for subject in page.subjects]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import timedelta
 
 import numpy as np
 
+from scp_recon.physics.time_scales import instant, shown_utc
 from scp_recon.report.budget import SHARE, Budget
-from scp_recon.report.clock import told, utc_of
 from scp_recon.report.flight_tables import flights_table, simulation_tables
 from scp_recon.report.subject import Subject
 from scp_recon.report.table import Cell, Row, Table, cell, table
@@ -45,7 +44,7 @@ def _burns(subject: Subject) -> Table:
     for number, burn in enumerate(solution.burns, start=1):
         components = [cell(component, "+.6f") for component in burn.dv_m_s]
         size = float(np.linalg.norm(burn.dv_m_s))
-        when = told(utc_of(start + timedelta(seconds=burn.t_s)))
+        when = shown_utc(instant(start, burn.t_s))
         rows.append([str(number), burn.t_s, when, *components, cell(size, ".6f")])
     total: Row = ["total", "", "", "", "", "", cell(solution.total_dv_m_s, ".6f")]
     heading = ("burn", "time (s)", "UTC", "x (m/s)", "y (m/s)", "z (m/s)", "size (m/s)")

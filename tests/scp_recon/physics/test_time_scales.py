@@ -16,6 +16,7 @@ from scp_recon.physics.time_scales import (
     instant,
     iso_tdb,
     iso_utc,
+    shown_utc,
     tdb_of_utc,
 )
 
@@ -81,3 +82,18 @@ def test_before_1972_there_is_no_utc_of_whole_seconds() -> None:
         iso_utc(instant(datetime(1971, 12, 31)))
     with pytest.raises(InputError, match="1972"):
         tdb_of_utc(datetime(1971, 12, 31))
+
+
+@pytest.mark.parametrize(
+    ("tdb", "utc"),
+    [
+        ("2000-01-01T12:00:00", "2000-01-01 11:58:56"),  # Explanatory Supplement: 64.184 s
+        ("2020-01-21T20:33:17.184", "2020-01-21 20:32:08"),
+        ("2017-01-01T00:01:08.000", "2016-12-31 23:59:60"),  # the leap second
+        ("2017-01-01T00:01:09.184", "2017-01-01 00:00:00"),
+        ("2016-12-31T23:59:59.184", "2016-12-31 23:58:51"),
+        ("1972-01-01T00:00:42.184", "1972-01-01 00:00:00"),
+    ],
+)
+def test_utc_is_shown_to_the_nearest_second(tdb: str, utc: str) -> None:
+    assert shown_utc(instant(datetime.fromisoformat(tdb))) == utc

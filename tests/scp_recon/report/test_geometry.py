@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,6 @@ from scp_recon.physics.frames import unit
 from scp_recon.report.achieved import SO_FAR, achieved
 from scp_recon.report.budget import budget_of
 from scp_recon.report.camera import Camera
-from scp_recon.report.clock import told, utc_of
 from scp_recon.report.craft import BINS, thinned
 from scp_recon.report.flown import Flown, fly
 from scp_recon.report.ground import degrees_of, first_hit, ground_track, terminator
@@ -33,27 +31,6 @@ Array = npt.NDArray[np.float64]
 @pytest.fixture(scope="module")
 def flown(subject: Subject) -> Flown:
     return fly(subject)
-
-
-@pytest.mark.parametrize(
-    ("tdb", "utc"),
-    [
-        ("2000-01-01T12:00:00", "2000-01-01 11:58:56"),  # Explanatory Supplement: 64.184 s
-        ("2020-01-21T20:33:17.184", "2020-01-21 20:32:08"),
-        ("2017-01-01T00:01:08.000", "2016-12-31 23:59:60"),  # the leap second, as the second after
-        ("2017-01-01T00:01:09.184", "2017-01-01 00:00:00"),
-        ("2016-12-31T23:59:59.184", "2016-12-31 23:58:51"),
-        ("1972-01-01T00:00:42.184", "1972-01-01 00:00:00"),
-    ],
-)
-def test_utc_is_tdb_less_the_leap_seconds(tdb: str, utc: str) -> None:
-    shown = told(utc_of(datetime.fromisoformat(tdb)))
-    assert shown == utc.replace("2016-12-31 23:59:60", "2017-01-01 00:00:00")
-
-
-@given(st.datetimes(datetime(1972, 1, 2), datetime(2040, 1, 1)), st.integers(2, 10**6))
-def test_utc_goes_forward_with_tdb(tdb: datetime, seconds: int) -> None:
-    assert utc_of(tdb + timedelta(seconds=seconds)) > utc_of(tdb)
 
 
 @given(generators)
