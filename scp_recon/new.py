@@ -35,7 +35,7 @@ from scp_recon.environment.catalogue import DAY_S, J2000_TDB, body_names, packag
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
+from scp_recon.planning import initial_guess, state_table
 from scp_recon.planning.planner import plan
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution
@@ -171,11 +171,11 @@ def _from_track(
     flown, track = track_draft(options, source, lambda: _first(options))
     mission = Mission.from_scenario(flown.scenario)
     check_writable(path.parent, path.name, "NAME")
-    guess = initial_guess.from_states(mission, start_table(track), track.source)
+    guess = state_table.from_states(mission, start_table(track), track.source)
     solution = make_solution(plan(mission, guess, init=start.name))
     planned = Planned(flown.draft, mission, solution, verify(mission, solution))
     outcome = _outcome(planned, f" --init {start.name}")
-    _write(start, start_csv(track, list(initial_guess.COLUMNS.values())))
+    _write(start, start_csv(track, list(state_table.COLUMNS.values())))
     _write(path, draft_text(replace(flown.draft, outcome=outcome), flown.tables))
     return _shown(planned, [path, start], console)
 

@@ -14,7 +14,7 @@ from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import J2000_TDB
-from scp_recon.planning import initial_guess
+from scp_recon.planning import state_table
 
 Array = npt.NDArray[np.float64]
 
@@ -26,7 +26,7 @@ def as_flown_burns(mission: Mission, kernel: Path, table: Path) -> tuple[Array, 
     """Impulses at the firing times that follow the kernel, and how closely.
 
     The states at the nodes are written to `table`, a CSV that `--init` takes as well. Burns as
-    `initial_guess.from_table` reads them off the table would miss what was fired away from the
+    `state_table.from_table` reads them off the table would miss what was fired away from the
     scenario's firing times, and the flight's forces are not quite the planner's; so all but the last
     burn are fitted to the positions by least squares. The last one meets the final velocity.
 
@@ -71,7 +71,7 @@ def flown_guess(kernel: Path, table: Path, mission: Mission) -> Iterate:
 
 def _tabulated(mission: Mission, states: Array, table: Path) -> Iterate:
     _write_table(table, mission.times_s, states)
-    return initial_guess.from_table(mission, table)
+    return state_table.from_table(mission, table)
 
 
 def read_states(mission: Mission, kernel: Path) -> Array:
@@ -120,7 +120,7 @@ def _unusable(kernel: Path, error: Exception, allowed: str) -> InputError:
 
 def _write_table(path: Path, times_s: Array, states: Array) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    lines = [",".join(initial_guess.COLUMNS.values())]
+    lines = [",".join(state_table.COLUMNS.values())]
     lines += [
         ",".join(repr(float(x)) for x in (time, *state))
         for time, state in zip(times_s, states, strict=True)

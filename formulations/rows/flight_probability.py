@@ -15,15 +15,19 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
 from scipy.special import ndtri
 
 from formulations.problem.flyby import Nodes
 from formulations.problem.regions import Array, Region
 from formulations.risk.lines import NormalLaw, TwoSidedChiLaw, kept_segments
-from formulations.rows.node_probability import Event, adding_up, end_velocity
+from formulations.rows.node_probability import Event
 
 SURE = 1e-12
 """Probability that counts as none, so that its quantile stays finite."""
+
+GRAZING = 1e-6
+"""Cosine between line and surface below which an end counts as moving no faster."""
 
 
 class Limit(NamedTuple):
@@ -151,8 +155,8 @@ class FlightProbability:
         velocity = np.einsum("nid,nd->ni", factor[nodes[row]], u)
         normal = limits.normals(row, mean[nodes[row]] + s[:, None] * velocity)
         density = law.density(s) / lines
-        gradient = (sign * density)[:, None] * end_velocity(normal, velocity)
-        gather = adding_up(row, r)
+        gradient = (sign * density)[:, None] * _end_velocity(normal, velocity)
+        gather = _adding_up(row, r)
         by_factor = [gather @ ((gradient[:, axis] * s)[:, None] * u) for axis in range(3)]
         g = float(ndtri(np.clip(p, SURE, 1.0 - SURE)))
         scale = 1.0 / NormalLaw().density(np.array(g))
@@ -189,6 +193,20 @@ def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[Limit]:
         near = np.flatnonzero(planes.slack(mean[at]) < along)
         if len(near):
             yield Limit(region.at(near), at[near])
+
+
+def _adding_up(rows: Nodes, count: int) -> sp.csr_array:
+    """Map that adds entries up into the rows that they belong to, shape (count, entries)."""
+    entries = len(rows)
+    return sp.csr_array((np.ones(entries), (rows, np.arange(entries))), shape=(count, entries))
+
+
+def _end_velocity(normal: Array, direction: Array) -> Array:
+    """ds/dr of where lines meet a surface, shape (n, 3): -n / n'v."""
+    across = np.einsum("ni,ni->n", normal, direction)
+    least = GRAZING * np.linalg.norm(direction, axis=1)
+    across = np.where(np.abs(across) < least, np.copysign(least, across), across)
+    return np.asarray(-normal / across[:, None])
 
 
 def sphere_directions(count: int, dimension: int) -> Array:

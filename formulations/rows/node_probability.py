@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.special import ndtri
 
 from formulations.problem.flyby import Nodes, StateConstraint
@@ -34,9 +33,6 @@ APEX = 6.0
 SPREAD_MIN = 1e-6
 """Standard deviation, in units of length, that is added in each direction: a millimetre at most, what
 counts as no violation. Without it a flight that cannot err would have no gradient."""
-
-GRAZING = 1e-6
-"""Cosine between line and surface below which an end counts as moving no faster."""
 
 
 class Quantiles(NamedTuple):
@@ -231,17 +227,3 @@ def _held(region: Region, position: Array, covariance: Array) -> Below:
         found.by_mean[astride] += nappe.by_mean
         found.by_covariance[astride] += side[:, None, None] * nappe.by_covariance
     return found
-
-
-def adding_up(rows: Nodes, count: int) -> sp.csr_array:
-    """Map that adds entries up into the rows that they belong to, shape (count, entries)."""
-    entries = len(rows)
-    return sp.csr_array((np.ones(entries), (rows, np.arange(entries))), shape=(count, entries))
-
-
-def end_velocity(normal: Array, direction: Array) -> Array:
-    """ds/dr of where lines meet a surface, shape (n, 3): -n / n'v."""
-    across = np.einsum("ni,ni->n", normal, direction)
-    least = GRAZING * np.linalg.norm(direction, axis=1)
-    across = np.where(np.abs(across) < least, np.copysign(least, across), across)
-    return np.asarray(-normal / across[:, None])

@@ -27,7 +27,7 @@ from scp_recon.environment.kernels import (
 from scp_recon.errors import InputError
 from scp_recon.exchange.ccsds import plain_name
 from scp_recon.physics.frames import DAY_S, J2000_TDB
-from scp_recon.planning.initial_guess import read_table
+from scp_recon.planning.state_table import read_table
 
 Array = npt.NDArray[np.float64]
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, shortened
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
+from scp_recon.planning import initial_guess, state_table
 from scp_recon.planning.plan import Plan
 from scp_recon.solution.file import read_solution
 from scp_recon.solution.runs import resolve_run
@@ -32,7 +32,7 @@ def start_from(mission: Mission, init: Plan | str | Path | Array, entry: str = "
         InputError: if it is none of these, or the file or the table is unusable.
     """
     if isinstance(init, np.ndarray):
-        return initial_guess.from_states(mission, init, entry)
+        return state_table.from_states(mission, init, entry)
     if isinstance(init, Plan):
         return initial_guess.from_burns(mission, init.burns_m_s, entry)
     if not isinstance(init, str | Path):
@@ -45,7 +45,7 @@ def start_from(mission: Mission, init: Plan | str | Path | Array, entry: str = "
     path = Path(init)
     if is_solution(path):
         return initial_guess.from_burns(mission, read_solution(path).burns_m_s, entry)
-    return initial_guess.from_table(mission, path, entry)
+    return state_table.from_table(mission, path, entry)
 
 
 def is_solution(path: Path) -> bool:

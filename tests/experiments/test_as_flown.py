@@ -20,7 +20,7 @@ from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
-from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning import initial_guess, ipopt, state_table
 from scp_recon.scenario.sections import Epoch
 from scp_recon.solution.file import read_solution
 
@@ -64,7 +64,7 @@ def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times
     assert off < 10.0
     np.testing.assert_allclose(flown[-1, 3:], mission.final_state[3:], atol=1e-9)
     # Read off at the firing times alone the second half is lost.
-    table = initial_guess.from_table(mission, tmp_path / "states.csv")
+    table = state_table.from_table(mission, tmp_path / "states.csv")
     lost = initial_guess.from_burns(mission, table.burns * mission.units.speed_m_s).mean
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
 
@@ -87,7 +87,7 @@ def test_the_guess_from_the_flight_is_the_flight_and_what_init_makes_of_its_tabl
     np.testing.assert_allclose(
         (guess.mean * mission.units.state)[:-1, :3], flight[:-1, :3], rtol=0.0, atol=1e-6
     )
-    again = initial_guess.from_table(mission, table)
+    again = state_table.from_table(mission, table)
     np.testing.assert_array_equal(guess.mean, again.mean)
     np.testing.assert_array_equal(guess.burns, again.burns)
     # It is another start than the surrogate: burns and path differ.

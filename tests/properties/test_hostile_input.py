@@ -26,7 +26,7 @@ from scp_recon import montecarlo, simulate, solve, verify
 from scp_recon.cli import method
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess, planner
+from scp_recon.planning import initial_guess, planner, state_table
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.scvx import SCvx
@@ -487,7 +487,7 @@ def test_no_bytes_end_in_anything_but_a_guess_or_a_message(coarse: Mission, cont
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.csv"
         path.write_bytes(content)
-        read_or_refuse(lambda: initial_guess.from_table(coarse, path))
+        read_or_refuse(lambda: state_table.from_table(coarse, path))
 
 
 # --- command lines ------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ import pytest
 
 from scp_recon.exchange.heading import Export
 from scp_recon.exchange.table import columns, csv_text, parquet_bytes
-from scp_recon.planning import initial_guess
+from scp_recon.planning import state_table
 
 
 def test_the_csv_is_the_path_to_the_last_digit(export: Export) -> None:
@@ -46,7 +46,7 @@ def test_parquet_holds_the_same(export: Export) -> None:
 def test_the_csv_starts_a_plan_from_what_it_holds(export: Export, tmp_path: Path) -> None:
     file = tmp_path / "plan.csv"
     file.write_text(csv_text(export), encoding="utf-8")
-    start = initial_guess.from_table(export.mission, file)
+    start = state_table.from_table(export.mission, file)
     speed = export.mission.units.speed_m_s
     np.testing.assert_allclose(start.burns * speed, export.solution.burns_m_s, atol=1e-7)
     states = start.mean * export.mission.units.state

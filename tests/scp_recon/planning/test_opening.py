@@ -7,7 +7,7 @@ import pytest
 
 from formulations.rows.deterministic import DeterministicRows
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
+from scp_recon.planning import initial_guess, state_table
 from scp_recon.planning.opening import contradicts_itself, opened
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -59,7 +59,7 @@ def test_guesses_that_fly_or_claim_no_burns_begin_with_all_rows(
         initial_guess.cold(mission),
         initial_guess.ballistic(mission),
         initial_guess.circular(mission, -1.0),
-        initial_guess.from_states(mission, coarse),
+        state_table.from_states(mission, coarse),
         flight_beyond(mission),
     ):
         assert not contradicts_itself(mission.dynamics.linearise(mission.problem, guess))
