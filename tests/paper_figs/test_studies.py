@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -253,13 +255,13 @@ def test_studies_are_drawn_where_they_are_found(
 ) -> None:
     monkeypatch.setattr(command_line, "FIGURES", {})
     monkeypatch.setattr(command_line, "TABLES", {})
-    (tmp_path / "observation_table.csv").write_text("", encoding="utf-8")
     shutil.copytree(studies / battery_cones.FOLDER, tmp_path / battery_cones.FOLDER)
     out = tmp_path / "figures"
-    runs = None  # no figure of the runs is asked for
-    names = {path.name for path in make_all(runs, tmp_path, out, tmp_path)}  # type: ignore[arg-type]
+    monkeypatch.setattr(command_line.parameters, "table", str)
+    runs: Any = SimpleNamespace(table=[])  # nothing else of them is asked for
+    names = {path.name for path in make_all(runs, tmp_path, out, tmp_path)}
     expected = {f"battery_cones{ending}" for ending in PICTURES}
-    assert names == expected | {"observation_table.csv", "captions.md"}
+    assert names == expected | {"parameters.md", "captions.md"}
     assert "## battery_cones" in (out / "captions.md").read_text("utf-8")
 
 

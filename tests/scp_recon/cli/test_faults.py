@@ -338,7 +338,7 @@ def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
         monkeypatch.setattr(files, "TemporaryFile", barred)
     else:
         (out / command.FILE_NAME).mkdir(parents=True)
-    monkeypatch.setattr(method, "plan", None)  # calling it is a TypeError
+    monkeypatch.setattr(method, "plan", lambda: None)  # calling it so is a TypeError
     for work in ("fly_many", "make_record"):
         monkeypatch.setattr(command, work, None, raising=False)
     given = [] if command is solve else [str(tmp_path)]
