@@ -95,7 +95,8 @@ def flights_needed(asked: float) -> int:
     Raises:
         InputError: if they are too many.
     """
-    flights = int(np.ceil(max(FLIGHTS_MIN, FAILURES / (1.0 - asked))))
+    rounding = 1e-6  # of 1 - asked, in flights
+    flights = int(np.ceil(max(FLIGHTS_MIN, FAILURES / (1.0 - asked) - rounding)))
     if flights > FLIGHTS_MAX:
         raise InputError(
             "risk.p_chance",

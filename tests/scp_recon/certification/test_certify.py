@@ -68,7 +68,8 @@ def test_a_probability_that_takes_too_many_flights_is_refused() -> None:
     with pytest.raises(InputError) as error:
         flights_needed(1.0 - 1e-6)
     assert error.value.entry == "risk.p_chance"
-    assert "--certify no" in error.value.allowed
+    assert "at most 0.9997, or --certify no" in error.value.allowed
+    assert flights_needed(0.9997) == 1_000_000
 
 
 @given(needed=st.floats(0.51, 0.999), loss=st.floats(0.0, 0.5))
