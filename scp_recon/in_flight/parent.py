@@ -17,6 +17,7 @@ from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.runs import resolve_run
 from scp_recon.verification.reintegration import verify
 
 Array = npt.NDArray[np.float64]
@@ -68,10 +69,13 @@ class FlownPlan:
             return cls._of(name or "a plan", given.mission, solution, None)
         if not isinstance(given, Solution | str | Path):
             raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
-        solution = given if isinstance(given, Solution) else read_solution(Path(given))
+        if isinstance(given, Solution):
+            solution, called = given, "a solution"
+        else:
+            home = resolve_run(Path(given))  # runs/latest will point to another
+            solution, called = read_solution(home), str(home)
         mission = Mission.from_scenario(solution.scenario)
         failed = tuple(verify(mission, solution).failed)
-        called = "a solution" if isinstance(given, Solution) else str(given)
         return cls._of(name or called, mission, solution, failed)
 
     @classmethod

@@ -47,6 +47,15 @@ def state_at(default_plan: Plan) -> Callable[[float], list[str]]:
     return words
 
 
+def test_a_parent_is_named_by_the_run_that_a_pointer_stands_for(
+    plan_folder: Path, tmp_path: Path
+) -> None:
+    """The pointer will stand for the new plan."""
+    latest = tmp_path / "latest"
+    latest.symlink_to(plan_folder.name)
+    assert FlownPlan.of(latest).name == str(plan_folder)
+
+
 StateAt = Callable[[float], list[str]]
 
 
