@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from numbers import Integral
 
 
@@ -45,6 +46,30 @@ def whole_number(entry: str, given: object, low: int, high: int) -> int:
     if isinstance(given, Integral) and not isinstance(given, bool) and low <= int(given) <= high:
         return int(given)
     raise InputError(entry, shortened(given), f"must be a whole number from {low} to {high}")
+
+
+@contextmanager
+def needing(entry: str, extra: str, *packages: str) -> Iterator[None]:
+    """Around imports that need an extra.
+
+    Args:
+        entry: what a message names.
+        extra: its name.
+        packages: those that may be missing; any, if none are given.
+
+    Raises:
+        InputError: if one is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if packages and (error.name or "").split(".")[0] not in packages:
+            raise
+        raise InputError(
+            entry,
+            f"no module named {error.name}",
+            f"needs the extra scp_recon[{extra}]: pip install 'scp_recon[{extra}]'",
+        ) from None
 
 
 def shortened(given: object) -> str:

@@ -18,7 +18,7 @@ from scp_recon.cli.documents import survey_document
 from scp_recon.cli.options import date_tdb, number_between
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.cli.window_tables import as_csv, show_survey
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, needing
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.checks.given import Given
 from scp_recon.mission.checks.table import check_given
@@ -78,14 +78,8 @@ def _windows(options: argparse.Namespace, console: Console) -> Answer:
             f"{scenario.epoch.tdb.isoformat()}: its orbit is two-body motion from there",
         )
     if options.chart:
-        try:
+        with needing("--chart", "report"):
             from scp_recon.cli.window_chart import draw
-        except ModuleNotFoundError as error:
-            raise InputError(
-                "--chart",
-                f"no module named {error.name}",
-                "needs the extra scp_recon[report]: pip install 'scp_recon[report]'",
-            ) from None
     warnings = check_given(Given(scenario, rotation_of(scenario), site_of(scenario)))
     found = survey(scenario, (first, first + options.span_days * DAY_S))
     show_survey(console, scenario, found)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, needing
 
 Array = npt.NDArray[np.float64]
 SUN = 10
@@ -151,14 +151,8 @@ def _another(spice: Any, handle: int, segment: Any) -> bool:
 @contextmanager
 def _kernels(entry: str, paths: Sequence[Path]) -> Iterator[Any]:
     """SPICE with these kernels alone."""
-    try:
+    with needing(entry, "spice", "spiceypy"):
         import spiceypy
-    except ModuleNotFoundError:
-        raise InputError(
-            entry,
-            "no module named spiceypy",
-            "needs the extra scp_recon[spice]: pip install 'scp_recon[spice]'",
-        ) from None
     for path in paths:
         if not path.is_file():
             raise InputError(entry, str(path), "must be a readable kernel")

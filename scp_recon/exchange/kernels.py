@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from scp_recon.errors import InputError
+from scp_recon.errors import needing
 from scp_recon.exchange.heading import Export, heading, maker
 from scp_recon.exchange.kernel_texts import TICKS_PER_S, attitude_id, ticks
 from scp_recon.exchange.path import MARGIN_S
@@ -158,12 +158,6 @@ def needing_spice(entry: str = "--format") -> Any:
     Raises:
         InputError: if there is none.
     """
-    try:
+    with needing(entry, "spice", "spiceypy"):
         import spiceypy
-    except ModuleNotFoundError:
-        raise InputError(
-            entry,
-            "no module named spiceypy",
-            "needs the extra scp_recon[spice]: pip install 'scp_recon[spice]'",
-        ) from None
     return spiceypy

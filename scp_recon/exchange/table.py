@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from scp_recon.errors import InputError
+from scp_recon.errors import needing
 from scp_recon.exchange.heading import Export, heading
 from scp_recon.physics.time_scales import iso_tdb, iso_utc
 
@@ -77,13 +77,7 @@ def needing_pyarrow() -> Any:
     Raises:
         InputError: if there is none.
     """
-    try:
+    with needing("--format", "parquet", "pyarrow"):
         import pyarrow
         import pyarrow.parquet
-    except ModuleNotFoundError:
-        raise InputError(
-            "--format",
-            "no module named pyarrow",
-            "needs the extra scp_recon[parquet]: pip install 'scp_recon[parquet]'",
-        ) from None
     return pyarrow

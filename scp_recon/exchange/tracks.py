@@ -24,7 +24,7 @@ from scp_recon.environment.kernels import (
     read_pck,
     read_states,
 )
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, needing
 from scp_recon.exchange.ccsds import plain_name
 from scp_recon.physics.frames import DAY_S, J2000_TDB
 from scp_recon.planning.state_table import read_table
@@ -122,15 +122,9 @@ def oem_track(path: Path, body: str) -> Track:
             time scale, or its segments are not in order.
     """
     entry = f"{OEM} {path}"
-    try:
+    with needing(OEM, "oem"):
         from astropy.time import Time
         from oem import OrbitEphemerisMessage
-    except ModuleNotFoundError as error:
-        raise InputError(
-            OEM,
-            f"no module named {error.name}",
-            "needs the extra scp_recon[oem]: pip install 'scp_recon[oem]'",
-        ) from None
     if not path.is_file():
         raise InputError(entry, "no such file", "must be a readable OEM")
     rows = []

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, needing
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.report import charts, tables
 from scp_recon.report.achieved import achieved
@@ -37,32 +36,13 @@ FILE_NAME, UNVERIFIED_NAME = "report.html", "report_unverified.html"
 ENTRY = "report"
 
 
-@contextmanager
-def needing_extra() -> Iterator[None]:
-    """Around what needs Plotly and Jinja.
-
-    Raises:
-        InputError: if one is not installed.
-    """
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] not in ("plotly", "jinja2"):
-            raise
-        raise InputError(
-            ENTRY,
-            f"no module named {error.name}",
-            "needs the extra scp_recon[report]: pip install 'scp_recon[report]'",
-        ) from None
-
-
 def check_extra() -> None:
     """Find out before the work whether the report can be made.
 
     Raises:
         InputError: if not.
     """
-    with needing_extra():
+    with needing(ENTRY, "report", "plotly", "jinja2"):
         import jinja2  # noqa: F401
         import plotly  # noqa: F401
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 
-from scp_recon.errors import InputError
+from scp_recon.errors import needing
 
 
-@contextmanager
-def needing_basilisk(entry: str) -> Iterator[None]:
+def needing_basilisk(entry: str) -> AbstractContextManager[None]:
     """Around imports that need Basilisk.
 
     Args:
@@ -18,13 +16,4 @@ def needing_basilisk(entry: str) -> Iterator[None]:
     Raises:
         InputError: if it is not installed.
     """
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if not (error.name or "").startswith("Basilisk"):
-            raise
-        raise InputError(
-            entry,
-            f"no module named {error.name}",
-            "needs the extra scp_recon[sim]: pip install 'scp_recon[sim]'",
-        ) from None
+    return needing(entry, "sim", "Basilisk")
