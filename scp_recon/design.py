@@ -27,6 +27,7 @@ from rich.console import Console
 from scp_recon.certification.certify import certify, flights_needed
 from scp_recon.cli.design_tables import as_csv, progress, why_nothing
 from scp_recon.cli.keeping import run_folder
+from scp_recon.cli.options import add_certify, add_overrides
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.pass_design.design import Designer, Tried
@@ -57,21 +58,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="SCENARIO",
         help="TOML file with boundary.home, or a packaged one's name",
     )
-    p.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        dest="overrides",
-        help="override one entry of the scenario, e.g. risk.p_chance=0.8; may be repeated",
-    )
-    p.add_argument(
-        "--certify",
-        choices=("yes", "no"),
-        default="yes",
-        help="with risk.allocation = exact, fly the plan and plan again until the lower limit of the "
-        "probability reached is what was asked (default: yes)",
-    )
+    add_overrides(p)
+    add_certify(p)
     p.add_argument(
         "--out",
         type=Path,
@@ -89,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _design(options: argparse.Namespace, console: Console) -> Answer:
     scenario = load_scenario(options.scenario, options.overrides)
-    certified = scenario.risk.allocation == "exact" and options.certify == "yes"
+    certified = scenario.risk.allocation == "exact" and options.certify != "no"
     if certified:
         flights_needed(scenario.risk.p_chance)  # or says at once that they are too many
     with run_folder(options.out, scenario.name) as folder:

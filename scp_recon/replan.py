@@ -17,6 +17,7 @@ from rich.console import Console
 from scp_recon.certification.certify import flights_needed
 from scp_recon.cli.delivery import add_delivery, delivery_from, joined
 from scp_recon.cli.keeping import run_folder
+from scp_recon.cli.options import add_certify, add_overrides
 from scp_recon.errors import InputError
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.replanning import mission_left, replan
@@ -36,21 +37,8 @@ def parser() -> argparse.ArgumentParser:
         help="folder with the solution.json that is flown, or the file",
     )
     add_delivery(p)
-    p.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        dest="overrides",
-        help="override one entry of the scenario for what is left, e.g. schedule.decision_lead_s=900; "
-        "may be repeated",
-    )
-    p.add_argument(
-        "--certify",
-        choices=("yes", "no"),
-        help="with risk.allocation = exact, fly the plan and plan again until the lower limit of the "
-        "probability reached is what was asked (default: yes)",
-    )
+    add_overrides(p, " for what is left, e.g. schedule.decision_lead_s=900")
+    add_certify(p)
     p.add_argument(
         "--out",
         type=Path,

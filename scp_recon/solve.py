@@ -30,7 +30,7 @@ from scp_recon.cli.documents import plan_document
 from scp_recon.cli.infeasible import show_what_would_do
 from scp_recon.cli.keeping import UNVERIFIED, run_folder, written
 from scp_recon.cli.method import check_risk, planning
-from scp_recon.cli.options import SEED, int_between, number_between
+from scp_recon.cli.options import SEED, add_certify, add_overrides, int_between, number_between
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -66,14 +66,7 @@ def parser() -> argparse.ArgumentParser:
         help=f"TOML file, complete or with base = a file or one of {', '.join(base_names())} (default: "
         "recon_b)",
     )
-    p.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        dest="overrides",
-        help="override one entry of the scenario, e.g. risk.p_chance=0.8; may be repeated",
-    )
+    add_overrides(p)
     p.add_argument(
         "--init",
         default="cold",
@@ -116,12 +109,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="M_S",
         help="with --objective probability, most delta-v that the plan may cost, m/s (default: any)",
     )
-    p.add_argument(
-        "--certify",
-        choices=("yes", "no"),
-        help="with risk.allocation = exact, fly the plan and plan again until the lower limit of the "
-        "probability reached is what was asked (default: yes)",
-    )
+    add_certify(p)
     p.add_argument(
         "--out",
         type=_folder,

@@ -68,3 +68,25 @@ def date_tdb(text: str) -> datetime:
             f"got {text!r}; must be a date and time such as 2020-01-21T20:33:17, TDB, without a zone"
         )
     return found
+
+
+def add_overrides(p: argparse.ArgumentParser, example: str = ", e.g. risk.p_chance=0.8") -> None:
+    """Entries of the scenario, one by one."""
+    p.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="PATH=VALUE",
+        dest="overrides",
+        help=f"override one entry of the scenario{example}; may be repeated",
+    )
+
+
+def add_certify(p: argparse.ArgumentParser) -> None:
+    """Whether exact risk is certified."""
+    p.add_argument(
+        "--certify",
+        choices=("yes", "no"),
+        help="with risk.allocation = exact, fly the plan and plan again until the lower limit of the "
+        "probability reached is what was asked (default: yes)",
+    )
