@@ -7,7 +7,7 @@ needs.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command
+from scp_recon.cli.command import Answer, exit_on_sigint, parse, progress_console, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -19,7 +19,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
 from time import perf_counter
@@ -48,22 +48,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="replace the tables in the README's performance section",
     )
-    options = parser.parse_args(arguments)
-    return run_command(lambda console: _measure(options, console))
+    options = parse(parser, arguments)
+    return run_command(lambda console: _measure(options, console), options)
 
 
-def _measure(options: argparse.Namespace, console: Console) -> int:
+def _measure(options: argparse.Namespace, console: Console) -> Answer:
     rounds = 1 if options.quick else ROUNDS
-    figures = measure(rounds, lambda jobs: list(track(jobs, "methods", console=console)))
+    bars = progress_console(console)
+    figures = measure(rounds, lambda jobs: list(track(jobs, "methods", console=bars)))
     commands = command_times(rounds)
     text = [machine(), "", pair_table(figures), "", *ratio_lines(figures, commands)]
-    if not options.quick:
-        fits = [growth.fit(study) for study in track(growth.STUDIES, "growth", console=console)]
+    studies = () if options.quick else growth.STUDIES
+    fits = (
+        [growth.fit(study) for study in track(studies, "growth", console=bars)] if studies else []
+    )
+    if fits:
         text += ["", growth_table(fits)]
     console.print("\n".join(text), markup=False, highlight=False, soft_wrap=True)
     if options.readme:
         write_readme("\n".join(text))
-    return 0
+    found = {
+        "machine": text[0],
+        "methods": {name: asdict(timed) for name, timed in figures.items()},
+        "commands_s": commands,
+        "growth": [asdict(fit) for fit in fits],
+    }
+    return Answer(0, found)
 
 
 def measure(

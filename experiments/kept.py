@@ -12,13 +12,14 @@ import json
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from experiments.studies import Cell
 from scp_recon.files import write_atomically
 
 SOURCES = ("formulations/**/*.py", "scp_recon/**/*.py", "scp_recon/data/**/*.toml")
 
-Kind = dict[str, Cell]
+Kind = dict[str, Any]
 
 
 @cache

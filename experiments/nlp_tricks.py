@@ -20,12 +20,14 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import process_time
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from experiments.kept import Kept
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -110,8 +112,10 @@ def tricks() -> list[Trick]:
     ]
 
 
-def measure(mission: Mission, chosen: Sequence[Trick], tell: Callable[[str], None]) -> list[Row]:
-    """Solve P2 with each, from the same P3 solution."""
+def measure(
+    mission: Mission, chosen: Sequence[Trick], kept: Kept, tell: Callable[[str], None]
+) -> list[Row]:
+    """Solve P2 with each, from the same P3 solution; what is kept is not solved again."""
     from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
     start = plan(mission, initial_guess.cold(mission), problem="P3").final.result.lin
@@ -119,13 +123,14 @@ def measure(mission: Mission, chosen: Sequence[Trick], tell: Callable[[str], Non
     facets = choose_facets(mission.problem, mission.polytopes, mean, factor)
     arcs = casadi_arcs(mission.dynamics)
     rows: list[Row] = []
-    for trick in chosen:
+
+    def solved(trick: Trick) -> dict[str, str]:
         solver = IpoptStages(mission, arcs, trick.variant)
         begin = process_time()
         rows_ = solver.chance_rows(facets, start)
         stage = solver.solve("P2", rows_, start, lambda *_: None)
         run = stage.runs[-1]
-        row: Row = (
+        row = (
             trick.name,
             f"{stage.result.status.value.name.replace('_', ' ')} ({run.status})",
             f"{stage.result.lin.iterate.total_dv * mission.units.speed_m_s:.6f}",
@@ -137,6 +142,11 @@ def measure(mission: Mission, chosen: Sequence[Trick], tell: Callable[[str], Non
             f"{run.evaluate_s:.2f}",
             f"{process_time() - begin:.2f}",
         )
+        return dict(zip(HEAD, row, strict=True))
+
+    for trick in chosen:
+        found = kept.row(trick.name, partial(solved, trick))
+        row = tuple(found[name] for name in HEAD)
         rows.append(row)
         tell(", ".join(f"{name} {value}" for name, value in zip(HEAD, row, strict=True)))
     return rows
@@ -167,10 +177,11 @@ def _run(out: Path, console: Console) -> int:
     os.environ.update(FOR_SPRAL)
     chosen = tricks()
     mission = Mission.from_scenario(load_scenario())
-    rows = measure(mission, chosen, lambda line: console.print(line, highlight=False))
-    out.mkdir(parents=True, exist_ok=True)
+    kept = Kept(out / "nlp_tricks_partial.jsonl", __file__, {})
+    rows = measure(mission, chosen, kept, lambda line: console.print(line, highlight=False))
     for name, text in {"nlp_tricks.csv": to_csv(rows), "nlp_tricks.md": to_markdown(rows)}.items():
         console.print(f"written: {write_atomically(out / name, text)}", highlight=False)
+    kept.forget()
     return 0
 
 

@@ -7,7 +7,14 @@ drawn where their folders are found.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_line, show_written
+from scp_recon.cli.command import (
+    Answer,
+    exit_on_sigint,
+    parse,
+    run_command,
+    show_line,
+    show_written,
+)
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -179,24 +186,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="run first whatever study has left nothing in its folder; hours, with all extras",
     )
-    options = p.parse_args(arguments)
-    return run_command(lambda console: _make(options, console))
+    options = parse(p, arguments)
+    return run_command(lambda console: _make(options, console), options)
 
 
-def _make(options: argparse.Namespace, console: Console) -> int:
+def _make(options: argparse.Namespace, console: Console) -> Answer:
     if options.all:
         wanted = [(study.FOLDER, study.COMMAND) for study in STUDIES.values()]
         run_first(options.runs, options.studies, wanted, lambda line: show_line(console, line))
     runs = read_runs(options.runs)
+    files: list[str] = []
     try:
         for path in make_all(runs, options.runs, options.out, options.studies):
             show_written(console, path)
+            files.append(str(path))
     except OSError as error:
         raise unwritable(options.out, "--out", error) from None
-    for name, study in STUDIES.items():
-        if not (options.studies / study.FOLDER).is_dir():
-            console.print(f"not drawn: {name}, for want of `{study.COMMAND}`", soft_wrap=True)
-    return 0
+    wanting = {
+        name: study.COMMAND
+        for name, study in STUDIES.items()
+        if not (options.studies / study.FOLDER).is_dir()
+    }
+    for name, line in wanting.items():
+        console.print(f"not drawn: {name}, for want of `{line}`", soft_wrap=True)
+    return Answer(0, {"files": files, "not_drawn": wanting})
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
@@ -14,7 +15,7 @@ from matplotlib.patheffects import withStroke
 from rich.console import Console
 
 from paper_figs.inputs import Runs, read_runs
-from scp_recon.cli.command import run_command, show_written
+from scp_recon.cli.command import Answer, parse, run_command, show_written
 from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.spacecraft.record import Record
@@ -124,18 +125,24 @@ def command_from(
     arguments: Sequence[str] | None = None,
 ) -> int:
     """The command line of a module that is drawn from what `read` finds in a folder or file."""
-    p = argparse.ArgumentParser(description=about)
+    spec = sys.modules[make.__module__].__spec__
+    p = argparse.ArgumentParser(prog=f"python -m {spec.name}" if spec else None, description=about)
     p.add_argument("runs", type=Path, metavar="RUNS", help="what experiments wrote")
     p.add_argument("file", type=Path, metavar="FILE", help="e.g. figure.png, figure.pdf, table.md")
-    options = p.parse_args(arguments)
+    options = parse(p, arguments)
 
-    def work(console: Console) -> int:
+    def work(console: Console) -> Answer:
         found = read(options.runs)
         made, file = make(found), Path(options.file)
         if isinstance(made, Figure):
-            show_written(console, save(made, file, plan_hash=plan_hash_of(found)))
-        else:
-            show_written(console, write(file, made))
-        return 0
+            return wrote(console, save(made, file, plan_hash=plan_hash_of(found)))
+        return wrote(console, write(file, made))
 
-    return run_command(work)
+    return run_command(work, options)
+
+
+def wrote(console: Console, *paths: Path) -> Answer:
+    """How a command ends that has written files."""
+    for path in paths:
+        show_written(console, path)
+    return Answer(0, {"files": [str(path) for path in paths]})

@@ -6,7 +6,7 @@ observation window, with the spread of the samples about the plan.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import Answer, exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from rich.console import Console
 
-from paper_figs.drawing import BANDS, STYLE, plain, save
+from paper_figs.drawing import BANDS, STYLE, plain, save, wrote
 from paper_figs.labels import place_labels
 from paper_figs.paper.observed import SEED, observed
 from scp_recon.mission.mission import Mission
@@ -144,16 +144,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     p = argparse.ArgumentParser(prog="python -m paper_figs.flyby", description=__doc__)
     p.add_argument("solution", type=Path, metavar="DIR", help="folder with a solution.json")
     p.add_argument("picture", type=Path, metavar="FILE", help="e.g. flyby.png or flyby.svg")
-    options = p.parse_args(arguments)
+    options = parse(p, arguments)
 
-    def work(console: Console) -> int:
+    def work(console: Console) -> Answer:
         solution = read_solution(options.solution)
         require_whole_flight(solution.scenario, "solution")
         path = save(draw(solution), options.picture, dpi=140, plan_hash=solution.plan_hash)
-        show_written(console, path)
-        return 0
+        return wrote(console, path)
 
-    return run_command(work)
+    return run_command(work, options)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, run_command, show_written
+from scp_recon.cli.command import exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -17,9 +17,8 @@ import numpy.typing as npt
 from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from rich.console import Console
 
-from paper_figs.drawing import HALO, STYLE, WIDTH_IN, save
+from paper_figs.drawing import HALO, STYLE, WIDTH_IN, save, wrote
 from scp_recon.environment.surface import direction_of
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
 
@@ -179,13 +178,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the frames to a file whose ending chooses the format."""
     p = argparse.ArgumentParser(prog="python -m paper_figs.frames", description=__doc__)
     p.add_argument("picture", type=Path, metavar="FILE", help="e.g. frames.png or frames.svg")
-    options = p.parse_args(arguments)
-
-    def work(console: Console) -> int:
-        show_written(console, save(draw(), options.picture, dpi=120))
-        return 0
-
-    return run_command(work)
+    options = parse(p, arguments)
+    return run_command(
+        lambda console: wrote(console, save(draw(), options.picture, dpi=120)), options
+    )
 
 
 if __name__ == "__main__":

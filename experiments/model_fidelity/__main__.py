@@ -14,6 +14,7 @@ if __name__ == "__main__":
     exit_on_sigint()
 
 import argparse
+import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ import numpy.typing as npt
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from experiments.kept import Kept
 from experiments.model_fidelity.arcs import fly
 from experiments.model_fidelity.models import PLANNER, Choices, Flight, passing, relapses
 from experiments.observation_table.rows import rows
@@ -83,8 +85,11 @@ class Compared:
         return self.terminal_m < LIMIT_M
 
 
-def compare(flight: Flight, tell: Callable[[], None] = lambda: None) -> list[Compared]:
-    """Every model of every effect, then the named ones and the planner's together."""
+def compare(flight: Flight, kept: Kept, tell: Callable[[], None] = lambda: None) -> list[Compared]:
+    """Every model of every effect, then the named ones and the planner's together.
+
+    Distances that are kept are not flown again; the truth is.
+    """
     mission, choices = flight.plan.mission, Choices.of(flight)
     vehicle = flight.plan.vehicle
 
@@ -97,16 +102,19 @@ def compare(flight: Flight, tell: Callable[[], None] = lambda: None) -> list[Com
             thrust_acceleration_m_s2=vehicle.chemical_thruster.thrust_n / vehicle.mass.mass_kg,
             breaks_s=flight.breaks_s,
         )
-        tell()
         return states[:, :3]
 
     truth = path(choices.truth)
+    tell()
 
     def against_truth(effect: str, model: str, names: dict[str, str]) -> Compared:
-        distance = np.linalg.norm(path(names) - truth, axis=1)
-        return Compared(
-            flight.name, effect, model, mission.times_s, distance, mission.schedule.window_s
+        row = kept.row(
+            f"{flight.name}, {effect}, {model}",
+            lambda: {"distance_m": np.linalg.norm(path(names) - truth, axis=1).tolist()},
         )
+        tell()
+        distance, window_s = np.array(row["distance_m"]), mission.schedule.window_s
+        return Compared(flight.name, effect, model, mission.times_s, distance, window_s)
 
     found = [against_truth(*single) for single in choices.single()]
     lowest = {effect: _named(found, effect, names) for effect, names in choices.effects.items()}
@@ -270,16 +278,21 @@ def _run(options: argparse.Namespace) -> int:
     mission, vehicle = Mission.from_scenario(load_scenario()), load_vehicle(options.vehicle)
     options.out.mkdir(parents=True, exist_ok=True)
     cases = flights(mission, vehicle, options.solution)
+    flown = {case.name: json.dumps(case.burns_m_s.tolist()) for case in cases}
+    kept = Kept(
+        options.out / f"{NAME}_partial.jsonl", __file__, {**flown, "vehicle": repr(vehicle)}
+    )
     columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("", total=sum(map(flown_models, cases)))
-        entries = [e for case in cases for e in compare(case, lambda: progress.advance(task))]
+        entries = [e for case in cases for e in compare(case, kept, lambda: progress.advance(task))]
     files = {
         f"{NAME}.csv": to_csv(records(entries)),
         f"{NAME}.md": to_markdown(entries),
         HISTORY: to_csv(history(entries)),
     }
     written = [write_atomically(options.out / name, text) for name, text in files.items()]
+    kept.forget()
     for line in verdicts(entries):
         print(line)
     for path in written:

@@ -18,8 +18,9 @@ import importlib.util
 import io
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
@@ -32,6 +33,7 @@ from experiments.compare_solvers.cases import Cell, Method
 from experiments.compare_solvers.report import peer_table
 from experiments.compare_solvers.row import Row, empty_row
 from experiments.compare_solvers.runs import PEER_NAME, version
+from experiments.kept import Kept
 from experiments.openscvx_peer.problem import pose
 from formulations.problem.flyby import Iterate
 from formulations.problem.regions import Array
@@ -153,6 +155,10 @@ def _row(mission: Mission, method: Method, burns: Array) -> Row:
     )
 
 
+def _as_kept(solve: Callable[[], Row]) -> dict[str, Any]:
+    return asdict(solve())
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line."""
     p = argparse.ArgumentParser(prog="python -m experiments.openscvx_peer", description=__doc__)
@@ -166,14 +172,21 @@ def _run(out: Path, console: Console) -> int:
     start = initial_guess.ballistic(mission)
     if importlib.util.find_spec("openscvx") is None:
         raise InputError("the peer", "no OpenSCvx", "install the extra scp_recon[peer]")
-    rows = [our_row(mission, start, "scvx", "CLARABEL"), our_row(mission, start, "ptr", "QOCO")]
-    for case in CASES:
-        rows.append(peers_row(mission, start, case))
+    kept = Kept(out / f"{Path(PEER_NAME).stem}_partial.jsonl", __file__, {})
+    methods = [
+        partial(our_row, mission, start, "scvx", "CLARABEL"),
+        partial(our_row, mission, start, "ptr", "QOCO"),
+        *(partial(peers_row, mission, start, case) for case in CASES),
+    ]
+    rows: list[Row] = []
+    for solved in methods:
+        found = kept.row(str(len(rows)), partial(_as_kept, solved))
+        rows.append(Row(**found | {"burns_m_s": tuple(found["burns_m_s"])}))
         console.print(f"{rows[-1].method}: {rows[-1].status}", highlight=False, markup=False)
     console.print("\n".join(peer_table(rows)), highlight=False, soft_wrap=True)
-    out.mkdir(parents=True, exist_ok=True)
     lines = "".join(json.dumps(asdict(row)) + "\n" for row in rows)
     path = write_atomically(out / PEER_NAME, lines)
+    kept.forget()
     console.print(f"written: {path}", highlight=False, soft_wrap=True)
     return 0
 

@@ -77,7 +77,7 @@ def rules(
 
 
 def dark_charge(vehicle: Vehicle) -> float:
-    """PenaltyParameters left when full batteries alone carry a warm-up; below zero if they cannot."""
+    """Charge left when full batteries alone carry a warm-up; below zero if they cannot."""
     battery = vehicle.battery
     drawn = vehicle.loads.warm_up_w * vehicle.chemical_thruster.heating_s / 3600.0
     return 1.0 - drawn / battery.efficiency / (battery.count * battery.capacity_wh)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
+from scp_recon.cli.command import exit_on_sigint, parse, run_command
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -19,7 +19,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, save
+from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, save, wrote
+from scp_recon.errors import InputError
 from scp_recon.monte_carlo.estimates import proportion
 
 Row = dict[str, str]
@@ -27,14 +28,21 @@ Row = dict[str, str]
 COLOURS = {"scvx": "C0", "ptr": "C1", "scvx-star": "C2", "hard": "C3", "elastic": "C4"}
 MARKERS = {"CLARABEL": "o", "ECOS": "s", "QOCO": "^", "SCS": "D", "IPOPT": "*"}
 OTHER = "X"
+COMMAND = "python -m experiments.compare_solvers"
 SAME = 1e-4
 """Relative difference of total delta-v within which two ends are the same optimum."""
 
 
 def read(path: Path) -> list[Row]:
     """Rows of `experiments.compare_solvers`."""
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, ValueError) as error:
+        raise InputError(f"table {path}", str(error), "must be a readable CSV file") from None
+    if not rows or not {"group", "status", "problem"} <= rows[0].keys():
+        raise InputError(f"table {path}", "other columns", f"must be what {COMMAND} wrote")
+    return rows
 
 
 def solved(row: Row) -> bool:
@@ -186,16 +194,15 @@ def save_all(table: Path, folder: Path) -> list[Path]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line."""
-    p = argparse.ArgumentParser(description=__doc__)
+    p = argparse.ArgumentParser(
+        prog="python -m paper_figs.studies.solver_comparison", description=__doc__
+    )
     p.add_argument("table", type=Path, help="comparison.csv of experiments.compare_solvers")
     p.add_argument("folder", type=Path, help="for the figures")
-    options = p.parse_args(arguments)
-    try:
-        save_all(options.table, options.folder)
-    except (OSError, KeyError, ValueError) as error:
-        print(f"error: {options.table}: {error}", file=sys.stderr)
-        return 2
-    return 0
+    options = parse(p, arguments)
+    return run_command(
+        lambda console: wrote(console, *save_all(options.table, options.folder)), options
+    )
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,20 @@ def figures() -> dict[str, Timed]:
     found["replan"] = Timed(0.01, 0.02, 0.02, details={"cold": 0.1, "converged": 99.0})
     found["montecarlo"] = Timed(0.1, 0.05, 0.05, details={"flights_per_s": 20_000.0})
     return found
+
+
+def test_the_document_has_the_figures(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "in_a_process", lambda name, _: figures()[name])
+    monkeypatch.setattr(command, "command_times", lambda _: {"solve": 1.5, "import cvxpy": 0.75})
+    assert command.main(["--quick", "--json"]) == 0
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert document["command"] == "benchmarks"
+    assert document["methods"]["ipopt printed"]["best"] == 16.0
+    assert document["commands_s"]["solve"] == 1.5
+    assert "printed over SCP: 100 with set-up" in said.err
 
 
 def test_ratios_are_of_the_methods_they_name() -> None:

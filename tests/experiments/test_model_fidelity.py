@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from experiments.kept import Kept
 from experiments.model_fidelity import __main__ as model_fidelity
 from experiments.model_fidelity.__main__ import Compared, compare, flown_models, main, verdicts
 from experiments.model_fidelity.arcs import Firing, Model, fly
@@ -45,8 +46,13 @@ def flight(mission: Mission) -> Flight:
 
 
 @pytest.fixture(scope="module")
-def compared(flight: Flight) -> list[Compared]:
-    return compare(flight)
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Kept:
+    return Kept(tmp_path_factory.mktemp("fidelity") / "partial.jsonl", model_fidelity.__file__, {})
+
+
+@pytest.fixture(scope="module")
+def compared(flight: Flight, kept: Kept) -> list[Compared]:
+    return compare(flight, kept)
 
 
 def no_light(_: float) -> np.ndarray:
@@ -190,6 +196,23 @@ def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
     assert planner.model == "cannonball, J2, impulsive"
     assert planner.passes
     assert planner.terminal_m <= sum(end[m] for m in planner.model.split(", ")) + 0.1
+
+
+def test_what_was_flown_is_kept(
+    flight: Flight, kept: Kept, compared: list[Compared], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flown = []
+
+    def path(*_: object, **__: object) -> np.ndarray:
+        flown.append(1)
+        return np.zeros((len(flight.plan.mission.times_s), 6))
+
+    monkeypatch.setattr(model_fidelity, "fly", path)
+    again = compare(flight, kept)
+    assert flown == [1]  # the truth
+    assert all(
+        np.array_equal(a.distance_m, b.distance_m) for a, b in zip(again, compared, strict=True)
+    )
 
 
 # --- the command ----------------------------------------------------------------------------------

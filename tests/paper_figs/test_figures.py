@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,8 @@ from matplotlib.text import Annotation
 from experiments.observation_table.__main__ import measure
 from experiments.observation_table.report import to_csv
 from experiments.observation_table.rows import rows
-from paper_figs import flyby, inputs
+from paper_figs import __main__ as command_line
+from paper_figs import flyby, frames, inputs
 from paper_figs.__main__ import FIGURES, TABLES, main, make_all
 from paper_figs.drawing import PICTURES, command, save
 from paper_figs.inputs import COMMAND, TABLE, Runs, read_runs
@@ -30,6 +32,7 @@ from paper_figs.paper import (
     observation_table,
 )
 from paper_figs.paper.observation_times import rebinned
+from paper_figs.studies import solver_comparison
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -237,8 +240,6 @@ def test_everything_is_written_into_one_folder(
             self.draw = lambda _: drawn[name]
             self.caption = FIGURES[name].caption
 
-    import paper_figs.__main__ as command_line
-
     monkeypatch.setattr(command_line, "FIGURES", {name: Ready(name) for name in FIGURES})
     written = list(make_all(runs, folder, tmp_path / "figures"))
     expected = {f"{name}{ending}" for name in FIGURES for ending in PICTURES}
@@ -316,6 +317,30 @@ def test_flights_of_another_plan_are_refused(
         assert words in errors
     assert ("an unknown plan" in errors) == (age == "older")
     assert not (tmp_path / "figures").exists()
+
+
+@pytest.mark.parametrize("module", [flyby, frames, solver_comparison, command_line])
+def test_a_bad_command_line_is_a_document(
+    module: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        module.main(["--no-such-option", "--json"])
+    assert end.value.code == 2
+    document = json.loads(capsys.readouterr().out)
+    assert document["command"] == module.__name__.removesuffix(".__main__")
+
+
+def test_the_files_of_a_figure_are_in_its_document(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / "x.png")
+    assert command(control_history.draw, None, [str(folder), file, "--json"]) == 0
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert (document["command"], document["files"]) == (control_history.__name__, [file])
+    assert said.err == f"written: {file}\n"
+    assert frames.main([file, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("ending", [".pdf", ".png", ".svg"])
