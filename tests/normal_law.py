@@ -79,4 +79,6 @@ def cone_probability(cone: Cone, mean: Array, covariance: Array) -> float:
 
 def round_ball_probability(radius: float, distance: Array, sigma: Array) -> Array:
     """Noncentral chi-square: the same spread in all directions."""
-    return np.asarray(ncx2.cdf((radius / sigma) ** 2, 3, (distance / sigma) ** 2))
+    shift = (distance / sigma) ** 2
+    # SciPy's series errs by 3e-7 where this underflows.
+    return np.asarray(ncx2.cdf((radius / sigma) ** 2, 3, np.where(shift < 1e-30, 0.0, shift)))

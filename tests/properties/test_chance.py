@@ -91,7 +91,7 @@ def test_without_spread_a_facets_margin_is_its_distance(
 
 @given(probabilities, probabilities, generators)
 def test_margins_fall_with_the_probability(p: float, more: float, rng: np.random.Generator) -> None:
-    assume(more > p)
+    assume(more > p + 1e-12)  # nearer ones have the same quantile
     mean, factor = gaussian(rng)
     normal = random_unit(rng)
     margins = [one_facet(normal, 1.0, quantile(x)).margin(mean, factor)[0] for x in (p, more)]

@@ -38,8 +38,10 @@ def chi_between(dimension: int, low: float, high: float) -> float:
 @given(coordinates, coordinates)
 def test_the_normal_law_is_scipys_in_both_tails(one: float, other: float) -> None:
     low, high = sorted([one, other])
-    apart = norm.cdf(high) - norm.cdf(low) if high < 0.0 else norm.sf(low) - norm.sf(high)
-    assert between(NormalLaw(), low, high) == pytest.approx(apart, rel=1e-9, abs=1e-300)
+    tails = (norm.cdf(high), norm.cdf(low)) if high < 0.0 else (norm.sf(low), norm.sf(high))
+    # A difference of tails errs by the rounding of the larger one.
+    expected = pytest.approx(tails[0] - tails[1], rel=1e-9, abs=1e-15 * tails[0] + 1e-300)
+    assert between(NormalLaw(), low, high) == expected
 
 
 @given(dimensions, coordinates, coordinates)
