@@ -27,7 +27,7 @@ from pathlib import Path
 from rich.console import Console
 
 from scp_recon.cli.options import int_between, number_between
-from scp_recon.report.camera import Camera
+from scp_recon.report.content.camera import Camera
 from scp_recon.report.write import FILE_NAME, write_report
 from scp_recon.solution.runs import folder_of, resolve_run
 

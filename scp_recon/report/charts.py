@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from scp_recon.report import palette
-from scp_recon.report.achieved import SO_FAR, Achieved
-from scp_recon.report.budget import Budget
-from scp_recon.report.frame import Shown
-from scp_recon.report.ground import degrees_of, site_degrees, terminator
-from scp_recon.report.histories import Bound
-from scp_recon.report.numbers import significant
+from scp_recon.report.content import palette
+from scp_recon.report.content.achieved import SO_FAR, Achieved
+from scp_recon.report.content.budget import Budget
+from scp_recon.report.content.ground import degrees_of, site_degrees, terminator
+from scp_recon.report.content.histories import Bound
+from scp_recon.report.content.numbers import significant
+from scp_recon.report.content.subject import Subject
 from scp_recon.report.panels import (
     Trace,
     axis_name,
@@ -24,7 +24,7 @@ from scp_recon.report.panels import (
     shade_window,
     stacked,
 )
-from scp_recon.report.subject import Subject
+from scp_recon.report.view.frame import Shown
 
 LEVELS = 3
 """Heights at which burns are named."""

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.report import palette
-from scp_recon.report.histories import Bound
+from scp_recon.report.content import palette
+from scp_recon.report.content.histories import Bound
+from scp_recon.report.content.subject import Subject
 from scp_recon.report.panels import (
     Trace,
     axis_name,
@@ -20,7 +21,6 @@ from scp_recon.report.panels import (
     shade_window,
     stacked,
 )
-from scp_recon.report.subject import Subject
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 from scp_recon.spacecraft.record import Record
 

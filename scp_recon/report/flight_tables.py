@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.subject import Subject
 from scp_recon.report.table import Row, Table, cell, table
 
 

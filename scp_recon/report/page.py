@@ -9,8 +9,8 @@ from importlib.resources import files
 from typing import Any
 
 from scp_recon.physics.time_scales import instant, iso_utc, shown_utc
-from scp_recon.report.numbers import script
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.numbers import script
+from scp_recon.report.content.subject import Subject
 from scp_recon.report.table import Table
 from scp_recon.report.verdict import Verdict
 

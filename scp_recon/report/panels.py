@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from scp_recon.report import palette
-from scp_recon.report.histories import Bound, History
-from scp_recon.report.numbers import significant
+from scp_recon.report.content import palette
+from scp_recon.report.content.histories import Bound, History
+from scp_recon.report.content.numbers import significant
 
 Trace = dict[str, Any]
 

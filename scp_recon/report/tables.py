@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from scp_recon.physics.time_scales import instant, shown_utc
-from scp_recon.report.budget import SHARE, Budget
+from scp_recon.report.content.budget import SHARE, Budget
+from scp_recon.report.content.subject import Subject
 from scp_recon.report.flight_tables import flights_table, simulation_tables
-from scp_recon.report.subject import Subject
 from scp_recon.report.table import Cell, Row, Table, cell, table
 from scp_recon.solution.comparison import compare
 from scp_recon.verification.reintegration import (

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from formulations.rows.exact import FLIGHT
-from scp_recon.report.achieved import SO_FAR, Achieved
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.achieved import SO_FAR, Achieved
+from scp_recon.report.content.subject import Subject
 from scp_recon.scp.status import Status
 
 

@@ -10,25 +10,25 @@ from typing import Any
 from scp_recon.errors import InputError, needing
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.report import charts, tables
-from scp_recon.report.achieved import achieved
-from scp_recon.report.budget import budget_of
-from scp_recon.report.camera import Camera
-from scp_recon.report.craft import craft_chart
-from scp_recon.report.flown import fly
-from scp_recon.report.frame import Shown
-from scp_recon.report.ground import ground_track
-from scp_recon.report.histories import (
+from scp_recon.report.content.achieved import achieved
+from scp_recon.report.content.budget import budget_of
+from scp_recon.report.content.camera import Camera
+from scp_recon.report.content.flown import fly
+from scp_recon.report.content.ground import ground_track
+from scp_recon.report.content.histories import (
     lighting_histories,
     observation_histories,
     range_histories,
     resolution_history,
 )
+from scp_recon.report.content.shape import shape_of
+from scp_recon.report.content.subject import Subject, subjects_of
+from scp_recon.report.craft import craft_chart
 from scp_recon.report.page import Page, render
 from scp_recon.report.panels import history_chart
-from scp_recon.report.scene import scene
-from scp_recon.report.shape import shape_of
-from scp_recon.report.subject import Subject, subjects_of
 from scp_recon.report.verdict import verdict_of
+from scp_recon.report.view.frame import Shown
+from scp_recon.report.view.scene import scene
 from scp_recon.solution.file import Solution
 
 FILE_NAME, UNVERIFIED_NAME = "report.html", "report_unverified.html"

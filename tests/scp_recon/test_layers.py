@@ -79,7 +79,7 @@ FLOORS = (
         for name in (
             *("spacecraft.basilisk", "verification", "exchange", "certification", "in_flight"),
             "pass_design",
-            *("cli", "report"),
+            *("cli", "report.content", "report.view", "report"),
             "front_door",
         )
     ),

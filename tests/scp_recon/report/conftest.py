@@ -9,9 +9,9 @@ import pytest
 
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.summary import summarise
-from scp_recon.report.camera import Camera
+from scp_recon.report.content.camera import Camera
+from scp_recon.report.content.subject import Subject, subjects_of
 from scp_recon.report.page import Page
-from scp_recon.report.subject import Subject, subjects_of
 from scp_recon.report.write import page_of, write_report
 from scp_recon.solution.file import Solution
 from scp_recon.verification.reintegration import Verification

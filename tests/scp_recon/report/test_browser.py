@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.subject import Subject
 
 CHROMIUM = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -127,7 +127,7 @@ def test_the_slider_moves_the_spacecraft_to_the_solution_s_nodes(
 def test_the_site_that_is_drawn_is_the_distance_away_that_is_told(
     seen: Seen, subject: Subject
 ) -> None:
-    from scp_recon.report.ground import site_distance_m
+    from scp_recon.report.content.ground import site_distance_m
 
     seen.page.evaluate("report.show(15000)")
     told = site_distance_m(subject, np.array([15_000.0]))[0]

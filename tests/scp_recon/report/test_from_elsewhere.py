@@ -13,7 +13,7 @@ import scp_recon as sr
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Plan
 from scp_recon.report import write
-from scp_recon.report.flown import fly
+from scp_recon.report.content.flown import fly
 from scp_recon.solution.file import Solution
 from tests.scp_recon.support import run_solve
 

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 
 from scp_recon.environment.surface import Mesh
 from scp_recon.physics.frames import unit
-from scp_recon.report.achieved import SO_FAR, achieved
-from scp_recon.report.budget import budget_of
-from scp_recon.report.camera import Camera
+from scp_recon.report.content.achieved import SO_FAR, achieved
+from scp_recon.report.content.budget import budget_of
+from scp_recon.report.content.camera import Camera
+from scp_recon.report.content.flown import Flown, fly
+from scp_recon.report.content.ground import degrees_of, first_hit, ground_track, terminator
+from scp_recon.report.content.shape import FACETS_MAX, _of_mesh, ellipsoid, shape_of
+from scp_recon.report.content.subject import Subject
 from scp_recon.report.craft import BINS, thinned
-from scp_recon.report.flown import Flown, fly
-from scp_recon.report.ground import degrees_of, first_hit, ground_track, terminator
 from scp_recon.report.page import Page
-from scp_recon.report.shape import FACETS_MAX, _of_mesh, ellipsoid, shape_of
-from scp_recon.report.solids import RING, shell, tube
-from scp_recon.report.subject import Subject
+from scp_recon.report.view.solids import RING, shell, tube
 from scp_recon.solution.file import Solution
 from tests.helpers import generators, random_unit
 

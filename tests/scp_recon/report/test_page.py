@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.report import palette, write
+from scp_recon.report import write
 from scp_recon.report.__main__ import main
-from scp_recon.report.camera import Camera
-from scp_recon.report.flown import fly
-from scp_recon.report.numbers import compact, script, significant
+from scp_recon.report.content import palette
+from scp_recon.report.content.camera import Camera
+from scp_recon.report.content.flown import fly
+from scp_recon.report.content.numbers import compact, script, significant
+from scp_recon.report.content.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.report.page import Page, render
-from scp_recon.report.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.report.write import page_of, write_report
 from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.file import Solution

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.whole_flight import SAFETY
-from scp_recon.report.flown import Flown
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.flown import Flown
+from scp_recon.report.content.subject import Subject
 from scp_recon.verification.probabilities import holds
 
 Array = npt.NDArray[np.float64]

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.report.numbers import compact
-from scp_recon.report.solids import Solid
+from scp_recon.report.content.numbers import compact
+from scp_recon.report.view.solids import Solid
 
 Array = npt.NDArray[np.float64]
 Trace = dict[str, Any]

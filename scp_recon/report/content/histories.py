@@ -11,10 +11,10 @@ import numpy.typing as npt
 from scp_recon.mission.constraints import Measure, observation_limits
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
-from scp_recon.report.camera import Camera
-from scp_recon.report.flown import Flown
-from scp_recon.report.shape import Shape
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.camera import Camera
+from scp_recon.report.content.flown import Flown
+from scp_recon.report.content.shape import Shape
+from scp_recon.report.content.subject import Subject
 
 Array = npt.NDArray[np.float64]
 

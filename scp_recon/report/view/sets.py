@@ -6,11 +6,12 @@ import numpy as np
 
 from scp_recon.mission.constraints import observation_limits
 from scp_recon.physics.frames import unit
-from scp_recon.report import palette, solids
-from scp_recon.report.frame import Frame
-from scp_recon.report.solids import Solid
-from scp_recon.report.subject import Subject
-from scp_recon.report.traces import Trace, mesh, moved
+from scp_recon.report.content import palette
+from scp_recon.report.content.subject import Subject
+from scp_recon.report.view import solids
+from scp_recon.report.view.frame import Frame
+from scp_recon.report.view.solids import Solid
+from scp_recon.report.view.traces import Trace, mesh, moved
 
 
 def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.physics.frames import sun_north_to_j2000
-from scp_recon.report.flown import Flown
-from scp_recon.report.ground import GroundTrack
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.flown import Flown
+from scp_recon.report.content.ground import GroundTrack
+from scp_recon.report.content.subject import Subject
 
 Array = npt.NDArray[np.float64]
 

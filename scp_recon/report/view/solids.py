@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from formulations.problem.regions import perpendicular
 from scp_recon.physics.frames import unit
 
 Array = npt.NDArray[np.float64]
@@ -73,9 +74,8 @@ def planes_along(path: Array) -> Array:
     Each pair is the one before, less what of it lies along the path there.
     """
     along = unit(np.gradient(path, axis=0))
-    helper = np.eye(3)[int(np.argmin(np.abs(along[0])))]
     planes = []
-    side = helper
+    side = perpendicular(along[:1])[0]
     for direction in along:
         left = side - (side @ direction) * direction
         side = left / np.linalg.norm(left)
@@ -86,8 +86,7 @@ def planes_along(path: Array) -> Array:
 def revolved(profile: Array, axis: Array, apex: Array) -> Solid:
     """A profile of points (along, across) turned about an axis through an apex, m, shape (k, 2)."""
     axis = unit(axis)
-    helper = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    side = unit(np.cross(axis, helper))
+    side = perpendicular(axis[None])[0]
     turn = np.arange(TURNS) * 2.0 * np.pi / TURNS
     rim = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(axis, side)
     points = profile[:, :1, None] * axis + profile[:, 1:, None] * rim

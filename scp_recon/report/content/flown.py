@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.subject import Subject
 from scp_recon.verification.probabilities import SAMPLES, SEED
 
 Array = npt.NDArray[np.float64]

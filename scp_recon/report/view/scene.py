@@ -14,14 +14,15 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.mission.mission import Mission
-from scp_recon.report import palette, solids
-from scp_recon.report.frame import Frame, Shown, arrows_of, frame_of
-from scp_recon.report.numbers import compact
-from scp_recon.report.sets import keep_sets
-from scp_recon.report.shape import Shape
-from scp_recon.report.solids import Solid
-from scp_recon.report.subject import Subject
-from scp_recon.report.traces import Trace, lines, mesh, moved
+from scp_recon.report.content import palette
+from scp_recon.report.content.numbers import compact
+from scp_recon.report.content.shape import Shape
+from scp_recon.report.content.subject import Subject
+from scp_recon.report.view import solids
+from scp_recon.report.view.frame import Frame, Shown, arrows_of, frame_of
+from scp_recon.report.view.sets import keep_sets
+from scp_recon.report.view.solids import Solid
+from scp_recon.report.view.traces import Trace, lines, mesh, moved
 
 Array = npt.NDArray[np.float64]
 

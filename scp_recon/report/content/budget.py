@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import binom
 
-from scp_recon.report.flown import Flown
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.flown import Flown
+from scp_recon.report.content.subject import Subject
 
 Array = npt.NDArray[np.float64]
 

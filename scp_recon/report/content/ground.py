@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from formulations.problem.regions import perpendicular
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
-from scp_recon.report.camera import Camera
-from scp_recon.report.shape import Shape
-from scp_recon.report.subject import Subject
+from scp_recon.report.content.camera import Camera
+from scp_recon.report.content.shape import Shape
+from scp_recon.report.content.subject import Subject
 
 Array = npt.NDArray[np.float64]
 
@@ -70,8 +71,7 @@ def degrees_of(position: Array) -> tuple[Array, Array]:
 
 def around(axis: Array, angle: float) -> Array:
     """Unit vectors at an angle from unit axes (n, 3), evenly around: shape (n, rays, 3)."""
-    helper = np.where(np.abs(axis[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
-    side = unit(np.cross(axis, helper))
+    side = perpendicular(axis)
     other = np.cross(axis, side)
     turn = np.arange(RAYS) * 2.0 * np.pi / RAYS
     rim = np.cos(turn)[:, None] * side[:, None] + np.sin(turn)[:, None] * other[:, None]
