@@ -19,6 +19,7 @@ COMMANDS = {
     "verify": "verify a solution again",
     "montecarlo": "fly a plan many times",
     "simulate": "fly a plan with the spacecraft in the loop",
+    "campaign": "run many cases of a study",
     "compare": "plans side by side",
     "report": "plans on one page to look at",
     "export": "write a plan for other tools",

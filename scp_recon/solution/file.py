@@ -243,9 +243,13 @@ class Solution(File):
         Raises:
             OSError: if the folder cannot be written.
         """
+        return write_atomically(folder / name, self.text())
+
+    def text(self) -> str:
+        """What the file holds: an entry a line."""
         entries: dict[str, Any] = {"schema": SCHEMA, **self.model_dump(mode="json")}
         lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in entries.items()]
-        return write_atomically(folder / name, "{\n" + ",\n".join(lines) + "\n}\n")
+        return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def read_solution(path: Path) -> Solution:

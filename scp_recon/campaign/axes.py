@@ -1,0 +1,267 @@
+"""Axes of a study: what changes from case to case. An axis is of the kind whose key its table has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from scp_recon.errors import InputError
+from scp_recon.mission.survey import survey
+from scp_recon.physics.frames import DAY_S
+from scp_recon.scenario.fields import Section
+from scp_recon.scenario.schema import Scenario
+
+Row = dict[str, Any]
+"""Values by entry, set together."""
+Entry = Annotated[str, Field(min_length=1, max_length=200)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
+Real = Annotated[float, Field(ge=-1e15, le=1e15)]
+LATITUDE, LONGITUDE = "site.latitude_deg", "site.longitude_deg"
+EPOCH = "epoch.tdb"
+DAYS_MAX = 400.0
+"""Of a search for windows, and from the epoch: two-body motion is off by 0.02 deg there, at Bennu."""
+
+
+class Axis(Section):
+    """What a table `[[axis]]` says; each kind has these two."""
+
+    def count(self, base: Scenario, /) -> int:
+        """How many rows it has, without making a billion of them."""
+        raise NotImplementedError
+
+    def rows(self, base: Scenario, seed: tuple[int, ...], folder: Path, /) -> list[Row]:
+        """Its rows in order.
+
+        Args:
+            base: the study's scenario.
+            seed: of this axis.
+            folder: to which the files that it names are relative.
+
+        Raises:
+            InputError: if it has none, or names what is unusable.
+        """
+        raise NotImplementedError
+
+
+class Values(Axis):
+    """A list of values of an entry, or rows of values of several."""
+
+    entry: Entry | None = None
+    entries: tuple[Entry, ...] | None = None
+    values: Annotated[tuple[Any, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if (self.entry is None) == (self.entries is None):
+            raise ValueError("must have entry, or entries with a row of values each")
+        for row in self.values if self.entries else ():
+            if not isinstance(row, list | tuple) or len(row) != len(self.entries or ()):
+                raise ValueError(f"each row of values must have {len(self.entries or ())} items")
+        return self
+
+    def count(self, _base: Scenario, /) -> int:
+        """As many as there are values."""
+        return len(self.values)
+
+    def rows(self, _base: Scenario, _seed: tuple[int, ...], _folder: Path, /) -> list[Row]:
+        """As they are listed."""
+        if self.entry is not None:
+            return [{self.entry: value} for value in self.values]
+        return [dict(zip(self.entries or (), row, strict=True)) for row in self.values]
+
+
+class Span(Section):
+    """So many numbers from one to another, both included, evenly or in equal ratios."""
+
+    start: Annotated[Real, Field(alias="from")]
+    to: Real
+    count: Count
+    scale: Literal["linear", "log"] = "linear"
+
+    @model_validator(mode="after")
+    def _sane(self) -> Self:
+        if self.scale == "log" and min(self.start, self.to) <= 0.0:
+            raise ValueError("must be positive on a logarithmic scale")
+        if self.count > 1 and self.start == self.to:
+            raise ValueError("must have different ends, or a count of 1")
+        return self
+
+    def numbers(self) -> list[float]:
+        """All of them; the ends as they are written."""
+        make = np.geomspace if self.scale == "log" else np.linspace
+        numbers: list[float] = make(self.start, self.to, self.count).tolist()
+        return numbers
+
+
+class Grid(Axis):
+    """Numbers at even steps, of one entry."""
+
+    entry: Entry
+    grid: Span
+
+    def count(self, _base: Scenario, /) -> int:
+        """As said."""
+        return self.grid.count
+
+    def rows(self, _base: Scenario, _seed: tuple[int, ...], _folder: Path, /) -> list[Row]:
+        """In the order of the span."""
+        return [{self.entry: number} for number in self.grid.numbers()]
+
+
+class Law(Section):
+    """A law by which an entry is drawn.
+
+    normal and lognormal have mean and sigma (lognormal: of the logarithm), uniform and loguniform have
+    low and high.
+    """
+
+    entry: Entry
+    law: Literal["normal", "lognormal", "uniform", "loguniform"]
+    mean: Real | None = None
+    sigma: Annotated[float, Field(gt=0, le=1e15)] | None = None
+    low: Real | None = None
+    high: Real | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        by_moments = self.law.endswith("normal")
+        needed, others = ("mean", "sigma"), ("low", "high")
+        if not by_moments:
+            needed, others = others, needed
+        if any(getattr(self, name) is None for name in needed):
+            raise ValueError(f"{self.law} must have {needed[0]} and {needed[1]}")
+        if any(getattr(self, name) is not None for name in others):
+            raise ValueError(f"{self.law} must not have {others[0]} or {others[1]}")
+        if not by_moments and not (self.low or 0.0) < (self.high or 0.0):
+            raise ValueError("low must be less than high")
+        if self.law == "loguniform" and (self.low or 0.0) <= 0.0:
+            raise ValueError("low must be positive")
+        return self
+
+    def drawn(self, rng: np.random.Generator, count: int) -> npt.NDArray[np.float64]:
+        """So many draws, shape (count,)."""
+        if self.law.endswith("normal"):
+            found = rng.normal(self.mean or 0.0, self.sigma or 0.0, count)
+            return np.exp(found) if self.law == "lognormal" else found
+        low, high = self.low or 0.0, self.high or 0.0
+        if self.law == "uniform":
+            return rng.uniform(low, high, count)
+        return np.exp(rng.uniform(np.log(low), np.log(high), count))
+
+
+class Draws(Axis):
+    """Random rows, all entries drawn independently; the first ones stay if there are to be more."""
+
+    draws: Annotated[tuple[Law, ...], Field(min_length=1)]
+    number: Annotated[Count, Field(alias="count")]
+
+    def count(self, _base: Scenario, /) -> int:
+        """As said."""
+        return self.number
+
+    def rows(self, _base: Scenario, seed: tuple[int, ...], _folder: Path, /) -> list[Row]:
+        """Each entry from a stream of its own."""
+        columns = [
+            law.drawn(np.random.default_rng((*seed, place)), self.number).tolist()
+            for place, law in enumerate(self.draws)
+        ]
+        names = [law.entry for law in self.draws]
+        return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
+
+
+class LatLonGrid(Section):
+    """Every latitude with every longitude."""
+
+    latitude_deg: Span
+    longitude_deg: Span
+
+
+class Sites(Axis):
+    """Sites on a grid of latitude and longitude, row by row."""
+
+    sites: LatLonGrid
+
+    def count(self, _base: Scenario, /) -> int:
+        """Latitudes times longitudes."""
+        return self.sites.latitude_deg.count * self.sites.longitude_deg.count
+
+    def rows(self, _base: Scenario, _seed: tuple[int, ...], _folder: Path, /) -> list[Row]:
+        """From the first latitude on."""
+        longitudes = self.sites.longitude_deg.numbers()
+        return [
+            {LATITUDE: latitude, LONGITUDE: longitude}
+            for latitude in self.sites.latitude_deg.numbers()
+            for longitude in longitudes
+        ]
+
+
+class WindowSearch(Section):
+    """Where lighting windows are looked for, and which of them are taken."""
+
+    start: Annotated[datetime | None, Field(alias="from")] = None
+    span_days: Annotated[float, Field(ge=0.01, le=DAYS_MAX)]
+    every: Annotated[int, Field(ge=1)] = 1
+
+
+class Windows(Axis):
+    """Epochs that put the base's burns legally about the lighting windows of its site.
+
+    Each window that the span does not cut, and about which the burns can stand as they do about the
+    base's own, gives one: the middle of those allowed, to the second.
+    """
+
+    windows: WindowSearch
+
+    def count(self, base: Scenario, /) -> int:
+        """By looking for them."""
+        return len(self.rows(base, (), Path()))
+
+    def rows(self, base: Scenario, _seed: tuple[int, ...], _folder: Path, /) -> list[Row]:
+        """In time."""
+        epoch, search = base.epoch.tdb, self.windows
+        first = ((search.start or epoch) - epoch).total_seconds()
+        if abs(first) > DAYS_MAX * DAY_S:
+            raise InputError(
+                "windows.from",
+                str(search.start),
+                f"must be within {DAYS_MAX:g} days of the base's epoch, {epoch.isoformat()}",
+            )
+        found = survey(base, (first, first + search.span_days * DAY_S))
+        allowed = [dict(window.shifts_s).get(found.before) for window in found.windows]
+        middles = [round(0.5 * (low + high)) for low, high in filter(None, allowed)]
+        middles = middles[:: search.every]
+        if not middles:
+            raise InputError(
+                "windows",
+                f"{len(found.windows)} lighting windows, none in which the base's burns are legal",
+                "must find one: see python -m scp_recon.windows",
+            )
+        return [{EPOCH: (epoch + timedelta(seconds=s)).isoformat()} for s in middles]
+
+
+KINDS: dict[str, type[Axis]] = {
+    "values": Values,
+    "grid": Grid,
+    "draws": Draws,
+    "sites": Sites,
+    "windows": Windows,
+}
+"""By the key that says so."""
+
+
+def axis_of(table: Mapping[str, Any]) -> type[Axis]:
+    """The kind of an axis.
+
+    Raises:
+        ValueError: if its table has not exactly one key of `KINDS`.
+    """
+    kinds = [key for key in KINDS if key in table]
+    if len(kinds) != 1:
+        raise ValueError(f"must have one of {', '.join(KINDS)}")
+    return KINDS[kinds[0]]

@@ -1,0 +1,1 @@
+"""Where cases are run: in this process, in processes of this machine, or on a Dask cluster."""

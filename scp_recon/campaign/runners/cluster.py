@@ -1,0 +1,224 @@
+"""Cases on a Dask cluster, each in a process of its own beside the worker: same limits, same bits.
+
+The scheduler may be restarted and workers may die: what had not come back is sent again, and what comes
+twice is taken once.
+"""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+import queue
+import threading
+from collections.abc import Callable, Generator, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any
+
+from scp_recon.campaign.case import DIED, Case, Done, Work, trouble
+from scp_recon.campaign.runners.child import TRIES, Child, Limits
+from scp_recon.campaign.study import versions
+from scp_recon.errors import InputError, needing
+
+AHEAD = 4
+"""Cases sent for each thread of the cluster; more would wait in the scheduler's memory."""
+LEAST_AHEAD = 32
+LOOK_S = 1.0
+"""Between looks whether the scheduler is there, and how many workers it has."""
+GONE_S = 120.0
+"""For which a scheduler may be away before the campaign gives up."""
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A runner on the cluster of a scheduler.
+
+    Attributes:
+        address: of the scheduler.
+        limits: of a case.
+        say: told a line when there is something to tell.
+        ahead: cases that are sent at once; by the size of the cluster if None.
+        gone_s: for how long the scheduler may be away.
+    """
+
+    address: str
+    limits: Limits
+    say: Callable[[str], None] = lambda _: None
+    ahead: int | None = None
+    gone_s: float = GONE_S
+
+    def __call__(self, work: Work, cases: Iterable[Case]) -> Generator[Done, None, None]:
+        """Run cases as workers become free; they are given as they are over.
+
+        Raises:
+            InputError: if the extra is missing, or the scheduler is not there.
+        """
+        session = _Session(self, pickle.dumps((versions(), pickle.dumps(work))))
+        left = iter(cases)
+        tries: dict[int, int] = {}
+        try:
+            session.connect(first=True)
+            while True:
+                room = session.room()
+                for case in itertools.islice(left, room):
+                    session.send(case)
+                if not session.out:
+                    return
+                for case, done, error in session.over():
+                    if done is not None:
+                        tries.pop(case.number, None)
+                        yield done
+                    elif (count := tries.get(case.number, 0) + 1) < TRIES:
+                        tries[case.number] = count
+                        session.send(case)
+                    else:
+                        message = f"ended its worker in each of {TRIES} tries: {error}"
+                        yield Done(case, trouble(DIED, message), 0.0, None, TRIES)
+        finally:
+            session.close()
+
+
+Over = tuple[Case, Done | None, str]
+
+
+class _Session:
+    """Connection to a scheduler, and what is out."""
+
+    def __init__(self, cluster: Cluster, pickled: bytes) -> None:
+        with needing("--scheduler", "cluster"):
+            import distributed
+        self._distributed = distributed
+        self._cluster, self._pickled = cluster, pickled
+        self._client: Any = None
+        self._work: Any = None
+        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self.out: dict[str, tuple[Case, Any]] = {}
+        self._threads, self._looked = 1, 0.0
+
+    def connect(self, *, first: bool = False) -> None:
+        """Find the scheduler, and send again what is out.
+
+        Raises:
+            InputError: if it does not answer.
+        """
+        address, until = self._cluster.address, monotonic() + self._cluster.gone_s
+        while True:
+            try:
+                self._client = self._distributed.Client(address, timeout=5.0, set_as_default=False)
+                break
+            except (OSError, TimeoutError, ValueError) as error:
+                if first or monotonic() > until:
+                    raise InputError(
+                        "--scheduler",
+                        f"{address}, where none answers ({str(error).splitlines()[0][:120]})",
+                        "must be the address of a Dask scheduler, e.g. tcp://127.0.0.1:8786; "
+                        "every row until now is kept, and the same command goes on",
+                    ) from None
+        if first:
+            self._cluster.say(f"dashboard: {self._client.dashboard_link}")
+        # The scheduler can make it again wherever it is lost, as it could not with scattered data.
+        self._work = self._client.submit(bytes, self._pickled, pure=False)
+        again, self.out = self.out, {}
+        for case, _ in again.values():
+            self.send(case)
+
+    def room(self) -> int:
+        """How many more cases may be sent."""
+        if self._cluster.ahead is not None:
+            return max(0, self._cluster.ahead - len(self.out))
+        if monotonic() - self._looked > LOOK_S:
+            self._looked = monotonic()
+            with suppress(OSError, TimeoutError, ValueError):
+                self._threads = sum(self._client.nthreads().values())
+        return max(0, max(LEAST_AHEAD, AHEAD * self._threads) - len(self.out))
+
+    def send(self, case: Case) -> None:
+        """Send a case."""
+        future = self._client.submit(
+            run_in_child, self._work, tuple(case), self._cluster.limits, pure=False
+        )
+        self.out[future.key] = (case, future)
+        future.add_done_callback(self._events.put)
+
+    def over(self) -> list[Over]:
+        """What has come back; waits a while for it, and sends again what was lost with a scheduler."""
+        try:
+            events = [self._events.get(timeout=LOOK_S)]
+        except queue.Empty:
+            if self._client.status != "running":
+                self._again()
+            return []
+        with suppress(queue.Empty):
+            while True:
+                events.append(self._events.get_nowait())
+        found: list[Over] = []
+        lost = False
+        for future in events:
+            case, _ = self.out.get(future.key, (None, None))
+            if case is None:  # sent again meanwhile
+                continue
+            if future.status in ("cancelled", "lost"):
+                lost = True
+                continue
+            try:
+                result = future.result(timeout=30.0)
+            except (OSError, TimeoutError, self._distributed.CancelledError):
+                lost = True
+                continue
+            except OtherVersionsError as error:
+                raise InputError(
+                    "--scheduler", str(error), "must have workers of one version"
+                ) from None
+            except Exception as error:  # its worker died of it, as far as the scheduler can tell
+                del self.out[future.key]
+                found.append((case, None, f"{type(error).__name__}: {str(error)[:200]}"))
+                continue
+            del self.out[future.key]
+            found.append((case, result._replace(case=case), ""))
+        if lost:
+            self._again()
+        return found
+
+    def _again(self) -> None:
+        self._cluster.say("the scheduler was lost: what had not come back is sent again")
+        self._leave()
+        self.connect()
+
+    def _leave(self) -> None:
+        if self._client is not None:
+            client, self._client = self._client, None
+            with suppress(Exception):  # it is gone, or is being lost at this moment
+                client.close(timeout=2.0)
+
+    def close(self) -> None:
+        """Give up what is out."""
+        if self._client is not None:
+            with suppress(Exception):
+                self._client.cancel([future for _, future in self.out.values()], force=True)
+        self._leave()
+
+
+_CHILDREN = threading.local()
+
+
+class OtherVersionsError(Exception):
+    """A worker's packages are not those that the campaign was begun with."""
+
+
+def run_in_child(pickled: bytes, case: tuple[Any, ...], limits: Limits) -> Done:
+    """Run a case in the process of this worker's thread, which is kept for the next one.
+
+    Raises:
+        OtherVersionsError: if it would be run by other versions than the campaign's.
+    """
+    child: Child | None = getattr(_CHILDREN, "child", None)
+    if child is None or (_CHILDREN.pickled, child.limits) != (pickled, limits):
+        if child is not None:
+            child.end()
+        asked, work = pickle.loads(pickled)
+        if asked != (own := versions()):
+            raise OtherVersionsError(f"a worker with {own}, not {asked}")
+        child, _CHILDREN.pickled = Child(work, limits), pickled
+        _CHILDREN.child = child
+    return child.run(Case(*case))

@@ -1,0 +1,343 @@
+"""A study: a base scenario, what to do with it, and the axes along which it changes, read from TOML."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.metadata import PackageNotFoundError, version
+from math import prod
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from scp_recon.campaign.axes import Axis, Draws, Row, axis_of
+from scp_recon.campaign.case import Case
+from scp_recon.campaign.table import kind_of
+from scp_recon.errors import InputError, shortened
+from scp_recon.files import read_text
+from scp_recon.scenario.fields import Section
+from scp_recon.scenario.inherit import merge, nested
+from scp_recon.scenario.load import base_names, load_scenario
+from scp_recon.scenario.messages import input_error
+from scp_recon.scenario.resolve import anchored
+from scp_recon.scenario.schema import Scenario
+
+BYTES_MAX = 50_000_000
+ASK_FROM = 100_000
+"""More cases than these are made only if they are meant."""
+ROWS_MAX = 1_000_000
+"""Of one axis."""
+CHECKED = 100
+"""Rows of an axis whose scenarios are made before the work, spread evenly from first to last."""
+SHOWN = 5
+CERTIFIED = "exact"
+PACKAGES = ("scp_recon", "numpy", "scipy", "cvxpy", "clarabel")
+"""On whose versions the last bits depend."""
+
+Do = Literal["plan", "design", "certify", "fly", "simulate"]
+
+
+class Campaign(Section):
+    """The table `[campaign]`."""
+
+    base: Annotated[str, Field(min_length=1)] = "recon_b"
+    """Packaged scenario, or a file relative to the study."""
+    do: Do = "plan"
+    """plan; design a pass from the home orbit; certify an exact plan; fly a plan often; simulate it."""
+    samples: Annotated[int, Field(ge=20, le=10_000_000)] = 10_000
+    """Flights of a case with do = "fly"."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Of everything random: a case's own seed follows from it and the case's number."""
+    limit_s: Annotated[float, Field(ge=0.1, le=1e6)] = 600.0
+    """Wall time after which a case is ended, s."""
+    memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 4096
+    """Memory that a case may take beyond the program's own, megabytes."""
+    keep_solutions: bool = False
+    """Whether each case's solution.json is kept."""
+    overrides: dict[str, Any] = Field(default_factory=dict)
+    """Entries of the base that differ in all cases."""
+
+
+@dataclass(frozen=True)
+class Cases(Sequence[Case]):
+    """The product of the axes; the last one changes fastest. A case is made when it is asked for."""
+
+    axes: tuple[list[Row], ...]
+    seed: int
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return prod(len(rows) for rows in self.axes)
+
+    def __getitem__(self, number: Any) -> Any:
+        """The case of that number."""
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        changes: Row = {}
+        rest = number
+        for rows in reversed(self.axes):
+            rest, place = divmod(rest, len(rows))
+            changes = {**rows[place], **changes}
+        return Case(number, case_seed(self.seed, number), changes)
+
+
+def case_seed(seed: int, number: int) -> int:
+    """The seed of a case, from 0 to 2^63 - 1."""
+    return int(np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0] >> 1)
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a campaign runs.
+
+    Attributes:
+        campaign: the table of that name.
+        base: scenario of all cases, before their own changes.
+        axes: rows of each axis.
+        folder: to which files are relative that the study names.
+        tables: as they were written.
+    """
+
+    campaign: Campaign
+    base: Scenario
+    axes: tuple[list[Row], ...]
+    folder: Path
+    tables: Mapping[str, Any]
+
+    @classmethod
+    def validated(
+        cls, tables: Mapping[str, Any], folder: Path = Path(), *, yes: bool = False
+    ) -> Study:
+        """A study from nested tables.
+
+        Args:
+            tables: as in a file.
+            folder: to which files that it names are relative.
+            yes: whether more than `ASK_FROM` cases are meant.
+
+        Raises:
+            InputError: one message of everything that is wrong.
+        """
+        unknown = set(tables) - {"campaign", "axis"}
+        if unknown:
+            raise InputError(
+                ", ".join(sorted(unknown)), "an unknown entry", "must be campaign or axis"
+            )
+        campaign = _model(Campaign, tables.get("campaign", {}), "campaign")
+        kinds = _axes(tables.get("axis", []))
+        name = campaign.base
+        base = load_scenario(name if name in base_names() else folder / name)
+        base = base.changed(_layer(campaign.overrides, folder)) if campaign.overrides else base
+        _check_do(campaign, base)
+        _check_count([axis.count(base) for axis in kinds], yes=yes)
+        rows = tuple(
+            axis.rows(base, (campaign.seed, place), folder) for place, axis in enumerate(kinds)
+        )
+        study = cls(campaign, base, rows, folder, tables)
+        _check_axes(study, kinds)
+        return study
+
+    @property
+    def cases(self) -> Cases:
+        """All of them, lazily."""
+        return Cases(self.axes, self.campaign.seed)
+
+    @cached_property
+    def entries(self) -> tuple[str, ...]:
+        """What the axes change, in their order."""
+        return tuple(entry for rows in self.axes for entry in rows[0])
+
+    @cached_property
+    def kinds(self) -> dict[str, type]:
+        """What their columns hold."""
+        return {
+            entry: kind_of(row[entry] for row in rows) for rows in self.axes for entry in rows[0]
+        }
+
+    def scenario_of(self, case: Case) -> Scenario:
+        """The scenario of a case.
+
+        Raises:
+            InputError: if there is none such.
+        """
+        return changed(self.base, case.changes, self.folder)
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of what decides the rows: base, axes, limits, the files that it names, versions."""
+        parts = {
+            "campaign": self.campaign.model_dump(mode="json", exclude={"base", "overrides"}),
+            "base": self.base.model_dump(mode="json"),
+            "axes": self.axes,
+            "files": dict(_digests(self)),
+            "versions": versions(),
+        }
+        text = json.dumps(parts, sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_study(path: Path, *, yes: bool = False) -> Study:
+    """Read a study file.
+
+    Raises:
+        InputError: one message of everything that is wrong.
+    """
+    text = read_text(path, f"study {path}", "study file in TOML", BYTES_MAX)
+    try:
+        tables = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"study {path}", f"no TOML ({str(error)[:120]})", "must be a study file"
+        ) from None
+    return Study.validated(tables, path.parent, yes=yes)
+
+
+def changed(base: Scenario, changes: Mapping[str, Any], folder: Path) -> Scenario:
+    """The base with a case's changes.
+
+    Raises:
+        InputError: if that is no scenario.
+    """
+    return base.changed(_layer(changes, folder)) if changes else base
+
+
+def versions() -> dict[str, str]:
+    """Of the packages on which results depend."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def _layer(changes: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    layer: dict[str, Any] = {}
+    for entry, value in changes.items():
+        layer = merge(layer, nested(entry.split("."), value))
+    return anchored(layer, folder)
+
+
+def _model(schema: Any, table: Any, name: str) -> Any:
+    try:
+        return schema.model_validate_json(json.dumps(table, default=str))
+    except ValidationError as error:
+        found = input_error(error, schema)
+        entry = name if found.entry == "scenario" else f"{name}.{found.entry}"
+        raise InputError(entry, found.given, found.allowed) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(name, "values that cannot be read", str(error)[:120]) from None
+
+
+def _axes(tables: Any) -> list[Axis]:
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise InputError("axis", shortened(tables), "must be tables [[axis]]")
+    found, wrong = [], []
+    for number, table in enumerate(tables, start=1):
+        name = f"axis {number}"
+        try:
+            found.append(_model(axis_of(table), table, name))
+        except InputError as error:
+            wrong.append(error)
+        except ValueError as error:
+            wrong.append(InputError(name, ", ".join(table) or "nothing", str(error)))
+    if wrong:
+        _refuse(wrong)
+    return found
+
+
+def _check_do(campaign: Campaign, base: Scenario) -> None:
+    home = base.boundary.home
+    if base.in_flight is not None:
+        raise InputError("campaign.base", "a flight under way", "must be a whole flight")
+    if campaign.do == "design" and home is None:
+        raise InputError(
+            "campaign.do", "'design' of a base without boundary.home", "must have a home orbit"
+        )
+    if campaign.do != "design" and home is not None and home.is_free:
+        raise InputError(
+            "campaign.do",
+            f"{campaign.do!r} of a base whose boundary.home has free phases, or is flown",
+            "must be 'design'",
+        )
+    if campaign.do == "certify" and base.risk.allocation != CERTIFIED:
+        raise InputError(
+            "campaign.do", "'certify'", 'needs "risk.allocation" = "exact" in campaign.overrides'
+        )
+
+
+def _check_count(counts: list[int], *, yes: bool) -> None:
+    cases = prod(counts)
+    product = " x ".join(f"{count:,}" for count in counts)
+    if cases > ASK_FROM and not yes:
+        raise InputError(
+            "axis",
+            f"{cases:,} cases ({product})",
+            f"more than {ASK_FROM:,} need --yes, if they are meant",
+        )
+    for number, count in enumerate(counts, start=1):
+        if count > ROWS_MAX:
+            raise InputError(f"axis {number}", f"{count:,} rows", f"must have at most {ROWS_MAX:,}")
+
+
+def _check_axes(study: Study, kinds: Sequence[Axis]) -> None:
+    """No entry twice, and scenarios as far as the axes reach, the others at their first rows."""
+    owners: dict[str, int] = {}
+    wrong: list[InputError] = []
+    first = study.cases[0].changes
+    for number, (axis, rows) in enumerate(zip(kinds, study.axes, strict=True), start=1):
+        for entry in rows[0]:
+            if owners.setdefault(entry, number) != number:
+                given = f"on axis {owners[entry]} and axis {number}"
+                wrong.append(InputError(entry, given, "must be on one axis"))
+        looked = sorted({round(place) for place in np.linspace(0, len(rows) - 1, CHECKED)})
+        refused = list(_refused(study, number, first, looked))
+        # A draw that is out of bounds is a refused row, unless there is nothing else.
+        if not isinstance(axis, Draws) or len(refused) == len(looked):
+            wrong += refused
+    if wrong:
+        _refuse(wrong)
+
+
+def _refused(
+    study: Study, number: int, first: Mapping[str, Any], places: Sequence[int]
+) -> Iterator[InputError]:
+    for place in places:
+        try:
+            changed(study.base, {**first, **study.axes[number - 1][place]}, study.folder)
+        except InputError as error:
+            where = f"axis {number}, row {place + 1}: {error.entry}"
+            yield InputError(where, error.given, error.allowed)
+
+
+def _refuse(wrong: Sequence[InputError]) -> NoReturn:
+    """All in one message."""
+    first, *others = wrong
+    lines = [first.allowed, *map(str, others[: SHOWN - 1])]
+    if len(wrong) > SHOWN:
+        lines.append(f"... and {len(wrong) - SHOWN} more")
+    raise InputError(first.entry, first.given, "\n".join(lines))
+
+
+def _digests(study: Study) -> Iterator[tuple[str, str]]:
+    """Of the files that the scenarios name."""
+    named: set[str] = set()
+    layers = [study.base.model_dump(mode="json", exclude_none=True)]
+    layers += [_layer(row, study.folder) for rows in study.axes for row in rows]
+    for tables in layers:
+        for table in tables.values():
+            for key, value in table.items() if isinstance(table, dict) else ():
+                if key.endswith(("_file", "_files")):
+                    named |= set(value if isinstance(value, list) else [value])
+    for name in sorted(name for name in named if isinstance(name, str)):
+        path = Path(name)
+        if path.is_file():
+            with path.open("rb") as file:
+                yield name, hashlib.file_digest(file, "sha256").hexdigest()
