@@ -11,8 +11,9 @@ from typing import Any
 from scp_recon.campaign.case import Case, Done, Runner, Work
 from scp_recon.campaign.runners.child import Limits
 from scp_recon.campaign.runners.processes import Processes
-from scp_recon.campaign.study import Study, versions
+from scp_recon.campaign.study import Study
 from scp_recon.campaign.table import RESULTS, Store, cell, needing_parquet
+from scp_recon.campaign.versions import versions
 from scp_recon.campaign.work import work_of
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable, write_atomically

@@ -8,7 +8,6 @@ import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import PackageNotFoundError, version
 from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
@@ -19,6 +18,7 @@ from pydantic import Field, ValidationError
 from scp_recon.campaign.axes import Axis, Draws, Row, axis_of
 from scp_recon.campaign.case import Case
 from scp_recon.campaign.table import kind_of
+from scp_recon.campaign.versions import versions
 from scp_recon.errors import InputError, shortened
 from scp_recon.files import read_text
 from scp_recon.scenario.fields import Section
@@ -37,8 +37,6 @@ CHECKED = 100
 """Rows of an axis whose scenarios are made before the work, spread evenly from first to last."""
 SHOWN = 5
 CERTIFIED = "exact"
-PACKAGES = ("scp_recon", "numpy", "scipy", "cvxpy", "clarabel")
-"""On whose versions the last bits depend."""
 
 Do = Literal["plan", "design", "certify", "fly", "simulate"]
 
@@ -205,17 +203,6 @@ def changed(base: Scenario, changes: Mapping[str, Any], folder: Path) -> Scenari
         InputError: if that is no scenario.
     """
     return base.changed(_layer(changes, folder)) if changes else base
-
-
-def versions() -> dict[str, str]:
-    """Of the packages on which results depend."""
-    found = {}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
 
 
 def _layer(changes: Mapping[str, Any], folder: Path) -> dict[str, Any]:

@@ -112,10 +112,10 @@ class Store:
 
     def _forget_from(self, place: int) -> None:
         """Cut off what was not written whole; if that fails too the next reader does."""
+        with suppress(OSError):  # which tries to write the rest
+            self._journal.close()
         with suppress(OSError):
             os.truncate(self._home / JOURNAL, place)
-        with suppress(OSError):
-            self._journal.close()
 
     def _end_part(self) -> None:
         """The journal's rows become a part; what is in both after a crash is taken once."""

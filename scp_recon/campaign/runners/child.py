@@ -15,7 +15,7 @@ import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from signal import SIGALRM
+from signal import SIGALRM, SIGKILL
 from typing import IO, Any
 
 from scp_recon.campaign.case import (
@@ -29,10 +29,13 @@ from scp_recon.campaign.case import (
 )
 
 SERVE = "scp_recon.campaign.runners.serve"
+READY = "ready"
 TRIES = 3
 """Of a case that kills its process."""
 GRACE_S = 5.0
 """After its limit until the parent ends a child that its alarm has not ended."""
+START_S = 600.0
+"""For which a process may read its modules, which on a busy file server takes its time."""
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1"
 )
@@ -51,6 +54,10 @@ class StoppedError(Exception):
     """The child was ended because nobody wants its case any more."""
 
 
+class UnfitError(Exception):
+    """A process cannot run any case: it lacks modules, or has other versions than the campaign."""
+
+
 class Child:
     """A process for cases, begun with the first one and again after it has died."""
 
@@ -65,6 +72,7 @@ class Child:
 
         Raises:
             StoppedError: if `stop` was called meanwhile.
+            UnfitError: if no case can be run here.
         """
         watch, ended, tries = Stopwatch(), 0, 0
         while tries < TRIES:
@@ -87,37 +95,41 @@ class Child:
 
     def _try(self, case: Case) -> tuple[Done | None, int]:
         """What a case came to, or else how the process ended."""
-        process = self._started()
-        assert process.stdin is not None
-        assert process.stdout is not None
-        self._used = True
+        process = self._process
         try:
+            if process is None:
+                process = self._begun()
+                if (answer := self._answer(process, START_S)) != READY:
+                    raise UnfitError(answer)
+            self._used = True
             write_message(process.stdin, case)
-            limit = self.limits.seconds + GRACE_S
-            if not select.select([process.stdout], [], [], limit)[0]:
-                self.end()
-                return None, -SIGALRM
-            return read_message(process.stdout), 0
-        except (OSError, EOFError, pickle.UnpicklingError):
-            ended = process.wait()
+            return self._answer(process, self.limits.seconds + GRACE_S), 0
+        except TimeoutError:
+            late = -SIGALRM if self._used else -SIGKILL
             self.end()
-            return None, ended
+            return None, late
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None, self.end(patience_s=GRACE_S)
 
-    def _started(self) -> subprocess.Popen[bytes]:
-        if self._process is None:
-            paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", SERVE],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
-                start_new_session=True,  # Ctrl-C is the parent's to handle
-            )
-            self._used = False
-            if self._stopped.is_set():  # meanwhile
-                self._process.kill()
-            with suppress(OSError):  # it has died at once, which the case will find
-                write_message(self._process.stdin, (self.work, self.limits))
+    def _answer(self, process: subprocess.Popen[bytes], limit_s: float) -> Any:
+        assert process.stdout is not None
+        if not select.select([process.stdout], [], [], limit_s)[0]:
+            raise TimeoutError
+        return read_message(process.stdout)
+
+    def _begun(self) -> subprocess.Popen[bytes]:
+        """A new process, which says something when it is ready."""
+        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", SERVE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
+            start_new_session=True,  # Ctrl-C is the parent's to handle
+        )
+        if self._stopped.is_set():  # meanwhile
+            self._process.kill()
+        write_message(self._process.stdin, (self.work, self.limits))
         return self._process
 
     def stop(self) -> None:
@@ -127,16 +139,19 @@ class Child:
         if process is not None:
             process.kill()
 
-    def end(self) -> None:
-        """End the process; the next case begins another."""
-        process, self._process = self._process, None
-        if process is not None:
-            process.kill()
-            process.wait()
-            for pipe in (process.stdin, process.stdout):
-                if pipe is not None:
-                    with suppress(OSError):
-                        pipe.close()
+    def end(self, patience_s: float = 0.0) -> int:
+        """End the process, if it does not end by itself, and say how; the next case begins another."""
+        process, self._process, self._used = self._process, None, False
+        if process is None:
+            return 0
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        with suppress(subprocess.TimeoutExpired):
+            return process.wait(patience_s)
+        process.kill()
+        return process.wait()
 
 
 def write_message(pipe: IO[bytes] | None, content: object) -> None:

@@ -17,8 +17,8 @@ from time import monotonic
 from typing import Any
 
 from scp_recon.campaign.case import DIED, Case, Done, Work, trouble
-from scp_recon.campaign.runners.child import TRIES, Child, Limits
-from scp_recon.campaign.study import versions
+from scp_recon.campaign.runners.child import TRIES, Child, Limits, UnfitError
+from scp_recon.campaign.versions import versions
 from scp_recon.errors import InputError, needing
 
 AHEAD = 4
@@ -166,9 +166,9 @@ class _Session:
             except (OSError, TimeoutError, self._distributed.CancelledError):
                 lost = True
                 continue
-            except OtherVersionsError as error:
+            except UnfitError as error:
                 raise InputError(
-                    "--scheduler", str(error), "must have workers of one version"
+                    "--scheduler", str(error), "must have workers with this very program"
                 ) from None
             except Exception as error:  # its worker died of it, as far as the scheduler can tell
                 del self.out[future.key]
@@ -202,15 +202,11 @@ class _Session:
 _CHILDREN = threading.local()
 
 
-class OtherVersionsError(Exception):
-    """A worker's packages are not those that the campaign was begun with."""
-
-
 def run_in_child(pickled: bytes, case: tuple[Any, ...], limits: Limits) -> Done:
     """Run a case in the process of this worker's thread, which is kept for the next one.
 
     Raises:
-        OtherVersionsError: if it would be run by other versions than the campaign's.
+        UnfitError: if it would be run by other versions than the campaign's, or not at all.
     """
     child: Child | None = getattr(_CHILDREN, "child", None)
     if child is None or (_CHILDREN.pickled, child.limits) != (pickled, limits):
@@ -218,7 +214,7 @@ def run_in_child(pickled: bytes, case: tuple[Any, ...], limits: Limits) -> Done:
             child.end()
         asked, work = pickle.loads(pickled)
         if asked != (own := versions()):
-            raise OtherVersionsError(f"a worker with {own}, not {asked}")
+            raise UnfitError(f"a worker with {own} instead of {asked}")
         child, _CHILDREN.pickled = Child(work, limits), pickled
         _CHILDREN.child = child
     return child.run(Case(*case))

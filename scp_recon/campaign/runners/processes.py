@@ -9,7 +9,8 @@ from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 
 from scp_recon.campaign.case import Case, Done, Work
-from scp_recon.campaign.runners.child import Child, Limits, StoppedError
+from scp_recon.campaign.runners.child import Child, Limits, StoppedError, UnfitError
+from scp_recon.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,8 @@ class Processes:
                     put(child.run(case))
             except StoppedError:
                 return
+            except UnfitError as error:
+                put(InputError("--workers", str(error), "must be able to run the study"))
             except BaseException as error:  # of the cases' source, or of this machine
                 put(error)
             put(None)

@@ -17,7 +17,7 @@ import warnings
 from pathlib import Path
 
 from scp_recon.campaign.case import attempt
-from scp_recon.campaign.runners.child import Limits, read_message, write_message
+from scp_recon.campaign.runners.child import READY, Limits, read_message, write_message
 
 LOOK_S = 1.0
 """Between looks whether the parent is there."""
@@ -33,7 +33,12 @@ def main() -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     pickled, limits = read_message(source)
-    work = pickle.loads(pickled)
+    try:
+        work = pickle.loads(pickled)
+    except Exception as error:  # a module that is not here, or is another
+        write_message(answers, f"{type(error).__name__}: {error}")
+        return 1
+    write_message(answers, READY)
     _limit_memory(limits)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", category=RuntimeWarning)  # as `run_command` does
