@@ -6,6 +6,7 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from math import prod
@@ -296,10 +297,15 @@ def _check_axes(study: Study, kinds: Sequence[Axis]) -> None:
 def _refused(
     study: Study, number: int, first: Mapping[str, Any], places: Sequence[int]
 ) -> Iterator[InputError]:
+    """What is wrong with rows of an axis, both alone and beside the first rows of the others."""
     for place in places:
+        row = study.axes[number - 1][place]
         try:
-            changed(study.base, {**first, **study.axes[number - 1][place]}, study.folder)
+            changed(study.base, row, study.folder)
         except InputError as error:
+            with suppress(InputError):
+                changed(study.base, {**first, **row}, study.folder)
+                continue
             where = f"axis {number}, row {place + 1}: {error.entry}"
             yield InputError(where, error.given, error.allowed)
 

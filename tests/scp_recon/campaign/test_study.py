@@ -103,35 +103,55 @@ def test_epochs_are_taken_from_the_lighting_windows() -> None:
         assert (np.searchsorted(times, mission.schedule.window_s) == gap).all()
 
 
+P, FIRST = "risk.p_chance", "axis 1, row 1: risk.p_chance"
+GRID = {"from": 0, "to": 1, "count": 3}
+HALF = {"entry": P, "law": "normal", "low": 1}
+BEYOND = {"entry": P, "law": "uniform", "low": 3, "high": 4}
+
+
 @pytest.mark.parametrize(
-    ("axes", "campaign", "entry", "words"),
+    ("axis", "entry", "words"),
     [
-        ([{"entry": "risk.p_chnce", "values": [1]}], {}, "axis 1, row 1: risk.p_chnce", "did you mean"),
-        ([{"entry": "risk.p_chance", "values": []}], {}, "axis 1.values", "at least 1"),
-        ([{"entry": "risk.p_chance", "values": [0.7, 7.0]}], {}, "axis 1, row 2: risk.p_chance", "must be"),
-        ([{"entry": "risk.p_chance"}], {}, "axis 1", "must have one of"),
-        ([P_CHANCE | {"count": 3}], {}, "axis 1.count", "must be one of"),
-        ([P_CHANCE, P_CHANCE], {}, "risk.p_chance", "must be on one axis"),
-        ([{"entries": ["a.b", "c.d"], "values": [[1]]}], {}, "axis 1", "must have 2 items"),
-        ([{"entry": "risk.p_chance", "grid": {"from": 0, "to": 1, "count": 0}}], {}, "axis 1.grid.count", "at least 1"),
-        ([{"entry": "risk.p_chance", "grid": {"from": 0, "to": 1, "count": 3, "scale": "log"}}], {}, "axis 1.grid", "positive"),
-        ([{"draws": [{"entry": "risk.p_chance", "law": "normal", "low": 1}], "count": 2}], {}, "axis 1.draws.0", "must have mean and sigma"),
-        ([{"draws": [{"entry": "risk.p_chance", "law": "uniform", "low": 3, "high": 4}], "count": 2}], {}, "axis 1, row 1: risk.p_chance", "must be"),
-        ([{"windows": {"span_days": 0.02}}], {}, "windows", "must find one"),
-        ([], {"do": "fyl"}, "campaign.do", "plan"),
-        ([], {"do": "design"}, "campaign.do", "home orbit"),
-        ([], {"do": "certify"}, "campaign.do", "exact"),
-        ([], {"base": "nowhere"}, "scenario nowhere", "must be a readable"),
-        ([], {"overrides": {"risk.p_chance": 2}}, "risk.p_chance", "must be"),
-        ([], {"limit_s": 0}, "campaign.limit_s", "at least 0.1"),
-        ([], {"baze": "x"}, "campaign.baze", "must be one of"),
+        ({"entry": "risk.p_chnce", "values": [1]}, "axis 1, row 1: risk.p_chnce", "did you mean"),
+        ({"entry": P, "values": []}, "axis 1.values", "at least 1"),
+        ({"entry": P, "values": [7.0, 0.7]}, FIRST, "must be"),
+        ({"entry": P}, "axis 1", "must have one of"),
+        ({"entry": P, "values": [1], "count": 3}, "axis 1.count", "must be one of"),
+        ({"entries": ["a.b", "c.d"], "values": [[1]]}, "axis 1", "must have 2 items"),
+        ({"entry": P, "grid": GRID | {"count": 0}}, "axis 1.grid.count", "at least 1"),
+        ({"entry": P, "grid": GRID | {"scale": "log"}}, "axis 1.grid", "positive"),
+        ({"draws": [HALF], "count": 2}, "axis 1.draws.0", "must have mean and sigma"),
+        ({"draws": [BEYOND], "count": 2}, FIRST, "must be"),
+        ({"windows": {"span_days": 0.02}}, "windows", "must find one"),
     ],
-)  # fmt: skip
-def test_a_bad_study_is_refused_in_one_message(
-    axes: list[dict[str, Any]], campaign: dict[str, Any], entry: str, words: str
-) -> None:
+)
+def test_a_bad_axis_is_refused(axis: dict[str, Any], entry: str, words: str) -> None:
     with pytest.raises(InputError) as caught:
-        study(*axes, **campaign)
+        study(axis)
+    assert caught.value.entry == entry
+    assert words in str(caught.value)
+
+
+def test_an_entry_is_on_one_axis() -> None:
+    with pytest.raises(InputError, match="must be on one axis"):
+        study(P_CHANCE, P_CHANCE)
+
+
+@pytest.mark.parametrize(
+    ("campaign", "entry", "words"),
+    [
+        ({"do": "fyl"}, "campaign.do", "plan"),
+        ({"do": "design"}, "campaign.do", "home orbit"),
+        ({"do": "certify"}, "campaign.do", "exact"),
+        ({"base": "nowhere"}, "scenario nowhere", "must be a readable"),
+        ({"overrides": {"risk.p_chance": 2}}, P, "must be"),
+        ({"limit_s": 0}, "campaign.limit_s", "at least 0.1"),
+        ({"baze": "x"}, "campaign.baze", "must be one of"),
+    ],
+)
+def test_a_bad_campaign_is_refused(campaign: dict[str, Any], entry: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        study(**campaign)
     assert caught.value.entry == entry
     assert words in str(caught.value)
 
