@@ -175,14 +175,19 @@ def settled(scenario: Scenario, space: Space, one: Pass) -> Scenario:
         }
     )
     given = scenario.observation.window_s is not None
-    if given or not _same(Mission.from_scenario(fixed).schedule.window_s, window):
+    if given or not _finds(fixed, window):
         limits = fixed.observation.model_copy(update={"window_s": window})
         fixed = fixed.model_copy(update={"observation": limits})
     return Scenario.validated(fixed.model_dump(mode="json", exclude_none=True))
 
 
-def _same(one: Window, other: Window) -> bool:
-    return bool(np.allclose(one, other, rtol=0.0, atol=SECOND))
+def _finds(scenario: Scenario, window: Window) -> bool:
+    """Whether a mission takes this window by itself, not another one earlier in the flight."""
+    try:
+        found = Mission.from_scenario(scenario).schedule.window_s
+    except InputError:  # about an earlier window the burns break a rule
+        return False
+    return bool(np.allclose(found, window, rtol=0.0, atol=SECOND))
 
 
 def _text(span: Span) -> str:
