@@ -47,6 +47,23 @@ def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
     return found
 
 
+def slope_left(problem: FlybyProblem, rows: Rows, lin: Linearisation, prices: Array) -> float:
+    """Largest component of grad(total delta-v) + J'm, of burns that are there: zero at an optimum.
+
+    Args:
+        problem: limits of the burns.
+        rows: state constraints.
+        lin: the iterate, nondimensional.
+        prices: its `multipliers` m.
+    """
+    burns = lin.iterate.burns
+    sizes = np.linalg.norm(burns, axis=1)
+    directions = burns / np.maximum(sizes, VANISHED)[:, None]
+    jacobian, _ = _excess_slopes(problem, rows, lin, directions)
+    left = np.abs(directions.ravel() + jacobian.T @ prices)
+    return float(left[np.repeat(sizes > VANISHED, 3)].max(initial=0.0))
+
+
 def _excess_slopes(
     problem: FlybyProblem, rows: Rows, lin: Linearisation, directions: Array
 ) -> tuple[Array, Array]:

@@ -12,7 +12,15 @@ from formulations.linearisation.condensation import Sensitivity
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem
-from formulations.rows.cones import NEAR_LENGTH, Cones, Margins, Unit, burn_components_before
+from formulations.problem.regions import Array
+from formulations.rows.cones import (
+    NEAR_LENGTH,
+    Cones,
+    Margins,
+    Pulled,
+    Unit,
+    burn_components_before,
+)
 
 
 class ChanceRows:
@@ -91,3 +99,16 @@ class ChanceRows:
             both = np.concatenate([room[:, None], triangle], axis=1)
             blocks.append(Cones(rows, both[..., :-1], both[..., -1], triangular=True))
         return blocks
+
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """Of a'mu + q ||S'a||: a in the mean, q a (S'a)' / ||S'a|| in the factor."""
+        carried, node = self.carried, self.carried.node
+        spread = np.einsum("ri,ric->rc", carried.normal, lin.factor[node, :3])
+        size = np.maximum(np.linalg.norm(spread, axis=1), 1e-300)
+        weighted = prices[:, None] * carried.normal
+        along = (carried.quantile / size)[:, None] * spread
+        by_mean = np.zeros((self.problem.n_nodes, 3))
+        by_factor = np.zeros((self.problem.n_nodes, 3, spread.shape[1]))
+        np.add.at(by_mean, node, weighted)
+        np.add.at(by_factor, node, weighted[:, :, None] * along[:, None])
+        return Pulled(by_mean, by_factor)

@@ -43,6 +43,19 @@ class Cones(NamedTuple):
     triangular: bool = False
 
 
+class Pulled(NamedTuple):
+    """How weighed violations change with the positions of a flight.
+
+    Attributes:
+        by_mean: by the mean positions, shape (n_nodes, 3).
+        by_factor: by the positions' rows of the covariance factor, of its first c columns,
+            shape (n_nodes, 3, c).
+    """
+
+    by_mean: Array
+    by_factor: Array
+
+
 class Rows(Protocol):
     """What a subproblem asks of its state constraints."""
 
@@ -82,6 +95,15 @@ class Rows(Protocol):
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """The rows, convexified at an iterate, for mean and factor at `nodes` affine in the burns."""
+        ...
+
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """Derivative of the rows' violations at an iterate, each times its price; as `cones` has them.
+
+        Args:
+            lin: where.
+            prices: shape (rows,).
+        """
         ...
 
 

@@ -9,7 +9,15 @@ import numpy as np
 from formulations.linearisation.condensation import Sensitivity
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import FlybyProblem
-from formulations.rows.cones import NEAR_LENGTH, Cones, Margins, Unit, burn_components_before
+from formulations.problem.regions import Array
+from formulations.rows.cones import (
+    NEAR_LENGTH,
+    Cones,
+    Margins,
+    Pulled,
+    Unit,
+    burn_components_before,
+)
 
 
 class DeterministicRows:
@@ -56,6 +64,22 @@ class DeterministicRows:
             found[c.keep].append(Cones(rows, values, constants))
             first += len(rows)
         return [_joined(cones) for cones in found.values() if cones]
+
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """Of the keep-in cones and of the keep-out sets' supporting planes; no factor."""
+        by_mean, first = np.zeros((self.problem.n_nodes, 3)), 0
+        for c in self.problem.constraints:
+            position, price = lin.iterate.mean[c.nodes, :3], prices[first : first + len(c.nodes)]
+            if c.keep == "out":
+                slope = -c.region.supporting(position).normal
+            else:
+                cone = c.region.second_order_cone
+                across = np.einsum("nij,nj->ni", cone.matrix, position - cone.origin)
+                size = np.maximum(np.linalg.norm(across, axis=1), 1e-300)
+                slope = np.einsum("ni,nij->nj", across / size[:, None], cone.matrix) - cone.linear
+            np.add.at(by_mean, c.nodes, price[:, None] * slope)
+            first += len(c.nodes)
+        return Pulled(by_mean, np.zeros((self.problem.n_nodes, 3, 0)))
 
 
 def _joined(blocks: list[Cones]) -> Cones:

@@ -22,7 +22,7 @@ from formulations.linearisation.linearisation import Linearisation, final_state_
 from formulations.problem.flyby import FlybyProblem, Nodes, factor_columns_used
 from formulations.problem.regions import Array
 from formulations.risk.uniform import quantile
-from formulations.rows.cones import Cones, Margins, Unit, burn_components_before
+from formulations.rows.cones import Cones, Margins, Pulled, Unit, burn_components_before
 from formulations.rows.flight_probability import (
     FlightProbability,
     FlightQuantile,
@@ -81,6 +81,20 @@ class ExactRows(ABC):
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """See the module."""
 
+    @abstractmethod
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """See `Rows.pulled`."""
+
+    def _pulled(self, nodes: Nodes, by_mean: Array, by_factor: Array) -> Pulled:
+        """Of parts at some nodes, shapes (r, 3) and (r, 3, c)."""
+        pulled = Pulled(
+            np.zeros((self.problem.n_nodes, 3)),
+            np.zeros((self.problem.n_nodes, 3, by_factor.shape[2])),
+        )
+        np.add.at(pulled.by_mean, nodes, by_mean)
+        np.add.at(pulled.by_factor, nodes, by_factor)
+        return pulled
+
 
 class NodeRows(ExactRows):
     """At every node every joint constraint holds with a probability: a row each."""
@@ -114,6 +128,12 @@ class NodeRows(ExactRows):
                 hessian[near] = self._hessian(rows[near], s, z, p)
             blocks.append(curved_cones(rows, g.value[rows] - self.asked, slope, hessian, z[:p]))
         return blocks
+
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """Of -g at each row's node."""
+        g = self._at(lin)
+        by_mean, by_factor = -prices[:, None] * g.by_mean, -prices[:, None, None] * g.by_factor
+        return self._pulled(self.node, by_mean, by_factor)
 
     def _at(self, lin: Linearisation) -> Quantiles:
         """The quantiles g of all rows at an iterate."""
@@ -222,6 +242,11 @@ class FlightRows(ExactRows):
             )
             bent[:, j] = (ahead - behind) @ free / (2.0 * step)
         return free @ bent @ free.T
+
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """Of -g at the nodes that it depends on."""
+        g = self._at(lin)
+        return self._pulled(g.nodes, -prices[0] * g.by_mean, -prices[0] * g.by_factor)
 
     def _at(self, lin: Linearisation) -> FlightQuantile:
         if self._seen is None or self._seen[0] is not lin:
