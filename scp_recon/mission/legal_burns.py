@@ -87,6 +87,27 @@ def legal_burns(
     return [(early, late), *before_window, *after_window, (early + duration_s, late + duration_s)]
 
 
+def legal_additions(
+    times_s: Sequence[float], window_s: Window, rules: ScheduleRules
+) -> list[Interval]:
+    """Where one more burn may be with all others kept; those that are empty are left out.
+
+    Args:
+        times_s: of burns that keep the rules.
+        window_s: edges.
+        rules: durations.
+    """
+    cycle = sun_leg_s(rules) + before_burn_s(rules)
+    gap = burns_before(times_s, window_s)
+    found = []
+    for index, (time, following) in enumerate(itertools.pairwise(times_s)):
+        if index == gap:
+            found.append((time + cycle, window_s[0] - rules.attitude_s - sun_leg_s(rules)))
+            time = window_s[1]
+        found.append((time + cycle, following - cycle))
+    return [(first, last) for first, last in found if first <= last]
+
+
 def legal_shifts(
     window_s: Window, times_s: Sequence[float], rules: ScheduleRules
 ) -> list[tuple[int, Interval]]:

@@ -24,6 +24,7 @@ from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 from scp_recon.solution.parent import ParentPlan
 from scp_recon.solution.part import File, Part, read_file
+from scp_recon.solution.primer import Primer
 from scp_recon.solution.risk import Risk
 from scp_recon.solution.runs import resolve_run
 from scp_recon.solution.times import strange_times
@@ -198,6 +199,7 @@ class Solution(File):
     risk: Risk | None = None
     starts: StartsSummary | None = None
     parent: ParentPlan | None = None
+    primer: Primer | None = None
     violation: Violation
     iterations: list[IterationRecord]
     timing_s: TimingSummary

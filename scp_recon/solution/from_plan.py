@@ -10,6 +10,7 @@ from scipy.special import ndtr, ndtri
 
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import BURN_LIMITS, Plan, Stage, Starts, scale
+from scp_recon.planning.primer import primer_of
 from scp_recon.scp.loop import Record
 from scp_recon.solution.file import (
     Burn,
@@ -27,6 +28,7 @@ from scp_recon.solution.file import (
     ViolationAmount,
 )
 from scp_recon.solution.parent import ParentPlan
+from scp_recon.solution.primer import Primer
 from scp_recon.solution.risk import EventProbability, Reached, Risk
 
 FINAL_STATE = "final_state"
@@ -61,6 +63,7 @@ def make_solution(plan: Plan) -> Solution:
         risk=_risk(plan),
         starts=_starts(plan.starts),
         parent=None if plan.parent is None else ParentPlan(**asdict(plan.parent)),
+        primer=_primer(plan),
         violation=_violation(mission, plan.final),
         iterations=[
             iteration_record(mission, stage.name, record)
@@ -170,6 +173,19 @@ def _risk(plan: Plan) -> Risk | None:
             )
             for name, rows in margins.items()
         ],
+    )
+
+
+def _primer(plan: Plan) -> Primer | None:
+    history = primer_of(plan)
+    if history is None:
+        return None
+    return Primer(
+        t_s=history.times_s.tolist(),
+        vector=[(x, y, z) for x, y, z in history.vector.tolist()],
+        allowed=history.allowed.tolist(),
+        legal=history.legal.tolist(),
+        residual=history.residual,
     )
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from scp_recon.errors import InputError
-from scp_recon.mission.legal_burns import legal_burns, legal_shifts, legal_starts
+from scp_recon.mission.legal_burns import legal_additions, legal_burns, legal_shifts, legal_starts
 from scp_recon.mission.schedule import make_schedule
 from scp_recon.scenario.sections import ScheduleRules
 from tests.scp_recon.support import mission_of
@@ -103,6 +103,33 @@ def test_a_shift_within_its_interval_is_legal_and_one_beyond_is_not(
         for outside in (low - 1.0, high + 1.0):
             with pytest.raises(InputError):
                 make_schedule(times, (edges[0] - outside, edges[1] - outside), rules)
+
+
+@given(
+    gaps=st.lists(st.floats(6600.0, 30_000.0), min_size=1, max_size=4),
+    length=st.floats(100.0, 8000.0),
+    share=st.floats(0.0, 1.0),
+    added=st.floats(0.0, 1.0),
+)
+def test_another_burn_is_legal_in_its_spans_and_nowhere_else(
+    gaps: list[float], length: float, share: float, added: float
+) -> None:
+    """The oracle is the schedule itself, with the burn in it."""
+    gaps[0] += length + 11_400.0 - 6600.0
+    times = (0.0, *np.cumsum(gaps).tolist())
+    rules = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
+    opens = 4800.0 + share * (gaps[0] - length - 11_400.0)
+    window = opens, opens + length
+    make_schedule(times, window, rules)
+    time = added * times[-1]
+    spans = legal_additions(times, window, rules)
+    assume(all(abs(time - edge) > 1.0 for span in spans for edge in span))
+    assume(min(abs(time - other) for other in times) > 1.0)
+    if any(first < time < last for first, last in spans):
+        make_schedule(tuple(sorted((*times, time))), window, rules)
+    else:
+        with pytest.raises(InputError):
+            make_schedule(tuple(sorted((*times, time))), window, rules)
 
 
 # --- in the messages ----------------------------------------------------------------------------
