@@ -25,7 +25,7 @@ import numpy.typing as npt
 from rich.console import Console
 
 from scp_recon.certification.certify import certify, flights_needed
-from scp_recon.cli.design_tables import as_csv, progress, why_nothing
+from scp_recon.cli.design_tables import as_csv, primer_says, progress, why_nothing
 from scp_recon.cli.keeping import run_folder
 from scp_recon.cli.options import add_certify, add_overrides
 from scp_recon.files import unwritable, write_atomically
@@ -39,12 +39,13 @@ from scp_recon.planning.stages import Observer
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.write import scenario_text
 from scp_recon.scp.status import Status
+from scp_recon.solution.file import FILE_NAME, read_solution
 from scp_recon.solution.runs import point_to
 from scp_recon.solve import plan_into
 
 Array = npt.NDArray[np.float64]
 
-TABLE, MAP, SCENARIO = "design.csv", "design.png", "scenario.toml"
+TABLE, MAP, SCENARIO, PRIMER = "design.csv", "design.png", "scenario.toml", "primer.png"
 FACET_ROUNDS = 3
 """Of the plan in the end, whose facets are chosen as `solve` chooses them."""
 INIT = "design"
@@ -64,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
         "--out",
         type=Path,
         metavar="DIR",
-        help=f"folder for solution.json, {SCENARIO}, {TABLE} and {MAP} (default: runs/NAME/UTC)",
+        help=f"folder for solution.json, {SCENARIO}, {TABLE} and pictures (default: runs/NAME/UTC)",
     )
     return p
 
@@ -97,6 +98,7 @@ def _design(options: argparse.Namespace, console: Console) -> Answer:
         answer = plan_into(
             folder, mission, lambda seen: _plan(mission, burns, seen, certified=certified), console
         )
+        _keep_primer(folder, console)
     if options.out is None and answer.status != Status.INTERRUPTED.value.exit_code:
         point_to(folder)
     return answer
@@ -120,11 +122,27 @@ def _keep(folder: Path, name: str, content: str | bytes) -> None:
         raise unwritable(folder, "--out", error) from None
 
 
+def _keep_primer(folder: Path, console: Console) -> None:
+    """What the plan's primer says, and its picture if there is matplotlib."""
+    if not (folder / FILE_NAME).exists():
+        return
+    solution = read_solution(folder)
+    show_line(console, primer_says(solution.primer))
+    if solution.primer is not None and _can_draw():
+        from scp_recon.cli.primer_chart import draw
+
+        _keep(folder, PRIMER, draw(solution.primer, [burn.t_s for burn in solution.burns]))
+
+
+def _can_draw() -> bool:
+    return importlib.util.find_spec("matplotlib") is not None
+
+
 def _keep_map(folder: Path, tried: Sequence[Tried], console: Console) -> None:
     if not any(one.found.converged for one in tried):
         return
-    if importlib.util.find_spec("matplotlib") is None:
-        show_line(console, f"no {MAP}: pip install 'scp_recon[report]' for the map")
+    if not _can_draw():
+        show_line(console, f"no {MAP}, no {PRIMER}: pip install 'scp_recon[report]' for them")
         return
     from scp_recon.cli.design_map import draw
 

@@ -13,6 +13,8 @@ from rich.console import Console
 from scp_recon.pass_design.design import Tried
 from scp_recon.pass_design.near import Found
 from scp_recon.planning.plan import scale
+from scp_recon.planning.primer import WORTH
+from scp_recon.solution.primer import Primer
 
 COLUMNS = (
     "step",
@@ -92,3 +94,17 @@ def why_nothing(found: Found, plans: int) -> str:
         f"{departure:.1f} to {arrival:.1f} deg with burns at "
         f"{', '.join(f'{time:.0f}' for time in found.at.times_s)} s, was stopped by {worst}"
     )
+
+
+def primer_says(primer: Primer | None) -> str:
+    """What a plan's primer tells of one more burn, in a line."""
+    if primer is None:
+        return "no primer: it takes a plan whose errors shrink with the burns"
+    legal = np.flatnonzero(primer.legal)
+    if len(legal) == 0:
+        return "no other burn is legal with these kept, so that the primer forbids none"
+    best = legal[np.argmax(np.array(primer.allowed)[legal])]
+    most, when = primer.allowed[best], f"at {primer.t_s[best]:.0f} s"
+    if most <= 1.0 + WORTH:
+        return f"primer at most {most:.3f} at legal times ({when}): no small burn more helps"
+    return f"primer up to {most:.3f} at legal times: a burn more {when} would help"

@@ -51,7 +51,11 @@ def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_p
     assert sizes.min() > 1e-4
     least = min(float(row["dv_m_s"]) for row in rows if row["dv_m_s"] and row["problem"] == "P2")
     assert least == pytest.approx(solution.total_dv_m_s, rel=1e-2)
-    assert (out / "design.png").read_bytes().startswith(b"\x89PNG")
+    for picture in ("design.png", "primer.png"):
+        assert (out / picture).read_bytes().startswith(b"\x89PNG")
+    primer = solution.primer
+    assert primer is not None
+    assert primer.residual < 1e-3
 
 
 def test_a_design_that_finds_nothing_tells_limit_and_departure(
