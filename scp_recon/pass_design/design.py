@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-
 from scp_recon.pass_design.local import ROUNDS_MAX, WORTH, descend
 from scp_recon.pass_design.near import Found
+from scp_recon.pass_design.number import BURNS_MAX, Other, others, vanished
 from scp_recon.pass_design.ring import TURN
 from scp_recon.pass_design.scan import scan, starts
 from scp_recon.pass_design.setting import spaces_of
@@ -29,10 +27,7 @@ SURROGATE = {
 }
 """What stands for exact risk until the last descent: quicker, and near it."""
 
-VANISHED_M_S = 1e-6
-"""Size of a burn that is none."""
-
-Step = Literal["map", "descent", "window", "refinement", "fewer", "exact"]
+Step = Literal["map", "descent", "window", "refinement", "fewer", "number", "exact"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +83,11 @@ class Designer:
             Around(space, number, times[0], tuple(time - times[0] for time in times))
             for number, (space, times) in enumerate(spaces_of(given))
         ]
-        first = around[0]
-        mapped = scan(first.space, first.times_s, self._seen("map", first))
+        first, mapped = self._mapped(around)
         valleys = starts(mapped, STARTS_MAX)
         if not valleys:
             return first.space, furthest(mapped)
+        others = [one for one in around if one.number > first.number]  # before it there is no pass
         tries = [
             (first, self._descent(first, "descent", one.at, one, FIRST_ROUNDS, FIRST_WORTH))
             for one in valleys
@@ -100,13 +95,22 @@ class Designer:
         where, best = cheapest(tries)
         if not best.converged:
             return where.space, furthest([one for _, one in tries])
-        where, best = cheapest([(where, best), *self._elsewhere(around[1:], best)])
+        where, best = cheapest([(where, best), *self._elsewhere(others, best)])
         best = self._descent(where, "refinement", best.at, best, ROUNDS_MAX, WORTH)
-        where, best = self._without_vanished(where, best)
+        where, best = self._numbered(where, best, ROUNDS_MAX, WORTH)
         if exact:
             where = replace(where, space=under_risk_of(where.space, self.scenario))
             best = self._descent(where, "exact", best.at, best, EXACT_ROUNDS, EXACT_WORTH)
         return where.space, best
+
+    def _mapped(self, around: Sequence[Around]) -> tuple[Around, list[Found]]:
+        """The map about the first window that has a pass; if none, the one whose pass came furthest."""
+        maps = []
+        for one in around:
+            maps.append((one, scan(one.space, one.times_s, self._seen("map", one))))
+            if any(found.converged for found in maps[-1][1]):
+                return maps[-1]
+        return min(maps, key=lambda each: violation(furthest(each[1])))
 
     def _elsewhere(self, others: Iterable[Around], best: Found) -> Iterable[tuple[Around, Found]]:
         """The best pass about the other windows, at their own legal times."""
@@ -114,19 +118,35 @@ class Designer:
             at = Pass(best.at.phases, other.times_s)
             yield other, self._descent(other, "window", at, best, FIRST_ROUNDS, FIRST_WORTH)
 
-    def _without_vanished(self, where: Around, best: Found) -> tuple[Around, Found]:
-        """The pass without inner burns that have vanished, if no worse; their rules go with them."""
-        there = np.linalg.norm(best.burns_m_s, axis=1) > VANISHED_M_S
-        there[[0, -1]] = True
-        given = self.scenario.design is not None and self.scenario.design.burn_times == "given"
-        if given or there.all():
+    def _numbered(
+        self, where: Around, best: Found, rounds: int, worth: float
+    ) -> tuple[Around, Found]:
+        """With burns left out that have vanished and others added, as long as that helps."""
+        if self.scenario.design is not None and self.scenario.design.burn_times == "given":
             return where, best
-        spans = tuple(itertools.compress(where.space.time_spans, there))
-        times = tuple(itertools.compress(best.at.times_s, there))
-        fewer = replace(where, space=replace(where.space, time_spans=spans))
-        space, seen = about(fewer.space, best.at), self._seen("fewer", fewer)
-        found = descend(space, Pass(best.at.phases, times), best.burns_m_s[there], seen)
-        return (fewer, found) if found.dv_m_s <= (1.0 + WORTH) * best.dv_m_s else (where, best)
+        for _ in range(BURNS_MAX):
+            fewer = vanished(where.space, best)
+            if fewer is not None:
+                there, found = self._try("fewer", where, fewer, rounds, worth)
+                if found.dv_m_s <= (1.0 + WORTH) * best.dv_m_s:
+                    where, best = there, found
+            tries = [
+                self._try("number", where, other, rounds, worth)
+                for other in others(where.space, best)
+            ]
+            there, found = cheapest([(where, best), *tries])
+            if found.dv_m_s > (1.0 - worth) * best.dv_m_s:
+                break
+            where, best = there, found
+        return where, best
+
+    def _try(
+        self, step: Step, where: Around, other: Other, rounds: int, worth: float
+    ) -> tuple[Around, Found]:
+        """From a pass with another number of burns."""
+        there = replace(where, space=about(other.space, other.at))
+        seen = self._seen(step, there)
+        return there, descend(there.space, other.at, other.burns_m_s, seen, rounds, worth)
 
     def _descent(
         self, where: Around, step: Step, at: Pass, known: Found, rounds: int, worth: float
@@ -150,7 +170,12 @@ def cheapest(tries: Iterable[tuple[Around, Found]]) -> tuple[Around, Found]:
 
 def furthest(tries: Iterable[Found]) -> Found:
     """The one that violates least."""
-    return min(tries, key=lambda one: one.stage.merit.worst_violation(one.stage.result.lin))
+    return min(tries, key=violation)
+
+
+def violation(found: Found) -> float:
+    """The largest of a try."""
+    return found.stage.merit.worst_violation(found.stage.result.lin)
 
 
 def about(space: Space, one: Pass) -> Space:
