@@ -51,6 +51,14 @@ def home_ring(home: HomeOrbit, gm: float, axes: Array) -> Ring:
     return Ring(state)
 
 
+def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
+    """Unit vectors of phase zero and of a quarter turn, J2000, and 1 or -1: the way it is flown."""
+    first, second = (
+        axes @ home.state(phase, 1.0)[:3] / home.radius_m for phase in (0.0, 0.25 * TURN)
+    )
+    return first, second, 1.0 if home.sense == "right_handed" else -1.0
+
+
 def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     """One revolution under a mission's forces, from the circle's state at phase zero on.
 
@@ -65,10 +73,8 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     Raises:
         InputError: if it does not come round within three of the circle's revolutions.
     """
-    start, normal = home_ring(home, forces.gm, axes)(0.0), axes @ np.array(home.normal)
-    sense = 1.0 if home.sense == "right_handed" else -1.0
-    first = start[:3] / np.linalg.norm(start[:3])
-    second = np.cross(normal / np.linalg.norm(normal), first)
+    start = home_ring(home, forces.gm, axes)(0.0)
+    first, second, sense = directions(home, axes)
     period = TURN * np.sqrt(home.radius_m**3 / forces.gm)
 
     def rate(_: float, y: Array) -> Array:
@@ -77,22 +83,42 @@ def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     flown = solve_ivp(
         rate, (0.0, LONGEST * period), start, "DOP853", dense_output=True, rtol=1e-10, atol=1e-6
     )
-    times = np.linspace(0.0, LONGEST * period, SAMPLES)
     track = flown.sol
     assert track is not None  # of a dense output
-    places = track(times)[:3]
-    angle = sense * np.unwrap(np.arctan2(second @ places, first @ places))
-    once = int(np.argmax(angle >= TURN)) + 1
-    if not flown.success or once == 1 or np.any(np.diff(angle[:once]) <= 0.0):
+    times, last = np.linspace(0.0, LONGEST * period, SAMPLES), float(flown.t[-1])
+    ring = ring_of(track, times[times <= last], first, second, sense)
+    if ring is None:
         raise InputError(
             "boundary.home.flown",
             f"a circle of {home.radius_m:g} m",
             f"must come round under the mission's forces within {LONGEST:g} of its revolutions",
         )
-    when = PchipInterpolator(angle[:once], times[:once])
+    return ring
+
+
+def ring_of(
+    track: Callable[[Array], Array], times_s: Array, first: Array, second: Array, sense: float
+) -> Ring | None:
+    """The first revolution of a track, if it goes round in one sense.
+
+    Args:
+        track: states (6, n) at times (n,); a single one at a time.
+        times_s: at which to look, ascending, near to each other.
+        first: unit vector of phase zero.
+        second: of a quarter of a turn.
+        sense: 1 towards growing phases, -1 the other way.
+    """
+    places = track(times_s)[:3]
+    angle = sense * np.unwrap(np.arctan2(second @ places, first @ places))
+    begin = angle[0]
+    once = int(np.argmax(angle - begin >= TURN)) + 1
+    if once == 1 or np.any(np.diff(angle[:once]) <= 0.0):
+        return None
+    when = PchipInterpolator(angle[:once], times_s[:once])
 
     def state(phase: float) -> Array:
-        return np.asarray(track(float(when(np.mod(sense * phase, TURN)))))
+        ahead = np.mod(sense * phase - begin, TURN)
+        return np.asarray(track(when(begin + ahead)))
 
     return Ring(state)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
@@ -11,6 +12,7 @@ from scp_recon.mission.mission import Mission, rotation_of
 from scp_recon.mission.states import boundary_axes
 from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import Window
+from scp_recon.pass_design.ephemeris import ephemeris_ring
 from scp_recon.pass_design.ring import flown_ring, home_ring
 from scp_recon.pass_design.rules import Span, nearest_legal
 from scp_recon.pass_design.space import Pass, Space
@@ -43,12 +45,16 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
         raise InputError(
             "design.arrival_s", _text(arrival), f"must be after departure, {_text(departure)}"
         )
+    axes, known = boundary_axes(scenario, rotation_of(scenario)), None
+    if home.ephemeris_file is not None:
+        known = ephemeris_ring(scenario, home, axes)
     windows = _windows(scenario, (departure[0], arrival[1]))
     found = []
     for window in windows:
         times = _first_times(scenario, window, departure, arrival)
         if times is not None:
-            found.append((_space(scenario, window, times, departure, arrival), times))
+            space = _space(scenario, window, times, departure, arrival)
+            found.append((replace(space, ring=known or space.ring), times))
     if not found:
         raise InputError(
             "design",
@@ -105,11 +111,13 @@ def _space(
     """About a window, its times past the first burn of some legal ones."""
     home, begin = scenario.boundary.home, times[0]
     assert home is not None
-    fixed = at_epoch(scenario, begin).replace(
+    circle = {"flown": False, "ephemeris_file": None, "spacecraft_id": None} | {
+        f"{end}_deg": (getattr(home, f"{end}_deg")[0],) * 2 for end in ("departure", "arrival")
+    }
+    boundary = scenario.boundary.model_copy(update={"home": home.model_copy(update=circle)})
+    circling = scenario.model_copy(update={"boundary": boundary})
+    fixed = at_epoch(circling, begin).replace(
         {
-            "boundary.home.flown": False,
-            "boundary.home.departure_deg": [home.departure_deg[0]] * 2,
-            "boundary.home.arrival_deg": [home.arrival_deg[0]] * 2,
             "burns.times_s": [time - begin for time in times],
             "observation.window_s": [edge - begin for edge in window],
         }

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from scp_recon.scenario.fields import NonZeroVector, Positive, Section
+from scp_recon.scenario.fields import Line, NonZeroVector, Positive, Section
 
 Array = npt.NDArray[np.float64]
 
@@ -30,6 +30,14 @@ class HomeOrbit(Section):
     flown: bool = False
     """Whether it is one revolution flown under the mission's forces, from the circle's state at phase 0
     and the epoch on, instead of the circle. A design alone can tell its states."""
+    ephemeris_file: Line | None = None
+    """File of one revolution at least that stands in place of the circle, about body.name: a table of
+    states (.csv, as --init takes it), a CCSDS OEM (.oem; extra [oem]), or a SPICE kernel or meta-kernel
+    (extra [spice]; read from the epoch on). The first revolution counts. Its phases count about normal,
+    sense has to be its own, and its distances lie within a factor of 2 of radius_m. A design alone can
+    tell its states. Relative to this file."""
+    spacecraft_id: int | None = None
+    """NAIF's number of the spacecraft in a kernel."""
     departure_deg: tuple[Phase, Phase] = (0.0, FULL_TURN_DEG)
     """Least and greatest phase of departure in deg; equal where it is not free."""
     arrival_deg: tuple[Phase, Phase] = (0.0, FULL_TURN_DEG)
@@ -43,10 +51,22 @@ class HomeOrbit(Section):
                 raise ValueError(f"{name} must ascend by at most {FULL_TURN_DEG:g} deg")
         return self
 
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        if self.flown and self.ephemeris_file is not None:
+            raise ValueError("flown must be left out beside ephemeris_file")
+        if self.spacecraft_id is not None and self.ephemeris_file is None:
+            raise ValueError("spacecraft_id must be left out without ephemeris_file")
+        return self
+
     @property
     def is_free(self) -> bool:
         """Whether its states are left to a design."""
-        return self.flown or any(low < high for low, high in (self.departure_deg, self.arrival_deg))
+        return (
+            self.flown
+            or self.ephemeris_file is not None
+            or any(low < high for low, high in (self.departure_deg, self.arrival_deg))
+        )
 
     def state(self, phase_rad: float, gm: float) -> Array:
         """Position and velocity in boundary.frame, m and m/s, shape (6,), with the speed sqrt(GM / r).

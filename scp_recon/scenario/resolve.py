@@ -93,6 +93,9 @@ def anchored(data: Mapping[str, Any], folder: Path) -> Tables:
         table, _, key = entry.partition(".")
         if found(tables, entry) is not None:
             tables[table][key] = anchor(tables[table][key])
+    home = found(tables, "boundary.home")
+    if isinstance(home, Mapping) and "ephemeris_file" in home:
+        tables["boundary"]["home"] = {**home, "ephemeris_file": anchor(home["ephemeris_file"])}
     kernels = found(tables, "sun.spk_files")
     if isinstance(kernels, list | tuple):
         tables["sun"]["spk_files"] = [anchor(name) for name in kernels]
