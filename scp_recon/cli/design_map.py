@@ -16,7 +16,7 @@ def draw(tried: Sequence[Tried]) -> bytes:
     """PNG: plans without uncertainty as squares, those with it as dots, the best as a star."""
     figure = Figure(figsize=(7.0, 5.6), layout="constrained", dpi=130)
     axes = figure.subplots()
-    kept = [one for one in tried if one.found.converged]
+    kept = [one for one in tried if one.found.converged and one.step != "certain"]
     costs = np.array([one.found.dv_m_s for one in kept])
     places = np.rad2deg([one.found.at.phases for one in kept]) % 360.0
     mapped = np.array([one.step == "map" for one in kept])

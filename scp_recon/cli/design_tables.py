@@ -41,7 +41,7 @@ def progress(console: Console) -> Iterator[Callable[[Tried], None]]:
         departure, arrival = np.rad2deg(best.found.at.phases) % 360.0
         return (
             f"{count}, best {best.found.dv_m_s:.6f} m/s from {departure:.1f} to {arrival:.1f} deg"
-            + (", without uncertainty" if step == "map" else "")
+            + (", without uncertainty" if step in ("map", "certain") else "")
         )
 
     with console.status("designing") as status:

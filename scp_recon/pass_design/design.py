@@ -27,7 +27,7 @@ SURROGATE = {
 }
 """What stands for exact risk until the last descent: quicker, and near it."""
 
-Step = Literal["map", "descent", "window", "refinement", "fewer", "number", "exact"]
+Step = Literal["map", "descent", "certain", "window", "refinement", "fewer", "number", "exact"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +151,19 @@ class Designer:
     def _descent(
         self, where: Around, step: Step, at: Pass, known: Found, rounds: int, worth: float
     ) -> Found:
-        """From a pass, begun at the burns of a known plan."""
+        """From a pass, begun at the burns of a known plan.
+
+        Where there is no plan, from a pass near by that is cheaper without uncertainty, and errs less.
+        """
         space, seen = about(where.space, at), self._seen(step, where)
-        return descend(space, at, known.burns_m_s, seen, rounds, worth)
+        found = descend(space, at, known.burns_m_s, seen, rounds, worth)
+        if found.converged:
+            return found
+        seen_first = self._seen("certain", where)
+        sure = descend(space, at, known.burns_m_s, seen_first, rounds, worth, certain=True)
+        if not sure.converged:
+            return found
+        return descend(space, sure.at, sure.burns_m_s, seen, rounds, worth)
 
     def _seen(self, step: Step, where: Around) -> Callable[[Found], None]:
         def seen(found: Found) -> None:

@@ -31,6 +31,8 @@ def descend(
     observe: Observe,
     rounds_max: int = ROUNDS_MAX,
     worth: float = WORTH,
+    *,
+    certain: bool = False,
 ) -> Found:
     """The best pass that rounds of SLSQP find from one.
 
@@ -41,18 +43,19 @@ def descend(
         observe: called with every plan.
         rounds_max: limit.
         worth: relative gain of a round for which there is another.
+        certain: whether uncertainty is left out: P3 in the place of P2.
 
     Returns:
         Never a worse one than P2 at the start; one that has not converged if that has not.
     """
-    near = Near(space, at, burns_m_s)
+    near = Near(space, at, burns_m_s, certain=certain)
     best = near.first
     observe(best)
     if not best.converged:
         return best
     for _ in range(rounds_max):
         x, burns = _round(space, near, observe)
-        near = Near(space, space.at(x), burns)
+        near = Near(space, space.at(x), burns, certain=certain)
         gain = 1.0 - near.first.dv_m_s / best.dv_m_s
         observe(near.first)
         if gain > 0.0:

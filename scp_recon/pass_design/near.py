@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -60,26 +61,29 @@ class Near:
 
     Facets are chosen as `Planner.plan` does, at the solution of P3, and kept: so the cost is a smooth
     function of phases and times, whose derivative the multipliers give. With exact risk there are none.
+    Without uncertainty it is P3 that is planned.
 
     Args:
         space: of the passes.
         at: whose plan comes first.
         burns_m_s: where that plan begins, J2000, shape (m, 3).
+        certain: whether uncertainty is left out.
 
     Attributes:
         first: the plan at `at`.
     """
 
-    def __init__(self, space: Space, at: Pass, burns_m_s: Array) -> None:
+    def __init__(self, space: Space, at: Pass, burns_m_s: Array, *, certain: bool = False) -> None:
         self.space, self._mission = space, space.mission_of(at)
         self._planner = planner = Planner(self._mission)
         self._stages = ScpStages(planner, self._mission, planner.algorithm)
         self._exact = self._mission.scenario.risk.allocation == "exact"
         runner = self._runner(self._mission)
         start = runner.start(from_burns(self._mission, burns_m_s))
-        if not self._exact:
+        if not (self._exact or certain):
             start = runner.solver.solve("P3", planner.p3_rows, start, _unseen).result.lin
-        self._rows = self._rows_at(start)
+        self._rows: Rows = planner.p3_rows if certain else self._rows_at(start)
+        self._name: Literal["P3", "P2"] = "P3" if certain else "P2"
         self.first = self.plan(space.vector(at), start)
 
     def plan(self, x: Array, start: Linearisation | None = None) -> Found:
@@ -90,7 +94,7 @@ class Near:
         lin = runner.start(begun.iterate)
         if isinstance(self._rows, ChanceRows):
             return Found(at, mission, runner.restore("P2", self._rows, lin))
-        return Found(at, mission, runner.solver.solve("P2", self._rows, lin, _unseen))
+        return Found(at, mission, runner.solver.solve(self._name, self._rows, lin, _unseen))
 
     def slope(self, found: Found, free: npt.NDArray[np.bool_]) -> Array:
         """See `optimum.slope`."""
