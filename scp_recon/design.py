@@ -24,18 +24,20 @@ import numpy as np
 import numpy.typing as npt
 from rich.console import Console
 
-from scp_recon.certification.certify import certify, flights_needed
+from scp_recon.certification.certify import certify
 from scp_recon.cli.design_tables import as_csv, primer_says, progress, why_nothing
 from scp_recon.cli.keeping import run_folder
+from scp_recon.cli.live import Progress
 from scp_recon.cli.options import add_certify, add_overrides
+from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.certifying import flights_needed
 from scp_recon.pass_design.design import Designer, Tried
 from scp_recon.pass_design.setting import settled
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.planning.stages import Observer
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.write import scenario_text
 from scp_recon.scp.status import Status
@@ -78,7 +80,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _design(options: argparse.Namespace, console: Console) -> Answer:
     scenario = load_scenario(options.scenario, options.overrides)
-    certified = scenario.risk.allocation == "exact" and options.certify != "no"
+    exact = scenario.risk.allocation == "exact"
+    if options.certify is not None and not exact:
+        raise InputError("--certify", options.certify, "goes with risk.allocation = exact only")
+    certified = exact and options.certify != "no"
     if certified:
         flights_needed(scenario.risk.p_chance)  # or says at once that they are too many
     with run_folder(options.out, scenario.name) as folder:
@@ -104,13 +109,16 @@ def _design(options: argparse.Namespace, console: Console) -> Answer:
     return answer
 
 
-def _plan(mission: Mission, burns_m_s: Array, observe: Observer, *, certified: bool) -> Plan:
+def _plan(mission: Mission, burns_m_s: Array, observe: Progress, *, certified: bool) -> Plan:
     """The plan of the design as `solve` makes it, begun at its burns."""
     start = from_burns(mission, burns_m_s, INIT)
     rounds = 0 if mission.scenario.risk.allocation == "exact" else FACET_ROUNDS
     if certified:
         return certify(
-            mission, start, lambda m, s, aim: plan(m, s, aim=aim, init=INIT, observe=observe)
+            mission,
+            start,
+            lambda m, s, aim: plan(m, s, aim=aim, init=INIT, observe=observe),
+            observe.round,
         )
     return plan(mission, start, facet_rounds=rounds, init=INIT, observe=observe)
 

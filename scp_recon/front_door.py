@@ -24,6 +24,7 @@ from scp_recon.in_flight.delivery import Delivery
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.replanning import mission_left, replan
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.certifying import flights_needed
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
 from scp_recon.monte_carlo.summary import Summary, summarise
@@ -103,11 +104,9 @@ def plan(
     whole_number("seed", seed, 0, SEED_MAX)
     whole_number("workers", workers, 1, WORKERS_MAX)
     mission = Mission.from_scenario(_scenario(scenario))
-    exact = mission.scenario.risk.allocation == "exact"
-    if exact:
+    if mission.scenario.risk.allocation == "exact":
         check_exact("scp", method.formulation, facet_rounds)
-    elif certified is not None:
-        raise InputError("certified", shortened(certified), "goes with risk.allocation = exact")
+    to_certify = is_to_certify(mission, problem, certified)
 
     make_plan = partial(
         planner.plan,
@@ -118,7 +117,6 @@ def plan(
         facet_rounds=facet_rounds,
     )
     start, called = start_from(mission, init), _called(init)
-    to_certify = exact and problem == "P2" and certified is not False
     best = None
     if starts > 1:
         best = plan_from_several(
@@ -169,8 +167,7 @@ def plan_again(
         InputError: naming the argument, what was given and what is allowed.
     """
     flown = FlownPlan.of(plan)
-    if certified is not None and flown.mission.scenario.risk.allocation != "exact":
-        raise InputError("certified", shortened(certified), "goes with risk.allocation = exact")
+    to_certify = is_to_certify(flown.mission, flown.problem, certified)
     delivery = Delivery.of(
         at_s,
         state,
@@ -179,7 +176,28 @@ def plan_again(
         covariance_frame=covariance_frame,
         measured=measured_burns,
     )
-    return replan(flown, mission_left(flown, delivery), certified=certified is not False)
+    return replan(flown, mission_left(flown, delivery), certified=to_certify)
+
+
+def is_to_certify(mission: Mission, problem: str, certified: bool | None) -> bool:
+    """Whether flights have to stand behind a plan.
+
+    Raises:
+        InputError: if they cannot, or would be too many.
+    """
+    exact = mission.scenario.risk.allocation == "exact" and problem == "P2"
+    if certified not in (None, True, False):
+        raise InputError("certified", shortened(certified), "must be True, False or None")
+    if certified is not None and not exact:
+        raise InputError(
+            "certified",
+            shortened(certified),
+            "goes with risk.allocation = exact and problem P2 only",
+        )
+    if exact and certified is not False:
+        flights_needed(mission.scenario.risk.p_chance)
+        return True
+    return False
 
 
 def _scenario(given: Scenario | str | Path) -> Scenario:

@@ -14,13 +14,13 @@ from pathlib import Path
 
 from rich.console import Console
 
-from scp_recon.certification.certify import flights_needed
 from scp_recon.cli.delivery import add_delivery, delivery_from, joined
 from scp_recon.cli.keeping import run_folder
 from scp_recon.cli.options import add_certify, add_overrides
 from scp_recon.errors import InputError
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.replanning import mission_left, replan
+from scp_recon.monte_carlo.certifying import flights_needed
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import read_solution
 from scp_recon.solution.runs import point_to, resolve_run
@@ -71,7 +71,9 @@ def _replan(options: argparse.Namespace, console: Console) -> Answer:
         answer = plan_into(
             folder,
             mission,
-            lambda observe: replan(flown, mission, certified=certified, observe=observe),
+            lambda seen: replan(
+                flown, mission, certified=certified, observe=seen, watch=seen.round
+            ),
             console,
         )
     if options.out is None and answer.status != Status.INTERRUPTED.value.exit_code:

@@ -29,6 +29,7 @@ from scp_recon.cli import plan_tables
 from scp_recon.cli.documents import plan_document
 from scp_recon.cli.infeasible import show_what_would_do
 from scp_recon.cli.keeping import UNVERIFIED, run_folder, written
+from scp_recon.cli.live import Progress, live_progress
 from scp_recon.cli.method import check_risk, planning
 from scp_recon.cli.options import SEED, add_certify, add_overrides, int_between, number_between
 from scp_recon.cli.warnings import show_warnings
@@ -43,7 +44,6 @@ from scp_recon.planning.method import (
     SOLVER,
 )
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.stages import Observer
 from scp_recon.planning.starts import STARTS_MAX, WORKERS_MAX
 from scp_recon.scenario.load import base_names, load_scenario, override
 from scp_recon.scenario.schema import Scenario
@@ -201,13 +201,13 @@ def _solve(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def plan_into(
-    folder: Path, mission: Mission, make_plan: Callable[[Observer], Plan], console: Console
+    folder: Path, mission: Mission, make_plan: Callable[[Progress], Plan], console: Console
 ) -> Answer:
     """Plan, verify, show and write."""
     plan_tables.show_mission(console, mission)
     console.print()
     try:
-        with plan_tables.live_iterations(console, mission) as observe:
+        with live_progress(console, mission) as observe:
             result = make_plan(observe)
         solution = make_solution(result)
     except ValidationError:  # which only numbers that are not finite can cause

@@ -132,7 +132,7 @@ def one_case(patch: pytest.MonkeyPatch) -> None:
 
 def roughly(patch: pytest.MonkeyPatch) -> None:
     method = importlib.import_module("scp_recon.cli.method")
-    patch.setattr(method, "largest_probability", partial(method.largest_probability, close=1.0))
+    patch.setattr(method, "Search", partial(method.Search, close=1.0))
 
 
 def two_kinds(patch: pytest.MonkeyPatch) -> None:

@@ -1,28 +1,32 @@
 """The largest probability that a plan can have, at all or for a delta-v budget.
 
 Delta-v grows with the probability asked, so that bisection on the normal quantile scale finds the last
-one that has a plan. Each try begins at the burns of the best one so far.
+one that has a plan. Each try begins at the burns of the best one so far, and at the first start where
+that settles nothing.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import (
-    FAILURES,
-    FIRST_SEED,
-    FLIGHTS_MAX,
+    ROUNDS_MAX,
     Planning,
-    certificate_of,
-    flights_needed,
+    Watch,
+    are_close,
+    certificate_from,
+    with_nodes_at,
 )
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.certifying import FAILURES, FIRST_SEED, FLIGHTS_MAX, flights_needed
+from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.planning.plan import Plan
+from scp_recon.planning.plan import Plan, as_interrupted
+from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 
 LEAST, MOST = 0.55, 1.0 - FAILURES / FLIGHTS_MAX
@@ -32,22 +36,8 @@ CLOSE = 0.01
 DIGITS = 4
 """Of a probability that is promised."""
 
-
-def promised(best: Plan, *, certified: bool) -> Plan:
-    """The plan with what it reaches as what its scenario asks, rounded down.
-
-    Args:
-        best: of the largest probability.
-        certified: whether what flights reach is promised, or what it aims at.
-    """
-    assert best.aim is not None
-    certificate, reached = None, best.aim
-    if certified:
-        certificate = certificate_of(best, flights_needed(best.aim), FIRST_SEED, 1)
-        reached = certificate.low
-    scenario = best.mission.scenario.replace({"risk.p_chance": rounded_down(reached)})
-    mission = Mission.from_scenario(scenario)
-    return replace(best, mission=mission, certificate=certificate)
+ANSWERS = (Status.CONVERGED, Status.INFEASIBLE, Status.INTERRUPTED)
+"""Ends of a try after which it is not made again from another start."""
 
 
 def rounded_down(probability: float) -> float:
@@ -60,6 +50,64 @@ def is_kept(plan: Plan, budget_m_s: float) -> bool:
     return plan.status is Status.CONVERGED and plan.total_dv_m_s <= budget_m_s
 
 
+@dataclass(frozen=True)
+class Search:
+    """How the largest probability is looked for.
+
+    Attributes:
+        make_plan: a try's.
+        budget_m_s: most delta-v that it may cost.
+        close: standard deviations between what has a plan and what has none.
+    """
+
+    make_plan: Planning
+    budget_m_s: float = float("inf")
+    close: float = CLOSE
+
+    def run(self, mission: Mission, start: Iterate) -> Plan:
+        """The plan of the largest probability, which is its `aim`; the try for `LEAST` if none is kept.
+
+        Where the try above it came to no verdict the plan has a warning that says so. Ctrl-C ends with
+        the best so far, marked as interrupted.
+        """
+        best = self.make_plan(mission, start, LEAST)
+        if not is_kept(best, self.budget_m_s):
+            return best
+        low, high, open_end = float(ndtri(LEAST)), float(ndtri(MOST)), None
+        while high - low > self.close:
+            middle = 0.5 * (low + high)
+            found = self._tried(mission, best, start, float(ndtr(middle)))
+            if found is None or found.status is Status.INTERRUPTED:
+                return as_interrupted(best)
+            if is_kept(found, self.budget_m_s):
+                best, low = found, middle
+            else:
+                high, open_end = middle, None if found.status in ANSWERS else found
+        return best if open_end is None else with_warning(best, open_end)
+
+    def _tried(self, mission: Mission, best: Plan, start: Iterate, aim: float) -> Plan | None:
+        """A try, from the first start too where the best burns lead to no verdict; or Ctrl-C came."""
+        try:
+            found = self.make_plan(mission, from_burns(mission, best.burns_m_s), aim)
+            if found.status not in ANSWERS:
+                again = self.make_plan(mission, start, aim)
+                found = again if again.status in ANSWERS else found
+        except KeyboardInterrupt:
+            return None
+        return found
+
+
+def with_warning(best: Plan, undecided: Plan) -> Plan:
+    """The plan with a word on the probability next to it, for which planning came to no verdict."""
+    word = ScenarioWarning.of(
+        "risk.p_chance",
+        f"no verdict for {undecided.aim:.5g}: {undecided.status.value.name}",
+        f"{best.aim:.5g} is the largest that a plan was found for; a larger one may have one too",
+    )
+    warnings = (*best.mission.warnings, word)
+    return replace(best, mission=replace(best.mission, warnings=warnings))
+
+
 def largest_probability(
     mission: Mission,
     start: Iterate,
@@ -67,24 +115,64 @@ def largest_probability(
     budget_m_s: float = float("inf"),
     close: float = CLOSE,
 ) -> Plan:
-    """The plan of the largest probability, which is its `aim`; the try for `LEAST` if none is kept.
+    """The plan of the largest probability by the normal law: see `Search`."""
+    return Search(make_plan, budget_m_s, close).run(mission, start)
+
+
+def largest_promise(
+    mission: Mission,
+    start: Iterate,
+    search: Search,
+    *,
+    certified: bool,
+    watch: Watch | None = None,
+) -> Plan:
+    """The plan of the largest probability with what it reaches as what its scenario asks, rounded down.
+
+    Where flights touch a limit between nodes, nodes are added there and it is looked for again.
 
     Args:
         mission: to plan; its scenario's allocation is exact.
         start: of the first try.
-        make_plan: a try's.
-        budget_m_s: most delta-v that it may cost.
-        close: standard deviations between what has a plan and what has none.
+        search: for the largest that it aims at.
+        certified: whether what flights reach is promised, or what it aims at.
+        watch: is told when flights begin, and what they reach.
+
+    Returns:
+        That plan; the try for `LEAST` where no plan is kept.
     """
-    best = make_plan(mission, start, LEAST)
-    if not is_kept(best, budget_m_s):
-        return best
-    low, high = float(ndtri(LEAST)), float(ndtri(MOST))
-    while high - low > close:
-        middle = 0.5 * (low + high)
-        found = make_plan(mission, from_burns(mission, best.burns_m_s), float(ndtr(middle)))
-        if is_kept(found, budget_m_s):
-            best, low = found, middle
-        else:
-            high = middle
-    return best
+    found: Plan | None = None
+    for number in range(1, ROUNDS_MAX + 1):
+        best = search.run(mission, start)
+        if best.status is Status.INTERRUPTED and found is not None:
+            return as_interrupted(found)
+        if not is_kept(best, search.budget_m_s):
+            return found or best
+        assert best.aim is not None
+        if not certified:
+            return promising(best, best.aim)
+        samples, seed = flights_needed(best.aim), FIRST_SEED + number - 1
+        try:
+            if watch:
+                watch(number, best, samples)
+            kept = kept_flights(mission, best.burns_m_s, samples, seed)
+        except KeyboardInterrupt:
+            return as_interrupted(found or best)
+        reached = certificate_from(mission, kept, seed, number)
+        found = promising(replace(best, certificate=reached), reached.low)
+        if watch:
+            watch(number, found, samples)
+        if are_close(reached, reached.low):
+            break
+        mission, start = with_nodes_at(mission, kept.touched_s), from_burns(mission, best.burns_m_s)
+    assert found is not None
+    return found
+
+
+def promising(plan: Plan, probability: float) -> Plan:
+    """The plan of a scenario that asks so much."""
+    scenario = plan.mission.scenario.replace({"risk.p_chance": rounded_down(probability)})
+    warnings = plan.mission.warnings
+    mission = Mission.from_scenario(scenario)
+    told = tuple(dict.fromkeys((*mission.warnings, *warnings)))
+    return replace(plan, mission=replace(mission, warnings=told))

@@ -8,10 +8,12 @@ from dataclasses import replace
 from functools import partial
 
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.certify import certify, flights_needed
-from scp_recon.certification.largest import LEAST, is_kept, largest_probability, promised
+from scp_recon.certification.certify import certify
+from scp_recon.certification.largest import LEAST, Search, largest_promise
+from scp_recon.cli.live import Progress
 from scp_recon.errors import InputError, one_of
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.certifying import flights_needed
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, check_exact, scp_method
 from scp_recon.planning.plan import Plan
@@ -21,7 +23,7 @@ from scp_recon.planning.starts import plan_from_several
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 
-Planning = Callable[[Mission, Iterate, Observer], Plan]
+Planning = Callable[[Mission, Iterate, Progress], Plan]
 
 
 def planning(options: argparse.Namespace) -> Planning:
@@ -82,7 +84,7 @@ def _by_scp(options: argparse.Namespace) -> Planning:
     ) -> Plan:
         return make_plan(mission, start, aim=aim, init=init, observe=observe)
 
-    def several(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+    def several(mission: Mission, start: Iterate, observe: Progress) -> Plan:
         best = plan_from_several(
             mission,
             start,
@@ -96,17 +98,21 @@ def _by_scp(options: argparse.Namespace) -> Planning:
         if not is_certified(options, mission.scenario) or best.status is not Status.CONVERGED:
             return best
         start, init = from_burns(mission, best.burns_m_s), best.provenance.init
-        found = certify(mission, start, lambda m, s, aim: once(m, s, observe, aim, init))
+        found = certify(
+            mission, start, lambda m, s, aim: once(m, s, observe, aim, init), observe.round
+        )
         return replace(found, starts=best.starts)
 
-    def largest(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+    def largest(mission: Mission, start: Iterate, observe: Progress) -> Plan:
         budget = float("inf") if options.dv_budget is None else options.dv_budget
-        best = largest_probability(
-            mission, start, lambda m, s, aim: once(m, s, observe, aim), budget
+        best = largest_promise(
+            mission,
+            start,
+            Search(lambda m, s, aim: once(m, s, observe, aim), budget),
+            certified=is_certified(options, mission.scenario),
+            watch=observe.round,
         )
-        if is_kept(best, budget):
-            return promised(best, certified=is_certified(options, mission.scenario))
-        if best.status is Status.CONVERGED:
+        if best.status is Status.CONVERGED and best.total_dv_m_s > budget:
             raise InputError(
                 "--dv-budget",
                 f"{budget:g} m/s",
@@ -114,14 +120,14 @@ def _by_scp(options: argparse.Namespace) -> Planning:
             )
         return best
 
-    def by_scp(mission: Mission, start: Iterate, observe: Observer) -> Plan:
+    def by_scp(mission: Mission, start: Iterate, observe: Progress) -> Plan:
         if options.objective == "probability":
             return largest(mission, start, observe)
         if (options.starts or 1) > 1:
             return several(mission, start, observe)
         if not is_certified(options, mission.scenario):
             return once(mission, start, observe, None)
-        return certify(mission, start, lambda m, s, aim: once(m, s, observe, aim))
+        return certify(mission, start, lambda m, s, aim: once(m, s, observe, aim), observe.round)
 
     return by_scp
 
@@ -168,8 +174,10 @@ def check_risk(options: argparse.Namespace, scenario: Scenario) -> None:
             if given not in (None, "delta-v"):
                 raise InputError(f"--{option}", given, "goes with risk.allocation = exact only")
         return
-    if options.objective == "probability" and options.problem != "P2":
-        raise InputError("--objective", "probability", "goes with --problem P2")
+    if options.problem != "P2":
+        for option, given in (("certify", options.certify), ("objective", options.objective)):
+            if given not in (None, "delta-v"):
+                raise InputError(f"--{option}", given, "goes with --problem P2")
     check_exact(options.method, options.formulation or FORMULATION, options.facet_rounds, "--")
     if is_certified(options, scenario) and options.objective == "delta-v":
         flights_needed(scenario.risk.p_chance)

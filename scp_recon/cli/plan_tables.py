@@ -1,13 +1,12 @@
-"""What the terminal shows: the case, the iterations as they come, the plan and its verification."""
+"""What the terminal shows: the case, the plan and its verification."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 
 import numpy as np
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
@@ -16,13 +15,10 @@ from scp_recon.errors import InputError
 from scp_recon.mission.constraints import observation_limits
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.time_scales import instant, iso_utc
-from scp_recon.planning.stages import Observer
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
-from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution, StartsSummary
-from scp_recon.solution.from_plan import iteration_record
 from scp_recon.solution.risk import Risk
 from scp_recon.solution.verdict import Verification
 from scp_recon.verification.reintegration import (
@@ -74,51 +70,6 @@ def show_mission(console: Console, mission: Mission) -> None:
 
 def _interval(early: float, late: float) -> str:
     return f"{early:.0f} to {late:.0f}" if np.isfinite(late) else f"from {early:.0f}"
-
-
-@contextmanager
-def live_iterations(console: Console, mission: Mission) -> Iterator[Observer]:
-    """A table that grows by a row per iteration; yields the planner's observer."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in (
-        "stage",
-        "k",
-        "merit\nm/s",
-        "predicted\nm/s",
-        "actual\nm/s",
-        "radius\nm/s",
-        "violation\nm",
-        "defect\nm",
-        "solver\ns",
-    ):
-        table.add_column(heading, justify="left" if heading == "stage" else "right", no_wrap=True)
-    # Redrawn on every row and never from a thread, so that a captured log holds the table once.
-    with Live(table, console=console, auto_refresh=False) as live:
-
-        def observe(stage: str, record: Record) -> None:
-            r = iteration_record(mission, stage, record)
-            if record.failure:
-                table.add_row(stage, str(r.k), Text("solver failed", style="yellow"))
-            else:
-                table.add_row(
-                    stage,
-                    str(r.k),
-                    f"{r.merit:.6f}",
-                    f"{r.predicted:.2e}",
-                    f"{r.actual:.2e}" if r.accepted else f"({r.actual:.2e})",
-                    f"{r.trust_radius:.1e}",
-                    f"{r.max_violation:.1e}",
-                    f"{r.max_defect:.1e}",
-                    f"{r.solver_s:.3f}",
-                )
-            live.refresh()
-
-        yield observe
-    console.print(
-        "\nmerit: total delta-v plus penalties; in brackets: step rejected; violation and defect: "
-        "velocities count as metres per unit of time",
-        style="dim",
-    )
 
 
 def show_solution(console: Console, solution: Solution) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.certify import certify
+from scp_recon.certification.certify import Watch, certify
 from scp_recon.errors import InputError
 from scp_recon.in_flight.delivery import Delivery
 from scp_recon.in_flight.parent import FlownPlan
@@ -132,6 +132,7 @@ def replan(
     *,
     certified: bool = True,
     observe: Observer | None = None,
+    watch: Watch | None = None,
 ) -> Plan:
     """Plan what is left of a mission, near the plan that is flown.
 
@@ -140,6 +141,7 @@ def replan(
         mission: from `mission_left`.
         certified: with exact risk, whether to plan until flights certify the probability.
         observe: called after each iteration with the stage's name and the record.
+        watch: is told how certifying goes on.
 
     Raises:
         InputError: if there are other burns left than the plan has.
@@ -158,6 +160,7 @@ def replan(
 
     start = path_planned(flown, mission)
     exact = mission.scenario.risk.allocation == "exact" and flown.problem == "P2"
-    plan = certify(mission, start, once) if exact and certified else once(mission, start)
+    to_certify = exact and certified
+    plan = certify(mission, start, once, watch) if to_certify else once(mission, start)
     warnings = tuple(dict.fromkeys((*plan.mission.warnings, *mission.warnings)))
     return replace(plan, mission=replace(plan.mission, warnings=warnings), parent=parent)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
 from typing import Literal
@@ -299,6 +299,12 @@ class Plan:
             for s in (*self.stages, self.final)
         ]
         return self.mission.scenario, self.provenance, runs, flown, self.starts
+
+
+def as_interrupted(plan: Plan) -> Plan:
+    """The plan as the best that there was when Ctrl-C came."""
+    result = replace(plan.final.result, status=Status.INTERRUPTED)
+    return replace(plan, final=replace(plan.final, result=result))
 
 
 def _read_only(array: Array) -> Array:

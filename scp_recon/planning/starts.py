@@ -14,7 +14,7 @@ from formulations.linearisation.linearisation import final_state_map
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
-from scp_recon.planning.plan import Optimum, Plan, Stage, Starts
+from scp_recon.planning.plan import Optimum, Plan, Stage, Starts, as_interrupted
 from scp_recon.planning.stages import OPENING, better, same_optimum
 from scp_recon.scp.status import Status
 
@@ -92,12 +92,7 @@ def plan_from_several(
         interrupted = True
     best = _best([plan for plan in found if plan.status is not Status.INTERRUPTED] or found)
     listed = Starts(starts, seed, local_optima(found))
-    if interrupted:
-        final = best.final
-        best = replace(
-            best, final=replace(final, result=replace(final.result, status=Status.INTERRUPTED))
-        )
-    return replace(best, starts=listed)
+    return replace(as_interrupted(best) if interrupted else best, starts=listed)
 
 
 def random_flight(mission: Mission, seed: int, number: int) -> Iterate:

@@ -79,7 +79,8 @@ FLOORS = (
         for name in (
             *("spacecraft.basilisk", "verification", "exchange", "certification", "in_flight"),
             "pass_design",
-            *("cli", "report.content", "report.view", "report", "campaign"),
+            *("cli", "report.content", "report.view", "report"),
+            *("campaign", "front_door"),
         )
     ),
     "scp_recon",  # the lazy front door, and the commands

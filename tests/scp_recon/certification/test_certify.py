@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -10,44 +10,37 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.rows.exact import FLIGHT
-from scp_recon.certification import certify as certification
-from scp_recon.certification.certify import (
+from scp_recon.certification.certify import certify, judged, with_nodes_at
+from scp_recon.monte_carlo import certifying
+from scp_recon.monte_carlo.certifying import (
     FIRST_SEED,
-    FLIGHTS_MIN,
-    certify,
-    flights_needed,
-    judged,
-    raised,
     successes_needed,
-    with_nodes_at,
 )
-from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify
+from tests.scp_recon.certification.support import mission_of
 
 ASKED = 0.9
 
 
-def mission_of(scope: str) -> Mission:
-    changes = {"risk.p_chance": ASKED, "risk.allocation": "exact", "risk.scope": scope}
-    return Mission.from_scenario(load_scenario().replace(changes))
+@pytest.fixture(scope="module", autouse=True)
+def fewer() -> Iterator[None]:
+    """A fifth of the flights."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(certifying, "FLIGHTS_MIN", 2_000)
+        patch.setattr(certifying, "FAILURES", 100)
+        yield
 
 
 @pytest.fixture(scope="module", params=["node", "flight"])
 def certified(request: pytest.FixtureRequest) -> Plan:
-    """By a fifth of the flights."""
-    mission = mission_of(request.param)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(certification, "FLIGHTS_MIN", 2_000)
-        patch.setattr(certification, "FAILURES", 100)
-        return certify(mission, initial_guess.cold(mission), lambda m, s, aim: plan(m, s, aim=aim))
+    mission = mission_of(request.param, ASKED)
+    return certify(mission, initial_guess.cold(mission), lambda m, s, aim: plan(m, s, aim=aim))
 
 
 @given(asked=st.floats(0.5, 0.999), samples=st.integers(1000, 100_000))
@@ -56,26 +49,6 @@ def test_so_many_successes_and_no_fewer_reach_what_is_asked(asked: float, sample
     if needed < samples:
         assert proportion(needed, samples).low >= asked
     assert proportion(needed - 1, samples).low < asked
-
-
-@given(asked=st.floats(0.5, 0.9996))
-def test_flights_are_enough_for_a_few_hundred_failures(asked: float) -> None:
-    flights = flights_needed(asked)
-    assert flights >= max(FLIGHTS_MIN, 300 / (1.0 - asked)) - 1
-
-
-def test_a_probability_that_takes_too_many_flights_is_refused() -> None:
-    with pytest.raises(InputError) as error:
-        flights_needed(1.0 - 1e-6)
-    assert error.value.entry == "risk.p_chance"
-    assert "at most 0.9997, or --certify no" in error.value.allowed
-    assert flights_needed(0.9997) == 1_000_000
-
-
-@given(needed=st.floats(0.51, 0.999), loss=st.floats(0.0, 0.5))
-def test_a_loss_is_made_up_for(needed: float, loss: float) -> None:
-    assert needed < raised(needed, loss, 10_000) < 1.0
-    assert raised(needed, loss + 0.1, 10_000) > raised(needed, loss, 10_000)
 
 
 def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
@@ -149,13 +122,3 @@ def test_nodes_are_added_where_flights_touch() -> None:
     assert finer.scenario.grid.nodes_s
     again = with_nodes_at(finer, np.array([mission.times_s[80] + 20.0]))
     assert set(finer.scenario.grid.nodes_s) < set(again.scenario.grid.nodes_s)
-
-
-def test_flights_are_kept_or_not_at_every_second() -> None:
-    """A plan whose mean grazes a limit between nodes loses flights that no node shows."""
-    mission = mission_of("node")
-    found = plan(mission, initial_guess.cold(mission))
-    kept = kept_flights(mission, found.burns_m_s, 500, seed=3)
-    assert kept.whole <= kept.whole_at_nodes <= min(c.min() for c in kept.at_nodes.values())
-    assert all(kept.throughout[n] <= c.min() for n, c in kept.at_nodes.items())
-    assert math.isclose(kept.samples, 500)

@@ -1,0 +1,91 @@
+"""A world in which planning takes no time, and flights reach what a test says."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from formulations.problem.flyby import Iterate
+from scp_recon.certification import certify as certification
+from scp_recon.certification import largest
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.whole_flight import KeptFlights
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+
+Reached = tuple[float, float]
+"""Share of the flights that keep everything at the nodes, and at all times."""
+
+
+def mission_of(scope: str, asked: float = 0.9) -> Mission:
+    """The default scenario with exact risk."""
+    changes = {"risk.p_chance": asked, "risk.allocation": "exact", "risk.scope": scope}
+    return Mission.from_scenario(load_scenario().replace(changes))
+
+
+def a_plan(asked: float = 0.9) -> Plan:
+    """One to make others of."""
+    mission = mission_of("flight", asked)
+    quick = Mission.from_scenario(mission.scenario.replace({"risk.scope": "node"}))
+    return replace(plan(quick, initial_guess.cold(quick)), mission=mission)
+
+
+@dataclass
+class World:
+    """What plans cost and what their flights reach.
+
+    Attributes:
+        real: plan that all others are made of; they cost in proportion to what they aim at.
+        reach: shares of flights of an aim, in the round of a number; it may raise.
+        status: how planning for an aim ends, from a start of a name.
+        aims: of all plans made.
+        missions: that they were of.
+    """
+
+    real: Plan
+    reach: Callable[[float, int], Reached]
+    status: Callable[[float, str], Status] = lambda *_: Status.CONVERGED
+    touched_s: tuple[float, ...] = ()
+    aims: list[float] = field(default_factory=list)
+    missions: list[Mission] = field(default_factory=list)
+
+    def make_plan(self, mission: Mission, start: Iterate, aim: float) -> Plan:
+        """A plan of the mission with the real one's stages, its burns scaled by its aim."""
+        self.aims.append(aim)
+        self.missions.append(mission)
+        result = self.real.final.result
+        iterate = replace(result.lin.iterate, burns=result.lin.iterate.burns * aim)
+        lin = replace(result.lin, iterate=iterate)
+        name = "given" if start is self.real.final.result.lin.iterate else "last"
+        ended = replace(result, lin=lin, status=self.status(aim, name))
+        final = replace(self.real.final, result=ended)
+        return replace(self.real, mission=mission, final=final, aim=aim, certificate=None)
+
+    def fly(self, _mission: Mission, _burns_m_s: object, samples: int, seed: int) -> KeptFlights:
+        """Flights of the last plan made."""
+        at_nodes, whole = self.reach(self.aims[-1], seed)
+        return KeptFlights(
+            samples,
+            {},
+            {},
+            round(at_nodes * samples),
+            round(whole * samples),
+            np.array(self.touched_s),
+        )
+
+    @property
+    def start(self) -> Iterate:
+        """That planning begins at."""
+        return self.real.final.result.lin.iterate
+
+    def enter(self, patch: pytest.MonkeyPatch) -> None:
+        """Let certification take place here."""
+        for module in (certification, largest):
+            patch.setattr(module, "kept_flights", self.fly)
+            patch.setattr(module, "from_burns", lambda *_: replace(self.start))

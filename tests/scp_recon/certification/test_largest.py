@@ -1,0 +1,178 @@
+"""The largest probability: found where it ends, told where it is not known, promised as flown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from scipy.special import ndtr, ndtri
+
+from formulations.problem.flyby import Iterate
+from scp_recon.certification.largest import (
+    CLOSE,
+    LEAST,
+    MOST,
+    Search,
+    largest_probability,
+    largest_promise,
+    rounded_down,
+)
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.certifying import FIRST_SEED, flights_needed
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import plan
+from scp_recon.scp.status import Status
+from tests.scp_recon.certification.support import Reached, World, a_plan, mission_of
+
+LAST = 0.93
+"""Probability above which there is no plan."""
+
+
+@pytest.fixture(scope="module")
+def real() -> Plan:
+    return a_plan()
+
+
+def honest(aim: float, _: int) -> Reached:
+    return aim, aim
+
+
+def is_at(found: Plan, last: float) -> bool:
+    assert found.aim is not None
+    return last - CLOSE * 0.2 < found.aim <= last
+
+
+def looked_for(world: World, patch: pytest.MonkeyPatch, budget_m_s: float = float("inf")) -> Plan:
+    world.enter(patch)
+    return Search(world.make_plan, budget_m_s).run(world.real.mission, world.start)
+
+
+def test_the_last_one_with_a_plan_is_found(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    def status(aim: float, _: str) -> Status:
+        return Status.CONVERGED if aim <= LAST else Status.INFEASIBLE
+
+    found = looked_for(World(real, honest, status), monkeypatch)
+    assert found.status is Status.CONVERGED
+    assert is_at(found, LAST)
+    assert found.mission.warnings == real.mission.warnings
+
+
+def test_where_all_have_one_it_is_the_largest_that_flights_can_certify(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = looked_for(World(real, honest), monkeypatch)
+    assert found.aim is not None
+    assert ndtri(MOST) - ndtri(found.aim) <= CLOSE
+
+
+def test_the_budget_ends_it(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = looked_for(World(real, honest), monkeypatch, LAST * real.total_dv_m_s)
+    assert is_at(found, LAST)
+
+
+def test_a_try_without_a_verdict_is_made_again_from_the_first_start(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the best burns nothing converges beyond 0.7, and what that means nobody knows."""
+
+    def status(aim: float, start: str) -> Status:
+        if aim > LAST:
+            return Status.INFEASIBLE
+        return Status.CONVERGED if start == "given" or aim < 0.7 else Status.MAX_ITERATIONS
+
+    found = looked_for(World(real, honest, status), monkeypatch)
+    assert is_at(found, LAST)
+    assert found.mission.warnings == real.mission.warnings
+
+
+def test_no_verdict_is_told_from_infeasible(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    def status(aim: float, _: str) -> Status:
+        return Status.CONVERGED if aim <= LAST else Status.STALLED
+
+    found = looked_for(World(real, honest, status), monkeypatch)
+    assert is_at(found, LAST)
+    told = found.mission.warnings[-1]
+    assert told.entry == "risk.p_chance"
+    assert "stalled" in told.given
+    assert "a larger one may have one" in told.expected
+
+
+def test_ctrl_c_ends_the_search_with_the_best_so_far(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def status(aim: float, _: str) -> Status:
+        return Status.CONVERGED if aim < 0.97 else Status.INTERRUPTED
+
+    world = World(real, honest, status)
+    found = looked_for(world, monkeypatch)
+    assert found.status is Status.INTERRUPTED
+    assert found.aim == max(aim for aim in world.aims if aim < 0.97)
+    assert world.aims[-1] >= 0.97  # and nothing is tried after it
+
+
+def promised(world: World, patch: pytest.MonkeyPatch, *, certified: bool) -> Plan:
+    world.enter(patch)
+    search = Search(world.make_plan, LAST * world.real.total_dv_m_s)
+    return largest_promise(world.real.mission, world.start, search, certified=certified)
+
+
+def test_what_it_aims_at_is_asked_without_flights(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = promised(World(real, honest), monkeypatch, certified=False)
+    assert found.aim is not None
+    assert found.certificate is None
+    assert found.mission.scenario.risk.p_chance == rounded_down(found.aim)
+
+
+def test_what_flights_reach_at_least_is_asked(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = promised(World(real, honest), monkeypatch, certified=True)
+    reached = found.certificate
+    assert found.aim is not None
+    assert reached is not None
+    assert (reached.samples, reached.seed) == (flights_needed(found.aim), FIRST_SEED)
+    assert found.mission.scenario.risk.p_chance == rounded_down(reached.low) < found.aim
+
+
+def test_nodes_are_added_and_it_is_looked_for_again(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    between = float(real.times_s[70]) + 20.0
+
+    def reach(aim: float, seed: int) -> Reached:
+        return aim, aim - 0.05 * (seed == FIRST_SEED)
+
+    world = World(real, reach, touched_s=(between,))
+    found = promised(world, monkeypatch, certified=True)
+    assert found.certificate is not None
+    assert found.certificate.rounds == 2
+    assert found.certificate.at_nodes == found.certificate.reached
+    assert round(between) in found.times_s
+    assert world.aims.count(LEAST) == 2
+
+
+def test_ctrl_c_among_its_flights_keeps_the_plan(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reach(*_: object) -> Reached:
+        raise KeyboardInterrupt
+
+    found = promised(World(real, reach), monkeypatch, certified=True)
+    assert found.status is Status.INTERRUPTED
+    assert is_at(replace(found, certificate=None), LAST)
+
+
+def test_the_budget_buys_so_much_and_no_more() -> None:
+    """On the default scenario, roughly."""
+    mission, budget, close = mission_of("node"), 0.1095, 0.5
+    start = initial_guess.cold(mission)
+
+    def make_plan(mission: Mission, start: Iterate, aim: float) -> Plan:
+        return plan(mission, start, aim=aim)
+
+    best = largest_probability(mission, start, make_plan, budget, close)
+    assert best.aim is not None
+    assert best.total_dv_m_s <= budget
+    more = plan(mission, start, aim=float(ndtr(ndtri(best.aim) + close)))
+    assert more.total_dv_m_s > budget

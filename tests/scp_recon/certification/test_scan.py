@@ -1,0 +1,87 @@
+"""Between nodes flights are known to the second, and nodes are added where they touch a limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scp_recon.certification.certify import LOST_BETWEEN, certify
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo import certifying
+from scp_recon.monte_carlo.observation_time import joint_margins
+from scp_recon.monte_carlo.sampling import fly_block
+from scp_recon.monte_carlo.whole_flight import LOOK_S, SAFETY, KeptFlights, kept_flights
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import plan
+from tests.scp_recon.certification.support import mission_of
+
+ASKED, FLIGHTS, SEED = 0.9, 200, 3
+CHANGES = {
+    "observation.window_s": [13300.0, 18000.0],
+    "observation.emission_max_deg": 40.0,
+    "grid.step_max_s": 9000.0,
+}
+"""Emission is largest in the middle of the window, whose edges alone are nodes."""
+
+
+@pytest.fixture(scope="module")
+def sparse() -> Plan:
+    mission = Mission.from_scenario(mission_of("node", ASKED).scenario.replace(CHANGES))
+    return plan(mission, initial_guess.cold(mission))
+
+
+@pytest.fixture(scope="module")
+def kept(sparse: Plan) -> KeptFlights:
+    return kept_flights(sparse.mission, sparse.burns_m_s, FLIGHTS, SEED)
+
+
+def test_flights_that_break_a_limit_between_nodes_are_found(
+    sparse: Plan, kept: KeptFlights
+) -> None:
+    """Against the same flights looked at every second of the window."""
+    mission = sparse.mission
+    assert mission.observed_s is not None
+    first, last = mission.observed_s
+    nodes = mission.times_s[mission.window_nodes]
+    seconds = np.union1d(np.arange(np.ceil(first), last), nodes)
+    flown = fly_block(mission, sparse.burns_m_s, seconds, 0, flights=FLIGHTS, seed=SEED)
+    holds = {
+        name: margin >= 0.0
+        for name, margin in joint_margins(mission, seconds, flown.states[..., :3]).items()
+    }
+    at = np.isin(seconds, nodes)
+    every = np.logical_and.reduce(list(holds.values()))
+    whole_at_nodes, whole = every[at].all(axis=0).sum(), every.all(axis=0).sum()
+    assert whole < whole_at_nodes - 3
+    assert kept.throughout[SAFETY] == FLIGHTS  # so that the window alone decides
+    # A flight may touch a limit for less than a second.
+    assert (kept.whole_at_nodes, kept.whole) == pytest.approx((whole_at_nodes, whole), abs=1)
+    for name, held in holds.items():
+        np.testing.assert_array_equal(kept.at_nodes[name], held[at].sum(axis=1))
+        assert kept.throughout[name] == pytest.approx(held.sum(axis=1).min(), abs=1)
+    lost = every[at].all(axis=0) & ~every.all(axis=0)
+    broken = seconds[~every[:, lost].all(axis=1)]
+    assert np.abs(kept.touched_s[:, None] - broken).min(axis=1).max() <= 1.0
+    assert np.abs(broken[:, None] - kept.touched_s).min(axis=1).max() <= 0.5 * LOOK_S
+
+
+def test_nodes_are_added_until_flights_lose_next_to_nothing_between(
+    sparse: Plan, kept: KeptFlights, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(certifying, "FLIGHTS_MIN", 2_000)
+    monkeypatch.setattr(certifying, "FAILURES", 100)
+    mission = sparse.mission
+    lost = min(c.min() for c in kept.at_nodes.values()) - min(kept.throughout.values())
+    assert lost > LOST_BETWEEN * (1.0 - ASKED) * FLIGHTS
+    found = certify(
+        mission,
+        initial_guess.from_burns(mission, sparse.burns_m_s),
+        lambda m, s, aim: plan(m, s, aim=aim),
+    )
+    reached = found.certificate
+    assert reached is not None
+    assert reached.at_nodes - reached.reached <= LOST_BETWEEN * (1.0 - ASKED)
+    assert reached.low >= ASKED
+    assert set(mission.times_s) < set(found.times_s)
+    assert found.mission.scenario.grid.nodes_s
