@@ -34,6 +34,7 @@ from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.certifying import flights_needed
 from scp_recon.pass_design.design import Designer, Tried
+from scp_recon.pass_design.near import Found
 from scp_recon.pass_design.setting import settled
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
@@ -91,7 +92,7 @@ def _design(options: argparse.Namespace, console: Console) -> Answer:
             designer = Designer(scenario, observe)
             space, found = designer.run()
         _keep(folder, TABLE, as_csv(designer.tried))
-        _keep_map(folder, designer.tried, console)
+        _keep_map(folder, designer.tried, found, console)
         if not found.converged:
             show_line(console, why_nothing(found, len(designer.tried)))
             show_written(console, folder / TABLE)
@@ -146,7 +147,7 @@ def _can_draw() -> bool:
     return importlib.util.find_spec("matplotlib") is not None
 
 
-def _keep_map(folder: Path, tried: Sequence[Tried], console: Console) -> None:
+def _keep_map(folder: Path, tried: Sequence[Tried], found: Found, console: Console) -> None:
     if not any(one.found.converged for one in tried):
         return
     if not _can_draw():
@@ -154,7 +155,7 @@ def _keep_map(folder: Path, tried: Sequence[Tried], console: Console) -> None:
         return
     from scp_recon.cli.design_map import draw
 
-    _keep(folder, MAP, draw(tried))
+    _keep(folder, MAP, draw(tried, found))
 
 
 if __name__ == "__main__":

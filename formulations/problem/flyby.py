@@ -85,6 +85,8 @@ class FlybyProblem:
         constraints: on the position.
         miss_weight: price of each component of the final state's miss, where the burns are too few to
             meet it; without it the final state is a condition.
+        final_spread: limits on the root of the summed variances of the position and of the velocity
+            after the last burn, None where there is none.
     """
 
     n_nodes: int
@@ -98,6 +100,7 @@ class FlybyProblem:
     dv_cone: float
     constraints: tuple[StateConstraint, ...]
     miss_weight: float | None = None
+    final_spread: tuple[float | None, float | None] = (None, None)
 
     @property
     def n_burns(self) -> int:

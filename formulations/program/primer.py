@@ -61,7 +61,7 @@ def adjoint(rows: Rows, lin: Linearisation, prices: Array) -> tuple[Array, Array
     by_factor = np.zeros((problem.n_nodes, 6, columns))
     by_mean[:, :3] = here
     by_mean[-1] += prices[:MISS]
-    by_factor[:, :3, : here_factor.shape[2]] = here_factor
+    by_factor[:, : here_factor.shape[1], : here_factor.shape[2]] = here_factor
     for k in range(problem.n_nodes - 2, -1, -1):
         by_mean[k] += by_mean[k + 1] @ arcs.stm[k]
         if columns:

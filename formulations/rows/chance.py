@@ -21,6 +21,7 @@ from formulations.rows.cones import (
     Unit,
     burn_components_before,
 )
+from formulations.rows.final_spread import FinalSpread
 
 
 class ChanceRows:
@@ -44,8 +45,9 @@ class ChanceRows:
         self.facets = facets
         self.included = included
         self.carried = facets.chosen(included)
-        self.nodes = np.unique(self.carried.node)
-        self.count = len(self.carried.node)
+        self.final = FinalSpread(problem, len(self.carried.node))
+        self.nodes = np.union1d(self.carried.node, self.final.nodes)
+        self.count = len(self.carried.node) + self.final.count
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """What is left of b - a'mu after q ||S'a||, of the included facets."""
@@ -56,7 +58,7 @@ class ChanceRows:
         return {
             c.name: Margins(self.carried.node[first:last], margin[first:last])
             for c, first, last in zip(self.problem.constraints, ends, ends[1:], strict=False)
-        }
+        } | self.final.margins(lin)
 
     def missed(self, lin: Linearisation, tolerance: float) -> npt.NDArray[np.bool_]:
         """Facets left out of the program that the iterate violates by more than `tolerance`."""
@@ -65,10 +67,11 @@ class ChanceRows:
 
     @cached_property
     def pick(self) -> sp.csr_array:
-        """Map to a'r of every facet from all positions r at `nodes` stacked, shape (count, 3 n)."""
+        """Map to a'r of every facet from all positions r at `nodes` stacked, shape (facets, 3 n)."""
         columns = 3 * np.searchsorted(self.nodes, self.carried.node)[:, None] + np.arange(3)
-        indices = np.repeat(np.arange(self.count), 3), columns.ravel()
-        shape = (self.count, 3 * len(self.nodes))
+        facets = len(self.carried.node)
+        indices = np.repeat(np.arange(facets), 3), columns.ravel()
+        shape = (facets, 3 * len(self.nodes))
         return sp.csr_array((self.carried.normal.ravel(), indices), shape=shape)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
@@ -83,6 +86,8 @@ class ChanceRows:
         for p in np.unique(components):
             nodes = np.flatnonzero(components == p)
             rows = np.flatnonzero(np.isin(carried.node, self.nodes[nodes]))
+            if len(rows) == 0:  # the last node, looked at for its spread alone
+                continue
             pick = self.pick[rows][:, (3 * nodes[:, None] + np.arange(3)).ravel()]
             c = self.problem.columns_before(int(p) // 3)
             spread = np.concatenate(
@@ -98,17 +103,17 @@ class ChanceRows:
             triangle = np.asarray(np.linalg.qr(spread, mode="r"))
             both = np.concatenate([room[:, None], triangle], axis=1)
             blocks.append(Cones(rows, both[..., :-1], both[..., -1], triangular=True))
-        return blocks
+        return blocks + self.final.cones(s)
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of a'mu + q ||S'a||: a in the mean, q a (S'a)' / ||S'a|| in the factor."""
         carried, node = self.carried, self.carried.node
         spread = np.einsum("ri,ric->rc", carried.normal, lin.factor[node, :3])
         size = np.maximum(np.linalg.norm(spread, axis=1), 1e-300)
-        weighted = prices[:, None] * carried.normal
+        weighted = prices[: len(node), None] * carried.normal
         along = (carried.quantile / size)[:, None] * spread
         by_mean = np.zeros((self.problem.n_nodes, 3))
         by_factor = np.zeros((self.problem.n_nodes, 3, spread.shape[1]))
         np.add.at(by_mean, node, weighted)
         np.add.at(by_factor, node, weighted[:, :, None] * along[:, None])
-        return Pulled(by_mean, by_factor)
+        return self.final.pulled(Pulled(by_mean, by_factor), lin, prices)

@@ -48,8 +48,8 @@ class Pulled(NamedTuple):
 
     Attributes:
         by_mean: by the mean positions, shape (n_nodes, 3).
-        by_factor: by the positions' rows of the covariance factor, of its first c columns,
-            shape (n_nodes, 3, c).
+        by_factor: by the covariance factor's first rows, 3 of positions or all 6, and columns,
+            shape (n_nodes, 3 or 6, c).
     """
 
     by_mean: Array

@@ -23,6 +23,8 @@ from formulations.problem.flyby import FlybyProblem, Nodes, factor_columns_used
 from formulations.problem.regions import Array
 from formulations.risk.uniform import quantile
 from formulations.rows.cones import Cones, Margins, Pulled, Unit, burn_components_before
+from formulations.rows.curved import curved_cones
+from formulations.rows.final_spread import FinalSpread
 from formulations.rows.flight_probability import (
     FlightProbability,
     FlightQuantile,
@@ -36,9 +38,6 @@ FLIGHT = "whole_flight"
 
 BINDING = 1.0
 """Margin, in standard deviations, up to which a row is curved."""
-
-BEND = 3.0
-"""c: standard deviations over which a row bends before it goes on straight."""
 
 DIFFERENCE = 1e-5
 """Step of the differences that give a node's curvature, in units of speed."""
@@ -102,8 +101,9 @@ class NodeRows(ExactRows):
     def __init__(self, problem: FlybyProblem, probability: float, resolution: float = 0.0) -> None:
         super().__init__(problem, probability, resolution)
         self.node = np.concatenate([event.nodes for event in self.events])
-        self.nodes = np.unique(self.node)
-        self.count = len(self.node)
+        self.final = FinalSpread(problem, len(self.node))
+        self.nodes = np.union1d(self.node, self.final.nodes)
+        self.count = len(self.node) + self.final.count
         self._first = np.cumsum([0, *(len(event.nodes) for event in self.events)])
         self._seen: tuple[Linearisation, Quantiles] | None = None
 
@@ -113,7 +113,7 @@ class NodeRows(ExactRows):
         return {
             event.name: Margins(event.nodes, part)
             for event, part in zip(self.events, parts, strict=True)
-        }
+        } | self.final.margins(lin)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """A block for each number of burn components that nodes feel."""
@@ -127,19 +127,19 @@ class NodeRows(ExactRows):
             if len(near):
                 hessian[near] = self._hessian(rows[near], s, z, p)
             blocks.append(curved_cones(rows, g.value[rows] - self.asked, slope, hessian, z[:p]))
-        return blocks
+        return blocks + self.final.cones(s)
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of -g at each row's node."""
-        g = self._at(lin)
-        by_mean, by_factor = -prices[:, None] * g.by_mean, -prices[:, None, None] * g.by_factor
-        return self._pulled(self.node, by_mean, by_factor)
+        g, own = self._at(lin), -prices[: len(self.node)]
+        pulled = self._pulled(self.node, own[:, None] * g.by_mean, own[:, None, None] * g.by_factor)
+        return self.final.pulled(pulled, lin, prices)
 
     def _at(self, lin: Linearisation) -> Quantiles:
         """The quantiles g of all rows at an iterate."""
         if self._seen is None or self._seen[0] is not lin:
             mean, factor = lin.iterate.mean[self.node, :3], lin.factor[self.node, :3]
-            self._seen = lin, self._quantiles(np.arange(self.count), mean, factor)
+            self._seen = lin, self._quantiles(np.arange(len(self.node)), mean, factor)
         return self._seen[1]
 
     def _quantiles(self, rows: Nodes, mean: Array, factor: Array) -> Quantiles:
@@ -190,14 +190,15 @@ class FlightRows(ExactRows):
         resolution: see `Rows`.
     """
 
-    count = 1
-
     def __init__(
         self, problem: FlybyProblem, probability: float, lines: int, resolution: float
     ) -> None:
         super().__init__(problem, probability, resolution)
-        self.nodes = np.unique(np.concatenate([event.nodes for event in self.events]))
-        dimension = factor_columns_used(problem, self.nodes)
+        nodes = np.unique(np.concatenate([event.nodes for event in self.events]))
+        self.final = FinalSpread(problem, 1)
+        self.nodes = np.union1d(nodes, self.final.nodes)
+        self.count = 1 + self.final.count
+        dimension = factor_columns_used(problem, nodes)
         directions = sphere_directions(lines, dimension)
         self.probability = FlightProbability(self.events, directions)
         self._rough = FlightProbability(self.events, directions[:CURVATURE_LINES])
@@ -208,7 +209,8 @@ class FlightRows(ExactRows):
         """Of the whole flight, at the node where most flights end."""
         g = self._at(lin)
         worst = g.nodes[np.argmax(g.ends)] if len(g.nodes) else self.nodes[0]
-        return {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.asked]))}
+        own = {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.asked]))}
+        return own | self.final.margins(lin)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """One row in all burns."""
@@ -220,7 +222,8 @@ class FlightRows(ExactRows):
             self._bent = z, self._hessian(met, step, free, s, z)
         hessian = self._bent[1]
         margin = np.array([g.value - self.asked])
-        return [curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)]
+        own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)
+        return [own, *self.final.cones(s)]
 
     def _hessian(self, met: Limits, step: float, free: Array, s: Sensitivity, z: Array) -> Array:
         """d2g/dz2 along directions that keep the final state, shape (nz, nz).
@@ -246,7 +249,8 @@ class FlightRows(ExactRows):
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of -g at the nodes that it depends on."""
         g = self._at(lin)
-        return self._pulled(g.nodes, -prices[0] * g.by_mean, -prices[0] * g.by_factor)
+        own = self._pulled(g.nodes, -prices[0] * g.by_mean, -prices[0] * g.by_factor)
+        return self.final.pulled(own, lin, prices)
 
     def _at(self, lin: Linearisation) -> FlightQuantile:
         if self._seen is None or self._seen[0] is not lin:
@@ -267,25 +271,3 @@ class FlightRows(ExactRows):
         factor = np.zeros((len(every), 3, s.factor_constant.shape[2]))
         factor[self.nodes] = (s.factor_constant + s.factor_jacobian @ z)[:, :3]
         return self._slope(self._rough(every, factor, met), s)
-
-
-def curved_cones(rows: Nodes, margin: Array, slope: Array, hessian: Array, z: Array) -> Cones:
-    """Rows margin + slope'd + d'hessian d/2 >= 0 in d about z, their concave part as in the module.
-
-    Args:
-        rows: which of the buffers each has, shape (r,).
-        margin: at z, shape (r,).
-        slope: shape (r, p).
-        hessian: shape (r, p, p); its negative part counts.
-        z: burns where they are made, shape (p,).
-    """
-    r, p = slope.shape
-    curvature, axes = np.linalg.eigh(-0.5 * (hessian + hessian.swapaxes(1, 2)))
-    bend = np.sqrt(BEND * np.maximum(curvature, 0.0))[:, :, None] * axes.swapaxes(1, 2)
-    curved = np.any(bend, axis=(1, 2))
-    tail = np.zeros((r, p + 1, p + 1))
-    tail[:, :p, :p], tail[:, :p, p] = bend, -bend @ z
-    tail[curved, p, p] = BEND
-    head = np.column_stack([slope, margin - slope @ z + BEND * curved])
-    both = np.concatenate([head[:, None], np.linalg.qr(tail, mode="r")], axis=1)
-    return Cones(rows, both[..., :-1], both[..., -1], triangular=True)

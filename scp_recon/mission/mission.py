@@ -252,6 +252,17 @@ class Mission:
                 self.sun_direction(self.times_s[window]),
             ),
             miss_weight=None if self.must_meet else MISS_WEIGHT,
+            final_spread=self._final_spread,
+        )
+
+    @property
+    def _final_spread(self) -> tuple[float | None, float | None]:
+        """Limits on the sigmas after the last burn, nondimensional."""
+        asked = self.scenario.boundary
+        position, velocity = asked.final_sigma_position_m, asked.final_sigma_velocity_m_s
+        return (
+            None if position is None else position / self.units.length_m,
+            None if velocity is None else velocity / self.units.speed_m_s,
         )
 
     @cached_property

@@ -24,6 +24,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import acceleration
+from scp_recon.planning.final_limits import require_no_final_limit
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import CLEARANCE_M, screened
 from scp_recon.planning.stages import Observer, StageRunner
@@ -88,6 +89,7 @@ def plan(
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
+    require_no_final_limit(mission, "--method scp only")
     arcs = casadi_arcs(mission.dynamics)
     runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
     algorithm = "interior point, elastic" if elastic else "interior point"

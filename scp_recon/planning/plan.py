@@ -14,6 +14,7 @@ from formulations.problem.facets import Facets
 from formulations.program.merit import MeritFunction
 from formulations.rows.cones import Margins
 from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.final_spread import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.mission.mission import Mission
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
@@ -60,8 +61,10 @@ class Stage:
 
     def unit(self, constraint: str) -> Unit:
         """What the margins of a constraint count in SI."""
-        if constraint in BURN_LIMITS:
+        if constraint in (*BURN_LIMITS, FINAL_VELOCITY):
             return "m/s"
+        if constraint == FINAL_POSITION:
+            return "m"
         return "m" if self.merit.rows.unit == "length" else "sigma"
 
     @property

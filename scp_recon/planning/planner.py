@@ -23,6 +23,7 @@ from formulations.rows.deterministic import DeterministicRows
 from formulations.rows.exact import ExactRows, FlightRows, NodeRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.planning.final_limits import require_no_final_limit
 from scp_recon.planning.opening import RESOLUTION, opened
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.stages import Observer, StageRunner
@@ -124,6 +125,8 @@ class Planner:
                 algorithm,
                 "must be scvx or ptr where too few burns are left to meet the final state",
             )
+        if formulation != "condensed":
+            require_no_final_limit(mission, f"the formulation condensed, not with {formulation}")
         self._make = subproblem_maker(formulation)
         self._p2_rows: ChanceRows | None = None
         self._kept: dict[type[Rows], Subproblem] = {}

@@ -58,6 +58,10 @@ class Boundary(Section):
     """Mean position after the last burn in m, in boundary.frame."""
     final_velocity_m_s: Velocity
     """Mean velocity after the last burn in m/s, in boundary.frame."""
+    final_sigma_position_m: Positive | None = None
+    """Largest root of the summed variances of the position after the last burn in m, if limited."""
+    final_sigma_velocity_m_s: Positive | None = None
+    """Largest root of the summed variances of the velocity after the last burn in m/s, if limited."""
     home: HomeOrbit | None = None
     """Home orbit, in place of the four states, which follow from it: at the beginnings of its spans."""
 

@@ -100,7 +100,7 @@ class ConstraintResult(Part):
     """
 
     name: Line
-    kind: Literal["keep_in", "keep_out", "burn", "joint"]
+    kind: Literal["keep_in", "keep_out", "burn", "joint", "covariance"]
     worst_margin: Annotated[
         float, Field(validation_alias=AliasChoices("worst_margin", "worst_margin_m_or_rad"))
     ]

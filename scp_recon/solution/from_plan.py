@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from formulations.rows.final_spread import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import BURN_LIMITS, Plan, Stage, Starts, scale
 from scp_recon.planning.primer import primer_of
@@ -32,6 +33,7 @@ from scp_recon.solution.primer import Primer
 from scp_recon.solution.risk import EventProbability, Reached, Risk
 
 FINAL_STATE = "final_state"
+FINAL_SIGMAS = (FINAL_POSITION, FINAL_VELOCITY)
 
 
 def make_solution(plan: Plan) -> Solution:
@@ -102,10 +104,11 @@ def _finite(value: float) -> float:
 
 def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]:
     """Worst margin of every constraint, those left out of the convex program included."""
-    kinds: dict[str, Literal["keep_in", "keep_out", "burn"]] = {
+    kinds: dict[str, Literal["keep_in", "keep_out", "burn", "covariance"]] = {
         c.name: "keep_in" if c.keep == "in" else "keep_out" for c in mission.problem.constraints
     }
-    kinds |= dict.fromkeys(BURN_LIMITS, "burn")
+    kinds |= dict.fromkeys(BURN_LIMITS, "burn") | dict.fromkeys(FINAL_SIGMAS, "covariance")
+    regions = {c.name for c in mission.problem.constraints}
     results = []
     for name, margins in stage.margins.items():
         unit = stage.unit(name)
@@ -118,7 +121,7 @@ def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]
                 worst_margin=float(margins.margin[worst]) * scale(mission, unit),
                 unit=unit,
                 worst_t_s=float(mission.times_s[margins.nodes[worst]]),
-                facets=0 if stage.facets is None or name in BURN_LIMITS else at_worst,
+                facets=at_worst if stage.facets is not None and name in regions else 0,
             )
         )
     return results
@@ -172,6 +175,7 @@ def _risk(plan: Plan) -> Risk | None:
                 probability=ndtr(rows.margin + ndtri(plan.aim)).tolist(),
             )
             for name, rows in margins.items()
+            if name not in FINAL_SIGMAS
         ],
     )
 

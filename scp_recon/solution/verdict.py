@@ -44,6 +44,26 @@ class FinalMiss(Part):
         )
 
 
+class FinalSigma(Part):
+    """A limit on the covariance after the last burn, and what nonlinear flights reach of it.
+
+    Root of the summed variances of the three components; `error` is one standard error.
+    """
+
+    name: str
+    unit: Literal["m", "m/s"]
+    asked: float
+    flown: float
+    error: float
+
+    def __str__(self) -> str:
+        """In words."""
+        return (
+            f"{self.name} of flights {self.flown:.4g} +- {self.error:.2g} {self.unit}, "
+            f"asked at most {self.asked:g}"
+        )
+
+
 class Verification(Part):
     """An independent look at the result; `failed` names what keeps it from being ok."""
 
@@ -58,12 +78,14 @@ class Verification(Part):
     probabilities: list[JointProbability]
     failed: list[str]
     missed: FinalMiss | None = None
+    final_sigmas: tuple[FinalSigma, ...] = ()
     ok: bool
 
     def __str__(self) -> str:
         """The verdict, and the lowest probabilities."""
         lines = ["verified" if self.ok else f"not verified: {', '.join(self.failed)}"]
         lines += [str(self.missed)] if self.missed else []
+        lines += [str(sigma) for sigma in self.final_sigmas]
         lines += [
             f"P({p.name}) {p.estimate:.4f}, {p.low:.4f} to {p.high:.4f}, at {p.worst_t_s:.0f} s"
             for p in self.probabilities

@@ -20,6 +20,7 @@ from scp_recon.scp.status import Status
 from scp_recon.solution.file import FacetTable, Solution, Violation, ViolationAmount
 from scp_recon.solution.times import TIME_ERROR_S, strange_times
 from scp_recon.verification.exact import exact_inconsistencies
+from scp_recon.verification.final_sigmas import final_margins
 
 Array = npt.NDArray[np.float64]
 
@@ -42,7 +43,8 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
     if "nodes.t_s" in found:  # nothing else can be told without them
         return found
     if solution.problem == "P2" and mission.scenario.risk.allocation == "exact":
-        return found + exact_inconsistencies(mission, solution, burn_margins(mission, solution))
+        own = burn_margins(mission, solution)
+        return found + exact_inconsistencies(mission, solution, own)
     if solution.problem == "P2" and not _are_sound(mission, solution.facets):
         return [*found, "facets"]
     margins = _margins(mission, solution)
@@ -59,7 +61,7 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
 
 
 def _unit(name: str) -> Literal["m", "m/s"]:
-    return "m/s" if name.startswith("dv_") else "m"
+    return "m/s" if name.startswith("dv_") or name == "final_velocity_sigma" else "m"
 
 
 def burn_margins(mission: Mission, solution: Solution) -> dict[str, Array]:
@@ -91,17 +93,20 @@ def _margins(mission: Mission, solution: Solution) -> dict[str, Array]:
     room = np.array(facets.offset_m) - np.einsum("mi,mi->m", normal, position[node])
     room -= np.array(facets.quantile) * np.sqrt(np.maximum(variance, 0.0))
     name = np.array(facets.constraint)
-    return margins | {c.name: room[name == c.name] for c in problem.constraints}
+    own = {c.name: room[name == c.name] for c in problem.constraints}
+    return margins | own | final_margins(mission, solution)
 
 
 def _nodes(mission: Mission, solution: Solution) -> dict[str, npt.NDArray[np.intp]]:
     """Node of every row of `_margins`."""
     problem, facets = mission.problem, solution.facets
     nodes = dict.fromkeys(("dv_max", "dv_battery"), problem.burn_nodes)
+    last = np.array([problem.n_nodes - 1])
     if solution.problem == "P3" or facets is None:
         return nodes | {c.name: c.nodes for c in problem.constraints}
     name, node = np.array(facets.constraint), np.array(facets.node, dtype=np.intp)
-    return nodes | {c.name: node[name == c.name] for c in problem.constraints}
+    own = {c.name: node[name == c.name] for c in problem.constraints}
+    return nodes | own | dict.fromkeys(final_margins(mission, solution), last)
 
 
 def _are_results(mission: Mission, solution: Solution, margins: dict[str, Array]) -> bool:
@@ -110,10 +115,12 @@ def _are_results(mission: Mission, solution: Solution, margins: dict[str, Array]
     if len(stored) != len(solution.constraints) or stored.keys() != margins.keys():
         return False
     kinds = {c.name: f"keep_{c.keep}" for c in mission.problem.constraints}
+    regions = set(kinds)
+    kinds = kinds | dict.fromkeys(final_margins(mission, solution), "covariance")
     for name, margin in margins.items():
         told, unit = stored[name], _unit(name)
         there = np.abs(mission.times_s[nodes[name]] - told.worst_t_s) <= TIME_ERROR_S
-        facets = there.sum() if solution.problem == "P2" and name in kinds else 0
+        facets = there.sum() if solution.problem == "P2" and name in regions else 0
         least = np.array([margin.min(), margin[there].min(initial=np.inf)])
         if np.abs(told.worst_margin - least).max() > MARGIN_ERROR[unit]:
             return False

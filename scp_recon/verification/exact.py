@@ -20,6 +20,7 @@ from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution
 from scp_recon.solution.risk import EventProbability, Reached, Risk
 from scp_recon.solution.times import TIME_ERROR_S
+from scp_recon.verification.final_sigmas import final_margins
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +29,8 @@ ERROR = 2e-3
 """Of a probability, beside five standard errors of the draws: that of the planner's quadrature in the
 tails, where it counts for nothing."""
 SAME_PROBABILITY, BURN_ERROR = 1e-9, 1e-8
+SIGMA_ERROR = 1e-6
+"""Of a stored margin of the final covariance, m or m/s."""
 
 
 def exact_inconsistencies(
@@ -46,7 +49,8 @@ def exact_inconsistencies(
     found = []
     if not _is_law(mission, solution, risk) or not _is_certificate(risk.certificate):
         found.append("risk")
-    if not _are_results(solution, risk, burn_margins):
+    finals = final_margins(mission, solution)
+    if not _are_results(solution, risk, burn_margins, finals):
         found.append("constraints")
     converged = solution.status == Status.CONVERGED.value.name
     if converged and solution.violation.by_constraint:
@@ -104,12 +108,23 @@ def _is_certificate(reached: Reached | None) -> bool:
     return bool(same) and reached.reached <= reached.at_nodes
 
 
-def _are_results(solution: Solution, risk: Risk, burn_margins: dict[str, Array]) -> bool:
+def _are_results(
+    solution: Solution, risk: Risk, burn_margins: dict[str, Array], finals: dict[str, Array]
+) -> bool:
     """Whether each constraint is told once, with its kind, its unit and its smallest margin."""
     stored = {c.name: c for c in solution.constraints}
     told = {event.name: event for event in risk.normal_law}
-    if len(stored) != len(solution.constraints) or stored.keys() != {*told, *burn_margins}:
+    if len(stored) != len(solution.constraints) or stored.keys() != {
+        *told,
+        *burn_margins,
+        *finals,
+    }:
         return False
+    for name, margin in finals.items():
+        if stored[name].kind != "covariance" or stored[name].facets != 0:
+            return False
+        if abs(stored[name].worst_margin - margin[0]) > SIGMA_ERROR:
+            return False
     for name, margin in burn_margins.items():
         burn = stored[name]
         if (burn.kind, burn.unit, burn.facets) != ("burn", "m/s", 0):

@@ -25,8 +25,9 @@ from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution
-from scp_recon.solution.verdict import FinalMiss, MeanMargin, Verification
+from scp_recon.solution.verdict import FinalMiss, FinalSigma, MeanMargin, Verification
 from scp_recon.verification.consistency import inconsistencies
+from scp_recon.verification.final_sigmas import exceeded, flown_sigmas
 from scp_recon.verification.probabilities import (
     MARGIN_LIMIT,
     SAMPLES,
@@ -87,8 +88,11 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     if solution.status != Status.CONVERGED.value.name:
         failed.append("status")
     failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
+    sigmas: list[FinalSigma] = []
     if solution.problem == "P2":
         failed += shortfalls(mission, solution, probabilities)
+        sigmas = flown_sigmas(mission, burns, SEED)
+        failed += exceeded(sigmas)
     return Verification(
         **figures,
         mean_margins=margins,
@@ -97,6 +101,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
         probabilities=probabilities,
         failed=failed,
         missed=missed,
+        final_sigmas=tuple(sigmas),
         ok=not failed,
     )
 

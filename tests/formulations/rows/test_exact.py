@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation, final_state_map
 from formulations.rows.cones import Cones
-from formulations.rows.exact import BEND, FLIGHT, ExactRows, FlightRows, NodeRows, curved_cones
+from formulations.rows.curved import BEND, curved_cones
+from formulations.rows.exact import FLIGHT, ExactRows, FlightRows, NodeRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
