@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -83,18 +83,16 @@ class Designer:
             Around(space, number, times[0], tuple(time - times[0] for time in times))
             for number, (space, times) in enumerate(spaces_of(given))
         ]
-        first, mapped = self._mapped(around)
-        valleys = starts(mapped, STARTS_MAX)
-        if not valleys:
-            return first.space, furthest(mapped)
-        others = [one for one in around if one.number > first.number]  # before it there is no pass
-        tries = [
-            (first, self._descent(first, "descent", one.at, one, FIRST_ROUNDS, FIRST_WORTH))
-            for one in valleys
-        ]
-        where, best = cheapest(tries)
+        begun = []
+        for first in around:
+            begun.append(self._begun(first))
+            if begun[-1][1].converged:
+                break
+        where, best = begun[-1]
         if not best.converged:
-            return where.space, furthest([one for _, one in tries])
+            where, best = min(begun, key=lambda one: violation(one[1]))
+            return where.space, best
+        others = around[len(begun) :]  # about those before there is no pass
         where, best = cheapest([(where, best), *self._elsewhere(others, best)])
         best = self._descent(where, "refinement", best.at, best, ROUNDS_MAX, WORTH)
         where, best = self._numbered(where, best, ROUNDS_MAX, WORTH)
@@ -103,14 +101,17 @@ class Designer:
             best = self._descent(where, "exact", best.at, best, EXACT_ROUNDS, EXACT_WORTH)
         return where.space, best
 
-    def _mapped(self, around: Sequence[Around]) -> tuple[Around, list[Found]]:
-        """The map about the first window that has a pass; if none, the one whose pass came furthest."""
-        maps = []
-        for one in around:
-            maps.append((one, scan(one.space, one.times_s, self._seen("map", one))))
-            if any(found.converged for found in maps[-1][1]):
-                return maps[-1]
-        return min(maps, key=lambda each: violation(furthest(each[1])))
+    def _begun(self, first: Around) -> tuple[Around, Found]:
+        """The best of descents from the valleys of a map about one window; if none, the furthest."""
+        mapped = scan(first.space, first.times_s, self._seen("map", first))
+        tries = [
+            self._descent(first, "descent", one.at, one, FIRST_ROUNDS, FIRST_WORTH)
+            for one in starts(mapped, STARTS_MAX)
+        ]
+        best = min(tries, key=lambda one: one.dv_m_s, default=None)
+        if best is not None and best.converged:
+            return first, best
+        return first, furthest(tries or mapped)
 
     def _elsewhere(self, others: Iterable[Around], best: Found) -> Iterable[tuple[Around, Found]]:
         """The best pass about the other windows, at their own legal times."""

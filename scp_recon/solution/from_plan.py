@@ -107,7 +107,8 @@ def constraint_results(mission: Mission, stage: Stage) -> list[ConstraintResult]
     kinds: dict[str, Literal["keep_in", "keep_out", "burn", "covariance"]] = {
         c.name: "keep_in" if c.keep == "in" else "keep_out" for c in mission.problem.constraints
     }
-    kinds |= dict.fromkeys(BURN_LIMITS, "burn") | dict.fromkeys(FINAL_SIGMAS, "covariance")
+    kinds |= dict.fromkeys(BURN_LIMITS, "burn")
+    kinds |= dict.fromkeys(FINAL_SIGMAS, "covariance")
     regions = {c.name for c in mission.problem.constraints}
     results = []
     for name, margins in stage.margins.items():

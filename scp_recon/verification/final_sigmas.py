@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import numpy.typing as npt
 
@@ -18,7 +20,10 @@ ERRORS = 5.0
 """Standard errors by which flights may exceed a limit; beside that the law is first order:"""
 LAW = 0.02
 """Of a sigma, by which nonlinear flights may differ from it."""
-PARTS = (("final_position_sigma", slice(0, 3), "m"), ("final_velocity_sigma", slice(3, 6), "m/s"))
+PARTS: tuple[tuple[str, slice, Literal["m", "m/s"]], ...] = (
+    ("final_position_sigma", slice(0, 3), "m"),
+    ("final_velocity_sigma", slice(3, 6), "m/s"),
+)
 
 
 def asked(mission: Mission) -> dict[str, float]:
