@@ -137,8 +137,8 @@ def _turned_ball(
 ) -> list[Halfspaces]:
     sight = region.supporting(point).normal
     normals = np.einsum("nij,mj->mni", rotations_between(facing, sight), polytope.normals)
-    radius = region.radius / shrink
-    return [Halfspaces(a, np.einsum("ni,ni->n", a, region.center) + radius) for a in normals]
+    offsets = np.einsum("mni,ni->mn", normals, region.center) + region.radius / shrink
+    return [Halfspaces(a, b) for a, b in zip(normals, offsets, strict=True)]
 
 
 def _pyramid(
@@ -155,7 +155,8 @@ def _most_probable(candidates: list[Halfspaces], point: Array, factor: Array) ->
     normal = np.stack([plane.normal for plane in candidates])  # (m, n, 3)
     offset = np.stack([plane.offset for plane in candidates])
     slack = offset - np.einsum("mni,ni->mn", normal, point)
-    deviation = np.linalg.norm(np.einsum("mni,nic->mnc", normal, factor), axis=2)
+    spread = normal.swapaxes(0, 1) @ factor  # (n, m, c)
+    deviation = np.sqrt(np.einsum("nmc,nmc->mn", spread, spread))
     # Without spread the quotient is a very large number of the slack's sign and order.
     best = np.argmax(slack / np.maximum(deviation, 1e-150), axis=0)
     nodes = np.arange(len(point))

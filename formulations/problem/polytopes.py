@@ -94,9 +94,11 @@ def rotations_between(start: Array, end: Array) -> Array:
     """
     start = np.broadcast_to(start, end.shape)
     apart = np.einsum("ni,ni->n", start, end) < 0.0
-    axis = unit(reject(np.cross(start, end), start), perpendicular(start))
-    half_turn = 2.0 * axis[:, :, None] * axis[:, None, :] - np.eye(3)
-    first = np.where(apart[:, None, None], half_turn, np.eye(3))
+    first = np.broadcast_to(np.eye(3), (len(end), 3, 3))
+    if apart.any():
+        axis = unit(reject(np.cross(start, end), start), perpendicular(start))
+        half_turn = 2.0 * axis[:, :, None] * axis[:, None, :] - np.eye(3)
+        first = np.where(apart[:, None, None], half_turn, first)
     start = np.where(apart[:, None], -start, start)
     v, c = np.cross(start, end), np.einsum("ni,ni->n", start, end)
     cross = np.zeros((len(end), 3, 3))

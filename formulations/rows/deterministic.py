@@ -84,10 +84,15 @@ class DeterministicRows:
 
 def _joined(blocks: list[Cones]) -> Cones:
     """Blocks of one dimension as one, which feels what the one that feels most does."""
-    p = max(block.values.shape[2] for block in blocks)
-    values = [np.pad(b.values, ((0, 0), (0, 0), (0, p - b.values.shape[2]))) for b in blocks]
+    rows = np.concatenate([block.rows for block in blocks])
+    _, d, p = np.max([block.values.shape for block in blocks], axis=0)
+    values, first = np.zeros((len(rows), d, p)), 0
+    for block in blocks:
+        last = first + len(block.rows)
+        values[first:last, :, : block.values.shape[2]] = block.values
+        first = last
     return Cones(
-        np.concatenate([block.rows for block in blocks]),
-        np.concatenate(values),
+        rows,
+        values,
         np.concatenate([block.constants for block in blocks]),
     )
