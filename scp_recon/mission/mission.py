@@ -15,6 +15,7 @@ from formulations.problem.facets import Polytopes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.errors import InputError
+from scp_recon.mission.checks.flight import in_flight
 from scp_recon.mission.checks.given import Given
 from scp_recon.mission.checks.spread import check_spread
 from scp_recon.mission.checks.table import check_given, check_window
@@ -102,7 +103,7 @@ class Mission:
 
         Args:
             scenario: what to resolve.
-            known: another mission, whose window is taken if both differ in the state in flight alone.
+            known: another mission: its window and all its warnings, if they differ in flight alone.
 
         Raises:
             InputError: if there is no window, a firing time breaks a rule of the schedule, or
@@ -118,14 +119,15 @@ class Mission:
         check_plausible(scenario)
         check_in_flight(scenario)
         rotation, site = rotation_of(scenario), site_of(scenario)
-        warnings = check_given(Given(scenario, rotation, site))
-        lighting = Lighting(site, rotation, partial(sun_direction, scenario))
-        step = scan_step_s(rotation.rate, (0.0, scenario.duration_s))
         if known is not None and known.scenario.same_but_in_flight(scenario):
-            window = known.schedule.window_s
+            window, warnings = known.schedule.window_s, known.warnings
         else:
-            window = find_window(scenario, lighting.incidence, lighting.local_solar_time, step)
-        warnings += check_window(scenario, window, lighting.incidence, lighting.local_solar_time)
+            warnings = check_given(Given(scenario, rotation, site))
+            light = Lighting(site, rotation, partial(sun_direction, scenario))
+            step = scan_step_s(rotation.rate, (0.0, scenario.duration_s))
+            window = find_window(scenario, light.incidence, light.local_solar_time, step)
+            warnings += check_window(scenario, window, light.incidence, light.local_solar_time)
+        warnings += tuple(in_flight(scenario))
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
         initial = first_state(scenario, rotation)
         execution_errors(scenario)

@@ -45,8 +45,9 @@ def check_plausible(scenario: Scenario) -> None:
         "boundary.initial_position_m": scenario.boundary.initial_position_m,
         "boundary.final_position_m": scenario.boundary.final_position_m,
     }
+    flown = "in_flight.position_m"
     if scenario.in_flight is not None:
-        positions["in_flight.position_m"] = scenario.in_flight.position_m
+        positions[flown] = scenario.in_flight.position_m
     for entry, position in positions.items():
         distance = math.hypot(*position)
         if distance <= radius:
@@ -56,6 +57,13 @@ def check_plausible(scenario: Scenario) -> None:
                 f"must be outside the body, whose reference radius is {radius:g} m",
             )
         if gm * RK4_STEP_MAX_S**2 > distance**3:
+            if entry == flown:  # of a body about which a flight was planned
+                raise InputError(
+                    entry,
+                    f"{distance:g} m from the centre",
+                    f"must be above {(gm * RK4_STEP_MAX_S**2) ** (1.0 / 3.0):g} m, where a flight "
+                    f"turns no faster than the planner's steps of {RK4_STEP_MAX_S:g} s follow",
+                )
             raise InputError(
                 "body.gm_m3_s2",
                 f"{gm:g}",

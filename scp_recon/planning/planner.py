@@ -26,7 +26,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning.final_limits import require_no_final_limit
 from scp_recon.planning.opening import RESOLUTION, opened
 from scp_recon.planning.plan import Plan, Provenance, Stage
-from scp_recon.planning.stages import Observer, StageRunner
+from scp_recon.planning.stages import CHOICES_MAX, Observer, StageRunner
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, Record, run
 
@@ -55,17 +55,27 @@ def plan(
     algorithm: str = "scvx",
     solver: str = "CLARABEL",
     aim: float | None = None,
+    p3_resolution: float = 0.0,
     facet_rounds: int = 0,
+    choices: int = CHOICES_MAX,
     init: str = "given",
     observe: Observer | None = None,
     once: bool = False,
 ) -> Plan:
     """Plan a mission once: `Planner.plan` with its arguments and those of `Planner`."""
-    planner = Planner(mission, formulation=formulation, algorithm=algorithm, solver=solver, aim=aim)
+    planner = Planner(
+        mission,
+        formulation=formulation,
+        algorithm=algorithm,
+        solver=solver,
+        aim=aim,
+        p3_resolution=p3_resolution,
+    )
     return planner.plan(
         guess,
         problem=problem,
         facet_rounds=facet_rounds,
+        choices=choices,
         init=init,
         observe=observe,
         once=once,
@@ -99,6 +109,7 @@ class Planner:
         algorithm: a key of `algorithms.ALGORITHMS`.
         solver: one of `formulations.program.solvers.installed()`.
         aim: probability that exact constraints are held to; what the scenario asks, if not given.
+        p3_resolution: relative reduction of the merit at which P3 stops, where P2 goes on from there.
 
     Raises:
         InputError: if the algorithm cannot weigh a miss of the final state where that is needed.
@@ -112,8 +123,10 @@ class Planner:
         algorithm: str = "scvx",
         solver: str = "CLARABEL",
         aim: float | None = None,
+        p3_resolution: float = 0.0,
     ) -> None:
         self.mission: Final = mission
+        self.p3_resolution: Final = p3_resolution
         self.aim: Final = mission.scenario.risk.p_chance if aim is None else aim
         self.formulation: Final = formulation
         self.solver: Final = solver
@@ -137,6 +150,7 @@ class Planner:
         *,
         problem: Literal["P3", "P2"] = "P2",
         facet_rounds: int = 0,
+        choices: int = CHOICES_MAX,
         init: str = "given",
         observe: Observer | None = None,
         once: bool = False,
@@ -151,12 +165,13 @@ class Planner:
             facet_rounds: how often to choose the facets again at the solution and solve again. A
                 round is kept only while it is better, so that facets cannot cycle: see `better`. Facets
                 that leave nothing feasible are chosen again without being asked.
+            choices: how often they are.
             init: what the guess is called in the solution file.
             observe: called after each iteration with the stage's name and the record.
             once: begin nowhere else.
         """
         stages = ScpStages(self, self.mission, self.algorithm)
-        runner = StageRunner(self.mission, stages, observe, facet_rounds)
+        runner = StageRunner(self.mission, stages, observe, facet_rounds, choices)
         plan = runner.run(lambda: runner.plan(guess, problem, once=once), self._provenance(init))
         return replace(plan, aim=self._aim)
 
@@ -206,7 +221,7 @@ class Planner:
     @cached_property
     def p3_rows(self) -> DeterministicRows:
         """P3's constraints."""
-        return DeterministicRows(self.mission.problem)
+        return DeterministicRows(self.mission.problem, self.p3_resolution)
 
     @cached_property
     def opening_rows(self) -> DeterministicRows:

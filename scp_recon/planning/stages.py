@@ -37,7 +37,7 @@ OPENING = ".open"
 """Ends the name of the stage that leads to a P3 whose guess is no flight."""
 
 CHOICES_MAX = 4
-"""Further choices of facets before P2 is called infeasible."""
+"""Further choices of facets before P2 is called infeasible, where there is another choice."""
 
 
 class RowsSolver(Protocol):
@@ -77,15 +77,17 @@ class StageRunner:
         solver: of the stages.
         observe: called after each iteration with the stage's name and the record.
         facet_rounds: see `Planner.plan`.
+        choices: further choices of facets before P2 is called infeasible.
     """
 
     mission: Mission
     solver: RowsSolver
     observe: Observer | None = None
     facet_rounds: int = 0
+    choices: int = CHOICES_MAX
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
-    _choices: dict[str, int] = field(default_factory=dict)
+    _chosen: dict[str, int] = field(default_factory=dict)
     _exact: Sequence[tuple[str, ExactRows]] | None = None
 
     def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
@@ -138,7 +140,7 @@ class StageRunner:
         that ends without a verdict takes none away.
         """
         name, tries = stage.name.partition(".")[0], [stage]
-        while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= CHOICES_MAX:
+        while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= self.choices:
             last = [s for s in self.stages if s.name.partition(".")[0] == name][-1]
             tries.append(self._with_facets(name, last.result.lin))
         verdicts = (Status.CONVERGED, stage.result.status)
@@ -189,9 +191,9 @@ class StageRunner:
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:
         """P2 with the facets chosen at the start; the name gets the number of the choice."""
-        mission, choices = self.mission, self._choices
-        choices[name] = choices.get(name, 0) + 1
-        name = name if choices[name] == 1 else f"{name}.{choices[name]}"
+        mission, chosen = self.mission, self._chosen
+        chosen[name] = chosen.get(name, 0) + 1
+        name = name if chosen[name] == 1 else f"{name}.{chosen[name]}"
         facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
         return self.restore(name, self.solver.chance_rows(facets, lin), lin)
 

@@ -5,12 +5,14 @@ Physics cannot tell the axes of the boundary states, a probability or an error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.given import Given
+from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 
 FAR_RADII, FAST_ESCAPES, SLOW_ESCAPES, BURN_ESCAPES = 100.0, 20.0, 0.01, 20.0
@@ -69,29 +71,40 @@ def site_distances(given: Given) -> Iterator[ScenarioWarning]:
 
 def boundary(given: Given) -> Iterator[ScenarioWarning]:
     """A flight about a body begins and ends near it, at speeds that its gravity knows."""
-    body, states = given.scenario.body, given.scenario.boundary
-    radius = body.reference_radius_m
-    flight = given.scenario.in_flight
-    for table, which in ((states, "initial_"), (states, "final_"), (flight, "")):
-        if table is None:
-            continue
-        name = "in_flight" if table is flight else "boundary"
-        distance = float(np.linalg.norm(getattr(table, f"{which}position_m")))
-        speed = float(np.linalg.norm(getattr(table, f"{which}velocity_m_s")))
-        if distance > FAR_RADII * radius:
-            yield ScenarioWarning.of(
-                f"{name}.{which}position_m",
-                f"{distance:g} m from the centre",
-                f"at most {FAR_RADII * radius:g} m, {FAR_RADII:g} radii, would be no surprise",
-            )
-        escape = float(np.sqrt(2.0 * body.gm_m3_s2 / distance))
-        if speed > FAST_ESCAPES * escape or 0.0 < speed < SLOW_ESCAPES * escape:
-            yield ScenarioWarning.of(
-                f"{name}.{which}velocity_m_s",
-                f"{speed:.3g} m/s",
-                f"{SLOW_ESCAPES * escape:.3g} to {FAST_ESCAPES * escape:.3g} m/s would be no surprise: "
-                f"escape speed there is {escape:.3g} m/s",
-            )
+    states = given.scenario.boundary
+    for which in ("initial_", "final_"):
+        position = getattr(states, f"{which}position_m")
+        velocity = getattr(states, f"{which}velocity_m_s")
+        yield from _near(given.scenario, f"boundary.{which}", position, velocity)
+
+
+def in_flight(scenario: Scenario) -> Iterator[ScenarioWarning]:
+    """And so it is where it is under way."""
+    flight = scenario.in_flight
+    if flight is not None:
+        yield from _near(scenario, "in_flight.", flight.position_m, flight.velocity_m_s)
+
+
+def _near(
+    scenario: Scenario, table: str, position_m: Sequence[float], velocity_m_s: Sequence[float]
+) -> Iterator[ScenarioWarning]:
+    body = scenario.body
+    far = FAR_RADII * body.reference_radius_m
+    distance, speed = math.hypot(*position_m), math.hypot(*velocity_m_s)
+    if distance > far:
+        yield ScenarioWarning.of(
+            f"{table}position_m",
+            f"{distance:g} m from the centre",
+            f"at most {far:g} m, {FAR_RADII:g} radii, would be no surprise",
+        )
+    escape = math.sqrt(2.0 * body.gm_m3_s2 / distance)
+    if speed > FAST_ESCAPES * escape or 0.0 < speed < SLOW_ESCAPES * escape:
+        yield ScenarioWarning.of(
+            f"{table}velocity_m_s",
+            f"{speed:.3g} m/s",
+            f"{SLOW_ESCAPES * escape:.3g} to {FAST_ESCAPES * escape:.3g} m/s would be no surprise: "
+            f"escape speed there is {escape:.3g} m/s",
+        )
 
 
 def burn_size(given: Given) -> Iterator[ScenarioWarning]:

@@ -6,6 +6,7 @@ import pytest
 
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.plausibility import check_plausible
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
 from tests.scp_recon.support import mission_of
@@ -39,3 +40,18 @@ def test_a_body_that_could_reach_the_sun_is_refused(scenario: Scenario) -> None:
     with pytest.raises(InputError, match="half its 1 km") as caught:
         Mission.from_scenario(scenario.model_copy(update={"sun": sun}))
     assert caught.value.entry == "sun.body_velocity_km_s"
+
+
+def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario: Scenario) -> None:
+    """About a body whose boundary states are far enough out; outside it all the same."""
+    flight = {
+        "at_s": 17_000.0,
+        "position_m": [295.0, 0.0, 0.0],
+        "velocity_m_s": [0.0, 0.1, 0.0],
+        "flown_m_s": [[0.0, 0.0, 0.0]] * 2,
+    }
+    heavy = scenario.replace({"body.gm_m3_s2": 600.0, "in_flight": flight})
+    expected = r"^in_flight.position_m: got 295 m from the centre; must be above \d+ m, where"
+    with pytest.raises(InputError, match=expected):
+        check_plausible(heavy)
+    check_plausible(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]}))
