@@ -6,7 +6,7 @@ Paths may be strings.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -142,6 +142,7 @@ def plan_again(
     frame: str = "j2000",
     covariance_frame: str | None = None,
     measured_burns: Mapping[int, npt.ArrayLike] | None = None,
+    overrides: Sequence[str] = (),
     certified: bool | None = None,
 ) -> Plan:
     """Plan what is left of a flight from a state in it.
@@ -151,13 +152,14 @@ def plan_again(
     nearly as they can: `check` says how much is missed.
 
     Args:
-        plan: that is flown; a solution, or its file, is verified first.
+        plan: that is flown; nodes and spread of a solution, or its file, are held against its burns.
         at_s: time of the state past the plan's epoch, s.
         state: after the burns flown, m and m/s, body-centred, shape (6,).
         covariance: of it, m and m/s, shape (6, 6); the scenario's initial one if not given.
         frame: axes of state and measured burns, "j2000" or "sun_north", at the epoch.
         covariance_frame: axes of the covariance, these or "rtn" of the state; `frame` if not given.
         measured_burns: burns flown as telemetry saw them, by their number in the flight from 1, m/s.
+        overrides: `section.entry=value` each, as of `load_scenario`, for what is left.
         certified: as in `plan`.
 
     Returns:
@@ -166,8 +168,9 @@ def plan_again(
     Raises:
         InputError: naming the argument, what was given and what is allowed.
     """
+    if isinstance(overrides, str) or not all(isinstance(text, str) for text in overrides):
+        raise InputError("overrides", shortened(overrides), "must be a list of section.entry=value")
     flown = FlownPlan.of(plan)
-    to_certify = is_to_certify(flown.mission, flown.problem, certified)
     delivery = Delivery.of(
         at_s,
         state,
@@ -176,7 +179,9 @@ def plan_again(
         covariance_frame=covariance_frame,
         measured=measured_burns,
     )
-    return replan(flown, mission_left(flown, delivery), certified=to_certify)
+    mission = mission_left(flown, delivery, overrides)
+    to_certify = is_to_certify(mission, flown.problem, certified)
+    return replan(flown, mission, certified=to_certify)
 
 
 def is_to_certify(mission: Mission, problem: str, certified: bool | None) -> bool:

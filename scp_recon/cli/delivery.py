@@ -18,8 +18,8 @@ Array = npt.NDArray[np.float64]
 
 BYTES_MAX = 100_000
 """Of a file of 36 numbers with whatever is said of them."""
-LISTS = ("--state", "--measured-burn")
-"""Options whose value is a list of numbers, which may be negative and stand apart."""
+LISTS = {"--state": 6, "--measured-burn": 3}
+"""Options whose value is so many numbers, which may be negative and stand apart."""
 
 
 def add_delivery(p: argparse.ArgumentParser) -> None:
@@ -63,16 +63,35 @@ def add_delivery(p: argparse.ArgumentParser) -> None:
 
 
 def joined(arguments: Sequence[str]) -> list[str]:
-    """Arguments in which each list of numbers is one: a leading minus makes no option of it."""
+    """Arguments in which each list of numbers is one: a leading minus makes no option of it.
+
+    A list takes numbers alone, and no more than it is to have: what follows is of another argument.
+    """
     found: list[str] = []
     for argument in arguments:
-        name = found[-1].partition("=")[0] if found else ""
-        if name in LISTS and not argument.startswith("--"):
-            more = " " if "=" in found[-1] else "="
-            found[-1] += more + argument
+        name, separator, value = found[-1].partition("=") if found else ("", "", "")
+        if name in LISTS and _goes_on(name, value if separator else None, argument):
+            found[-1] += f" {argument}" if separator else f"={argument}"
         else:
             found.append(argument)
     return found
+
+
+def _goes_on(name: str, value: str | None, argument: str) -> bool:
+    """Whether an argument belongs to a list's value so far, None before it has begun."""
+    more = _count(argument)
+    if value is None:
+        return more is not None or not argument.startswith("-")
+    so_far = _count(value.partition("=")[2] if name == "--measured-burn" else value)
+    return so_far is not None and more is not None and so_far + more <= LISTS[name]
+
+
+def _count(text: str) -> int | None:
+    """How many numbers a text is; None if it is anything else."""
+    try:
+        return len(_numbers(text))
+    except ValueError:
+        return None
 
 
 def delivery_from(options: argparse.Namespace, epoch: datetime) -> Delivery:
@@ -102,7 +121,7 @@ def delivery_from(options: argparse.Namespace, epoch: datetime) -> Delivery:
         frame=options.frame,
         covariance=covariance,
         covariance_frame=options.covariance_frame,
-        measured=dict(_burn(text) for text in options.measured_burn),
+        measured=_burns(options.measured_burn),
         names=OPTIONS,
     )
 
@@ -135,6 +154,17 @@ def _state(text: str) -> Array:
             "--state", f"{len(given)} numbers", "must be six, m and m/s, or their file"
         )
     return np.array(given)
+
+
+def _burns(texts: Sequence[str]) -> dict[int, Array]:
+    """Burns by their number, each once."""
+    found: dict[int, Array] = {}
+    for text in texts:
+        number, burn = _burn(text)
+        if number in found:
+            raise InputError("--measured-burn", f"burn {number} twice", "must be given once")
+        found[number] = burn
+    return found
 
 
 def _burn(text: str) -> tuple[int, Array]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
@@ -60,6 +62,15 @@ def numbers(entry: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     return array
 
 
+def _time(entry: str, given: object) -> float:
+    """A finite time, whatever type of number it is."""
+    if isinstance(given, Real) and not isinstance(given, bool):
+        with suppress(OverflowError):
+            if np.isfinite(time := float(given)):
+                return time
+    raise InputError(entry, shortened(given), "must be a time past the epoch, s")
+
+
 @dataclass(frozen=True, eq=False)
 class Delivery:
     """A state in flight, as it was delivered.
@@ -105,15 +116,13 @@ class Delivery:
         def name(entry: str) -> str:
             return called.get(entry, entry)
 
-        if isinstance(at_s, bool) or not isinstance(at_s, int | float) or not np.isfinite(at_s):
-            raise InputError(name("at_s"), shortened(at_s), "must be a time past the epoch, s")
         burns = {} if measured is None else measured
         if not isinstance(burns, Mapping):
             raise InputError(name("measured_burns"), shortened(burns), "must be burns by number")
         axes = frame if covariance_frame is None else covariance_frame
         matrix = None if covariance is None else numbers(name("covariance"), covariance, (6, 6))
         return cls(
-            at_s=float(at_s),
+            at_s=_time(name("at_s"), at_s),
             state=numbers(name("state"), state, (6,)),
             frame=one_of(name("frame"), frame, FRAMES),
             covariance=matrix,

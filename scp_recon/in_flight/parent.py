@@ -10,17 +10,24 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, shortened
-from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan
+from scp_recon.mission.mission import Mission, Units
+from scp_recon.planning.method import ScpMethod, scp_method
+from scp_recon.planning.plan import Plan, Provenance
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution, read_solution
-from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.file import Solution, plan_hash, read_solution
+from scp_recon.solution.from_plan import burns_of
 from scp_recon.solution.runs import resolve_run
-from scp_recon.verification.reintegration import verify
+from scp_recon.solution.times import strange_times
 
 Array = npt.NDArray[np.float64]
+
+
+PATH_ERROR_M, COVARIANCE_ERROR = 1e-2, 1e-6
+"""Of a file's nodes: in metres with speeds over one unit of time, and relative in scaled units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +40,12 @@ class FlownPlan:
         burns_m_s: its burns, shape (m, 3).
         times_s: its nodes, shape (n,).
         states: means there, after the burns, J2000, m and m/s, shape (n, 6).
-        covariances: there, shape (n, 6, 6).
+        factors: S with S S' the covariances there, shape (n, 6, c).
         problem: with uncertainty, or without it.
+        method: how it was made, as far as that can be done again.
         status: how it ended.
         plan_hash: see `Solution.plan_hash`.
-        failed: what its verification does not find right; None if it was not asked.
+        failed: what is not right by its file, or in it.
         warnings: that go with it.
     """
 
@@ -46,55 +54,86 @@ class FlownPlan:
     burns_m_s: Array
     times_s: Array
     states: Array
-    covariances: Array
+    factors: Array
     problem: Literal["P3", "P2"]
+    method: ScpMethod
     status: str
     plan_hash: str
-    failed: tuple[str, ...] | None
+    failed: tuple[str, ...]
     warnings: tuple[ScenarioWarning, ...]
 
     @classmethod
     def of(cls, given: Plan | Solution | str | Path, name: str | None = None) -> FlownPlan:
-        """From a plan; or from a solution, or its file or folder, which is verified anew.
+        """From a plan; or from a solution, or its file or folder.
+
+        What a new plan builds on, nodes and spread, is held against scenario and burns of a solution;
+        what else its file says of its verification is believed.
 
         Args:
             given: any of these.
             name: what the new plan's file calls it, if not by its path.
 
         Raises:
-            InputError: if it is none of these, or the file cannot be used.
+            InputError: if it is none of these, or cannot be used.
         """
         if isinstance(given, Plan):
-            solution = make_solution(given)
-            return cls._of(name or "a plan", given.mission, solution, None)
+            return cls._of_plan(given, name or "a plan")
         if not isinstance(given, Solution | str | Path):
             raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
         if isinstance(given, Solution):
-            solution, called = given, "a solution"
-        else:
-            home = resolve_run(Path(given))  # runs/latest will point to another
-            solution, called = read_solution(home), str(home)
-        mission = Mission.from_scenario(solution.scenario)
-        failed = tuple(verify(mission, solution).failed)
-        return cls._of(name or called, mission, solution, failed)
+            return cls._of_solution(given, name or "a solution")
+        home = resolve_run(Path(given))  # runs/latest will point to another
+        return cls._of_solution(read_solution(home), name or str(home))
 
     @classmethod
-    def _of(
-        cls, name: str, mission: Mission, solution: Solution, failed: tuple[str, ...] | None
-    ) -> FlownPlan:
+    def _of_plan(cls, plan: Plan, name: str) -> FlownPlan:
+        mission, made = plan.mission, plan.provenance
+        return cls(
+            name=name,
+            mission=mission,
+            burns_m_s=plan.burns_m_s,
+            times_s=plan.times_s,
+            states=plan.states,
+            factors=plan.final.result.lin.factor * mission.units.state[:, None],
+            problem=plan.final.problem,
+            method=_method(made),
+            status=plan.status.value.name,
+            plan_hash=plan_hash(mission.scenario, burns_of(plan)),
+            failed=(),
+            warnings=mission.warnings,
+        )
+
+    @classmethod
+    def _of_solution(cls, solution: Solution, name: str) -> FlownPlan:
+        mission = Mission.from_scenario(solution.scenario)
+        times = [burn.t_s for burn in solution.burns], solution.nodes.t_s
+        if strange := strange_times(mission, *times):
+            given = f"{strange[0]} that contradict its scenario"
+            raise InputError("plan", given, "must be of one plan")
+        units, states = mission.units, np.array(solution.nodes.state)
+        path = Iterate(solution.burns_m_s / units.speed_m_s, states / units.state)
+        lin = mission.dynamics.linearise(mission.problem, path)
+        failed = () if solution.verification is None else solution.verification.failed
         return cls(
             name=name,
             mission=mission,
             burns_m_s=solution.burns_m_s,
             times_s=np.array(solution.nodes.t_s),
-            states=np.array(solution.nodes.state),
-            covariances=np.array(solution.nodes.covariance),
+            states=states,
+            factors=lin.factor * units.state[:, None],
             problem=solution.problem,
+            method=_method(solution),
             status=solution.status,
             plan_hash=solution.plan_hash,
-            failed=failed,
+            failed=tuple(dict.fromkeys((*failed, *_contradictions(solution, lin, units)))),
             warnings=solution.warnings,
         )
+
+    def columns_of(self, burn: int) -> npt.NDArray[np.intp]:
+        """The factors' columns of one burn's errors, those first that all burns share."""
+        problem = self.mission.problem
+        every = np.arange(problem.factor_columns)
+        return np.r_[every[problem.shared_columns], every[problem.columns_of_burn(burn)]]
 
     def strange(self) -> Iterator[ScenarioWarning]:
         """What a new plan has to say of it."""
@@ -111,3 +150,32 @@ class FlownPlan:
                 f"{self.name}, which is {self.status}",
                 f"{converged} would be no surprise",
             )
+
+
+def _method(made: Provenance | Solution) -> ScpMethod:
+    """As it was made, or the default: of what SCP did not make, and for a solver that is not here.
+
+    Raises:
+        InputError: if a formulation or an algorithm is not known.
+    """
+    if made.method not in (None, "scp"):
+        return scp_method()
+    try:
+        return scp_method(made.formulation, made.algorithm, made.solver)
+    except InputError:
+        return scp_method(made.formulation, made.algorithm)
+
+
+def _contradictions(solution: Solution, lin: Linearisation, units: Units) -> Iterator[str]:
+    """What of the nodes does not follow from scenario and burns, by the names of the verification."""
+    first = lin.problem.initial_state.copy()
+    if not lin.problem.coasts:
+        first[3:] += lin.iterate.burns[0]
+    off = max(np.abs(lin.defects[:-1]).max(), np.abs(lin.iterate.mean[0] - first).max())
+    if not off * units.length_m <= PATH_ERROR_M:
+        yield "max_defect"
+    expected = lin.factor @ lin.factor.swapaxes(1, 2)
+    stored = np.array(solution.nodes.covariance) / np.outer(units.state, units.state)
+    size = np.abs(expected).max(axis=(1, 2), initial=np.finfo(float).tiny)
+    if not (np.abs(stored - expected).max(axis=(1, 2)) / size).max() <= COVARIANCE_ERROR:
+        yield "covariance_error"

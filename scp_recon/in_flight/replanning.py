@@ -20,14 +20,22 @@ from scp_recon.errors import InputError
 from scp_recon.in_flight.delivery import Delivery
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.prediction import predict
+from scp_recon.mission.in_flight import BURNS_TO_MEET
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.states import state_axes
 from scp_recon.physics.flow import propagate
 from scp_recon.planning import planner
+from scp_recon.planning.method import ALGORITHM, FORMULATION
 from scp_recon.planning.plan import Parent, Plan
-from scp_recon.planning.stages import Observer
+from scp_recon.planning.stages import CHOICES_MAX, Observer
 from scp_recon.scenario.load import override
 from scp_recon.scenario.schema import Scenario
+
+P3_RESOLUTION = 1e-3
+"""Relative reduction of the merit at which P3 stops where P2 follows: its end only places the facets.
+
+Newton's steps make of it some 1e-6 of what they begin with, and an iteration less.
+"""
 
 KEPT = ("epoch", "in_flight")
 """Tables that no override may change: they say what the delivered state is of."""
@@ -77,7 +85,14 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
             "burns.times_s", "other times of burns that are flown", f"must keep {kept}"
         )
     predicted = predict(flown, at, delivery.measured)
+    renamed = [
+        w.model_copy(update={"entry": _renamed(w.entry, delivery)})
+        for w in mission.warnings
+        if w not in flown.mission.warnings
+    ]
     found = (
+        *flown.mission.warnings,
+        *renamed,
         *flown.warnings,
         *flown.strange(),
         *delivery.strange_burns(before, flown.burns_m_s),
@@ -85,7 +100,7 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
             mission.initial_state, mission.initial_factor, predicted, mission.units.state
         ),
     )
-    return replace(mission, warnings=tuple(dict.fromkeys((*mission.warnings, *found))))
+    return replace(mission, warnings=tuple(dict.fromkeys(found)))
 
 
 def _changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
@@ -134,7 +149,11 @@ def replan(
     observe: Observer | None = None,
     watch: Watch | None = None,
 ) -> Plan:
-    """Plan what is left of a mission, near the plan that is flown.
+    """Plan what is left of a mission, near the plan that is flown and as that was made.
+
+    With two burns left, or one, the final state leaves no choice of burns. What is infeasible is that
+    wherever planning begins and whichever facets stand for the limits: it ends at once. A method that
+    cannot plan what is left, be it of exact risk or of a miss, gives way to the default.
 
     Args:
         flown: that plan.
@@ -147,19 +166,26 @@ def replan(
         InputError: if there are other burns left than the plan has.
     """
     parent = Parent(flown.name, flown.plan_hash, mission.scenario.start_s)
+    exact = mission.scenario.risk.allocation == "exact" and flown.problem == "P2"
+    settled = len(mission.scenario.burn_times_s) <= BURNS_TO_MEET
 
     def once(mission: Mission, start: Iterate, aim: float | None = None) -> Plan:
         return planner.plan(
             mission,
             start,
             problem=flown.problem,
+            formulation=FORMULATION if exact else flown.method.formulation,
+            algorithm=flown.method.algorithm if mission.must_meet else ALGORITHM,
+            solver=flown.method.solver,
             aim=aim,
+            p3_resolution=P3_RESOLUTION if flown.problem == "P2" else 0.0,
+            choices=0 if settled else CHOICES_MAX,
             init=f"the path of {flown.name}",
             observe=observe,
+            once=settled,
         )
 
     start = path_planned(flown, mission)
-    exact = mission.scenario.risk.allocation == "exact" and flown.problem == "P2"
     to_certify = exact and certified
     plan = certify(mission, start, once, watch) if to_certify else once(mission, start)
     warnings = tuple(dict.fromkeys((*plan.mission.warnings, *mission.warnings)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -228,12 +229,7 @@ class Solution(File):
     @property
     def plan_hash(self) -> str:
         """SHA-256 of scenario and burns, to the last bit, in hexadecimal; of nothing else."""
-        plan = {
-            "scenario": self.scenario.model_dump(mode="json", exclude_defaults=True),
-            "burns": [burn.model_dump(mode="json") for burn in self.burns],
-        }
-        canonical = json.dumps(plan, sort_keys=True, allow_nan=False)
-        return hashlib.sha256(canonical.encode()).hexdigest()
+        return plan_hash(self.scenario, self.burns)
 
     def write(self, folder: Path, name: str = FILE_NAME) -> Path:
         """Write it into a folder; an old file stays whole until the new one is.
@@ -252,6 +248,16 @@ class Solution(File):
         entries: dict[str, Any] = {"schema": SCHEMA, **self.model_dump(mode="json")}
         lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in entries.items()]
         return "{\n" + ",\n".join(lines) + "\n}\n"
+
+
+def plan_hash(scenario: Scenario, burns: Sequence[Burn]) -> str:
+    """See `Solution.plan_hash`."""
+    plan = {
+        "scenario": scenario.model_dump(mode="json", exclude_defaults=True),
+        "burns": [burn.model_dump(mode="json") for burn in burns],
+    }
+    canonical = json.dumps(plan, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def read_solution(path: Path) -> Solution:

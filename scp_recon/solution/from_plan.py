@@ -50,10 +50,7 @@ def make_solution(plan: Plan) -> Solution:
         algorithm=made.algorithm,
         solver=made.solver,
         total_dv_m_s=plan.total_dv_m_s,
-        burns=[
-            Burn(t_s=time, dv_m_s=tuple(burn.tolist()))
-            for time, burn in zip(mission.scenario.burn_times_s, plan.burns_m_s, strict=True)
-        ],
+        burns=burns_of(plan),
         nodes=Nodes(
             t_s=mission.times_s.tolist(),
             state=plan.states.tolist(),
@@ -78,6 +75,12 @@ def make_solution(plan: Plan) -> Solution:
         warnings=mission.warnings,
         scenario=mission.scenario,
     )
+
+
+def burns_of(plan: Plan) -> list[Burn]:
+    """Its burns as the file has them."""
+    timed = zip(plan.mission.scenario.burn_times_s, plan.burns_m_s, strict=True)
+    return [Burn(t_s=time, dv_m_s=tuple(burn.tolist())) for time, burn in timed]
 
 
 def iteration_record(mission: Mission, stage: str, record: Record) -> IterationRecord:

@@ -13,8 +13,14 @@ from scp_recon.in_flight.delivery import Delivery
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.prediction import predict
 from scp_recon.in_flight.replanning import mission_left
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import Planner
+from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.verdict import Verification
+from scp_recon.verification import reintegration
 from tests.helpers import Array
 
 AT = 17_000.0
@@ -25,6 +31,11 @@ METRES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
 @pytest.fixture(scope="module")
 def state(default_plan: Plan) -> Array:
     return predict(FlownPlan.of(default_plan), AT, {}).state
+
+
+@pytest.fixture(scope="module")
+def p3_plan(mission: Mission) -> Plan:
+    return Planner(mission).plan(initial_guess.cold(mission), problem="P3")
 
 
 def test_a_state_on_the_planned_path_raises_no_question(default_plan: Plan, state: Array) -> None:
@@ -42,6 +53,7 @@ def test_a_state_on_the_planned_path_raises_no_question(default_plan: Plan, stat
         (float("nan"), "must be a time"),
         ("17000", "must be a time"),
         (True, "must be a time"),
+        (10**400, "must be a time"),
     ],
 )
 def test_a_time_that_leaves_nothing_to_decide_is_refused(
@@ -49,6 +61,11 @@ def test_a_time_that_leaves_nothing_to_decide_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=f"^at_s: .*{words}"):
         sr.plan_again(default_plan, at_s, state)
+
+
+@pytest.mark.parametrize("at_s", [np.int64(17_000), np.float32(17_000.0), 17_000])
+def test_a_time_is_any_real_number(default_plan: Plan, state: Array, at_s: Any) -> None:
+    assert sr.plan_again(default_plan, at_s, state).times_s[0] == AT
 
 
 def changed(state: Array, kind: str) -> Any:
@@ -117,7 +134,7 @@ def test_a_covariance_that_is_none_is_refused(
 
 def test_a_covariance_in_square_kilometres_is_told(default_plan: Plan, state: Array) -> None:
     plan = sr.plan_again(default_plan, AT, state, 1e-6 * np.diag(SIGMA**2))
-    assert {warning.entry for warning in plan.mission.warnings} == {"in_flight.covariance"}
+    assert {warning.entry for warning in plan.mission.warnings} == {"covariance"}
 
 
 def test_a_covariance_has_axes_of_its_own(default_plan: Plan, state: Array) -> None:
@@ -157,6 +174,74 @@ def test_a_burn_measured_in_kilometres_per_second_is_told(default_plan: Plan, st
 def test_what_is_no_plan_is_refused(state: Array) -> None:
     with pytest.raises(InputError, match=r"^plan: got 7"):
         sr.plan_again(7, AT, state)  # type: ignore[arg-type]
+
+
+def test_what_is_left_may_be_asked_otherwise(default_plan: Plan, state: Array) -> None:
+    plan = sr.plan_again(default_plan, AT, state, overrides=["risk.p_chance=0.6"])
+    assert plan.mission.scenario.risk.p_chance == 0.6
+    for given in ("risk.p_chance=0.6", [("risk.p_chance", 0.6)]):
+        with pytest.raises(InputError, match=r"^overrides: .*must be a list of section"):
+            sr.plan_again(default_plan, AT, state, overrides=given)  # type: ignore[arg-type]
+
+
+def test_only_exact_risk_with_uncertainty_is_certified(
+    default_plan: Plan, p3_plan: Plan, state: Array
+) -> None:
+    with pytest.raises(InputError, match=r"^certified: got True; goes with"):
+        sr.plan_again(default_plan, AT, state, certified=True)
+    exact = ["risk.allocation=exact"]
+    with pytest.raises(InputError, match=r"^certified: got False; goes with .*P2 only"):
+        sr.plan_again(p3_plan, AT, state, overrides=exact, certified=False)
+    plan = sr.plan_again(default_plan, AT, state, overrides=exact, certified=False)
+    assert plan.certificate is None
+    assert plan.aim is not None
+
+
+def test_a_solution_is_not_verified_again_to_be_flown(
+    default_plan: Plan, state: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither its flights nor its reintegration are needed: two seconds and a half."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("flown")
+
+    monkeypatch.setattr(reintegration, "joint_probabilities", refuse)
+    monkeypatch.setattr(reintegration, "solve_ivp", refuse)
+    plan = sr.plan_again(make_solution(default_plan), AT, state)
+    assert not plan.mission.warnings
+    assert plan.burns_m_s == pytest.approx(sr.plan_again(default_plan, AT, state).burns_m_s)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "failed"),
+    [
+        ("uncertainty.execution_error", 0.05, "covariance_error"),
+        ("spacecraft.mass_kg", 150.0, "max_defect"),
+        ("boundary.initial_velocity_m_s", [0.0, 0.0, 0.05], "max_defect"),
+    ],
+)
+def test_nodes_that_do_not_follow_from_scenario_and_burns_are_told(
+    solution: Solution, state: Array, entry: str, value: Any, failed: str
+) -> None:
+    edited = solution.scenario.replace({entry: value})
+    flown = FlownPlan.of(solution.model_copy(update={"scenario": edited}))
+    assert failed in flown.failed
+    assert "parent" in [w.entry for w in mission_left(flown, Delivery(AT, state)).warnings]
+
+
+def test_what_a_file_says_of_its_verification_is_told(
+    solution: Solution, verification: Verification, state: Array
+) -> None:
+    bad = verification.model_copy(update={"ok": False, "failed": ["safety_radius"]})
+    found = FlownPlan.of(solution.model_copy(update={"verification": bad}))
+    (warning,) = mission_left(found, Delivery(AT, state)).warnings
+    assert "not verified: safety_radius" in str(warning)
+
+
+def test_a_solution_of_another_grid_is_refused(solution: Solution) -> None:
+    finer = solution.scenario.replace({"grid.step_max_s": 200.0})
+    with pytest.raises(InputError, match=r"^plan: got nodes.t_s that contradict"):
+        FlownPlan.of(solution.model_copy(update={"scenario": finer}))
 
 
 def test_a_plan_that_is_not_verified_is_told(default_plan: Plan, state: Array) -> None:

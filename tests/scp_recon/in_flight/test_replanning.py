@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from time import process_time
 
 import numpy as np
@@ -13,16 +14,18 @@ from scp_recon.errors import InputError
 from scp_recon.in_flight.delivery import Delivery
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.prediction import predict
-from scp_recon.in_flight.replanning import mission_left, replan
+from scp_recon.in_flight.replanning import mission_left, path_planned, replan
 from scp_recon.mission.in_flight import MISS_WEIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.states import state_axes
 from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
+from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify
 from tests.helpers import Array
@@ -63,7 +66,6 @@ def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
     [
         (0.0, 3, True),
         (5_000.0, 3, True),
-        (8_000.0, 2, True),
         (17_000.0, 2, False),
         (23_200.0, 2, False),
         (25_000.0, 1, False),
@@ -73,9 +75,7 @@ def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
 def test_from_every_leg_what_is_left_is_planned_and_verified(
     flown: FlownPlan, at_s: float, left: int, observed: bool
 ) -> None:
-    # in the window nothing can be helped any more, so that the flight had better be near its plan
-    share = 0.1 if at_s == 8_000.0 else 1.0
-    plan = again(flown, at_s, share * drawn(flown, at_s))
+    plan = again(flown, at_s, drawn(flown, at_s))
     mission = plan.mission
     assert plan.status is Status.CONVERGED
     assert mission.scenario.burn_times_s == (0.0, 8000.0, 25000.0, 34842.0)[-left:]
@@ -91,6 +91,22 @@ def test_from_every_leg_what_is_left_is_planned_and_verified(
     assert (found.missed is None) == (left > 1)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown: FlownPlan, seed: int) -> None:
+    """No burn is left before the window; what is infeasible says so at once, and by how much."""
+    plan = again(flown, 8_000.0, drawn(flown, 8_000.0, seed))
+    mission, solution = plan.mission, make_solution(plan)
+    assert np.abs(plan.states[-1] - mission.final_state)[:3].max() < 1e-3
+    assert {stage.name for stage in plan.stages} <= {"P3", "P2"}
+    if plan.status is Status.CONVERGED:
+        assert verify(mission, solution).ok
+    else:
+        assert plan.status is Status.INFEASIBLE
+        assert solution.violation.max > 1e-3
+        worst = min(plan.worst_margins.values())[0]
+        assert worst == pytest.approx(-solution.violation.max, rel=1e-6)
+
+
 def test_in_the_window_what_is_left_of_it_counts(flown: FlownPlan) -> None:
     plan = again(flown, 15_000.0, np.zeros(6), "risk.p_chance=0.6")
     first, last = plan.mission.schedule.window_s
@@ -100,7 +116,7 @@ def test_in_the_window_what_is_left_of_it_counts(flown: FlownPlan) -> None:
     assert (nodes[0], nodes[-1]) == (15_000.0, last)
 
 
-@pytest.mark.parametrize("at_s", [3_000.0, 17_000.0, 26_000.0])
+@pytest.mark.parametrize("at_s", [3_000.0, 9_000.0, 17_000.0, 26_000.0])
 def test_ipopt_finds_the_same_of_the_remaining_problem(flown: FlownPlan, at_s: float) -> None:
     """From scratch: a cold start, facets at IPOPT's own solution without spread."""
     plan = again(flown, at_s, drawn(flown, at_s), "risk.p_chance=0.9")
@@ -193,9 +209,71 @@ def test_a_replan_is_flown_and_replanned_in_its_turn(flown: FlownPlan, default_p
 
 
 def test_a_plan_without_uncertainty_is_replanned_without(mission: Mission) -> None:
+    """And to the end: where P2 follows P3 may stop before."""
     plan = Planner(mission).plan(initial_guess.cold(mission), problem="P3")
-    flown = FlownPlan.of(plan)
-    assert again(flown, 3_000.0, OFF).final.problem == "P3"
+    found = again(FlownPlan.of(plan), 3_000.0, OFF).final
+    assert found.problem == "P3"
+    assert found.tolerance == plan.final.tolerance
+    assert found.result.records[-1].predicted < 1e-6
+
+
+def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown: FlownPlan) -> None:
+    state = predict(flown, 5_000.0, {}).state + drawn(flown, 5_000.0, 3)
+    mission = mission_left(flown, Delivery(5_000.0, state))
+    whole = Planner(mission).plan(path_planned(flown, mission))
+    quick = replan(flown, mission)
+    p3, p3_whole = quick.stages[0].result, whole.stages[0].result
+    assert len(p3.records) < len(p3_whole.records)
+    assert quick.total_dv_m_s == pytest.approx(whole.total_dv_m_s, rel=1e-6)
+
+
+def test_a_replan_is_made_as_its_parent_was(flown: FlownPlan, mission: Mission) -> None:
+    planner = Planner(mission, formulation="lifted", algorithm="ptr")
+    parent = planner.plan(initial_guess.cold(mission), problem="P3")
+    for given in (parent, make_solution(parent)):
+        made = again(FlownPlan.of(given), 17_000.0, OFF).provenance
+        assert (made.formulation, made.algorithm) == ("lifted", "ptr")
+    star = replace(flown, method=ScpMethod("condensed", "scvx-star", "CLARABEL"))
+    assert again(star, 26_000.0, OFF).provenance.algorithm == "scvx"  # which can weigh a miss
+    lifted = replace(flown, method=ScpMethod("lifted", "scvx", "CLARABEL"))
+    exact = again(lifted, 17_000.0, OFF, "risk.allocation=exact")
+    assert exact.provenance.formulation == "condensed"  # of which exact risk has rows
+
+
+def test_a_method_that_is_not_here_gives_way_and_one_that_is_none_is_refused(
+    solution: Solution,
+) -> None:
+    elsewhere = solution.model_copy(update={"solver": "ELSEWHERE"})
+    assert FlownPlan.of(elsewhere).method.solver == "CLARABEL"
+    by_ipopt = solution.model_copy(update={"method": "ipopt", "formulation": "tuned"})
+    assert FlownPlan.of(by_ipopt).method == scp_method()
+    with pytest.raises(InputError, match=r"^formulation: got 'none'"):
+        FlownPlan.of(solution.model_copy(update={"formulation": "none"}))
+
+
+def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown: FlownPlan) -> None:
+    state = predict(flown, 17_000.0, {}).state
+    left = mission_left(flown, Delivery(17_000.0, state))
+    anew = Mission.from_scenario(left.scenario)
+    assert left.schedule == anew.schedule
+    assert left.warnings == anew.warnings
+    assert left.times_s == pytest.approx(anew.times_s, abs=1e-9)
+    far = Delivery(17_000.0, 200.0 * state)
+    scenario = left.scenario.replace({"in_flight.position_m": far.state[:3].tolist()})
+    known = Mission.from_scenario(scenario, known=flown.mission)
+    assert known.warnings == Mission.from_scenario(scenario).warnings
+    assert [w.entry for w in known.warnings] == ["in_flight.position_m"]
+
+
+def test_a_burn_too_near_is_moved_on_request(flown: FlownPlan) -> None:
+    state = predict(flown, 24_000.0, {}).state + OFF
+    with pytest.raises(InputError, match=r"^at_s: .*decision lead time"):
+        mission_left(flown, Delivery(24_000.0, state))
+    later = "burns.times_s=[0.0, 8000.0, 25800.0, 34842.0]"
+    plan = replan(flown, mission_left(flown, Delivery(24_000.0, state), [later]))
+    assert plan.status is Status.CONVERGED
+    assert plan.mission.scenario.burn_times_s == (25_800.0, 34_842.0)
+    assert verify(plan.mission, make_solution(plan)).ok
 
 
 def test_exact_risk_goes_on_in_flight(flown: FlownPlan) -> None:
@@ -290,15 +368,19 @@ def test_a_scenario_in_flight_can_be_written_by_hand() -> None:
     assert plan.times_s[0] == 17_000.0
 
 
-def test_a_replan_takes_at_most_a_quarter_of_a_cold_plan(flown: FlownPlan) -> None:
-    """With two burns left, programs kept; the quickest of five in turn."""
-    again(flown, 17_000.0, OFF)
+@pytest.mark.parametrize(("at_s", "most"), [(17_000.0, 0.25), (5_000.0, 0.35)])
+def test_a_replan_takes_a_fraction_of_a_cold_plan(
+    flown: FlownPlan, default_plan: Plan, at_s: float, most: float
+) -> None:
+    """Programs kept, medians in turn; docs/replan.md has the figures, here there is room for noise."""
+    states = [predict(flown, at_s, {}).state + drawn(flown, at_s, seed) for seed in range(6)]
+    sr.plan_again(default_plan, at_s, states[0])
     cold, near = [], []
-    for number in range(5):
+    for state in states:
         begin = process_time()
         sr.plan()
         middle = process_time()
-        again(flown, 17_000.0, 0.1 * number * OFF)
+        sr.plan_again(default_plan, at_s, state)
         cold.append(middle - begin)
         near.append(process_time() - middle)
-    assert min(near) < 0.25 * min(cold)
+    assert np.median(near) < most * np.median(cold)
