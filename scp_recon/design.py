@@ -26,9 +26,9 @@ from rich.console import Console
 
 from scp_recon.certification.certify import certify
 from scp_recon.cli.design_tables import as_csv, primer_says, progress, why_nothing
-from scp_recon.cli.keeping import run_folder
+from scp_recon.cli.keeping import point_latest, run_folder
 from scp_recon.cli.live import Progress
-from scp_recon.cli.options import add_certify, add_overrides
+from scp_recon.cli.options import add_certify, add_overrides, named_folder
 from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.mission import Mission
@@ -43,7 +43,6 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.write import scenario_text
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import FILE_NAME, read_solution
-from scp_recon.solution.runs import point_to
 from scp_recon.solve import plan_into
 
 Array = npt.NDArray[np.float64]
@@ -66,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     add_certify(p)
     p.add_argument(
         "--out",
-        type=Path,
+        type=named_folder,
         metavar="DIR",
         help=f"folder for solution.json, {SCENARIO}, {TABLE} and pictures (default: runs/NAME/UTC)",
     )
@@ -105,8 +104,7 @@ def _design(options: argparse.Namespace, console: Console) -> Answer:
             folder, mission, lambda seen: _plan(mission, burns, seen, certified=certified), console
         )
         _keep_primer(folder, console)
-    if options.out is None and answer.status != Status.INTERRUPTED.value.exit_code:
-        point_to(folder)
+    point_latest(options.out, folder, answer.status)
     return answer
 
 

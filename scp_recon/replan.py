@@ -15,15 +15,14 @@ from pathlib import Path
 from rich.console import Console
 
 from scp_recon.cli.delivery import add_delivery, delivery_from, joined
-from scp_recon.cli.keeping import run_folder
-from scp_recon.cli.options import add_certify, add_overrides
+from scp_recon.cli.keeping import point_latest, run_folder
+from scp_recon.cli.options import add_certify, add_overrides, named_folder
 from scp_recon.errors import InputError
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.replanning import mission_left, replan
 from scp_recon.monte_carlo.certifying import flights_needed
-from scp_recon.scp.status import Status
 from scp_recon.solution.file import read_solution
-from scp_recon.solution.runs import point_to, resolve_run
+from scp_recon.solution.runs import resolve_run
 from scp_recon.solve import plan_into
 
 
@@ -41,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
     add_certify(p)
     p.add_argument(
         "--out",
-        type=Path,
+        type=named_folder,
         metavar="DIR",
         help="folder for solution.json (default: runs/NAME/UTC with the scenario's name, to which "
         "runs/latest then points); a verified plan there gives way to a verified one only",
@@ -76,8 +75,7 @@ def _replan(options: argparse.Namespace, console: Console) -> Answer:
             ),
             console,
         )
-    if options.out is None and answer.status != Status.INTERRUPTED.value.exit_code:
-        point_to(folder)
+    point_latest(options.out, folder, answer.status)
     return answer
 
 

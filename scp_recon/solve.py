@@ -28,10 +28,17 @@ from formulations.registry import FORMULATIONS
 from scp_recon.cli import plan_tables
 from scp_recon.cli.documents import plan_document
 from scp_recon.cli.infeasible import show_what_would_do
-from scp_recon.cli.keeping import UNVERIFIED, run_folder, written
+from scp_recon.cli.keeping import UNVERIFIED, point_latest, run_folder, written
 from scp_recon.cli.live import Progress, live_progress
 from scp_recon.cli.method import check_risk, planning
-from scp_recon.cli.options import SEED, add_certify, add_overrides, int_between, number_between
+from scp_recon.cli.options import (
+    SEED,
+    add_certify,
+    add_overrides,
+    int_between,
+    named_folder,
+    number_between,
+)
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -51,7 +58,6 @@ from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import FILE_NAME, Solution, read_solution
 from scp_recon.solution.from_plan import make_solution
-from scp_recon.solution.runs import point_to
 from scp_recon.solution.start import is_solution, start_from
 from scp_recon.verification.reintegration import verify
 
@@ -112,7 +118,7 @@ def parser() -> argparse.ArgumentParser:
     add_certify(p)
     p.add_argument(
         "--out",
-        type=_folder,
+        type=named_folder,
         metavar="DIR",
         help="folder for solution.json (default: runs/NAME/UTC with the scenario's name, to which "
         "runs/latest then points); a verified plan there gives way to a verified one only",
@@ -165,12 +171,6 @@ def _add_method(p: argparse.ArgumentParser) -> None:
     )
 
 
-def _folder(text: str) -> Path:
-    if not text:
-        raise argparse.ArgumentTypeError("got ''; must be a folder")
-    return Path(text)
-
-
 def _start(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError("got ''; must be cold, warm or a file")
@@ -195,8 +195,7 @@ def _solve(options: argparse.Namespace, console: Console) -> Answer:
         answer = plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
         if options.report and answer.status != Status.INTERRUPTED.value.exit_code:
             _report(folder, console)
-    if options.out is None and answer.status != Status.INTERRUPTED.value.exit_code:
-        point_to(folder)
+    point_latest(options.out, folder, answer.status)
     return answer
 
 

@@ -12,8 +12,9 @@ from pathlib import Path
 from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
 from scp_recon.monte_carlo import summary
+from scp_recon.scp.status import Status
 from scp_recon.solution.file import FILE_NAME, Solution, read_solution
-from scp_recon.solution.runs import is_pointer, new_run, only_run_in
+from scp_recon.solution.runs import is_pointer, new_run, only_run_in, point_to
 from scp_recon.spacecraft import record
 
 UNVERIFIED = "solution_unverified.json"
@@ -52,6 +53,21 @@ def run_folder(out: Path | None, name: str) -> Iterator[Path]:
         if out is None:
             with suppress(OSError):  # it is not empty
                 folder.rmdir()
+
+
+def point_latest(out: Path | None, folder: Path, status: int) -> None:
+    """Let `runs/latest` point to a finished run.
+
+    Args:
+        out: as the user gave it; a run in a folder of one's own is not pointed to.
+        folder: of the run.
+        status: its exit status; an interrupted run is not finished.
+
+    Raises:
+        InputError: if the pointer cannot be written.
+    """
+    if out is None and status != Status.INTERRUPTED.value.exit_code:
+        point_to(folder)
 
 
 def keep_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from datetime import datetime
+from pathlib import Path
 
 from scp_recon.errors import InputError
 from scp_recon.physics.time_scales import tdb_of_utc
@@ -68,6 +69,13 @@ def date_tdb(text: str) -> datetime:
             f"got {text!r}; must be a date and time such as 2020-01-21T20:33:17, TDB, without a zone"
         )
     return found
+
+
+def named_folder(text: str) -> Path:
+    """A type of option: a folder, which has a name."""
+    if not text:
+        raise argparse.ArgumentTypeError("got ''; must be a folder")
+    return Path(text)
 
 
 def add_overrides(p: argparse.ArgumentParser, example: str = ", e.g. risk.p_chance=0.8") -> None:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import ndtr, ndtri
 
-from scp_recon import compare, montecarlo, replan, simulate, verify
+from scp_recon import compare, design, montecarlo, replan, simulate, solve, verify
 from scp_recon.cli import infeasible
 from scp_recon.cli.delivery import joined
 from scp_recon.in_flight.parent import FlownPlan
@@ -106,7 +108,7 @@ def test_the_verdict_says_what_one_burn_misses(
 
 
 def test_a_covariance_comes_from_a_file_in_axes_of_its_own(
-    plan_folder: Path, state_at: StateAt, tmp_path: Path
+    plan_folder: Path, state_at: StateAt, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = np.diag([100.0, 400.0, 25.0, 1e-8, 1e-8, 1e-8])
     path, out = tmp_path / "covariance.csv", tmp_path / "again"
@@ -114,8 +116,12 @@ def test_a_covariance_comes_from_a_file_in_axes_of_its_own(
     words = [str(plan_folder), "--at", "17000", "--state", " ".join(state_at(17_000.0))]
     more = ["--covariance", str(path), "--covariance-frame", "rtn", "--out", str(out)]
     assert replan.main([*words, *more]) == 0
+    assert "--covariance: got" not in capsys.readouterr().out
     trace = np.trace(np.array(read_solution(out).nodes.covariance[0])[:3, :3])
     assert trace == pytest.approx(525.0)
+    path.write_text("\n".join(",".join(map(repr, row)) for row in (1e-6 * rows).tolist()))
+    assert replan.main([*words, *more]) == 0
+    assert "warning: --covariance: got a 1-sigma error" in capsys.readouterr().out
 
 
 def test_what_is_infeasible_is_told_as_of_a_first_plan(
@@ -125,14 +131,24 @@ def test_what_is_infeasible_is_told_as_of_a_first_plan(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(infeasible, "CLOSE", 2.0)
+    """And the largest probability that is named has a plan indeed, and one above it has none."""
+    monkeypatch.setattr(infeasible, "CLOSE", 0.2)
     out = tmp_path / "again"
     words = [str(plan_folder), "--at", "9000", "--state", *state_at(9_000.0), "--out", str(out)]
-    assert replan.main([*words, "--set", "risk.p_chance=0.95"]) == 3
-    assert "what binds: " in capsys.readouterr().out
+    assert replan.main([*words, "--set", "risk.p_chance=0.999"]) == 3
+    said = capsys.readouterr().out
+    assert "what binds: " in said
     found = read_solution(out)
     assert found.status == "infeasible"
     assert found.violation.max > 0.0
+    named = re.search(r"--set risk\.p_chance=([0-9.]+) --certify no", said)
+    assert named is not None
+    largest = float(named[1])
+    assert 0.55 <= largest < 0.999
+    exact = ["--set", "risk.allocation=exact", "--certify", "no", "--set"]
+    assert replan.main([*words, *exact, f"risk.p_chance={largest:g}"]) == 0
+    above = float(ndtr(ndtri(largest) + 0.25))
+    assert replan.main([*words, *exact, f"risk.p_chance={above:.6f}"]) == 3
 
 
 def test_an_edited_or_unverified_plan_is_told_in_every_verdict(
@@ -170,6 +186,7 @@ BAD: dict[str, tuple[list[str], str]] = {
     "five": (["--state", "1", "2", "3", "4", "5"], "--state: got 5 numbers; must be six"),
     "no file": (["--state", "nowhere.txt"], "--state nowhere.txt: got no such file"),
     "burn": (["--measured-burn", "3=0,0,0.1"], "--measured-burn: got burn 3; must be one of"),
+    "twice": (["--measured-burn", "2=0,0,0.1", "--measured-burn=2=0,0,0.2"], "got burn 2 twice"),
     "burns": (["--measured-burn", "0.1,0.2,0.3"], "--measured-burn: got '0.1,0.2,0.3'"),
     "matrix": (["--covariance", "small.txt"], "--covariance small.txt: got 2 rows of 2 numbers"),
     "indefinite": (["--covariance", "bad.txt"], "--covariance: got "),
@@ -191,8 +208,7 @@ def test_bad_input_is_one_message(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("scp_recon.in_flight.parent.verify", lambda *_: verification)
-    solution.write(tmp_path)
+    solution.model_copy(update={"verification": verification}).write(tmp_path)
     (tmp_path / "small.txt").write_text("1 0\n0 1\n")
     rows = np.diag([1.0, 1.0, 1.0, -1.0, 1.0, 1.0]).tolist()
     (tmp_path / "bad.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))
@@ -209,3 +225,49 @@ def test_bad_input_is_one_message(
 def test_negative_numbers_are_no_options() -> None:
     words = ["plan", "--at", "1", "--state", "-1e-3", "2", "-3", "--out", "x"]
     assert joined(words) == ["plan", "--at", "1", "--state=-1e-3 2 -3", "--out", "x"]
+
+
+STATE = ["--state", "1", "-2", "3", "-4e-1", "5", "-6"]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ([*STATE, "plan"], ["--state=1 -2 3 -4e-1 5 -6", "plan"]),
+        ([*STATE, "7"], ["--state=1 -2 3 -4e-1 5 -6", "7"]),
+        ([*STATE[:3], "-h"], ["--state=1 -2", "-h"]),
+        (["--state", "-h"], ["--state", "-h"]),
+        (["--state", "file.txt", "plan"], ["--state=file.txt", "plan"]),
+        (["--state=file.txt", "7"], ["--state=file.txt", "7"]),
+        (["--state", "1,2,3", "4,5,6", "plan"], ["--state=1,2,3 4,5,6", "plan"]),
+        (["--measured-burn", "2=-1", "-2", "-3", "7"], ["--measured-burn=2=-1 -2 -3", "7"]),
+        (["--measured-burn", "2=1,2,3", "plan"], ["--measured-burn=2=1,2,3", "plan"]),
+    ],
+)
+def test_a_list_takes_its_numbers_and_nothing_else(words: list[str], expected: list[str]) -> None:
+    assert joined(words) == expected
+
+
+def test_the_folder_may_follow_the_state(
+    plan_folder: Path, state_at: StateAt, tmp_path: Path
+) -> None:
+    out = ["--out", str(tmp_path / "again")]
+    assert (
+        replan.main([*out, "--at", "17000", "--state", *state_at(17_000.0), str(plan_folder)]) == 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("main", "words"),
+    [
+        (solve.main, []),
+        (design.main, ["recon_b"]),
+        (replan.main, ["runs/latest", "--at", "1", "--state", "x"]),
+    ],
+)
+def test_a_folder_has_a_name(
+    main: Callable[[list[str]], int], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main([*words, "--out", ""])
+    assert "--out: got ''; must be a folder" in capsys.readouterr().err
