@@ -51,7 +51,7 @@ def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario: Scenario) -> N
         "flown_m_s": [[0.0, 0.0, 0.0]] * 2,
     }
     heavy = scenario.replace({"body.gm_m3_s2": 600.0, "in_flight": flight})
-    expected = r"^in_flight.position_m: got 295 m from the centre; must be above \d+ m, where"
+    expected = r"^in_flight.position_m: got 295 m from the centre; must be above [0-9.]+ m, where"
     with pytest.raises(InputError, match=expected):
         check_plausible(heavy)
     check_plausible(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]}))
