@@ -1,8 +1,8 @@
 """Which flights keep all limits on the position, at the nodes and between them.
 
 Limits of the observation count in the window, that of safety everywhere. Between looks a flight is
-known to the second where it comes near a limit: farther off, none bends enough in half a minute to
-reach one.
+known to the second where it may reach a limit there: how far a margin can dip below the line between
+two looks follows from how it bends about them.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ SAFETY = "safety_radius"
 LOOK_S = 30.0
 PARTS = 30
 """Of the time between looks: a second each."""
-NEAR = {SAFETY: 0.5, "site_distance": 0.5}
-NEAR_RAD = 1e-3
-"""Margin, m and rad, below which a flight is looked at between looks. In half a minute it bends by a
-few millimetres."""
+BENDS = 4.0
+"""Times the dip h^2 |m''| / 8 of a parabola that a margin may dip between two looks h apart. With two,
+a margin that falls and rises at one speed would be missed where it turns between them."""
+FALL = 0.5
+"""Share of the largest fall of a probability between nodes from which on a second counts as touched."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,9 @@ class KeptFlights:
         throughout: of each joint constraint the least at any second.
         whole_at_nodes: flights that keep everything at all nodes.
         whole: flights that keep everything at all times.
-        touched_s: times between nodes at which flights break something that keep everything at nodes.
+        touched_s: times between nodes at which more is lost than at nodes. With the scope `flight` when
+            flights break something that keep everything at nodes. With `node` the seconds at which a
+            constraint is less likely than any is at a node, by more than half of the largest fall.
     """
 
     samples: int
@@ -70,14 +73,38 @@ def kept_flights(mission: Mission, burns_m_s: Array, samples: int, seed: int) ->
     looked = {name: _times(mission, looks, name) for name in names}
     at_looks = {name: np.sum([b.at_looks[name] for b in blocks], axis=0) for name in names}
     between = {name: np.sum([b.between[name] for b in blocks], axis=0) for name in names}
+    at_nodes = {name: at_looks[name][np.isin(looked[name], nodes)] for name in names}
+    touched = np.concatenate([b.touched_s for b in blocks])
+    if mission.scenario.risk.scope == "node":
+        least = min(int(counts.min()) for counts in at_nodes.values())
+        touched = _less_likely(
+            np.concatenate([_seconds(looked[name]) for name in names]),
+            least - np.concatenate([_every(at_looks[name], between[name]) for name in names]),
+        )
     return KeptFlights(
         samples,
-        {name: at_looks[name][np.isin(looked[name], nodes)] for name in names},
-        {name: int(min(at_looks[name].min(), between[name].min())) for name in names},
+        at_nodes,
+        {name: int(_every(at_looks[name], between[name]).min()) for name in names},
         sum(b.whole_at_nodes for b in blocks),
         sum(b.whole for b in blocks),
-        np.concatenate([b.touched_s for b in blocks]),
+        touched,
     )
+
+
+def _seconds(looks: Array) -> Array:
+    """Looks and the times between them, in the order of `_every`."""
+    share = np.arange(1, PARTS) / PARTS
+    return np.concatenate([looks, (looks[:-1, None] + np.diff(looks)[:, None] * share).ravel()])
+
+
+def _every(at_looks: Counts, between: Counts) -> Counts:
+    """Flights that hold at the looks and between them."""
+    return np.concatenate([at_looks, between.ravel()])
+
+
+def _less_likely(times: Array, fall: Counts) -> Array:
+    """Times at which so many flights fewer hold than at the worst node, where these are most."""
+    return times[fall > max(0.0, FALL * fall.max())]
 
 
 @dataclass(frozen=True)
@@ -108,7 +135,9 @@ def _margins(mission: Mission, times: Array, position: Array, names: list[str]) 
 def _block(
     mission: Mission, burns: Array, looks: Array, number: int, flights: int, seed: int
 ) -> _Block:
-    states = fly_block(mission, burns, looks, number, flights=flights, seed=seed).states
+    flown = fly_block(mission, burns, looks, number, flights=flights, seed=seed)
+    states = flown.states
+    at_end = states[1:, :, 3:] - _kicks(mission, looks[1:], flown.burns_m_s)
     window = np.isin(looks, _times(mission, looks, ""))
     margins = _margins(mission, looks, states[..., :3], [SAFETY])
     if window.any():
@@ -120,8 +149,9 @@ def _block(
         holds = margin >= 0.0
         at_looks[name] = holds.sum(axis=1)
         kept_at_nodes &= holds[np.isin(times, mission.times_s)].all(axis=0)
-        at = states if name == SAFETY else states[window]
-        counts, broken, time, flight = _between(mission, name, times, at, margin)
+        which = np.flatnonzero(np.isin(looks, times))
+        arcs = _Arcs(times, states[which], at_end[which[1:] - 1])
+        counts, broken, time, flight = _between(mission, name, arcs, margin)
         between[name] = counts
         kept &= holds.all(axis=0) & ~broken
         touches.append(
@@ -135,21 +165,64 @@ def _block(
     return _Block(at_looks, between, int(kept_at_nodes.sum()), int(kept.sum()), touched)
 
 
+@dataclass(frozen=True)
+class _Arcs:
+    """Flights between consecutive looks.
+
+    Attributes:
+        times: of the looks, shape (n,).
+        states: after the burns, shape (n, flights, 6).
+        end_velocity: before the burns, where each arc ends, shape (n - 1, flights, 3).
+    """
+
+    times: Array
+    states: Array
+    end_velocity: Array
+
+
+def _kicks(mission: Mission, looks: Array, executed: Array) -> Array:
+    """What a burn at a look adds to the velocity, nothing elsewhere: shape (looks, flights, 3)."""
+    kicks = np.zeros((len(looks), len(executed), 3))
+    for number, time in enumerate(mission.scenario.burn_times_s):
+        kicks[looks == time] = executed[:, number]
+    return kicks
+
+
+def may_dip(times: Array, margin: Array) -> Array:
+    """By how much margins may dip below, or rise above, the line between two looks, (n - 1, ...).
+
+    From second differences about both looks: see `BENDS`.
+
+    Args:
+        times: of the looks, shape (n,).
+        margin: at them, shape (n, ...).
+    """
+    if len(times) < 3:
+        return np.full((len(times) - 1, *margin.shape[1:]), np.inf)
+    step = np.diff(times).reshape(-1, *[1] * (margin.ndim - 1))
+    slope = np.diff(margin, axis=0) / step
+    bend = np.abs(np.diff(slope, axis=0)) / (0.5 * (step[1:] + step[:-1]))
+    padded = np.concatenate([bend[:1], bend, bend[-1:]])
+    return np.asarray(BENDS * step**2 / 8.0 * np.maximum(padded[1:], padded[:-1]))
+
+
 def _between(
-    mission: Mission, name: str, times: Array, states: Array, margin: Array
+    mission: Mission, name: str, arcs: _Arcs, margin: Array
 ) -> tuple[Counts, npt.NDArray[np.bool_], Array, npt.NDArray[np.intp]]:
     """What holds at the seconds between looks.
 
     Returns:
         Flights that hold at each second, those that break it at any; and when which flight does.
     """
+    times = arcs.times
     low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
-    near = NEAR.get(name, NEAR_RAD)
+    near = may_dip(times, margin)
     unclear = (low < near) & (high > -near)
     counts = np.repeat(((low >= 0.0) & ~unclear).sum(axis=1)[:, None], PARTS - 1, axis=1)
     k, flight = np.nonzero(unclear)
     step = (times[k + 1] - times[k])[:, None]
-    ends = [(s[:, :3], s[:, 3:]) for s in (states[k, flight], states[k + 1, flight])]
+    start, end = arcs.states[k, flight], arcs.states[k + 1, flight]
+    ends = (start[:, :3], start[:, 3:]), (end[:, :3], arcs.end_velocity[k, flight])
     broken = np.zeros(margin.shape[1], dtype=bool)
     when, who = [np.zeros(0)], [np.zeros(0, dtype=np.intp)]
     for part in range(1, PARTS):
