@@ -26,6 +26,11 @@ from formulations.rows.node_probability import Event
 SURE = 1e-12
 """Probability that counts as none, so that its quantile stays finite."""
 
+PROBABILITY_MAX = 1.0 - 1e-5
+"""Beyond it the estimate is not to be used. From 4,096 directions in 15 dimensions one limit's 1 - P is
+good to a tenth at 1e-3, a third at 1e-4, a half (0.1 standard deviations) at 1e-5, a factor of four at
+1e-6; and limits more than `reach` away are left out."""
+
 GRAZING = 1e-6
 """Cosine between line and surface below which an end counts as moving no faster."""
 
@@ -114,7 +119,7 @@ class FlightProbability:
         events: on positions.
         directions: unit vectors u, shape (lines, d).
         reach: standard deviations within which limits are looked for: one farther off than 6 ends fewer
-            than 1e-7 of flights.
+            than 1e-9 of flights.
     """
 
     events: tuple[Event, ...]

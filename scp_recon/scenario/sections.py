@@ -150,16 +150,16 @@ class Risk(Section):
     """What probability is asked of what, and how it is spent.
 
     With the scope `node` every joint constraint at every node has to hold with `p_chance`; with
-    `flight` all of them together, throughout the flight. `uniform` splits a risk evenly over polytopes'
-    facets by Boole's inequality; `exact` spends the probability of the sets themselves.
+    `flight` all of them together, at all nodes of a flight. `uniform` splits a risk evenly over
+    polytopes' facets by Boole's inequality; `exact` spends the probability of the sets themselves.
     """
 
     p_chance: Annotated[float, Field(gt=0.5, le=1 - 1e-9)]
-    """Least probability of what `scope` names."""
+    """Least probability of what `scope` names; of whole flights at most 1 - 1e-5."""
     allocation: Literal["uniform", "exact"] = "uniform"
     """How risk is spent: evenly over facets (Boole), or as the probabilities of the sets themselves."""
     scope: Literal["node", "flight"] = "node"
-    """What has to hold: each joint constraint at each node, or all of them in a whole flight."""
+    """What has to hold: each joint constraint at each node, or all of them at all nodes of a flight."""
 
     @model_validator(mode="after")
     def _flights_are_exact(self) -> Self:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import body, figure, flight, spread, sun
+from scp_recon.mission.checks import body, figure, flight, risk, spread, sun
 from scp_recon.mission.checks.given import Given
 from scp_recon.mission.windows import SCAN_STEP_S
 from scp_recon.scenario.schema import Scenario
@@ -43,6 +43,7 @@ CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
     flight.spacecraft,
     flight.durations,
     spread.burn_errors,
+    risk.of_flights,
 )
 """What a mission is held to, in this order."""
 WINDOW_SLACK = 0.05

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from formulations.problem.regions import Ball, Cone
-from formulations.rows.flight_probability import FlightProbability, sphere_directions
+from formulations.rows.flight_probability import (
+    PROBABILITY_MAX,
+    FlightProbability,
+    sphere_directions,
+)
 from formulations.rows.node_probability import Event, node_quantiles
 from tests.helpers import Array, random_unit, share_of_examples
 
@@ -117,6 +121,24 @@ def test_plain_monte_carlo_agrees(seed: int, outside: float | None) -> None:
     share, found = sampled(flight), probability(flight)
     deviation = np.sqrt(max(share * (1.0 - share), 1e-4) / 100_000)
     assert found == pytest.approx(share, abs=4.0 * deviation + 1e-3)
+
+
+@pytest.mark.parametrize("deviations", [3.1, 3.7, float(ndtri(PROBABILITY_MAX))])
+@pytest.mark.parametrize("dimension", [9, 15])
+def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(
+    deviations: float, dimension: int
+) -> None:
+    """Of one limit at one node, for which the nodes' quadrature is exact."""
+    law = sphere_directions(LINES, dimension)
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        mean = ((1.0 - deviations * 0.03) * random_unit(rng))[None]
+        factor = 0.03 * np.linalg.qr(rng.normal(size=(dimension, 3)))[0].T[None]
+        event = Event("ball", np.array([0]), (Ball(np.zeros((1, 3)), 1.0),), ())
+        found = FlightProbability((event,), law)(mean, factor).value
+        (exact,) = node_quantiles(event, mean, factor).value
+        assert ndtr(-found) == pytest.approx(ndtr(-exact), rel=0.5)
+        assert found == pytest.approx(exact, abs=0.15)
 
 
 def test_limits_out_of_reach_do_not_matter() -> None:

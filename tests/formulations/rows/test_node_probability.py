@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr
+from scipy.stats import ncx2
 
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball, Cone, Region
@@ -424,3 +425,17 @@ def test_joint_events_are_made_of_their_sides() -> None:
     assert (second.name, second.keep_in, second.keep_out) == ("alone", (), (cone,))
     np.testing.assert_array_equal(first.nodes, nodes)
     assert first.limits == (ball, hole)
+
+
+@pytest.mark.parametrize("left", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("spread", [0.01, 0.1])
+def test_what_is_left_of_a_probability_near_one_keeps_its_digits(
+    left: float, spread: float
+) -> None:
+    """Down to the least that a scenario may leave, 1e-9: by the noncentral chi-square law."""
+    mean = np.array([[1.0, 0.0, 0.0]])
+    factor = spread * np.eye(3)[None]
+    square = float(ncx2.isf(left, 3, 1.0 / spread**2))
+    event = Event("ball", np.array([0]), (Ball(np.zeros((1, 3)), spread * np.sqrt(square)),), ())
+    (g,) = node_quantiles(event, mean, factor).value
+    assert ndtr(-g) == pytest.approx(left, rel=1e-5)
