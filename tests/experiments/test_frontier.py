@@ -1,0 +1,79 @@
+"""The frontier's rows: what certifying costs, over all of its rounds."""
+
+from __future__ import annotations
+
+import math
+from time import process_time
+
+import pytest
+
+from experiments import frontier
+from experiments.frontier import AIMED, KINDS, PROBABILITIES, certifying_costs, study, to_markdown
+from experiments.kept import Kept
+from experiments.studies import Cell
+from scp_recon.certification import certify as certification
+from scp_recon.planning.plan import Plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
+from tests.scenarios import COARSE
+
+Row = dict[str, Cell]
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+    """Of one probability, per node, on the coarse grid and by a tenth of the flights."""
+    kinds = {kind: of for kind, of in KINDS.items() if "node" in kind}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(certification, "FLIGHTS_MIN", 1_000)
+        patch.setattr(certification, "FAILURES", 50)
+        patch.setattr(frontier, "KINDS", kinds)
+        patch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
+        kept = Kept(tmp_path_factory.mktemp("rows") / "partial.jsonl", frontier.__file__, {})
+        return list(study([0.9], 200, kept))
+
+
+def test_the_study_spans_what_is_asked_of_it() -> None:
+    assert (min(PROBABILITIES), max(PROBABILITIES)) == (0.55, 0.999)
+    assert len(KINDS) == 6
+    assert {kind for kind, (_, certified) in KINDS.items() if certified} == set(AIMED)
+    for certified, aimed in AIMED.items():
+        assert KINDS[certified][0] == KINDS[aimed][0]
+
+
+def test_certifying_costs_more_than_aiming_at_the_probability(rows: list[Row]) -> None:
+    aimed, certified = rows
+    assert math.isnan(float(aimed["certifying_dv_m_s"]))
+    more = float(certified["certifying_dv_m_s"])
+    assert more == float(certified["total_dv_m_s"]) - float(aimed["total_dv_m_s"])
+    assert more > 0.0
+    assert float(certified["certifying_processor_s"]) > 0.0
+
+
+def test_all_rounds_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not only the last one's planning."""
+    scenario = load_scenario(None, (COARSE,))
+
+    def rounds(scenario: Scenario, certified: bool) -> Plan:
+        assert certified
+        begin = process_time()
+        while process_time() - begin < 0.2:  # what the rounds before the last one take
+            pass
+        return planned(scenario, certified=False)
+
+    planned = frontier.planned
+    monkeypatch.setattr(frontier, "planned", rounds)
+    row = frontier._row("uniform, paper polytopes", 0.7, scenario, True, 100)
+    assert float(row["processor_s"]) >= 0.2
+
+
+def test_a_plan_without_a_counterpart_has_no_such_cost() -> None:
+    assert all(math.isnan(float(cost)) for cost in certifying_costs({}, None).values())
+
+
+def test_the_tables_have_costs_time_and_observation(rows: list[Row]) -> None:
+    told = to_markdown(rows, 200)
+    assert "mean time observed (s)" in told
+    certified = [line for line in told.splitlines() if line.startswith("| certified, each node")]
+    assert f"{float(rows[1]['certifying_dv_m_s']):+.5f}" in certified[-1]
+    assert f"{float(rows[1]['processor_s']):.1f}" in certified[-1]
