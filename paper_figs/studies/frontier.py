@@ -83,8 +83,8 @@ def caption(rows: list[Row]) -> str:
         "Delta-v of the default scenario against the probability asked: uniform risk on polytopes, "
         "exact risk, and exact risk certified by flights; what certifying adds to the delta-v of "
         "aiming at the probability itself; and the mean time observed. Missing points have no plan. "
-        f"For 0.9 the paper's bookkeeping pays {paper:.4f} m/s at each node, exact risk {whole:.4f} m/s for "
-        "whole flights."
+        f"For 0.9 the paper's bookkeeping pays {paper:.4f} m/s at each node, exact risk {whole:.4f} "
+        "m/s for whole flights."
     )
 
 
