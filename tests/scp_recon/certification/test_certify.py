@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import ndtr, ndtri
 
 from formulations.rows.exact import FLIGHT
 from scp_recon.certification.certify import certify, judged, with_nodes_at
@@ -21,7 +23,12 @@ from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
+from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.verdict import Verification
+from scp_recon.verification.consistency import burn_margins
+from scp_recon.verification.exact import exact_inconsistencies
+from scp_recon.verification.probabilities import shortfalls
 from scp_recon.verification.reintegration import verify
 from tests.scp_recon.certification.support import mission_of
 
@@ -67,50 +74,138 @@ def test_other_flights_bear_it_out(certified: Plan) -> None:
     assert judged(certified.mission, kept)[1].high >= ASKED
 
 
-def test_the_solution_says_so_and_is_verified(certified: Plan) -> None:
-    solution = make_solution(certified)
+@pytest.fixture(scope="module")
+def solution(certified: Plan) -> Solution:
+    return make_solution(certified)
+
+
+@pytest.fixture(scope="module")
+def checked(certified: Plan, solution: Solution) -> Verification:
+    return verify(certified.mission, solution)
+
+
+def test_the_solution_says_so_and_is_verified(
+    certified: Plan, solution: Solution, checked: Verification
+) -> None:
     assert solution.risk is not None
     assert solution.risk.certificate is not None
     assert (solution.risk.asked, solution.risk.aim) == (ASKED, certified.aim)
-    checked = verify(certified.mission, solution)
     assert checked.ok, checked.failed
     names = {p.name for p in checked.probabilities}
     assert (FLIGHT in names) == (solution.risk.scope == "flight")
+
+
+def failures(certified: Plan, told: Solution, checked: Verification) -> list[str]:
+    """What verification names, with the flights that it has flown already."""
+    mission = certified.mission
+    found = exact_inconsistencies(mission, told, burn_margins(mission, told))
+    return found + shortfalls(mission, told, checked.probabilities)
+
+
+def claiming(solution: Solution, **changes: float) -> Solution:
+    """With another certificate, whose interval is that of its flights unless it is changed."""
+    assert solution.risk is not None
+    assert solution.risk.certificate is not None
+    told = solution.risk.certificate.model_copy(update=changes)
+    kept = proportion(round(told.reached * told.samples), told.samples)
+    update = dict(zip(("reached", "low", "high"), kept, strict=True)) | {
+        "at_nodes": max(told.at_nodes, kept.value)
+    }
+    told = told.model_copy(update=update | changes)
+    risk = solution.risk.model_copy(update={"certificate": told})
+    return solution.model_copy(update={"risk": risk})
+
+
+def test_what_the_certificate_says_is_found_sound(
+    certified: Plan, solution: Solution, checked: Verification
+) -> None:
+    assert failures(certified, claiming(solution), checked) == []
 
 
 @pytest.mark.parametrize(
     ("changes", "name"),
     [
         ({"low": 0.95}, "risk"),
-        ({"reached": 0.5}, "risk"),
+        ({"at_nodes": 0.5}, "risk"),
+        ({"samples": 1_000}, "risk"),
+        ({"seed": FIRST_SEED - 1}, "risk"),
+        ({"reached": 0.98}, "certificate"),
+        ({"reached": 0.85}, "certificate"),
     ],
+    ids=lambda value: str(value),
 )
-def test_a_certificate_that_its_flights_do_not_give_is_named(
-    certified: Plan, changes: dict[str, float], name: str
+def test_a_certificate_that_claims_what_is_not_so_is_named(
+    certified: Plan,
+    solution: Solution,
+    checked: Verification,
+    changes: dict[str, float],
+    name: str,
 ) -> None:
-    solution = make_solution(certified)
+    assert name in failures(certified, claiming(solution, **changes), checked)
+
+
+def test_what_nothing_certifies_has_to_aim_at_what_was_asked(
+    certified: Plan, solution: Solution, checked: Verification
+) -> None:
+    """The plan of a lower probability does not pass for one of a higher."""
     assert solution.risk is not None
-    assert solution.risk.certificate is not None
-    told = solution.risk.certificate.model_copy(update=changes)
-    risk = solution.risk.model_copy(update={"certificate": told})
-    checked = verify(certified.mission, solution.model_copy(update={"risk": risk}))
-    assert name in checked.failed
+    risk = solution.risk.model_copy(update={"certificate": None})
+    told = solution.model_copy(update={"risk": risk})
+    assert failures(certified, told, checked) == []
+    higher = certified.mission.scenario.replace({"risk.p_chance": risk.aim + 1e-6})
+    asked = risk.model_copy(update={"asked": risk.aim + 1e-6})
+    told = solution.model_copy(update={"risk": asked, "scenario": higher})
+    mission = replace(certified.mission, scenario=higher)
+    assert exact_inconsistencies(mission, told, burn_margins(mission, told)) == ["risk"]
 
 
-def test_a_probability_that_the_nodes_do_not_have_is_named(certified: Plan) -> None:
-    solution = make_solution(certified)
+def test_a_plan_that_misses_its_aim_has_not_converged(
+    certified: Plan, solution: Solution, checked: Verification
+) -> None:
+    """Though its margins say so."""
+    assert solution.risk is not None
+    aim = float(ndtr(ndtri(solution.risk.aim) + 0.01))
+    results = [
+        c.model_copy(update={"worst_margin": c.worst_margin - 0.01}) if c.kind == "joint" else c
+        for c in solution.constraints
+    ]
+    risk = solution.risk.model_copy(update={"aim": aim})
+    told = solution.model_copy(update={"risk": risk, "constraints": results})
+    assert failures(certified, told, checked) == ["violation"]
+
+
+@pytest.mark.parametrize("off", [0.006, -0.006])
+def test_a_probability_that_the_nodes_do_not_have_is_named(
+    certified: Plan, solution: Solution, checked: Verification, off: float
+) -> None:
+    """By no more than 0.006 of about 0.91: of a flight it is its flights that have to tell."""
     assert solution.risk is not None
     law = solution.risk.normal_law
     least = min(law, key=lambda event: min(event.probability))
-    raised_law = [
-        event.model_copy(update={"probability": [1.0 - 1e-9] * len(event.t_s)})
-        if event is least
-        else event
+    at = int(np.argmin(least.probability))
+    changed = [p + off * (k == at) for k, p in enumerate(least.probability)]
+    told_law = [
+        event.model_copy(update={"probability": changed}) if event is least else event
         for event in law
     ]
-    risk = solution.risk.model_copy(update={"normal_law": raised_law})
-    checked = verify(certified.mission, solution.model_copy(update={"risk": risk}))
-    assert {"risk", "constraints"} <= set(checked.failed)
+    risk = solution.risk.model_copy(update={"normal_law": told_law})
+    told = solution.model_copy(update={"risk": risk})
+    found = failures(certified, told, checked)
+    assert "constraints" in found
+    assert ("risk" in found) == (solution.risk.scope == "node")
+
+
+@pytest.mark.parametrize("certified", ["flight"], indirect=True)
+@pytest.mark.parametrize("told", [0.96, 0.84])
+def test_a_flight_law_that_flights_contradict_is_named(
+    certified: Plan, solution: Solution, checked: Verification, told: float
+) -> None:
+    """Of a plan that nothing certifies: 0.3 standard deviations off."""
+    assert solution.risk is not None
+    law = [solution.risk.normal_law[0].model_copy(update={"probability": [told]})]
+    risk = solution.risk.model_copy(update={"normal_law": law, "certificate": None})
+    found = failures(certified, solution.model_copy(update={"risk": risk}), checked)
+    assert "risk" in found
 
 
 def test_nodes_are_added_where_flights_touch() -> None:
