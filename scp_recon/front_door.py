@@ -200,7 +200,7 @@ def is_to_certify(mission: Mission, problem: str, certified: bool | None) -> boo
             "goes with risk.allocation = exact and problem P2 only",
         )
     if exact and certified is not False:
-        flights_needed(mission.scenario.risk.p_chance)
+        flights_needed(mission.scenario.risk.p_chance, "certified=False")
         return True
     return False
 

@@ -14,8 +14,12 @@ FIRST_SEED = 1_000
 """Of the first round's flights; no other draws of this library begin there. Each round has the next."""
 
 
-def flights_needed(asked: float) -> int:
+def flights_needed(asked: float, otherwise: str = "--certify no") -> int:
     """Flights whose failures tell the probability well enough.
+
+    Args:
+        asked: probability.
+        otherwise: what messages say to those who can do without.
 
     Raises:
         InputError: if they are too many.
@@ -27,7 +31,7 @@ def flights_needed(asked: float) -> int:
             "risk.p_chance",
             f"{asked:g}",
             f"takes {flights} flights to certify, more than {FLIGHTS_MAX}: at most "
-            f"{1.0 - FAILURES / FLIGHTS_MAX:g}, or --certify no",
+            f"{1.0 - FAILURES / FLIGHTS_MAX:g}, or {otherwise}",
         )
     return flights
 

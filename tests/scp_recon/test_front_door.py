@@ -125,8 +125,15 @@ def test_a_solvers_name_may_be_small() -> None:
     assert sr.plan(problem="P3", solver="clarabel").provenance.solver == "CLARABEL"
 
 
+EXACT = sr.load_scenario().replace({"risk.allocation": "exact"})
+TOO_SURE = EXACT.replace({"risk.p_chance": 0.9999})
+
 BAD_CALLS: dict[str, tuple[str, Callable[[Plan, Path], object]]] = {
     "a problem in small letters": ("problem", lambda *_: door.plan(problem="p3")),
+    "certified P3": ("certified", lambda *_: door.plan(EXACT, problem="P3", certified=True)),
+    "certified uniform": ("certified", lambda *_: door.plan(certified=False)),
+    "certified maybe": ("certified", lambda *_: door.plan(EXACT, certified="maybe")),
+    "too many flights": ("risk.p_chance", lambda *_: door.plan(TOO_SURE, starts=3)),
     "no problem": ("problem", lambda *_: door.plan(problem=None)),
     "a formulation": ("formulation", lambda *_: door.plan(formulation="frozen")),
     "an algorithm": ("algorithm", lambda *_: door.plan(algorithm="SCvx")),

@@ -10,6 +10,8 @@ from formulations.program import solvers
 from scp_recon.solution.file import read_solution
 from tests.scp_recon.support import run_solve
 
+P3_EXACT = ("--problem", "P3", "--set", "risk.allocation=exact")
+
 
 @pytest.mark.parametrize(
     ("algorithm", "solver"), [("ptr", "clarabel"), ("scvx-star", "CLARABEL"), ("scvx", "ecos")]
@@ -38,6 +40,14 @@ def test_algorithm_and_solver_are_recorded(tmp_path: Path, algorithm: str, solve
         (
             ("--starts", "2", "--objective", "probability", "--set", "risk.allocation=exact"),
             "--starts: got 2; goes with --objective delta-v",
+        ),
+        (("--certify", "yes"), "--certify: got yes; goes with risk.allocation = exact only"),
+        ((*P3_EXACT, "--certify", "yes"), "--certify: got yes; goes with --problem P2"),
+        ((*P3_EXACT, "--certify", "no"), "--certify: got no; goes with --problem P2"),
+        ((*P3_EXACT, "--objective", "probability"), "--objective: got probability; goes with"),
+        (
+            ("--starts", "2", "--set", "risk.allocation=exact", "--set", "risk.p_chance=0.9999"),
+            "risk.p_chance: got 0.9999; takes 3000000 flights to certify",
         ),
     ],
 )
