@@ -15,8 +15,11 @@ from scipy.special import ndtr, ndtri
 from scp_recon.monte_carlo.certifying import successes_needed
 
 SPARE = 0.1
-"""Standard errors of the estimate by which the first round aims above what it has to reach; each round
-without success adds as much."""
+"""Standard errors of the estimate by which a round aims above what it has to reach, and as much again
+for each one after the first that did not."""
+
+LEAST, MOST = 0.501, 1.0 - 1e-9
+"""Aims: the constraint is convex above one half."""
 
 
 @dataclass
@@ -50,31 +53,31 @@ class Aiming:
         """Mean of the losses; none is expected before any flight."""
         return float(np.mean(self.losses)) if self.losses else 0.0
 
-    def learn(self, aim: float, reached: float) -> None:
-        """Take in what flights reached of an aim."""
-        self.losses.append(self._quantile(aim) - self._quantile(reached))
+    def learn(self, law: float, reached: float) -> None:
+        """Take in what flights reached of a probability by the normal law."""
+        self.losses.append(float(ndtri(law)) - self._quantile(reached))
 
-    def begin_again(self, aim: float, at_nodes: float) -> None:
+    def begin_again(self, law: float, at_nodes: float) -> None:
         """Forget the rounds on other nodes, but for what the last lost at its nodes.
 
         What it lost between them the nodes that are added give back.
         """
         self.losses = []
-        self.learn(aim, at_nodes)
+        self.learn(law, at_nodes)
 
     def next(self) -> float:
         """What to aim at to reach what is needed."""
-        above = self.needed + SPARE * (1 + self.tries) * self.error
-        return float(ndtr(self._quantile(above) + self.loss))
+        above = self.needed + SPARE * max(1, self.tries) * self.error
+        return float(np.clip(ndtr(self._quantile(above) + self.loss), LEAST, MOST))
 
     def excess(self, aim: float) -> float:
         """By how much an aim spends too little, in standard errors of what the rounds have measured.
 
         Positive where it reaches more than what is needed.
         """
-        most = ndtr(self._quantile(aim) - self.loss)
-        least = ndtr(self._quantile(self.next()) - self.loss)
+        most, least = (ndtr(ndtri(aim) - self.loss) for aim in (aim, self.next()))
         return float((most - least) / self.error * np.sqrt(len(self.losses)))
 
     def _quantile(self, probability: float) -> float:
-        return float(ndtri(min(probability, 1.0 - 0.5 / self.samples)))
+        half = 0.5 / self.samples
+        return float(ndtri(np.clip(probability, half, 1.0 - half)))

@@ -15,6 +15,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.aiming import Aiming
@@ -36,6 +37,9 @@ EXCESS = 1.0
 than it has to. In rounds drawn from binomial laws with losses of -1 to 3 standard errors plans end 0.3
 above what is needed in the mean and 1.3 in 95 of 100, after 2.6 rounds; if the first success ended it,
 0.75 and 1.9 after 2. One of 1,000 reaches less than was asked."""
+
+BINDING = 0.01
+"""Standard deviations between aim and law, up to which a constraint binds."""
 
 Planning = Callable[[Mission, Iterate, float], Plan]
 """A plan of a mission from a start, aiming at a probability."""
@@ -130,17 +134,23 @@ class _Rounds:
         self.flown.append((plan, close))
         if reached.low < self.asked:
             self.aiming.tries += 1
+        law = float(ndtr(ndtri(_aim(plan)) + max(slack(plan), 0.0)))
         if close:
-            self.aiming.learn(_aim(plan), reached.reached)
+            self.aiming.learn(law, reached.reached)
         else:
-            self.aiming.begin_again(_aim(plan), reached.at_nodes)
+            self.aiming.begin_again(law, reached.at_nodes)
         return close
 
     @property
     def _is_settled(self) -> bool:
-        """Whether a plan reaches what was asked, and sampling explains what it reaches more."""
+        """Whether a plan reaches what was asked, and sampling explains what it reaches more.
+
+        Or its constraints do not bind, so that a lower aim would save nothing.
+        """
         best = self._cheapest(close=True)
-        return best is not None and self.aiming.excess(_aim(best)) <= EXCESS
+        if best is None:
+            return False
+        return slack(best) > BINDING or self.aiming.excess(_aim(best)) <= EXCESS
 
     @property
     def certified(self) -> Plan | None:
@@ -166,6 +176,11 @@ def _low(plan: Plan) -> float:
 def _aim(plan: Plan) -> float:
     assert plan.aim is not None
     return plan.aim
+
+
+def slack(plan: Plan) -> float:
+    """By how many standard deviations the normal law's probabilities exceed the aim."""
+    return min(margin for margin, unit in plan.worst_margins.values() if unit == "sigma")
 
 
 def certificate_from(mission: Mission, kept: KeptFlights, seed: int, rounds: int) -> Certificate:

@@ -43,6 +43,7 @@ class World:
     Attributes:
         real: plan that all others are made of; they cost in proportion to what they aim at.
         reach: shares of flights of an aim, in the round of a number; it may raise.
+        slack: standard deviations by which the law keeps more than a plan aims at.
         status: how planning for an aim ends, from a start of a name.
         aims: of all plans made.
         missions: that they were of.
@@ -52,6 +53,7 @@ class World:
     reach: Callable[[float, int], Reached]
     status: Callable[[float, str], Status] = lambda *_: Status.CONVERGED
     touched_s: tuple[float, ...] = ()
+    slack: float = 0.0
     aims: list[float] = field(default_factory=list)
     missions: list[Mission] = field(default_factory=list)
 
@@ -86,6 +88,7 @@ class World:
 
     def enter(self, patch: pytest.MonkeyPatch) -> None:
         """Let certification take place here."""
+        patch.setattr(certification, "slack", lambda _: self.slack)
         for module in (certification, largest):
             patch.setattr(module, "kept_flights", self.fly)
             patch.setattr(module, "from_burns", lambda *_: replace(self.start))

@@ -120,6 +120,26 @@ def test_what_is_lost_between_nodes_counts_once(
     assert found.certificate.rounds == 2
 
 
+def test_where_nothing_binds_a_lower_aim_is_not_tried(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would save nothing, whatever flights reach."""
+    world = World(real, lambda *_: (1.0, 1.0), slack=2.0)
+    found = certified(world, monkeypatch)
+    assert len(world.aims) == 1
+    assert low(found) >= ASKED
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_flights_that_all_fail_or_all_hold_leave_an_aim(
+    real: Plan, monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    world = World(real, lambda *_: (share, share))
+    certified(world, monkeypatch)
+    assert len(world.aims) > 1
+    assert all(0.5 < aim < 1.0 for aim in world.aims)
+
+
 def test_ctrl_c_among_flights_keeps_what_there_is(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
