@@ -66,11 +66,16 @@ class Store:
             for part in self._parts():
                 cases = self._arrow.parquet.read_table(part, columns=["case"])
                 self.done.update(cases["case"].to_pylist())
+            if not self._parts():  # whose columns tell what the journal's rows hold
+                write_atomically(self._part(0), self._bytes(self._table([])))
             self._journal = self._opened()
 
     @property
     def _home(self) -> Path:
         return self.folder / ROWS
+
+    def _part(self, number: int) -> Path:
+        return self._home / f"part-{number:06d}.parquet"
 
     def _parts(self) -> list[Path]:
         return sorted(self._home.glob("part-*.parquet"))
@@ -122,9 +127,8 @@ class Store:
         if not self._rows:
             return
         with self._writing():
-            number = len(self._parts())
             content = self._bytes(self._table(self._rows))
-            write_atomically(self._home / f"part-{number:06d}.parquet", content)
+            write_atomically(self._part(len(self._parts())), content)
             self._journal.close()
             self._rows = []
             write_atomically(self._home / JOURNAL, b"")
@@ -214,11 +218,10 @@ def read_results(folder: Path) -> pandas.DataFrame:
         raise InputError("folder", str(error)[:200], "must hold a campaign") from None
     seen = {case for table in tables for case in table["case"].to_pylist()}
     rows = [row for row in rows if row["case"] not in seen]
-    if not tables and not rows:
+    if not rows and not any(map(len, tables)):
         raise InputError("folder", f"{folder}, without rows", "must hold a campaign")
     if rows:
-        schema = tables[0].schema if tables else None
-        tables.append(arrow.Table.from_pylist(rows, schema=schema))
+        tables.append(arrow.Table.from_pylist(rows, schema=tables[0].schema))
     found: pandas.DataFrame = arrow.concat_tables(tables).sort_by("case").to_pandas()
     return found
 

@@ -54,7 +54,7 @@ class Cluster:
         Raises:
             InputError: if the extra is missing, or the scheduler is not there.
         """
-        session = _Session(self, pickle.dumps((versions(), pickle.dumps(work))))
+        session = Session(self, pickle.dumps((versions(), pickle.dumps(work))))
         left = iter(cases)
         tries: dict[int, int] = {}
         try:
@@ -82,7 +82,7 @@ class Cluster:
 Over = tuple[Case, Done | None, str]
 
 
-class _Session:
+class Session:
     """Connection to a scheduler, and what is out."""
 
     def __init__(self, cluster: Cluster, pickled: bytes) -> None:
@@ -90,7 +90,7 @@ class _Session:
             import distributed
         self._distributed = distributed
         self._cluster, self._pickled = cluster, pickled
-        self._client: Any = None
+        self.client: Any = None
         self._work: Any = None
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self.out: dict[str, tuple[Case, Any]] = {}
@@ -105,7 +105,7 @@ class _Session:
         address, until = self._cluster.address, monotonic() + self._cluster.gone_s
         while True:
             try:
-                self._client = self._distributed.Client(address, timeout=5.0, set_as_default=False)
+                self.client = self._distributed.Client(address, timeout=5.0, set_as_default=False)
                 break
             except (OSError, TimeoutError, ValueError) as error:
                 if first or monotonic() > until:
@@ -116,9 +116,9 @@ class _Session:
                         "every row until now is kept, and the same command goes on",
                     ) from None
         if first:
-            self._cluster.say(f"dashboard: {self._client.dashboard_link}")
+            self._cluster.say(f"dashboard: {self.client.dashboard_link}")
         # The scheduler can make it again wherever it is lost, as it could not with scattered data.
-        self._work = self._client.submit(bytes, self._pickled, pure=False)
+        self._work = self.client.submit(bytes, self._pickled, pure=False)
         again, self.out = self.out, {}
         for case, _ in again.values():
             self.send(case)
@@ -130,12 +130,12 @@ class _Session:
         if monotonic() - self._looked > LOOK_S:
             self._looked = monotonic()
             with suppress(OSError, TimeoutError, ValueError):
-                self._threads = sum(self._client.nthreads().values())
+                self._threads = sum(self.client.nthreads().values())
         return max(0, max(LEAST_AHEAD, AHEAD * self._threads) - len(self.out))
 
     def send(self, case: Case) -> None:
         """Send a case."""
-        future = self._client.submit(
+        future = self.client.submit(
             run_in_child, self._work, tuple(case), self._cluster.limits, pure=False
         )
         self.out[future.key] = (case, future)
@@ -146,7 +146,7 @@ class _Session:
         try:
             events = [self._events.get(timeout=LOOK_S)]
         except queue.Empty:
-            if self._client.status != "running":
+            if self.client.status != "running":
                 self._again()
             return []
         with suppress(queue.Empty):
@@ -186,16 +186,16 @@ class _Session:
         self.connect()
 
     def _leave(self) -> None:
-        if self._client is not None:
-            client, self._client = self._client, None
+        if self.client is not None:
+            client, self.client = self.client, None
             with suppress(Exception):  # it is gone, or is being lost at this moment
                 client.close(timeout=2.0)
 
     def close(self) -> None:
         """Give up what is out."""
-        if self._client is not None:
+        if self.client is not None:
             with suppress(Exception):
-                self._client.cancel([future for _, future in self.out.values()], force=True)
+                self.client.cancel([future for _, future in self.out.values()], force=True)
         self._leave()
 
 

@@ -1,0 +1,1 @@
+"""What a case of a campaign costs beside its plan."""
