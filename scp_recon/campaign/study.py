@@ -5,39 +5,31 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import prod
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import Field, ValidationError
 
 from scp_recon.campaign.axes import Axis, Draws, Row, axis_of
 from scp_recon.campaign.case import Case
+from scp_recon.campaign.cases import Cases
+from scp_recon.campaign.changes import changed, layer_of
+from scp_recon.campaign.checks import check_axes, check_count, check_do, refuse
 from scp_recon.campaign.table import kind_of
 from scp_recon.campaign.versions import versions
 from scp_recon.errors import InputError, shortened
 from scp_recon.files import read_text
 from scp_recon.scenario.fields import Section
-from scp_recon.scenario.inherit import merge, nested
 from scp_recon.scenario.load import base_names, load_scenario
 from scp_recon.scenario.messages import input_error
-from scp_recon.scenario.resolve import anchored
 from scp_recon.scenario.schema import Scenario
 
 BYTES_MAX = 50_000_000
 ASK_FROM = 100_000
 """More cases than these are made only if they are meant."""
-ROWS_MAX = 1_000_000
-"""Of one axis."""
-CHECKED = 100
-"""Rows of an axis whose scenarios are made before the work, spread evenly from first to last."""
-SHOWN = 5
-CERTIFIED = "exact"
 
 Do = Literal["plan", "design", "certify", "fly", "simulate"]
 
@@ -61,34 +53,6 @@ class Campaign(Section):
     """Whether each case's solution.json is kept."""
     overrides: dict[str, Any] = Field(default_factory=dict)
     """Entries of the base that differ in all cases."""
-
-
-@dataclass(frozen=True)
-class Cases(Sequence[Case]):
-    """The product of the axes; the last one changes fastest. A case is made when it is asked for."""
-
-    axes: tuple[list[Row], ...]
-    seed: int
-
-    def __len__(self) -> int:
-        """How many there are."""
-        return prod(len(rows) for rows in self.axes)
-
-    def __getitem__(self, number: Any) -> Any:
-        """The case of that number."""
-        if not 0 <= number < len(self):
-            raise IndexError(number)
-        changes: Row = {}
-        rest = number
-        for rows in reversed(self.axes):
-            rest, place = divmod(rest, len(rows))
-            changes = {**rows[place], **changes}
-        return Case(number, case_seed(self.seed, number), changes)
-
-
-def case_seed(seed: int, number: int) -> int:
-    """The seed of a case, from 0 to 2^63 - 1."""
-    return int(np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0] >> 1)
 
 
 @dataclass(frozen=True)
@@ -132,14 +96,14 @@ class Study:
         kinds = _axes(tables.get("axis", []))
         name = campaign.base
         base = load_scenario(name if name in base_names() else folder / name)
-        base = base.changed(_layer(campaign.overrides, folder)) if campaign.overrides else base
-        _check_do(campaign, base)
-        _check_count([axis.count(base) for axis in kinds], yes=yes)
+        base = base.changed(layer_of(campaign.overrides, folder)) if campaign.overrides else base
+        check_do(campaign.do, base)
+        check_count([axis.count(base) for axis in kinds], ASK_FROM, yes=yes)
         rows = tuple(
             axis.rows(base, (campaign.seed, place), folder) for place, axis in enumerate(kinds)
         )
         study = cls(campaign, base, rows, folder, tables)
-        _check_axes(study, kinds)
+        check_axes(base, folder, rows, [isinstance(axis, Draws) for axis in kinds])
         return study
 
     @property
@@ -197,22 +161,6 @@ def read_study(path: Path, *, yes: bool = False) -> Study:
     return Study.validated(tables, path.parent, yes=yes)
 
 
-def changed(base: Scenario, changes: Mapping[str, Any], folder: Path) -> Scenario:
-    """The base with a case's changes.
-
-    Raises:
-        InputError: if that is no scenario.
-    """
-    return base.changed(_layer(changes, folder)) if changes else base
-
-
-def _layer(changes: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    layer: dict[str, Any] = {}
-    for entry, value in changes.items():
-        layer = merge(layer, nested(entry.split("."), value))
-    return anchored(layer, folder)
-
-
 def _model(schema: Any, table: Any, name: str) -> Any:
     try:
         return schema.model_validate_json(json.dumps(table, default=str))
@@ -237,93 +185,15 @@ def _axes(tables: Any) -> list[Axis]:
         except ValueError as error:
             wrong.append(InputError(name, ", ".join(table) or "nothing", str(error)))
     if wrong:
-        _refuse(wrong)
+        refuse(wrong)
     return found
-
-
-def _check_do(campaign: Campaign, base: Scenario) -> None:
-    home = base.boundary.home
-    if base.in_flight is not None:
-        raise InputError("campaign.base", "a flight under way", "must be a whole flight")
-    if campaign.do == "design" and home is None:
-        raise InputError(
-            "campaign.do", "'design' of a base without boundary.home", "must have a home orbit"
-        )
-    if campaign.do != "design" and home is not None and home.is_free:
-        raise InputError(
-            "campaign.do",
-            f"{campaign.do!r} of a base whose boundary.home has free phases, or is flown",
-            "must be 'design'",
-        )
-    if campaign.do == "certify" and base.risk.allocation != CERTIFIED:
-        raise InputError(
-            "campaign.do", "'certify'", 'needs "risk.allocation" = "exact" in campaign.overrides'
-        )
-
-
-def _check_count(counts: list[int], *, yes: bool) -> None:
-    cases = prod(counts)
-    product = " x ".join(f"{count:,}" for count in counts)
-    if cases > ASK_FROM and not yes:
-        raise InputError(
-            "axis",
-            f"{cases:,} cases ({product})",
-            f"more than {ASK_FROM:,} need --yes, if they are meant",
-        )
-    for number, count in enumerate(counts, start=1):
-        if count > ROWS_MAX:
-            raise InputError(f"axis {number}", f"{count:,} rows", f"must have at most {ROWS_MAX:,}")
-
-
-def _check_axes(study: Study, kinds: Sequence[Axis]) -> None:
-    """No entry twice, and scenarios as far as the axes reach, the others at their first rows."""
-    owners: dict[str, int] = {}
-    wrong: list[InputError] = []
-    first = study.cases[0].changes
-    for number, (axis, rows) in enumerate(zip(kinds, study.axes, strict=True), start=1):
-        for entry in rows[0]:
-            if owners.setdefault(entry, number) != number:
-                given = f"on axis {owners[entry]} and axis {number}"
-                wrong.append(InputError(entry, given, "must be on one axis"))
-        looked = sorted({round(place) for place in np.linspace(0, len(rows) - 1, CHECKED)})
-        refused = list(_refused(study, number, first, looked))
-        # A draw that is out of bounds is a refused row, unless there is nothing else.
-        if not isinstance(axis, Draws) or len(refused) == len(looked):
-            wrong += refused
-    if wrong:
-        _refuse(wrong)
-
-
-def _refused(
-    study: Study, number: int, first: Mapping[str, Any], places: Sequence[int]
-) -> Iterator[InputError]:
-    """What is wrong with rows of an axis, both alone and beside the first rows of the others."""
-    for place in places:
-        row = study.axes[number - 1][place]
-        try:
-            changed(study.base, row, study.folder)
-        except InputError as error:
-            with suppress(InputError):
-                changed(study.base, {**first, **row}, study.folder)
-                continue
-            where = f"axis {number}, row {place + 1}: {error.entry}"
-            yield InputError(where, error.given, error.allowed)
-
-
-def _refuse(wrong: Sequence[InputError]) -> NoReturn:
-    """All in one message."""
-    first, *others = wrong
-    lines = [first.allowed, *map(str, others[: SHOWN - 1])]
-    if len(wrong) > SHOWN:
-        lines.append(f"... and {len(wrong) - SHOWN} more")
-    raise InputError(first.entry, first.given, "\n".join(lines))
 
 
 def _digests(study: Study) -> Iterator[tuple[str, str]]:
     """Of the files that the scenarios name."""
     named: set[str] = set()
     layers = [study.base.model_dump(mode="json", exclude_none=True)]
-    layers += [_layer(row, study.folder) for rows in study.axes for row in rows]
+    layers += [layer_of(row, study.folder) for rows in study.axes for row in rows]
     for tables in layers:
         for table in tables.values():
             for key, value in table.items() if isinstance(table, dict) else ():

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from scp_recon.campaign.case import Case, Found, solution_name
-from scp_recon.campaign.study import Do, Study, changed
+from scp_recon.campaign.changes import changed
+from scp_recon.campaign.study import Do, Study
 from scp_recon.certification.certify import certify
 from scp_recon.cli.design_tables import why_nothing
 from scp_recon.mission.mission import Mission

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.campaign.study import Cases, Study, case_seed, read_study
+from scp_recon.campaign.cases import Cases, case_seed
+from scp_recon.campaign.study import Study, read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scp_recon import files
 from scp_recon.campaign import table
 from scp_recon.campaign.engine import run_cases
 from scp_recon.campaign.runners.here import here
@@ -92,7 +93,7 @@ def test_a_disk_that_is_full_for_a_part_loses_nothing(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(table, "PART_ROWS", 7)
-    real = table.write_atomically
+    real = files.write_atomically
 
     def full(path: Path, content: Any) -> Path:
         if path.name.startswith(name):
