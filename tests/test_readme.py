@@ -27,6 +27,7 @@ import numpy as np
 import pytest
 
 from scp_recon import export, solve
+from scp_recon.campaign.study import Study
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.file import read_solution
@@ -194,6 +195,13 @@ STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
 IN_FLIGHT = f"python -m scp_recon.replan runs/latest --at 17000 --state {STATE} --out runs/again"
 EXACT = "python -m scp_recon.solve --set 'risk.allocation=\"exact\"'"
 
+CAMPAIGN = "python -m scp_recon.campaign STUDY.toml --out DIR"
+NEVER_LIT = """
+[[axis]]
+entry = "observation.incidence_max_deg"
+values = [0.01, 0.02]
+"""
+
 NARROW = " ".join(
     f"--set '{entry}'"
     for entry in (
@@ -272,6 +280,11 @@ QUICK = {
         "python -m paper_figs.frames frames.png", needs="matplotlib"
     ),
     "python -m scp_recon.schema docs/scenario.schema.json": Quick(),
+    # many of them
+    CAMPAIGN: Quick("python -m scp_recon.campaign study.toml --out runs/campaign --workers 0"),
+    f"{CAMPAIGN} --workers 2": Quick(
+        "python -m scp_recon.campaign study.toml --out runs/campaign --workers 1"
+    ),
     # in flight
     IN_FLIGHT: Quick(),
     "python -m scp_recon.replan runs/mine --at 17000 --state state.txt": Quick(
@@ -390,6 +403,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     folder = tmp_path_factory.mktemp("workspace")
     (toml,) = snippets_of("README.md")["toml"]
     (folder / "mine.toml").write_text(toml, encoding="utf-8")
+    (folder / "study.toml").write_text(NEVER_LIT, encoding="utf-8")
     assert solve.main(["--init", "cold", "--out", str(folder / "runs" / "latest")]) == 0
     shutil.copytree(folder / "runs" / "latest", folder / "runs" / "mine")
     short = folder / "runs" / "short"
@@ -480,6 +494,9 @@ def test_scenarios_that_are_shown_are_read(tmp_path: Path) -> None:
     ]
     assert scenarios
     for block in scenarios:
+        if "campaign" in (tables := tomllib.loads(block)):
+            assert len(Study.validated(tables).cases) > 1
+            continue
         (tmp_path / "mine.toml").write_text(block, encoding="utf-8")
         assert load_scenario(tmp_path / "mine.toml") != load_scenario()
 

@@ -26,6 +26,8 @@ AHEAD = 4
 LEAST_AHEAD = 32
 LOOK_S = 1.0
 """Between looks whether the scheduler is there, and how many workers it has."""
+GATHER_S = 60.0
+"""For which results may be on their way."""
 GONE_S = 120.0
 """For which a scheduler may be away before the campaign gives up."""
 
@@ -152,33 +154,38 @@ class Session:
         with suppress(queue.Empty):
             while True:
                 events.append(self._events.get_nowait())
+        ours = {future.key: future for future in events if future.key in self.out}
+        results = self._gathered([f for f in ours.values() if f.status == "finished"])
         found: list[Over] = []
-        lost = False
-        for future in events:
-            case, _ = self.out.get(future.key, (None, None))
-            if case is None:  # sent again meanwhile
-                continue
-            if future.status in ("cancelled", "lost"):
-                lost = True
-                continue
-            try:
-                result = future.result(timeout=30.0)
-            except (OSError, TimeoutError, self._distributed.CancelledError):
-                lost = True
-                continue
-            except UnfitError as error:
-                raise InputError(
-                    "--scheduler", str(error), "must have workers with this very program"
-                ) from None
-            except Exception as error:  # its worker died of it, as far as the scheduler can tell
-                del self.out[future.key]
+        for key, future in ours.items():
+            case, _ = self.out[key]
+            if (done := results.get(key)) is not None:
+                found.append((case, done._replace(case=case), ""))
+            elif future.status == "error":
+                error = future.exception(timeout=GATHER_S)
+                if isinstance(error, UnfitError):
+                    allowed = "must have workers with this very program"
+                    raise InputError("--scheduler", str(error), allowed) from None
+                # Its worker died of it, as far as the scheduler can tell.
                 found.append((case, None, f"{type(error).__name__}: {str(error)[:200]}"))
+            else:
                 continue
-            del self.out[future.key]
-            found.append((case, result._replace(case=case), ""))
-        if lost:
+            del self.out[key]
+        if len(found) < len(ours):
             self._again()
         return found
+
+    def _gathered(self, futures: list[Any]) -> dict[str, Done | None]:
+        """Results by key, fetched together; of what is lost there is none."""
+
+        async def fetch() -> Any:
+            return await self.client.gather(futures, errors="skip", asynchronous=True)
+
+        try:
+            results = self.client.sync(fetch, callback_timeout=GATHER_S) if futures else []
+        except (OSError, TimeoutError, self._distributed.CancelledError):
+            return {}
+        return {future.key: done for future, done in zip(futures, results, strict=True)}
 
     def _again(self) -> None:
         self._cluster.say("the scheduler was lost: what had not come back is sent again")
