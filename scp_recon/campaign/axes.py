@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -24,7 +23,7 @@ Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
 Real = Annotated[float, Field(ge=-1e15, le=1e15)]
 LATITUDE, LONGITUDE = "site.latitude_deg", "site.longitude_deg"
 EPOCH = "epoch.tdb"
-DAYS_MAX = 400.0
+DAYS_MAX = 440.0
 """Of a search for windows, and from the epoch: two-body motion is off by 0.02 deg there, at Bennu."""
 
 
@@ -243,25 +242,3 @@ class Windows(Axis):
                 "must find one: see python -m scp_recon.windows",
             )
         return [{EPOCH: (epoch + timedelta(seconds=s)).isoformat()} for s in middles]
-
-
-KINDS: dict[str, type[Axis]] = {
-    "values": Values,
-    "grid": Grid,
-    "draws": Draws,
-    "sites": Sites,
-    "windows": Windows,
-}
-"""By the key that says so."""
-
-
-def axis_of(table: Mapping[str, Any]) -> type[Axis]:
-    """The kind of an axis.
-
-    Raises:
-        ValueError: if its table has not exactly one key of `KINDS`.
-    """
-    kinds = [key for key in KINDS if key in table]
-    if len(kinds) != 1:
-        raise ValueError(f"must have one of {', '.join(KINDS)}")
-    return KINDS[kinds[0]]

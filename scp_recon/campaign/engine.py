@@ -51,6 +51,7 @@ def run_study(
         "entries": list(study.entries),
         "versions": versions(),
         "study": study.tables,
+        "base": study.base.model_dump(mode="json", exclude_none=True),
     }
     runner = runner or Processes(1, limits_of(study))
     return run_cases(work_of(study), study.cases, folder, runner, identity, study.kinds, observe)

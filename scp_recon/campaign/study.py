@@ -13,11 +13,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from scp_recon.campaign.axes import Axis, Draws, Row, axis_of
+from scp_recon.campaign.axes import Axis, Draws, Row
 from scp_recon.campaign.case import Case
 from scp_recon.campaign.cases import Cases
 from scp_recon.campaign.changes import changed, layer_of
 from scp_recon.campaign.checks import check_axes, check_count, check_do, refuse
+from scp_recon.campaign.kinds import axis_of
 from scp_recon.campaign.table import kind_of
 from scp_recon.campaign.versions import versions
 from scp_recon.errors import InputError, shortened

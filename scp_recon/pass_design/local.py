@@ -91,14 +91,14 @@ def _round(space: Space, near: Near, observe: Observe) -> tuple[Array, Array]:
     )
     felt = np.any(matrix[:, free], axis=1)  # the others hold, for times that are given
     room = least - matrix[:, ~free] @ start[~free]
-    constraint = LinearConstraint(matrix[felt][:, free], room[felt], np.inf)
+    rules = [LinearConstraint(matrix[felt][:, free], room[felt], np.inf)] if felt.any() else []
     minimize(
         cost,
         start[free],
         jac=True,
         method="SLSQP",
         bounds=reach,
-        constraints=[constraint],
+        constraints=rules,
         options={"maxiter": STEPS_MAX, "ftol": 0.1 * WORTH},
     )
     return space.vector(best.at), best.burns_m_s

@@ -1,0 +1,83 @@
+"""Show a campaign: `python -m scp_recon.campaign.report DIR`.
+
+Writes campaign.html, one page that works without a network, and its pictures as PNG, into the
+campaign's folder. A campaign that is under way, or was stopped, is shown as far as it came.
+"""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import (
+    Answer,
+    exit_on_sigint,
+    parse,
+    run_command,
+    show_line,
+    show_written,
+)
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import argparse
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+
+from rich.console import Console
+
+from scp_recon.campaign.outcome import CampaignResults, read_campaign
+from scp_recon.errors import needing
+from scp_recon.files import unwritable, write_atomically
+from scp_recon.report.write import check_extra
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    p = argparse.ArgumentParser(prog="python -m scp_recon.campaign.report", description=__doc__)
+    p.add_argument("folder", type=Path, metavar="DIR", help="of a campaign, finished or not")
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0, or 2 after bad input."""
+    options = parse(parser(), arguments)
+    return run_command(lambda console: _show(options.folder, console), options)
+
+
+def _show(folder: Path, console: Console) -> Answer:
+    from scp_recon.campaign.page import verdict
+
+    results = read_campaign(folder)
+    written = write_pictures(results)
+    show_line(console, verdict(results))
+    for path in written:
+        show_written(console, path)
+    return Answer(0, {"feasible": results.feasible, "files": [str(path) for path in written]})
+
+
+def write_pictures(results: CampaignResults) -> list[Path]:
+    """Write the page and the pictures of a campaign into its folder, which it returns.
+
+    Raises:
+        InputError: if the extra [report] is missing, or the folder cannot be written.
+    """
+    check_extra()
+    with needing("report", "report", "matplotlib"):
+        from scp_recon.campaign.figures import figures
+    from scp_recon.campaign.page import PAGE, render
+
+    try:
+        written = [write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))]
+        for name, figure in figures(results).items():
+            picture = BytesIO()
+            figure.savefig(picture, format="png")
+            written.append(write_atomically(results.folder / f"{name}.png", picture.getvalue()))
+    except OSError as error:
+        raise unwritable(results.folder, "DIR", error) from None
+    return written
+
+
+if __name__ == "__main__":
+    sys.exit(main())
