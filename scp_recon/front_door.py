@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,10 +49,15 @@ __all__ = [
     "load_scenario",
     "plan",
     "plan_again",
+    "run_campaign",
     "save",
     "side_by_side",
     "write_report",
 ]
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 Array = npt.NDArray[np.float64]
 
@@ -319,6 +324,53 @@ def write_report(*plans: Plan | Solution | str | Path, file: str | Path = "repor
             raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
     found = [_solution(p) if isinstance(p, Plan | Solution) else Path(p) for p in plans]
     return write.write_report(found, Path(file))
+
+
+class CampaignOutput(NamedTuple):
+    """What `run_campaign` returns.
+
+    Attributes:
+        table: a row a case, as in results.parquet.
+        figures: by name; a map and the shape of sites, else curves.
+    """
+
+    table: pandas.DataFrame
+    figures: dict[str, Figure]
+
+
+def run_campaign(
+    study: str | Path | Mapping[str, Any],
+    folder: str | Path,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    yes: bool = False,
+) -> CampaignOutput:
+    """Run the cases of a study that have no row in a folder yet; see docs/campaigns.md.
+
+    Needs the extras [campaign] and [report], with a scheduler [cluster].
+
+    Args:
+        study: a file, or its tables, with files relative to the current folder.
+        folder: for the results.
+        workers: processes; 0 runs the cases in this one, where none can be ended.
+        scheduler: address of a Dask cluster's, in their place.
+        yes: whether more than 100,000 cases are meant.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    from scp_recon.campaign import engine, outcome, report, studies
+
+    report.check_extras()
+    whole_number("workers", workers, 0, studies.WORKERS_MAX)
+    given = studies.study_of(study, yes=yes)
+    path = Path(folder)
+    engine.run_study(given, path, studies.runner_of(given, workers, scheduler))
+    results = outcome.read_campaign(path)
+    from scp_recon.campaign.figures import figures
+
+    return CampaignOutput(results.table, figures(results))
 
 
 def _solution(given: Plan | Solution | str | Path) -> Solution:

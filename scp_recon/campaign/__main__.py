@@ -30,15 +30,12 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from scp_recon.campaign.case import Runner
-from scp_recon.campaign.engine import limits_of, run_study
-from scp_recon.campaign.runners.here import here
-from scp_recon.campaign.runners.processes import Processes
-from scp_recon.campaign.study import ASK_FROM, Study, read_study
+from scp_recon.campaign.engine import run_study
+from scp_recon.campaign.report import show_campaign
+from scp_recon.campaign.studies import WORKERS_MAX, runner_of
+from scp_recon.campaign.study import ASK_FROM, read_study
 from scp_recon.campaign.table import status_counts
 from scp_recon.cli.options import int_between
-
-WORKERS_MAX = 256
 
 
 def parser() -> argparse.ArgumentParser:
@@ -77,23 +74,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _campaign(options: argparse.Namespace, console: Console) -> Answer:
     study = read_study(options.study, yes=options.yes)
     with _progress(console) as (observe, say):
-        path = run_study(study, options.out, _runner(options, study, say), observe)
+        path = run_study(
+            study, options.out, runner_of(study, options.workers, options.scheduler, say), observe
+        )
     counts = status_counts(path)
     for status, count in counts.items():
         show_line(console, f"{count:10,}  {status}")
     show_written(console, path)
+    shown = show_campaign(options.out, console)
+    files = [str(file) for file in (path, *shown)]
     return Answer(
-        0,
-        {"cases": len(study.cases), "hash": study.hash, "statuses": counts, "files": [str(path)]},
+        0, {"cases": len(study.cases), "hash": study.hash, "statuses": counts, "files": files}
     )
-
-
-def _runner(options: argparse.Namespace, study: Study, say: Callable[[str], None]) -> Runner:
-    if options.scheduler is not None:
-        from scp_recon.campaign.runners.cluster import Cluster
-
-        return Cluster(options.scheduler, limits_of(study), say)
-    return Processes(options.workers, limits_of(study)) if options.workers else here
 
 
 @contextmanager

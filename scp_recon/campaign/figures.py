@@ -7,9 +7,8 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.dates import DateFormatter
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
@@ -139,7 +138,7 @@ def _numbers(column: Any) -> Any:
 def _ticks(axes: Axes, results: CampaignResults, entry: str) -> None:
     """A logarithmic axis where its values are at even ratios, with ticks at some of them."""
     if entry == EPOCH:
-        axes.xaxis.set_major_formatter(DateFormatter("%Y-%m"))
+        axes.xaxis.set_major_formatter(DateFormatter("%Y-%m"))  # type: ignore[no-untyped-call]
         return
     values = np.sort(results.table[entry].unique())
     if len(values) < 3 or values[0] <= 0.0:
@@ -161,7 +160,7 @@ def _spread(values: Sequence[Any], most: int) -> list[Any]:
 def _style(number: int, count: int, value: Any) -> dict[str, Any]:
     if value is None:
         return {"marker": "o", "ms": 3, "lw": 0.8, "color": "#0072B2"}
-    shade = ScalarMappable(Normalize(0, max(count - 1, 1) * 1.1), COLOURS).to_rgba(number)
+    shade = colormaps[COLOURS](number / max(count - 1, 1) / 1.1)
     mark = "osD^vP*X<>hp"[number % 12]
     return {"marker": mark, "ms": 3.5, "lw": 1.0, "color": shade, "label": f"{value:.3g}"}
 

@@ -64,6 +64,13 @@ class CampaignResults:
         return self.ends.count(FEASIBLE)
 
     @property
+    def verdict(self) -> str:
+        """How many are feasible of how many."""
+        done = len(self.table)
+        so_far = "" if done == self.cases else f" run so far, of {self.cases:,} in the study"
+        return f"{self.feasible:,} feasible of {done:,} cases{so_far}"
+
+    @property
     def is_map(self) -> bool:
         """Whether it has sites by latitude and longitude."""
         return LATITUDE in self.entries and LONGITUDE in self.entries

@@ -20,7 +20,6 @@ from scp_recon.report.numbers import script
 from scp_recon.report.page import version_of_planner
 from scp_recon.report.table import Cell, cell
 
-PAGE = "campaign.html"
 ROWS_MAX = 5_000
 """Cases in the page's table."""
 COMMONEST = 3
@@ -68,7 +67,7 @@ def render(results: CampaignResults, made: datetime) -> str:
     return template.render(
         title=f"{results.campaign.do} on {results.base.name}: {', '.join(names) or 'one case'}",
         feasible=results.feasible,
-        verdict=verdict(results),
+        verdict=results.verdict,
         lines=list(remarks(results)),
         identity=f"scp_recon {version_of_planner()} | made {made:%Y-%m-%d %H:%M:%S} UTC",
         charts=charts,
@@ -81,13 +80,6 @@ def render(results: CampaignResults, made: datetime) -> str:
         css=shared.joinpath("report.css").read_text("utf-8"),
         js=own.joinpath("campaign.js").read_text("utf-8"),
     )
-
-
-def verdict(results: CampaignResults) -> str:
-    """How many are feasible of how many."""
-    done = len(results.table)
-    so_far = "" if done == results.cases else f" run so far, of {results.cases:,} in the study"
-    return f"{results.feasible:,} feasible of {done:,} cases{so_far}"
 
 
 def remarks(results: CampaignResults) -> list[str]:

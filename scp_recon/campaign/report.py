@@ -22,6 +22,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 
@@ -31,6 +32,9 @@ from scp_recon.campaign.outcome import CampaignResults, read_campaign
 from scp_recon.errors import needing
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.report.write import check_extra
+
+PAGE = "campaign.html"
+EXTRA = ("jinja2", "matplotlib", "pandas", "plotly")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,14 +51,42 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _show(folder: Path, console: Console) -> Answer:
-    from scp_recon.campaign.page import verdict
-
     results = read_campaign(folder)
     written = write_pictures(results)
-    show_line(console, verdict(results))
+    _tell(results, written, console)
+    return Answer(0, {"feasible": results.feasible, "files": [str(path) for path in written]})
+
+
+def show_campaign(folder: Path, console: Console) -> list[Path]:
+    """Write what the extra [report] allows of a finished campaign, and tell of it.
+
+    Raises:
+        InputError: if the folder cannot be written.
+    """
+    if any(find_spec(name) is None for name in EXTRA):
+        show_line(console, f"no {PAGE}: pip install 'scp_recon[report]' for the page and pictures")
+        return []
+    results = read_campaign(folder)
+    written = write_pictures(results)
+    _tell(results, written, console)
+    return written
+
+
+def _tell(results: CampaignResults, written: Sequence[Path], console: Console) -> None:
+    show_line(console, results.verdict)
     for path in written:
         show_written(console, path)
-    return Answer(0, {"feasible": results.feasible, "files": [str(path) for path in written]})
+
+
+def check_extras() -> None:
+    """Find out before the work whether page and pictures can be made.
+
+    Raises:
+        InputError: if not.
+    """
+    check_extra()
+    with needing("report", "report", "matplotlib"):
+        import matplotlib  # noqa: F401
 
 
 def write_pictures(results: CampaignResults) -> list[Path]:
@@ -63,10 +95,9 @@ def write_pictures(results: CampaignResults) -> list[Path]:
     Raises:
         InputError: if the extra [report] is missing, or the folder cannot be written.
     """
-    check_extra()
-    with needing("report", "report", "matplotlib"):
-        from scp_recon.campaign.figures import figures
-    from scp_recon.campaign.page import PAGE, render
+    check_extras()
+    from scp_recon.campaign.figures import figures
+    from scp_recon.campaign.page import render
 
     try:
         written = [write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))]

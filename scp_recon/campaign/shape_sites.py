@@ -41,11 +41,11 @@ class ShapeSites(Axis):
 
     spread: Spread
 
-    def count(self, base: Scenario) -> int:
+    def count(self, _base: Scenario, /) -> int:
         """As said."""
         return self.spread.count
 
-    def rows(self, base: Scenario, seed: tuple[int, ...], folder: Path) -> list[Row]:
+    def rows(self, base: Scenario, _seed: tuple[int, ...], _folder: Path, /) -> list[Row]:
         """Latitude, longitude, name and, if it moves, the epoch of each."""
         sites = even_sites(surface_of(base), self.spread.count)
         order = sorted(range(len(sites)), key=lambda number: number * STRIDE % 1.0)

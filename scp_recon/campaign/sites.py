@@ -1,4 +1,4 @@
-"""Sites spread evenly over a body's surface: each is the middle of a part of it, of equal area nearly."""
+"""Sites spread evenly over a body's surface, in the middles of parts of it of nearly equal area."""
 
 from __future__ import annotations
 
