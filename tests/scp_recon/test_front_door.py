@@ -296,3 +296,24 @@ def test_what_a_plan_is_made_of_is_equal_only_to_itself(default_plan: Plan) -> N
         assert one == one
         assert one != other
         assert len({one, other}) == 2
+
+
+def test_a_campaign_gives_a_table_and_figures(tmp_path: Path) -> None:
+    study = {"axis": [{"entry": "risk.p_chance", "values": [0.7, 0.75]}]}
+    table, figures = sr.run_campaign(study, tmp_path, workers=0)
+    assert list(table["risk.p_chance"]) == [0.7, 0.75]
+    assert list(table["verdict"]) == ["verified"] * 2
+    assert table["total_dv_m_s"][0] == pytest.approx(0.140135, abs=1e-6)
+    assert table["total_dv_m_s"][1] > table["total_dv_m_s"][0]
+    assert list(figures) == ["curves"]
+    again, _ = sr.run_campaign(study, tmp_path, workers=0)
+    assert again.equals(table)
+
+
+def test_a_bad_campaign_is_one_message(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="workers"):
+        sr.run_campaign({}, tmp_path, workers=-1)
+    with pytest.raises(InputError, match="study"):
+        sr.run_campaign(3, tmp_path)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="unknown entry"):
+        sr.run_campaign({"axes": []}, tmp_path)

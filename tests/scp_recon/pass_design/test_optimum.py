@@ -54,3 +54,12 @@ def test_a_descent_is_never_worse_and_its_pass_can_be_planned_as_it_is(
     mission = Mission.from_scenario(settled(scenario, space, best.at))
     again = Planner(mission).plan(cold(mission))
     assert again.total_dv_m_s == pytest.approx(best.dv_m_s, rel=2e-3)
+
+
+def test_times_that_are_all_given_leave_no_rules_to_keep(near: Near) -> None:
+    space = spaces_of(home_scenario(design={"burn_times": "given"}))[0][0]
+    at = Pass(near.first.at.phases, space.mission.scenario.burns.times_s)
+    best = descend(space, at, near.first.burns_m_s, lambda _: None, rounds_max=1)
+    assert best.converged
+    assert best.at.times_s == pytest.approx(at.times_s, abs=1e-6)
+    assert best.at.phases != at.phases
