@@ -66,9 +66,8 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
         "j": j,
         "k": k,
         "color": "#b9b09e",
-        "flatshading": True,
         "hoverinfo": "skip",
-        "lighting": {"ambient": 0.65, "diffuse": 0.5, "specular": 0.0},
+        "lighting": {"ambient": 0.75, "diffuse": 0.4, "specular": 0.0, "fresnel": 0.0},
     }
     data: list[Trace] = [body]
     for trace, rows in _by_end(results, 6):
@@ -81,7 +80,13 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
         "height": VIEW_PX,
         "margin": {"l": 0, "r": 0, "t": 30, "b": 0},
         "legend": {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom"},
-        "scene": {"aspectmode": "data", "xaxis": hidden, "yaxis": hidden, "zaxis": hidden},
+        "scene": {
+            "aspectmode": "data",
+            "xaxis": hidden,
+            "yaxis": hidden,
+            "zaxis": hidden,
+            "camera": {"eye": {"x": 1.1, "y": 0.6, "z": 0.6}},
+        },
     }
     return chart("shape", f"Sites on the shape ({shape.told})", data, layout)
 

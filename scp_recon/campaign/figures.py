@@ -20,6 +20,7 @@ from scp_recon.campaign.outcome import FEASIBLE, CampaignResults
 
 WIDTH_IN, DPI = 7.0, 120
 LINES_MAX, PANELS_MAX, TICKS_MAX = 12, 4, 8
+ACROSS = 6
 """Values of a second and a third axis of which each has its curve and its panels."""
 
 
@@ -66,6 +67,7 @@ def draw_map(results: CampaignResults) -> Figure:
         axes.set_xticks(range(0, 361, 60))
         axes.set_yticks(range(-90, 91, 30))
         axes.grid(color="0.92")
+        axes.set_axisbelow(True)
     rows[0].scatter([], [], s=44, color="0.55", label=f"{FEASIBLE}: {len(good)}")
     rows[1].set(xlabel="east longitude (deg)")
     handles, labels = rows[0].get_legend_handles_labels()
@@ -107,7 +109,7 @@ def draw_curves(results: CampaignResults) -> Figure:
             labels,
             title=label(by),
             loc="outside upper center",
-            ncols=min(len(labels), 6),
+            ncols=len(labels) if len(labels) <= ACROSS else -(-len(labels) // 2),
             frameon=False,
         )
     return figure

@@ -23,9 +23,10 @@ UNITS = {
     "m2": "m^2",
     "w_m2": "W/m^2",
 }
-MARKS = {INFEASIBLE: "x", NO_MISSION: ".", UNKNOWN: "+"}
+NAMED = {"tdb": "epoch (TDB)", "name": "site"}
+MARKS = {INFEASIBLE: "x", NO_MISSION: "2", UNKNOWN: "+"}
 """Of cases without a verified plan, in Matplotlib."""
-GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#d3d6db", UNKNOWN: PLANS[1]}
+GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#c8ccd2", UNKNOWN: PLANS[1]}
 """Their colours, of sites and of the surface about them."""
 
 
@@ -35,6 +36,6 @@ def label(entry: str) -> str:
     for ending in sorted(UNITS, key=len, reverse=True):
         if key.endswith(f"_{ending}"):
             return f"{key.removesuffix(f'_{ending}').replace('_', ' ')} ({UNITS[ending]})"
-    if key == "tdb":
-        return "epoch (TDB)"
+    if key in NAMED:
+        return NAMED[key]
     return f"{key.replace('_', ' ')} (-)"

@@ -65,7 +65,7 @@ def render(results: CampaignResults, made: datetime) -> str:
     names = [label(entry) for entry in shown(results)]
     done = len(results.table)
     return template.render(
-        title=f"{results.campaign.do} on {results.base.name}: {', '.join(names) or 'one case'}",
+        title=f"{results.campaign.do}, {results.base.name}: {', '.join(names) or 'one case'}",
         feasible=results.feasible,
         verdict=results.verdict,
         lines=list(remarks(results)),
