@@ -285,6 +285,15 @@ QUICK = {
     f"{CAMPAIGN} --workers 2": Quick(
         "python -m scp_recon.campaign study.toml --out runs/campaign --workers 1"
     ),
+    **{
+        f"python -m scp_recon.campaign examples/studies/{name}.toml --out runs/{name}": Quick(
+            f"python -m scp_recon.campaign study.toml --out runs/{name} --workers 0"
+        )
+        for name in ("reconnaissance_map", "errors", "asteroid_year", "sizes")
+    },
+    "python -m scp_recon.campaign.report runs/reconnaissance_map": Quick(
+        "python -m scp_recon.campaign.report runs/campaign", after=(CAMPAIGN,), needs="plotly"
+    ),
     # in flight
     IN_FLIGHT: Quick(),
     "python -m scp_recon.replan runs/mine --at 17000 --state state.txt": Quick(

@@ -19,9 +19,10 @@ from scp_recon.campaign.labels import COLOURS, GREYS, MARKS, MEASURES, label
 from scp_recon.campaign.outcome import FEASIBLE, CampaignResults
 
 WIDTH_IN, DPI = 7.0, 120
-LINES_MAX, PANELS_MAX, TICKS_MAX = 12, 4, 8
-ACROSS = 6
+LINES_MAX, PANELS_MAX = 12, 4
 """Values of a second and a third axis of which each has its curve and its panels."""
+TICKS_MAX, ACROSS = 8, 6
+"""Ticks of a logarithmic axis, and curves that a line of the legend names."""
 
 
 def figures(results: CampaignResults) -> dict[str, Figure]:
