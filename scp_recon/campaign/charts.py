@@ -16,7 +16,9 @@ from scp_recon.report.palette import DASHES, PLANS
 from scp_recon.report.panels import Trace, chart
 from scp_recon.report.shape import shape_of
 
-SYMBOLS = {FEASIBLE: "circle"} | dict(zip(ENDS[1:], ("x", "circle-open", "cross"), strict=True))
+SYMBOLS = {FEASIBLE: "circle"} | dict(
+    zip(ENDS[1:], ("x", "circle-open", "cross", "diamond"), strict=True)
+)
 CURVES_MAX = 60
 """In one chart."""
 LIFTED = 1.012

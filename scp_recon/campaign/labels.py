@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.campaign.outcome import INFEASIBLE, NO_MISSION, UNKNOWN
+from scp_recon.campaign.outcome import INFEASIBLE, NO_ANSWER, NO_MISSION, NOT_VERIFIED
 from scp_recon.report.palette import PLANS
 
 DELTA_V, PROBABILITY = "total delta-v (m/s)", "lowest probability (-)"
@@ -24,9 +24,9 @@ UNITS = {
     "w_m2": "W/m^2",
 }
 NAMED = {"tdb": "epoch (TDB)", "name": "site"}
-MARKS = {INFEASIBLE: "x", NO_MISSION: "2", UNKNOWN: "+"}
+MARKS = {INFEASIBLE: "x", NO_MISSION: "2", NOT_VERIFIED: "+", NO_ANSWER: "*"}
 """Of cases without a verified plan, in Matplotlib."""
-GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#c8ccd2", UNKNOWN: PLANS[1]}
+GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#c8ccd2", NOT_VERIFIED: PLANS[1], NO_ANSWER: PLANS[3]}
 """Their colours, of sites and of the surface about them."""
 
 

@@ -21,10 +21,13 @@ from scp_recon.scp.status import Status
 if TYPE_CHECKING:
     import pandas
 
-FEASIBLE, INFEASIBLE, NO_MISSION, UNKNOWN = "feasible", "infeasible", "no mission", "not known"
+FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER = (
+    *("feasible", "infeasible", "no mission"),
+    *("not verified", "no answer"),
+)
 """How a case ends: a verified plan; none that keeps the limits; refused, as without a lighting window;
-or a plan that is not verified, an iteration that ended early, a case that failed."""
-ENDS = (FEASIBLE, INFEASIBLE, NO_MISSION, UNKNOWN)
+a plan that flights or other checks do not bear out; an iteration that ended early, or a failure."""
+ENDS = (FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER)
 NAMES = ("site.name",)
 """Entries that only name others."""
 
@@ -95,11 +98,11 @@ class CampaignResults:
 
 
 def _end(status: Any, verdict: Any) -> str:
-    if status == Status.CONVERGED.value.name and verdict == VERIFIED:
-        return FEASIBLE
+    if status == Status.CONVERGED.value.name:
+        return FEASIBLE if verdict == VERIFIED else NOT_VERIFIED
     if status == Status.INFEASIBLE.value.name:
         return INFEASIBLE
-    return NO_MISSION if status == REFUSED else UNKNOWN
+    return NO_MISSION if status == REFUSED else NO_ANSWER
 
 
 def read_campaign(folder: Path) -> CampaignResults:

@@ -54,7 +54,7 @@ def test_a_plan_that_is_not_verified_is_not_feasible(errors: CampaignResults) ->
     changed = CampaignResults(
         errors.folder, table, errors.base, errors.campaign, errors.entries, errors.cases
     )
-    assert changed.counts() == {"not known": 8}
+    assert changed.counts() == {"not verified": 8}
 
 
 def test_what_changes_together_is_one_axis(errors: CampaignResults) -> None:
