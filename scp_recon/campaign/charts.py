@@ -11,10 +11,10 @@ from scp_recon.campaign.figures import axes_of, varies
 from scp_recon.campaign.labels import COLOURS, COST, DELTA_V, GREYS, MEASURES, label
 from scp_recon.campaign.outcome import ENDS, FEASIBLE, CampaignResults
 from scp_recon.environment.surface import direction_of
-from scp_recon.report.numbers import compact, significant
-from scp_recon.report.palette import DASHES, PLANS
+from scp_recon.report.content.numbers import compact, significant
+from scp_recon.report.content.palette import DASHES, PLANS
+from scp_recon.report.content.shape import shape_of
 from scp_recon.report.panels import Trace, chart
-from scp_recon.report.shape import shape_of
 
 SYMBOLS = {FEASIBLE: "circle"} | dict(
     zip(ENDS[1:], ("x", "circle-open", "cross", "diamond"), strict=True)

@@ -15,7 +15,7 @@ from scp_recon.campaign.axes import LATITUDE, LONGITUDE
 from scp_recon.campaign.labels import COLOURS, COST, DELTA_V, GREYS
 from scp_recon.campaign.outcome import FEASIBLE, CampaignResults
 from scp_recon.environment.surface import direction_of
-from scp_recon.report.shape import Shape, shape_of
+from scp_recon.report.content.shape import Shape, shape_of
 
 Array = npt.NDArray[np.float64]
 

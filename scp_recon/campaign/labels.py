@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from scp_recon.campaign.outcome import INFEASIBLE, NO_ANSWER, NO_MISSION, NOT_VERIFIED
-from scp_recon.report.palette import PLANS
+from scp_recon.report.content.palette import PLANS
 
 DELTA_V, PROBABILITY = "total delta-v (m/s)", "lowest probability (-)"
 COST, CHANCE = "total_dv_m_s", "probability"

@@ -16,7 +16,7 @@ from scp_recon.campaign.charts import charts_of
 from scp_recon.campaign.labels import CHANCE, COST, DELTA_V, MEASURES, label
 from scp_recon.campaign.outcome import FEASIBLE, CampaignResults
 from scp_recon.campaign.repeat import command_lines
-from scp_recon.report.numbers import script
+from scp_recon.report.content.numbers import script
 from scp_recon.report.page import version_of_planner
 from scp_recon.report.table import Cell, cell
 
