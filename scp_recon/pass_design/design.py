@@ -91,15 +91,21 @@ class Designer:
         where, best = begun[-1]
         if not best.converged:
             where, best = min(begun, key=lambda one: violation(one[1]))
+            if exact:  # which asks for less than what stands for it
+                where, best = self._exactly(where, best)
             return where.space, best
         others = around[len(begun) :]  # about those before there is no pass
         where, best = cheapest([(where, best), *self._elsewhere(others, best)])
         best = self._descent(where, "refinement", best.at, best, ROUNDS_MAX, WORTH)
         where, best = self._numbered(where, best, ROUNDS_MAX, WORTH)
         if exact:
-            where = replace(where, space=under_risk_of(where.space, self.scenario))
-            best = self._descent(where, "exact", best.at, best, EXACT_ROUNDS, EXACT_WORTH)
+            where, best = self._exactly(where, best)
         return where.space, best
+
+    def _exactly(self, where: Around, best: Found) -> tuple[Around, Found]:
+        """From a pass, under the scenario's own risk."""
+        where = replace(where, space=under_risk_of(where.space, self.scenario))
+        return where, self._descent(where, "exact", best.at, best, EXACT_ROUNDS, EXACT_WORTH)
 
     def _begun(self, first: Around) -> tuple[Around, Found]:
         """The best of descents from the valleys of a map about one window; if none, the furthest."""

@@ -45,7 +45,8 @@ def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_p
     assert read_solution(again).total_dv_m_s == pytest.approx(solution.total_dv_m_s, rel=2e-3)
     with (out / "design.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert {row["step"] for row in rows} == {"map", "descent", "refinement", "fewer"}
+    steps = {row["step"] for row in rows}
+    assert steps == {"map", "descent", "refinement", "fewer", "number"}
     sizes = np.linalg.norm([burn.dv_m_s for burn in solution.burns], axis=1)
     assert len(sizes) == 3  # the second of the four given vanishes
     assert sizes.min() > 1e-4
