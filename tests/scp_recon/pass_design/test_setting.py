@@ -116,6 +116,14 @@ def test_bad_entries_are_named(changes: dict[str, object], entry: str) -> None:
         home_scenario(changes)
 
 
+def test_a_wrong_entry_beside_a_home_orbit_calls_no_state_missing() -> None:
+    """They follow as soon as it is mended."""
+    text = {"base": "nightingale", "boundary": {"final_sigma_position_m": -1.0}}
+    with pytest.raises(InputError, match=r"^boundary\.final_sigma_position_m") as told:
+        validate_scenario(text)
+    assert "missing" not in str(told.value)
+
+
 def test_a_design_without_home_orbit_window_or_legal_time_says_so() -> None:
     with pytest.raises(InputError, match=r"boundary\.home.*nothing"):
         spaces_of(load_scenario())
