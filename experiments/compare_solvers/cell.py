@@ -28,8 +28,8 @@ from scp_recon.planning.planner import (
     Planner,
     ScpStages,
     plan,
-    screened,
 )
+from scp_recon.planning.screening import screened
 from scp_recon.planning.stages import RowsSolver, StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.scvx import SCvx

@@ -9,10 +9,9 @@ from time import perf_counter
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets, included_rows
+from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
 from formulations.problem.regions import Array
 from formulations.program.subproblem import Subproblem
@@ -26,6 +25,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning.final_limits import require_no_final_limit
 from scp_recon.planning.opening import RESOLUTION, opened
 from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.screening import screened
 from scp_recon.planning.stages import CHOICES_MAX, Observer, StageRunner
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, Record, run
@@ -80,22 +80,6 @@ def plan(
         observe=observe,
         once=once,
     )
-
-
-def screened(
-    mission: Mission, facets: Facets, lin: Linearisation, clearance_m: float, nodes_max: int
-) -> npt.NDArray[np.bool_]:
-    """Facets that take part in the program of P2 to begin with, shape (facets,).
-
-    Args:
-        mission: of the facets.
-        facets: all of them.
-        lin: where they are looked at.
-        clearance_m: distance from binding beyond which they stay out.
-        nodes_max: nodes that they may be at, those nearest to binding.
-    """
-    margin = facets.margin(lin.iterate.mean, lin.factor)
-    return included_rows(facets, margin, clearance_m / mission.units.length_m, nodes_max)
 
 
 class Planner:
