@@ -1,8 +1,8 @@
-"""What burns are worth: their cost, where they lead, and the probability by means that no search has.
+"""What burns are worth: their cost, where they lead, and the probability.
 
 The burns are flown in steps a quarter as long for the final state. Of a node's normal law the original
-limits are judged for many draws, without a chord or a facet; of a whole flight's, along fresh
-directions.
+limits are judged for many draws, without a chord or a facet, by means that no search has; of a whole
+flight's by the planner's own means, but along directions that no search has seen.
 """
 
 from __future__ import annotations

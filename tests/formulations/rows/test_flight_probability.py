@@ -141,6 +141,44 @@ def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(
         assert found == pytest.approx(exact, abs=0.15)
 
 
+@given(seeds, st.floats(0.5, 2.5))
+@few
+def test_half_spaces_that_only_one_part_of_the_errors_knows_have_their_closed_form(
+    seed: int, deviations: float
+) -> None:
+    """Huge balls at several nodes, in whose normals all factors are along one direction of w.
+
+    A flight keeps all of them if it keeps the one nearest in standard deviations.
+    """
+    rng = np.random.default_rng(seed)
+    n, radius, w = 4, 1e6, rng.normal(size=9)
+    w /= np.linalg.norm(w)
+    normal = random_unit(rng, n)
+    away = deviations + rng.uniform(0.0, 2.0, n)
+    away[0] = deviations
+    across = rng.normal(size=(n, 3, 9))
+    across -= normal[:, :, None] * (normal[:, None] @ across)
+    factor = normal[:, :, None] * w + across
+    event = Event("plane", np.arange(n), (Ball(-radius * normal, radius),), ())
+    flight = Flight(-away[:, None] * normal, factor, (event,))
+    assert probability(flight) == pytest.approx(float(ndtr(deviations)), abs=8e-3)
+
+
+@given(seeds, st.floats(1.001, 3.0))
+@few
+def test_about_the_means_convex_limits_are_kept_less_by_a_wider_law(
+    seed: int, wider: float
+) -> None:
+    """Line by line, so that sampling does not matter."""
+    flight = some_flight(seed)
+    n = len(flight.mean)
+    event = Event("tube", np.arange(n), (Ball(flight.mean, 0.08),), ())
+    flight = flight._replace(events=(event,))
+    before = of_flight(flight, 256)(flight.mean, flight.factor).value
+    after = of_flight(flight, 256)(flight.mean, wider * flight.factor).value
+    assert after <= before + 1e-9
+
+
 def test_limits_out_of_reach_do_not_matter() -> None:
     flight = some_flight(1)
     all_of_them = of_flight(flight, reach=100.0)(flight.mean, flight.factor)
