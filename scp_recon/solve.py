@@ -27,7 +27,7 @@ from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
 from scp_recon.cli import plan_tables
 from scp_recon.cli.documents import plan_document
-from scp_recon.cli.infeasible import show_what_would_do
+from scp_recon.cli.infeasible import show_what_would_do, undoing
 from scp_recon.cli.keeping import UNVERIFIED, point_latest, run_folder, written
 from scp_recon.cli.live import Progress, live_progress
 from scp_recon.cli.method import check_risk, planning
@@ -192,7 +192,14 @@ def _solve(options: argparse.Namespace, console: Console) -> Answer:
     mission, start = _inputs(options)
     check_risk(options, mission.scenario)
     with run_folder(options.out, mission.scenario.name) as folder:
-        answer = plan_into(folder, mission, lambda seen: make_plan(mission, start, seen), console)
+        answer = plan_into(
+            folder,
+            mission,
+            lambda seen: make_plan(mission, start, seen),
+            console,
+            start=start,
+            instead=undoing(options),
+        )
         if options.report and answer.status != Status.INTERRUPTED.value.exit_code:
             _report(folder, console)
     point_latest(options.out, folder, answer.status)
@@ -200,9 +207,24 @@ def _solve(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def plan_into(
-    folder: Path, mission: Mission, make_plan: Callable[[Progress], Plan], console: Console
+    folder: Path,
+    mission: Mission,
+    make_plan: Callable[[Progress], Plan],
+    console: Console,
+    *,
+    start: Iterate | None = None,
+    instead: Sequence[str] = (),
 ) -> Answer:
-    """Plan, verify, show and write."""
+    """Plan, verify, show and write.
+
+    Args:
+        folder: for the files.
+        mission: to plan.
+        make_plan: does it.
+        console: where to show it.
+        start: where the plan begins, if it is known; and so one that is proposed instead.
+        instead: options that the command needs besides to plan what is proposed.
+    """
     plan_tables.show_mission(console, mission)
     console.print()
     try:
@@ -234,7 +256,7 @@ def plan_into(
         show_line(console, f"kept, as it is verified: {folder / FILE_NAME}")
     show_written(console, path)
     if status is Status.INFEASIBLE:
-        show_what_would_do(console, result)
+        show_what_would_do(console, result, start, instead)
     code = status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
     return Answer(code, plan_document(checked, [path]))
 

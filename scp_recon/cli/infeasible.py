@@ -1,58 +1,99 @@
-"""What to ask instead of what is infeasible: the largest probability that has a plan, and its price."""
+"""What to ask instead of what is infeasible: what binds, the largest probability, and its price."""
 
 from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
 
 from rich.console import Console
 
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.largest import LEAST, largest_probability, rounded_down
+from scp_recon.certification.largest import rounded_down
+from scp_recon.certification.way_out import SIZE, WayOut, way_out
 from scp_recon.cli.command import show_line
-from scp_recon.mission.mission import Mission
+from scp_recon.planning.method import FORMULATION
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.planner import plan
 from scp_recon.scp.status import Status
 
-CLOSE = 0.1
-"""Standard deviations to which the largest probability is found: a hint, in a few plans."""
+SEVERAL = "; any of them, given way to alone, would do"
 
 
-def show_what_would_do(console: Console, failed: Plan) -> None:
+def show_what_would_do(
+    console: Console, failed: Plan, start: Iterate | None = None, more: Sequence[str] = ()
+) -> None:
     """Say what binds, and the options of a plan that is feasible.
 
-    What keeps the limits without uncertainty is a matter of the probability asked: with exact risk the
-    largest that has a plan is looked for. Where not even the mean keeps them, no probability helps.
+    Args:
+        console: where to.
+        failed: the infeasible plan.
+        start: where it began.
+        more: options that undo what the command's own ones say against exact risk.
     """
-    names = [name for name, (margin, _) in failed.worst_margins.items() if margin < 0.0]
-    binds = ", ".join(names) or "the final state"
-    solved = [s for s in failed.stages if s.result.status is Status.CONVERGED]
-    p3 = next((s for s in solved if s.problem == "P3"), None)
-    if p3 is None:
-        show_line(
-            console,
-            f"what binds: {binds}; also without uncertainty: the limits, the final state or the size "
-            "of the burns have to give way, and no lower probability helps",
+    found = way_out(failed, start)
+    for line in (what_binds(found), *what_would_do(found, failed, more)):
+        show_line(console, line)
+
+
+def undoing(options: argparse.Namespace) -> list[str]:
+    """Options after those of a command that make it one for exact risk and a probability."""
+    undone = []
+    for name, only in (("method", "scp"), ("formulation", FORMULATION), ("facet-rounds", 0)):
+        if getattr(options, name.replace("-", "_")) not in (only, None):
+            undone += [f"--{name}", str(only)]
+    if options.objective != "delta-v":
+        undone += ["--objective", "delta-v"]
+    return undone
+
+
+def what_binds(found: WayOut) -> str:
+    """In one line."""
+    names = ", ".join(found.violated) or "none"
+    if not found.binds:
+        alone = (
+            "of the size and the directions of the burns, the final state and the limits none alone"
         )
-        return
-    risk = failed.mission.scenario.risk
-    show_line(console, f"what binds: {binds}; without uncertainty all limits hold")
-    exact = failed.mission.scenario.replace({"risk.allocation": "exact"})
-    mission = Mission.from_scenario(exact)
+        return f"what binds: {alone}; violated: {names}"
+    words = [
+        f"{name} (up to {found.burn_m_s:.4f} m/s would do)" if name == SIZE else name
+        for name in found.binds
+    ]
+    line = f"what binds: {', '.join(words)}"
+    return f"{line}{SEVERAL if len(words) > 1 else ''}; violated: {names}"
 
-    def tried(mission: Mission, start: Iterate, aim: float) -> Plan:
-        return plan(mission, start, aim=aim)
 
-    best = largest_probability(mission, p3.result.lin.iterate, tried, close=CLOSE)
-    if best.status is not Status.CONVERGED or best.aim is None:
-        show_line(console, f"with exact risk there is no plan for a probability of {LEAST} either")
-        return
-    asked = rounded_down(best.aim)
-    if asked >= risk.p_chance:
-        asked = risk.p_chance
-        word = "exact risk solves what the uniform split over polytopes cannot"
-    else:
-        cost = best.total_dv_m_s
-        word = f"the largest probability with a plan is about {asked:g}, for {cost:.4f} m/s"
-    show_line(
-        console,
-        f"{word}: --set 'risk.allocation=\"exact\"' --set risk.p_chance={asked:g} --certify no",
+def what_would_do(found: WayOut, failed: Plan, more: Sequence[str]) -> list[str]:
+    """Of exact risk: whether it solves what was asked, what it can at most, and the options for it."""
+    without = found.without_uncertainty
+    if without is Status.INFEASIBLE or failed.final.problem == "P3":
+        word = "no lower probability helps" if without is Status.INFEASIBLE else "not asked for"
+        return [f"without uncertainty it is infeasible too: {word}"]
+    lines = []
+    risk, largest = failed.mission.scenario.risk, found.largest
+    what = "whole flights" if risk.scope == "flight" else "each constraint at each node"
+    if found.exact is not None:
+        cost = f"{found.exact.total_dv_m_s:.4f} m/s"
+        if risk.allocation == "uniform":
+            word = f"exact risk solves what the uniform split cannot: {risk.p_chance:g} for {cost}"
+        else:
+            p = f"{found.exact.aim:g}"
+            word = f"{p} has a plan under the normal law, for {cost}, but none that flights certify"
+        lines.append(word)
+    if largest is None or largest.aim is None:
+        lines.append("no probability of more than one half was found to have a plan")
+        if without is not Status.CONVERGED:
+            lines[-1] += (
+                f", which shows little: without uncertainty planning ended {without.value.name}"
+            )
+        return lines
+    lines.append(
+        f"the largest probability found feasible, of {what}: {rounded_down(largest.aim):g} "
+        f"for {largest.total_dv_m_s:.4f} m/s"
     )
+    if found.verified is None:
+        return [*lines, "of exact risk no plan was found that ends verified"]
+    asked = found.verified.mission.scenario.risk.p_chance
+    certify = "no" if found.verified.certificate is None else "yes"
+    options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={asked:g}"]
+    cost = f"{found.verified.total_dv_m_s:.4f} m/s"
+    lines.append(f"feasible, for {cost}, with: {' '.join([*options, f'--certify {certify}'])}")
+    return lines

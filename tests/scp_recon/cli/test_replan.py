@@ -12,7 +12,7 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from scp_recon import compare, design, montecarlo, replan, simulate, solve, verify
-from scp_recon.cli import infeasible
+from scp_recon.certification import way_out
 from scp_recon.cli.delivery import joined
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.prediction import predict
@@ -132,7 +132,7 @@ def test_what_is_infeasible_is_told_as_of_a_first_plan(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And the largest probability that is named has a plan indeed, and one above it has none."""
-    monkeypatch.setattr(infeasible, "CLOSE", 0.2)
+    monkeypatch.setattr(way_out, "CLOSE", 0.2)
     out = tmp_path / "again"
     words = [str(plan_folder), "--at", "9000", "--state", *state_at(9_000.0), "--out", str(out)]
     assert replan.main([*words, "--set", "risk.p_chance=0.999"]) == 3

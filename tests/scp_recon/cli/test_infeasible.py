@@ -1,0 +1,246 @@
+"""What an infeasible run says: what binds, the largest probability, a line that is feasible."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from scipy.special import ndtr, ndtri
+
+from formulations.problem.flyby import Iterate
+from scp_recon import solve
+from scp_recon.certification import way_out as module
+from scp_recon.certification.certify import Planning
+from scp_recon.certification.way_out import (
+    LIMITS,
+    SIZE,
+    SPLIT,
+    WayOut,
+    exact_plan,
+    way_out,
+)
+from scp_recon.cli.infeasible import undoing, what_binds, what_would_do
+from scp_recon.cli.method import check_risk, planning
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Certificate
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+from scp_recon.solution.file import read_solution
+from tests.scenarios import COARSE
+from tests.scp_recon.support import CommandLine, mission_of, run_solve
+
+SPLIT_TOO_DEAR = ("--set", "risk.p_chance=0.98", "--set", COARSE)
+EXACT = ("risk.allocation=exact", COARSE)
+
+
+REACHED = Certificate(10_000, 1_000, 0.7, 0.69, 0.71, 0.7, 1)
+
+
+def failed(*overrides: str, aim: float | None = None) -> Plan:
+    mission = mission_of(*overrides)
+    found = plan(mission, initial_guess.cold(mission), aim=aim, once=True)
+    assert found.status is Status.INFEASIBLE
+    return found
+
+
+def said(run: CommandLine) -> str:
+    return run.output[run.output.index("what binds") :]
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "CLOSE", 1.0)
+        folder = tmp_path_factory.mktemp("refused")
+        return run_solve(folder, *SPLIT_TOO_DEAR, "--facet-rounds", "1")
+
+
+# --- the line -----------------------------------------------------------------------------------
+
+
+def printed_options(run: CommandLine) -> list[str]:
+    return shlex.split(said(run).rsplit("with: ", 1)[1])
+
+
+def test_the_very_line_ends_verified(refused: CommandLine, tmp_path: Path) -> None:
+    """After the options that the command had, facet rounds among them."""
+    assert refused.exit_code == 3
+    line = printed_options(refused)
+    again = run_solve(tmp_path, *SPLIT_TOO_DEAR, "--facet-rounds", "1", *line)
+    assert (again.exit_code, again.errors) == (0, "")
+    solution = read_solution(tmp_path)
+    assert solution.verification is not None
+    assert solution.verification.ok
+    assert solution.scenario.risk.p_chance == 0.98
+    assert f"feasible, for {solution.total_dv_m_s:.4f} m/s, with: " in said(refused)
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        ("--method", "ipopt"),
+        ("--method", "ipopt", "--formulation", "printed"),
+        ("--formulation", "lifted", "--facet-rounds", "2"),
+    ],
+    ids=" ".join,
+)
+def test_the_line_goes_with_every_method(own: tuple[str, ...]) -> None:
+    """What the command says against exact risk is undone by what stands after it."""
+    line = ("--set", "risk.allocation=exact", "--certify", "no")
+    before = solve.parser().parse_args([*own, *line])
+    scenario = load_scenario(None, before.overrides)
+    with pytest.raises(InputError):
+        check_risk(before, scenario)
+    after = solve.parser().parse_args([*own, *undoing(before), *line])
+    planning(after)
+    check_risk(after, scenario)
+
+
+def test_the_line_does_without_the_largest_probability() -> None:
+    options = solve.parser().parse_args(["--objective", "probability"])
+    assert undoing(options) == ["--objective", "delta-v"]
+    assert undoing(solve.parser().parse_args([])) == []
+
+
+# --- what binds, and what exact risk can --------------------------------------------------------
+
+
+def test_exact_risk_solves_what_the_split_cannot_and_says_at_what_price(
+    refused: CommandLine,
+) -> None:
+    words = said(refused)
+    assert words.startswith(f"what binds: {SPLIT}; violated: ")
+    (cost,) = (line.split()[-2] for line in words.splitlines() if "exact risk solves" in line)
+    mission = mission_of("risk.p_chance=0.98", COARSE)
+    exact = exact_plan(mission, initial_guess.cold(mission), 0.98)
+    assert float(cost) == pytest.approx(exact.total_dv_m_s, abs=1e-4)
+    (largest,) = (line for line in words.splitlines() if "largest probability" in line)
+    p, price = float(largest.split()[-4]), float(largest.split()[-2])
+    assert 0.98 <= p < 1.0
+    assert price > float(cost)
+
+
+@pytest.fixture(scope="module")
+def small_burns() -> tuple[Plan, WayOut]:
+    """Exact risk where the burns may be as large as takes 0.7, and not 0.9."""
+    found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "CLOSE", 0.3)
+        return found, way_out(found)
+
+
+def test_where_exact_risk_has_failed_it_is_not_praised(small_burns: tuple[Plan, WayOut]) -> None:
+    found, out = small_burns
+    assert out.exact is None
+    words = "\n".join([what_binds(out), *what_would_do(out, found, ())])
+    assert "exact risk solves" not in words
+    assert SPLIT not in words
+
+
+def test_what_suffices_alone_is_named_with_its_size(small_burns: tuple[Plan, WayOut]) -> None:
+    found, out = small_burns
+    assert SIZE in out.binds
+    assert LIMITS in out.binds
+    assert "dv_max" in out.violated
+    assert out.burn_m_s is not None
+    assert f"{SIZE} (up to {out.burn_m_s:.4f} m/s would do)" in what_binds(out)
+    larger = mission_of(*EXACT, f"burns.dv_max_m_s={out.burn_m_s + 1e-6}", "risk.p_chance=0.9")
+    start = found.final.result.lin.iterate
+    assert plan(larger, start, once=True).status is Status.CONVERGED
+
+
+def test_the_largest_probability_is_the_last_that_has_a_plan(
+    small_burns: tuple[Plan, WayOut],
+) -> None:
+    found, out = small_burns
+    assert out.largest is not None
+    assert out.largest.aim is not None
+    assert out.verified is not None
+    assert 0.5 < out.largest.aim < 0.9
+    beyond = float(ndtr(ndtri(out.largest.aim) + 0.3))
+    last = out.largest.final.result.lin.iterate
+    assert exact_plan(found.mission, last, beyond).status is not Status.CONVERGED
+    asked = out.verified.mission.scenario.risk.p_chance
+    assert asked == pytest.approx(out.largest.aim, abs=1e-4)
+    assert asked <= out.largest.aim
+    words = "\n".join(what_would_do(out, found, ["--method", "scp"]))
+    assert f"{asked:g} for {out.largest.total_dv_m_s:.4f} m/s" in words
+    assert (
+        f"with: --method scp --set 'risk.allocation=\"exact\"' --set risk.p_chance={asked:g} "
+        in words
+    )
+
+
+def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A plan that aims above what was asked may be the only one that is missing."""
+    monkeypatch.setattr(module, "CLOSE", 1.0)
+    monkeypatch.setattr(module, "_verified", lambda largest, *_: largest)
+    found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.7", aim=0.9)
+    out = way_out(found)
+    words = "\n".join(what_would_do(out, found, ()))
+    assert out.exact is not None
+    assert out.exact.aim == 0.7
+    assert "exact risk solves" not in words
+    assert "0.7 has a plan under the normal law" in words
+    assert "none that flights certify" in words
+    assert "risk.p_chance=0.7 --certify no" in words
+
+
+def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
+    small_burns: tuple[Plan, WayOut], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A certified plan aims higher; where that takes more than there is, less is promised."""
+    found, out = small_burns
+    assert out.largest is not None
+    made: list[float] = []
+
+    def certify(mission: Mission, start: Iterate, make: Planning) -> Plan:
+        made.append(mission.scenario.risk.p_chance)
+        of = make(mission, start, float(ndtr(ndtri(made[-1]) + 0.05)))
+        return dataclasses.replace(of, certificate=REACHED)
+
+    monkeypatch.setattr(module, "certify", certify)
+    monkeypatch.setattr(module, "make_solution", lambda of: of)
+    monkeypatch.setattr(
+        module, "verify", lambda _, of: SimpleNamespace(ok=of.certificate is not None)
+    )
+    start = initial_guess.cold(found.mission)
+    chosen = module._verified(out.largest, 0.9, found, start)
+    assert chosen is not None
+    assert chosen.certificate is REACHED
+    assert chosen.mission.scenario.risk.p_chance == made[-1] < made[0] <= out.largest.aim
+    words = "\n".join(what_would_do(dataclasses.replace(out, verified=chosen), found, ()))
+    assert f"--set risk.p_chance={made[-1]:g} --certify yes" in words
+
+
+# --- without uncertainty ------------------------------------------------------------------------
+
+
+def test_burns_that_are_too_small_are_what_binds() -> None:
+    found = failed("burns.dv_max_m_s=0.02", COARSE)
+    out = way_out(found)
+    assert out.without_uncertainty is Status.INFEASIBLE
+    assert out.binds == (SIZE,)
+    assert out.burn_m_s is not None
+    assert out.largest is None
+    (line,) = what_would_do(out, found, ())
+    assert "no lower probability helps" in line
+    larger = mission_of(f"burns.dv_max_m_s={out.burn_m_s + 1e-6}", COARSE)
+    p3 = plan(larger, initial_guess.cold(larger), problem="P3")
+    assert p3.status is Status.CONVERGED
+
+
+def test_what_has_not_ended_shows_nothing_of_lower_probabilities() -> None:
+    found = failed("burns.dv_max_m_s=0.02", COARSE)
+    unknown = WayOut(Status.MAX_ITERATIONS, (), ())
+    words = "\n".join([what_binds(unknown), *what_would_do(unknown, found, ())])
+    assert "no lower probability helps" not in words
+    assert "max_iterations" in words
