@@ -100,7 +100,8 @@ def way_out(failed: Plan, start: Iterate | None = None) -> WayOut:
     if uniform or wanted > asked:
         tried = exact_plan(failed.mission, iterate, asked)
     exact = tried if tried and _has_converged(tried) else None
-    violated, freed, binds = _violated(failed), {}, (SPLIT,)
+    violated, freed = _violated(failed), {}
+    binds: tuple[str, ...] = (SPLIT,)
     if not (uniform and exact):
         last = tried if uniform and tried else failed
         violated = _violated(last)

@@ -19,6 +19,8 @@ from scp_recon.physics.flow import interpolate
 
 Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
+Indices = npt.NDArray[np.intp]
+State = tuple[Array, Array]
 
 SAFETY = "safety_radius"
 LOOK_S = 30.0
@@ -137,11 +139,12 @@ def _block(
 ) -> _Block:
     flown = fly_block(mission, burns, looks, number, flights=flights, seed=seed)
     states = flown.states
-    at_end = states[1:, :, 3:] - _kicks(mission, looks[1:], flown.burns_m_s)
     window = np.isin(looks, _times(mission, looks, ""))
     margins = _margins(mission, looks, states[..., :3], [SAFETY])
     if window.any():
         margins |= joint_margins(mission, looks[window], states[window, :, :3])
+    everywhere = _Arcs(looks, states, flown.burns_m_s)
+    observing = _Arcs(looks[window], states[window], flown.burns_m_s)
     kept_at_nodes, kept = np.ones(flights, dtype=bool), np.ones(flights, dtype=bool)
     at_looks, between, touches = {}, {}, []
     for name, margin in margins.items():
@@ -149,8 +152,7 @@ def _block(
         holds = margin >= 0.0
         at_looks[name] = holds.sum(axis=1)
         kept_at_nodes &= holds[np.isin(times, mission.times_s)].all(axis=0)
-        which = np.flatnonzero(np.isin(looks, times))
-        arcs = _Arcs(times, states[which], at_end[which[1:] - 1])
+        arcs = everywhere if name == SAFETY else observing
         counts, broken, time, flight = _between(mission, name, arcs, margin)
         between[name] = counts
         kept &= holds.all(axis=0) & ~broken
@@ -172,20 +174,21 @@ class _Arcs:
     Attributes:
         times: of the looks, shape (n,).
         states: after the burns, shape (n, flights, 6).
-        end_velocity: before the burns, where each arc ends, shape (n - 1, flights, 3).
+        burns: as executed, m/s, shape (flights, m, 3).
     """
 
     times: Array
     states: Array
-    end_velocity: Array
+    burns: Array
 
-
-def _kicks(mission: Mission, looks: Array, executed: Array) -> Array:
-    """What a burn at a look adds to the velocity, nothing elsewhere: shape (looks, flights, 3)."""
-    kicks = np.zeros((len(looks), len(executed), 3))
-    for number, time in enumerate(mission.scenario.burn_times_s):
-        kicks[looks == time] = executed[:, number]
-    return kicks
+    def ends(self, mission: Mission, k: Indices, flight: Indices) -> tuple[State, State]:
+        """Positions and velocities, (n, 3), after looks k and at the next ones, before a burn there."""
+        start, end = self.states[k, flight], self.states[k + 1, flight]
+        velocity = end[:, 3:].copy()
+        for number, time in enumerate(mission.scenario.burn_times_s):
+            burning = self.times[k + 1] == time
+            velocity[burning] -= self.burns[flight[burning], number]
+        return (start[:, :3], start[:, 3:]), (end[:, :3], velocity)
 
 
 def may_dip(times: Array, margin: Array) -> Array:
@@ -208,7 +211,7 @@ def may_dip(times: Array, margin: Array) -> Array:
 
 def _between(
     mission: Mission, name: str, arcs: _Arcs, margin: Array
-) -> tuple[Counts, npt.NDArray[np.bool_], Array, npt.NDArray[np.intp]]:
+) -> tuple[Counts, npt.NDArray[np.bool_], Array, Indices]:
     """What holds at the seconds between looks.
 
     Returns:
@@ -221,8 +224,7 @@ def _between(
     counts = np.repeat(((low >= 0.0) & ~unclear).sum(axis=1)[:, None], PARTS - 1, axis=1)
     k, flight = np.nonzero(unclear)
     step = (times[k + 1] - times[k])[:, None]
-    start, end = arcs.states[k, flight], arcs.states[k + 1, flight]
-    ends = (start[:, :3], start[:, 3:]), (end[:, :3], arcs.end_velocity[k, flight])
+    ends = arcs.ends(mission, k, flight)
     broken = np.zeros(margin.shape[1], dtype=bool)
     when, who = [np.zeros(0)], [np.zeros(0, dtype=np.intp)]
     for part in range(1, PARTS):
