@@ -33,7 +33,9 @@ def sparse() -> Plan:
 
 @pytest.fixture(scope="module")
 def kept(sparse: Plan) -> KeptFlights:
-    return kept_flights(sparse.mission, sparse.burns_m_s, FLIGHTS, SEED)
+    """As flights that are to keep everything."""
+    whole = Mission.from_scenario(sparse.mission.scenario.replace({"risk.scope": "flight"}))
+    return kept_flights(whole, sparse.burns_m_s, FLIGHTS, SEED)
 
 
 def test_flights_that_break_a_limit_between_nodes_are_found(
