@@ -1,0 +1,34 @@
+"""What the terminal shows of certification: each round as its flights begin, and what they reached."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from io import StringIO
+
+from rich.console import Console
+
+from scp_recon.cli.live import live_progress
+from scp_recon.planning.plan import Certificate, Plan
+
+
+def test_rounds_are_told_beside_the_iterations(default_plan: Plan) -> None:
+    out = StringIO()
+    plan = replace(default_plan, aim=0.91234)
+    reached = Certificate(10_000, 1_000, 0.909, 0.9032, 0.9146, 0.909, 1)
+    stage = plan.stages[0]
+    with live_progress(Console(file=out, width=120), plan.mission) as seen:
+        seen(stage.name, stage.result.records[0])
+        seen.round(1, plan, 10_000)
+        flying = [str(line) for line in seen.rounds.values()]
+        seen.round(1, replace(plan, certificate=reached), 10_000)
+        seen.round(2, plan, 10_000)
+    assert len(flying) == 1
+    assert flying[0].endswith("10000 flights: flying")
+    shown = out.getvalue()
+    assert (
+        shown.count("round 1: aimed at 0.91234, 0.140135 m/s, 154 nodes; 10000 flights: 0.9090")
+        == 1
+    )
+    assert "at least 0.9032" in shown
+    assert shown.count("round 2:") == 1
+    assert stage.name in shown
