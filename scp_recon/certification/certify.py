@@ -68,8 +68,8 @@ def certify(
 
     Returns:
         The cheapest plan that reaches what was asked, with its certificate; where none does the one
-        that comes nearest, whose certificate says so. Where a round does not converge before any has
-        succeeded, that round's plan, without a certificate.
+        that comes nearest, whose certificate says so. Where an aim is infeasible before any round has
+        succeeded, or the first comes to no verdict, that round's plan, without a certificate.
     """
     asked = mission.scenario.risk.p_chance
     rounds = _Rounds(asked, Aiming(asked, flights_needed(asked)))
@@ -107,8 +107,10 @@ class _Rounds:
             plan = make_plan(mission, start, aim)
             if plan.status is Status.INTERRUPTED and self.made is not None:
                 raise KeyboardInterrupt
-            if plan.status is not Status.CONVERGED:
+            if plan.status is Status.INFEASIBLE:
                 return self.certified or plan
+            if plan.status is not Status.CONVERGED:
+                return self.best or plan
             self.made = plan
             if watch:
                 watch(number, plan, samples)

@@ -186,6 +186,21 @@ def test_a_round_that_has_no_plan_ends_it(real: Plan, monkeypatch: pytest.Monkey
     assert low(more) >= ASKED
 
 
+def test_a_round_without_a_verdict_leaves_the_nearest(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def status(_: float, start: str) -> Status:
+        return Status.CONVERGED if start == "given" else Status.MAX_ITERATIONS
+
+    world = World(real, lambda *_: (0.89, 0.89), status)
+    short = certified(world, monkeypatch)
+    assert (short.status, short.aim) == (Status.CONVERGED, world.aims[0])
+    assert low(short) < ASKED
+    first = World(real, lambda *_: (0.89, 0.89), lambda *_: Status.STALLED)
+    none = certified(first, monkeypatch)
+    assert (none.status, none.certificate) == (Status.STALLED, None)
+
+
 def test_the_watch_sees_flights_begin_and_end(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[tuple[int, bool, int]] = []
 
