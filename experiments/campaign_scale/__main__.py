@@ -14,6 +14,7 @@ if __name__ == "__main__":
 
 import argparse
 import os
+import pickle
 import resource
 import socket
 import subprocess
@@ -21,9 +22,10 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -32,7 +34,7 @@ from scp_recon.campaign.case import Case, Runner, Work
 from scp_recon.campaign.cases import Cases
 from scp_recon.campaign.engine import run_cases
 from scp_recon.campaign.runners.child import Limits
-from scp_recon.campaign.runners.cluster import Cluster, Session
+from scp_recon.campaign.runners.cluster import Cluster, run_in_child
 from scp_recon.campaign.runners.here import here
 from scp_recon.campaign.runners.processes import Processes
 from scp_recon.campaign.study import Study
@@ -169,23 +171,28 @@ def _free_port() -> int:
 
 def scheduler_memory(queued: int) -> tuple[float, float, float]:
     """Megabytes of a scheduler without and with queued cases, and its processor time for them, s."""
+    import distributed
     import psutil
 
-    with local_cluster(0) as address:
-        process = next(
-            child
-            for child in psutil.Process().children()
-            if any("dask_scheduler" in word for word in child.cmdline())
-        )
+    cases = [tuple(case) for case in Cases(([{}] * queued,), 0)]
+    with (
+        local_cluster(0) as address,
+        distributed.Client(address, timeout=120, set_as_default=False) as client,
+    ):
+        work = client.submit(bytes, pickle.dumps(Empty()), pure=False)
+        process = psutil.Process().children()[0]
         before, cpu = process.memory_info().rss, sum(process.cpu_times()[:2])
-        with closing(Session(Cluster(address, LIMITS), b"")) as session:
-            session.connect(first=True)
-            for case in Cases(([{}] * queued,), 0):
-                session.send(case)
-            # Answered after all that was sent before.
-            session.client.run_on_scheduler(lambda: None)
-            after, took = process.memory_info().rss, sum(process.cpu_times()[:2]) - cpu
+        some = {"pure": False, "batch_size": 10_000}
+        sent = client.map(run_in_child, [work] * queued, cases, [LIMITS] * queued, **some)
+        while client.run_on_scheduler(_tasks) < len(sent):
+            time.sleep(0.5)
+        after, took = process.memory_info().rss, sum(process.cpu_times()[:2]) - cpu
     return before / 1e6, after / 1e6, took
+
+
+def _tasks(dask_scheduler: Any) -> int:
+    """How many a scheduler holds."""
+    return len(dask_scheduler.tasks)
 
 
 if __name__ == "__main__":
