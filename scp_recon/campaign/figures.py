@@ -163,9 +163,10 @@ def _spread(values: Sequence[Any], most: int) -> list[Any]:
 def _style(number: int, count: int, value: Any) -> dict[str, Any]:
     if value is None:
         return {"marker": "o", "ms": 3, "lw": 0.8, "color": "#0072B2"}
-    shade = colormaps[COLOURS](number / max(count - 1, 1) / 1.1)
-    mark = "osD^vP*X<>hp"[number % 12]
-    return {"marker": mark, "ms": 3.5, "lw": 1.0, "color": shade, "label": f"{value:.3g}"}
+    share = number / max(count - 1, 1)
+    shade, mark = colormaps[COLOURS](share / 1.1), "osD^vP*X<>hp"[number % 12]
+    size = 6.5 - 3.5 * share  # so that curves that lie on each other are seen
+    return {"marker": mark, "ms": size, "lw": 1.0, "color": shade, "label": f"{value:.3g}"}
 
 
 def _east(longitude: Any) -> Any:

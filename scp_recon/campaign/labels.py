@@ -24,9 +24,9 @@ UNITS = {
     "w_m2": "W/m^2",
 }
 NAMED = {"tdb": "epoch (TDB)", "name": "site"}
-MARKS = {INFEASIBLE: "x", NO_MISSION: "2", NOT_VERIFIED: "+", NO_ANSWER: "*"}
+MARKS = {INFEASIBLE: "x", NO_MISSION: ".", NOT_VERIFIED: "+", NO_ANSWER: "*"}
 """Of cases without a verified plan, in Matplotlib."""
-GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#c8ccd2", NOT_VERIFIED: PLANS[1], NO_ANSWER: PLANS[3]}
+GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#bcc1c8", NOT_VERIFIED: PLANS[1], NO_ANSWER: PLANS[3]}
 """Their colours, of sites and of the surface about them."""
 
 
