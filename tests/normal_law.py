@@ -13,7 +13,7 @@ from scipy.stats import ncx2
 from formulations.problem.regions import Ball, Cone, perpendicular
 from tests.helpers import Array
 
-OUTER, INNER, TAIL = 800, 160, 9.0
+OUTER, INNER, TAIL = 800, 320, 9.0
 """Gauss-Legendre points over the slices and within each, over so many standard deviations either way:
 slices of a slender law change within a small part of one."""
 

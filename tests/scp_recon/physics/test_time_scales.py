@@ -46,7 +46,9 @@ def test_utc_is_astropys(date: datetime) -> None:
 @given(date=DATES)
 def test_there_and_back_is_the_same(date: datetime) -> None:
     said = iso_utc(instant(tdb_of_utc(date)))
-    assert abs(datetime.fromisoformat(said[:26]) - date) <= timedelta(microseconds=1)
+    leap = timedelta(seconds=said[17:19] == "60")  # rounded down into a leap second
+    found = datetime.fromisoformat(f"{said[:17]}59{said[19:26]}" if leap else said[:26]) + leap
+    assert abs(found - date) <= timedelta(microseconds=1)
 
 
 @given(date=DATES, seconds=st.floats(-1e6, 1e6))
