@@ -73,9 +73,9 @@ def what_would_do(found: WayOut, failed: Plan, more: Sequence[str]) -> list[str]
     if found.exact is not None:
         cost = f"{found.exact.total_dv_m_s:.4f} m/s"
         if risk.allocation == "uniform":
-            word = f"exact risk solves what the uniform split cannot: {risk.p_chance:g} for {cost}"
+            word = f"exact risk solves what the uniform split cannot: {risk.p_chance} for {cost}"
         else:
-            p = f"{found.exact.aim:g}"
+            p = f"{found.exact.aim}"
             word = f"{p} has a plan under the normal law, for {cost}, but none that flights certify"
         lines.append(word)
     if largest is None or largest.aim is None:
@@ -93,7 +93,7 @@ def what_would_do(found: WayOut, failed: Plan, more: Sequence[str]) -> list[str]
         return [*lines, "of exact risk no plan was found that ends verified"]
     asked = found.verified.mission.scenario.risk.p_chance
     certify = "no" if found.verified.certificate is None else "yes"
-    options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={asked:g}"]
+    options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={asked}"]
     cost = f"{found.verified.total_dv_m_s:.4f} m/s"
     lines.append(f"feasible, for {cost}, with: {' '.join([*options, f'--certify {certify}'])}")
     return lines
