@@ -83,12 +83,18 @@ def parser() -> argparse.ArgumentParser:
         metavar="S",
         help="default: 0",
     )
-    p.add_argument(
+    where = p.add_mutually_exclusive_group()
+    where.add_argument(
         "--workers",
         type=int_between(1, WORKERS_MAX),
         default=1,
         metavar="N",
         help="processes (default: 1)",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="fly on the Dask cluster of this scheduler, e.g. tcp://127.0.0.1:8786; needs [cluster]",
     )
     return p
 
@@ -160,6 +166,11 @@ def _flown(
     console: Console,
 ) -> FlightTally:
     """Fly, with a bar that grows."""
+    blocks = None
+    if options.scheduler is not None:
+        from scp_recon.campaign.flights import blocks_on_cluster
+
+        blocks = blocks_on_cluster(options.scheduler, lambda line: show_line(console, line))
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=progress_console(console)) as bar:
         task = bar.add_task("flights", total=options.samples)
@@ -168,6 +179,7 @@ def _flown(
             samples=options.samples,
             until=options.until,
             workers=options.workers,
+            blocks=blocks,
             progress=lambda done: bar.update(task, completed=done),
             stop=stop,
             begun=begun,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import islice
@@ -89,7 +90,12 @@ class FlightBlock:
     terminal: Array
 
 
-def run_block(config: FlightConfig, job: tuple[int, int]) -> FlightBlock:
+Job = tuple[int, int]
+"""Of a block its number, and its flights."""
+Blocks = Callable[[FlightConfig, Iterator[Job]], Generator[FlightBlock]]
+
+
+def run_block(config: FlightConfig, job: Job) -> FlightBlock:
     """Fly a block: (its number, its flights)."""
     number, flights = job
     mission, looks = config.mission, config.looks_s
@@ -216,6 +222,7 @@ def fly_many(
     samples: int,
     until: float | None = None,
     workers: int = 1,
+    blocks: Blocks | None = None,
     progress: Callable[[int], None] | None = None,
     stop: Callable[[], bool] | None = None,
     begun: FlightTally | None = None,
@@ -229,6 +236,7 @@ def fly_many(
         samples: flights in all, those begun with included.
         until: width at which to end.
         workers: processes.
+        blocks: flies blocks elsewhere, in their place; gives them in their order.
         progress: is told how many are flown after each block.
         stop: asked after each block; where it says so, what is flown by then comes back.
         begun: whole blocks of the same configuration, which are counted on.
@@ -242,20 +250,22 @@ def fly_many(
         raise InputError("until", repr(until), "must be a width between 0 and 1")
     flown = FlightTally(config) if begun is None else begun
     whole_number("begun", flown.samples, 0, samples)
-    for block in _blocks(config, flown.samples // BLOCK, samples, workers):
-        if until is not None and flown.samples and flown.widest_interval() <= until:
-            break
-        flown.add(block)
-        if progress:
-            progress(flown.samples)
-        if stop and stop():
-            break
+    first, last = flown.samples // BLOCK, -(-samples // BLOCK)
+    jobs = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(first, last))
+    with closing((blocks or partial(_blocks, workers))(config, jobs)) as coming:
+        for block in coming:
+            if until is not None and flown.samples and flown.widest_interval() <= until:
+                break
+            flown.add(block)
+            if progress:
+                progress(flown.samples)
+            if stop and stop():
+                break
     return flown
 
 
-def _blocks(config: FlightConfig, first: int, samples: int, workers: int) -> Iterator[FlightBlock]:
-    """From the block of that number on."""
-    jobs = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(first, -(-samples // BLOCK)))
+def _blocks(workers: int, config: FlightConfig, jobs: Iterator[Job]) -> Generator[FlightBlock]:
+    """On processes of this machine."""
     work = partial(run_block, config)
     if workers == 1:
         yield from map(work, jobs)

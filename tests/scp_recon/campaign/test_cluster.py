@@ -15,12 +15,16 @@ from typing import Any
 
 import pytest
 
+from scp_recon import montecarlo
 from scp_recon.campaign.engine import run_study
 from scp_recon.campaign.runners.cluster import Cluster
 from scp_recon.campaign.runners.here import here
 from scp_recon.campaign.study import Study
 from scp_recon.campaign.table import read_results
 from scp_recon.errors import InputError
+from scp_recon.monte_carlo.summary import FILE_NAME
+from scp_recon.solution.file import Solution
+from scp_recon.solution.verdict import Verification
 from tests.scp_recon.campaign.support import LIMITS, computed, run, some_cases
 from tests.scp_recon.campaign.works import ENDS, Naughty, Quick
 
@@ -167,3 +171,14 @@ def test_without_a_scheduler_there_is_one_message(tmp_path: Path) -> None:
         run(Quick(), some_cases(3), tmp_path, Cluster("tcp://127.0.0.1:9", LIMITS))
     assert caught.value.entry == "--scheduler"
     assert time.monotonic() - began < 60
+
+
+def test_flights_are_the_same_on_a_cluster(
+    cluster: LocalCluster, solution: Solution, verification: Verification, tmp_path: Path
+) -> None:
+    solution.model_copy(update={"verification": verification}).write(tmp_path)
+    words = [str(tmp_path), "--samples", "5000", "--seed", "4"]
+    assert montecarlo.main(words) == 0
+    alone = (tmp_path / FILE_NAME).read_bytes()
+    assert montecarlo.main([*words, "--scheduler", cluster.address]) == 0
+    assert (tmp_path / FILE_NAME).read_bytes() == alone
