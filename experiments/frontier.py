@@ -55,6 +55,9 @@ KINDS: Mapping[str, tuple[dict[str, Any], bool]] = {
     "certified, whole flights": (EXACT | {"risk.scope": "flight"}, True),
 }
 """Changes to the scenario, and whether flights certify the plan."""
+NOT_CERTIFIED = "not certified"
+"""Status of a plan that has converged, of which flights reach less than was asked."""
+
 AIMED = {
     "certified, each node": "exact, each node",
     "certified, whole flights": "exact, whole flights",
@@ -106,11 +109,12 @@ def record(kind: str, p: float, found: Plan, flights: int, processor_s: float) -
     node = min(flown.worst_probability(name)[1].value for name in flown.node_counts if name != ALL)
     reached = found.certificate
     converged = found.status is Status.CONVERGED
+    missed = converged and reached is not None and reached.low < p
     return {
         "kind": kind,
         "asked": p,
-        "status": found.status.value.name,
-        "total_dv_m_s": found.total_dv_m_s if converged else float("nan"),
+        "status": NOT_CERTIFIED if missed else found.status.value.name,
+        "total_dv_m_s": found.total_dv_m_s if converged and not missed else float("nan"),
         "aim": found.aim or float("nan"),
         "certified_low": reached.low if reached and converged else float("nan"),
         "node": node if converged else float("nan"),

@@ -111,7 +111,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--dv-budget",
-        type=number_between(1e-9, 1e6),
+        type=_budget,
         metavar="M_S",
         help="with --objective probability, most delta-v that the plan may cost, m/s (default: any)",
     )
@@ -175,6 +175,10 @@ def _start(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError("got ''; must be cold, warm or a file")
     return text
+
+
+def _budget(text: str) -> float | None:
+    return None if text == "any" else number_between(1e-9, 1e6)(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

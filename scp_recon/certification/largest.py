@@ -159,12 +159,16 @@ def largest_promise(
         except KeyboardInterrupt:
             return as_interrupted(found or best)
         reached = certificate_from(mission, kept, seed, number)
-        found = promising(replace(best, certificate=reached), reached.low)
+        found = replace(best, certificate=reached)
+        # A scenario asks for more than one half: less is promised by none, and its verdict says so.
+        if rounded_down(reached.low) > 0.5:
+            found = promising(found, reached.low)
         if watch:
             watch(number, found, samples)
         if are_close(reached, reached.low):
             break
-        mission, start = with_nodes_at(mission, kept.touched_s), from_burns(mission, best.burns_m_s)
+        mission = with_nodes_at(mission, kept.touched_s)
+        start = from_burns(mission, best.burns_m_s)
     assert found is not None
     return found
 

@@ -46,6 +46,7 @@ miss where the final state is."""
 
 SIZE, DIRECTIONS = "the size of the burns", "the directions of the burns"
 FINAL_STATE, LIMITS = "the final state", "the limits"
+FINAL_SPREAD = "the limits on the final covariance"
 SPLIT = "the polytopes and the split of the risk"
 
 FREED: dict[str, Callable[[FlybyProblem], FlybyProblem]] = {
@@ -53,6 +54,7 @@ FREED: dict[str, Callable[[FlybyProblem], FlybyProblem]] = {
     DIRECTIONS: lambda problem: replace(problem, dv_cone=FREE_CONE),
     FINAL_STATE: lambda problem: replace(problem, miss_weight=FREE_MISS),
     LIMITS: lambda problem: replace(problem, constraints=()),
+    FINAL_SPREAD: lambda problem: replace(problem, final_spread=(None, None)),
 }
 """The problem without one thing."""
 
@@ -91,7 +93,8 @@ def way_out(failed: Plan, start: Iterate | None = None) -> WayOut:
     p3 = _without_uncertainty(failed)
     status, iterate = p3.status, p3.final.result.lin.iterate
     if failed.final.problem == "P3" or status is Status.INFEASIBLE:
-        freed = {name: plan for name in FREED if (plan := _freed(p3, name))}
+        some = tuple(name for name in FREED if name != FINAL_SPREAD)
+        freed = {name: plan for name in some if (plan := _freed(p3, name))}
         return WayOut(status, tuple(freed), _violated(p3), _largest_burn(freed))
     risk = failed.mission.scenario.risk
     wanted, asked = failed.aim or risk.p_chance, min(risk.p_chance, failed.aim or 1.0)
@@ -107,8 +110,11 @@ def way_out(failed: Plan, start: Iterate | None = None) -> WayOut:
         violated = _violated(last)
         # Whole flights take ten times as long where the final state is free.
         some = (SIZE, FINAL_STATE) if risk.scope == "node" else (SIZE,)
+        spread = last.mission.problem.final_spread != (None, None)
+        some = (*some, FINAL_SPREAD) if spread else some
         freed = {name: plan for name in some if (plan := _freed(last, name))}
-        binds = (*freed, LIMITS)
+        # What is left, where the final covariance alone is not too large.
+        binds = tuple(freed) if FINAL_SPREAD in freed else (*freed, LIMITS)
     most = asked if exact is None else max(wanted, MOST) if uniform else wanted
     low = exact or exact_plan(failed.mission, iterate, LEAST)
     largest = largest_feasible(low, most) if _has_converged(low) else None

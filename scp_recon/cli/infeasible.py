@@ -42,6 +42,8 @@ def undoing(options: argparse.Namespace) -> list[str]:
             undone += [f"--{name}", str(only)]
     if options.objective != "delta-v":
         undone += ["--objective", "delta-v"]
+    if options.dv_budget is not None:
+        undone += ["--dv-budget", "any"]
     return undone
 
 

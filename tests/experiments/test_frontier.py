@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from time import process_time
 
 import pytest
 
 from experiments import frontier
-from experiments.frontier import AIMED, KINDS, PROBABILITIES, certifying_costs, study, to_markdown
+from experiments.frontier import (
+    AIMED,
+    KINDS,
+    NOT_CERTIFIED,
+    PROBABILITIES,
+    certifying_costs,
+    record,
+    study,
+    to_markdown,
+)
 from experiments.kept import Kept
 from experiments.studies import Cell
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import Planning
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan
+from scp_recon.planning.plan import Certificate, Plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scenarios import COARSE
@@ -74,6 +84,17 @@ def test_all_rounds_count(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frontier, "planned", rounds)
     row = frontier._row("uniform, paper polytopes", 0.7, scenario, True, 100)
     assert float(row["processor_s"]) >= 0.2
+
+
+def test_a_plan_whose_flights_fall_short_is_no_certified_one(
+    default_plan: Plan,
+) -> None:
+    """Its delta-v is not the price of what was asked."""
+    short = Certificate(10_000, 1_000, 0.7, 0.69, 0.71, 0.7, 1)
+    found = replace(default_plan, certificate=short, aim=0.7)
+    kept, missed = (record("certified, each node", p, found, 100, 1.0) for p in (0.69, 0.7))
+    assert kept["total_dv_m_s"] == default_plan.total_dv_m_s
+    assert (missed["status"], math.isnan(float(missed["total_dv_m_s"]))) == (NOT_CERTIFIED, True)
 
 
 def test_a_plan_without_a_counterpart_has_no_such_cost() -> None:

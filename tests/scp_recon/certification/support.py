@@ -59,6 +59,7 @@ class World:
 
     def make_plan(self, mission: Mission, start: Iterate, aim: float) -> Plan:
         """A plan of the mission with the real one's stages, its burns scaled by its aim."""
+        assert len(start.mean) == len(mission.times_s)
         self.aims.append(aim)
         self.missions.append(mission)
         result = self.real.final.result
@@ -81,6 +82,11 @@ class World:
             np.array(self.touched_s),
         )
 
+    def last_burns(self, mission: Mission, *_: object) -> Iterate:
+        """A start on the mission's grid, whatever its states."""
+        states = self.start.mean[:1]
+        return replace(self.start, mean=np.repeat(states, len(mission.times_s), axis=0))
+
     @property
     def start(self) -> Iterate:
         """That planning begins at."""
@@ -91,4 +97,4 @@ class World:
         patch.setattr(certification, "slack", lambda _: self.slack)
         for module in (certification, largest):
             patch.setattr(module, "kept_flights", self.fly)
-            patch.setattr(module, "from_burns", lambda *_: replace(self.start))
+            patch.setattr(module, "from_burns", self.last_burns)

@@ -108,6 +108,19 @@ def test_the_line_does_without_the_largest_probability() -> None:
     assert undoing(solve.parser().parse_args([])) == []
 
 
+def test_the_line_is_taken_after_a_budget() -> None:
+    words = ["--objective", "probability", "--dv-budget", "0.2"]
+    undone = undoing(solve.parser().parse_args(words))
+    options = solve.parser().parse_args([*words, *undone])
+    check_risk(options, mission_of(*EXACT).scenario)
+    assert (options.objective, options.dv_budget) == ("delta-v", None)
+
+
+def test_a_final_covariance_that_no_plan_keeps_is_what_binds() -> None:
+    found = failed(*EXACT, "boundary.final_sigma_position_m=0.05")
+    assert module._freed(found, module.FINAL_SPREAD) is not None
+
+
 # --- what binds, and what exact risk can --------------------------------------------------------
 
 
