@@ -46,7 +46,15 @@ def words_of(command: str, folder: Path, out: Path) -> list[str]:
         "new": [str(out / "mission"), *NEW],
         "windows": ["recon_b", "--csv", str(out / "windows.csv")],
         "schema": [str(out / "schema.json")],
+        "campaign": [a_study(out), "--out", str(out / "campaign")],
     }[command]
+
+
+def a_study(folder: Path) -> str:
+    """Of one plan."""
+    path = folder / "study.toml"
+    path.write_text('[[axis]]\nentry = "risk.p_chance"\nvalues = [0.6]\n', "utf-8")
+    return str(path)
 
 
 RUN = sorted(every.COMMANDS.keys() - {"simulate", "design"})
@@ -92,6 +100,7 @@ def test_bad_input_is_a_document_too(
         "replan": [nothing, "--at", "17000", "--state", STATE],
         "new": [nothing, "--body", "Nobody", *NEW[2:]],
         "schema": ["/dev/null/schema.json"],
+        "campaign": [nothing, "--out", str(tmp_path / "out")],
     }.get(command, [nothing])
     assert every.main([command, *words, "--json", "--quiet"]) == 2
     said = capsys.readouterr()
