@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import Field, NaiveDatetime, model_validator
 
 from scp_recon.errors import InputError
 from scp_recon.mission.survey import survey
@@ -52,13 +52,15 @@ class Values(Axis):
     """A list of values of an entry, or rows of values of several."""
 
     entry: Entry | None = None
-    entries: tuple[Entry, ...] | None = None
+    entries: Annotated[tuple[Entry, ...], Field(min_length=1)] | None = None
     values: Annotated[tuple[Any, ...], Field(min_length=1)]
 
     @model_validator(mode="after")
     def _fit_together(self) -> Self:
         if (self.entry is None) == (self.entries is None):
             raise ValueError("must have entry, or entries with a row of values each")
+        if len(set(self.entries or ())) < len(self.entries or ()):
+            raise ValueError("must have each entry once")
         for row in self.values if self.entries else ():
             if not isinstance(row, list | tuple) or len(row) != len(self.entries or ()):
                 raise ValueError(f"each row of values must have {len(self.entries or ())} items")
@@ -160,6 +162,12 @@ class Draws(Axis):
     draws: Annotated[tuple[Law, ...], Field(min_length=1)]
     number: Annotated[Count, Field(alias="count")]
 
+    @model_validator(mode="after")
+    def _once(self) -> Self:
+        if len({law.entry for law in self.draws}) < len(self.draws):
+            raise ValueError("must have each entry once")
+        return self
+
     def count(self, _base: Scenario, /) -> int:
         """As said."""
         return self.number
@@ -203,7 +211,7 @@ class Sites(Axis):
 class WindowSearch(Section):
     """Where lighting windows are looked for, and which of them are taken."""
 
-    start: Annotated[datetime | None, Field(alias="from")] = None
+    start: Annotated[NaiveDatetime | None, Field(alias="from")] = None
     span_days: Annotated[float, Field(ge=0.01, le=DAYS_MAX)]
     every: Annotated[int, Field(ge=1)] = 1
 

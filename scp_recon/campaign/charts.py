@@ -8,7 +8,7 @@ import numpy as np
 
 from scp_recon.campaign.axes import EPOCH, LATITUDE, LONGITUDE
 from scp_recon.campaign.figures import axes_of, varies
-from scp_recon.campaign.labels import COLOURS, COST, DELTA_V, GREYS, MEASURES, label
+from scp_recon.campaign.labels import COLOURS, COST, DELTA_V, GREYS, MEASURES, label, told
 from scp_recon.campaign.outcome import ENDS, FEASIBLE, CampaignResults
 from scp_recon.environment.surface import direction_of
 from scp_recon.report.content.numbers import compact, significant
@@ -101,7 +101,7 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
     groups = [((), table)] if not by else list(table.groupby(by))
     data: list[Trace] = []
     for number, (values, rows) in enumerate(groups[:CURVES_MAX]):
-        called = ", ".join(f"{label(e)} {v:.3g}" for e, v in zip(by, values, strict=True))
+        called = ", ".join(f"{label(e)} {told(v)}" for e, v in zip(by, values, strict=True))
         x = rows[along]
         data.append(
             {
@@ -158,4 +158,5 @@ def _hover(row: dict[str, Any]) -> str:
     name = row.get("site.name") or f"{row[LATITUDE]:g}, {row[LONGITUDE]:g} deg"
     if row[COST] == row[COST] and row[COST] is not None:
         return f"case {row['case']}, {name}: {row[COST]:.4f} m/s"
-    return f"case {row['case']}, {name}: {row['status']} {row.get('binds') or ''}"
+    binds = row.get("binds")
+    return f"case {row['case']}, {name}: {row['status']} {binds if isinstance(binds, str) else ''}"

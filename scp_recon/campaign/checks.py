@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import prod
 from pathlib import Path
 from typing import NoReturn
@@ -80,14 +80,9 @@ def check_axes(
     Raises:
         InputError: one message of what is wrong.
     """
-    owners: dict[str, int] = {}
-    wrong: list[InputError] = []
+    wrong = list(_twice(axes))
     first = {entry: value for rows in axes for entry, value in rows[0].items()}
     for number, rows in enumerate(axes, start=1):
-        for entry in rows[0]:
-            if owners.setdefault(entry, number) != number:
-                given = f"on axis {owners[entry]} and axis {number}"
-                wrong.append(InputError(entry, given, "must be on one axis"))
         looked = sorted({round(place) for place in np.linspace(0, len(rows) - 1, CHECKED)})
         refused: list[InputError] = []
         for place in looked:
@@ -98,8 +93,41 @@ def check_axes(
                 refused.append(InputError(where, error.given, error.allowed))
         if not random[number - 1] or len(refused) == len(looked):
             wrong += refused
+    if not wrong and not any(random):
+        _check_together(base, folder, axes, first)
     if wrong:
         refuse(wrong)
+
+
+def _twice(axes: Sequence[list[Row]]) -> Iterator[InputError]:
+    """Entries that are on two axes, by themselves or as part of a table."""
+    seen: list[tuple[str, int]] = []
+    for number, rows in enumerate(axes, start=1):
+        for entry in rows[0]:
+            for other, owner in seen:
+                part, whole = sorted((entry, other), key=len, reverse=True)
+                if owner != number and f"{part}.".startswith(f"{whole}."):
+                    given = f"on axis {owner} and axis {number}"
+                    yield InputError(part, given, "must be on one axis")
+            seen.append((entry, number))
+
+
+def _check_together(base: Scenario, folder: Path, axes: Sequence[list[Row]], first: Row) -> None:
+    """The first case or the last is a scenario, although each axis by itself is.
+
+    Raises:
+        InputError: of the first, if neither is.
+    """
+    last = {entry: value for rows in axes for entry, value in rows[-1].items()}
+    try:
+        changed(base, first, folder)
+    except InputError as error:
+        try:
+            changed(base, last, folder)
+        except InputError:
+            raise InputError(
+                f"all axes together: {error.entry}", error.given, error.allowed
+            ) from None
 
 
 def _check_row(base: Scenario, folder: Path, row: Row, first: Row) -> None:

@@ -15,7 +15,7 @@ from matplotlib.ticker import NullLocator
 
 from scp_recon.campaign.axes import EPOCH, LATITUDE, LONGITUDE
 from scp_recon.campaign.globe import draw_globe
-from scp_recon.campaign.labels import COLOURS, GREYS, MARKS, MEASURES, label
+from scp_recon.campaign.labels import COLOURS, GREYS, MARKS, MEASURES, label, told
 from scp_recon.campaign.outcome import FEASIBLE, CampaignResults
 
 WIDTH_IN, DPI = 7.0, 120
@@ -102,7 +102,7 @@ def draw_curves(results: CampaignResults) -> Figure:
                 axes.set(xlabel=label(along))
                 axes.tick_params(axis="x", labelrotation=30 if along == EPOCH else 0)
         if panels is not None:
-            grid[0, place].set_title(f"{label(panels)}: {value:g}", fontsize=9)
+            grid[0, place].set_title(f"{label(panels)}: {told(value)}", fontsize=9)
     if by is not None:
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(
@@ -166,7 +166,7 @@ def _style(number: int, count: int, value: Any) -> dict[str, Any]:
     share = number / max(count - 1, 1)
     shade, mark = colormaps[COLOURS](share / 1.1), "osD^vP*X<>hp"[number % 12]
     size = 6.5 - 3.5 * share  # so that curves that lie on each other are seen
-    return {"marker": mark, "ms": size, "lw": 1.0, "color": shade, "label": f"{value:.3g}"}
+    return {"marker": mark, "ms": size, "lw": 1.0, "color": shade, "label": told(value)}
 
 
 def _east(longitude: Any) -> Any:

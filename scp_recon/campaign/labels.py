@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from scp_recon.campaign.outcome import INFEASIBLE, NO_ANSWER, NO_MISSION, NOT_VERIFIED
 from scp_recon.report.content.palette import PLANS
 
@@ -28,6 +30,11 @@ MARKS = {INFEASIBLE: "x", NO_MISSION: ".", NOT_VERIFIED: "+", NO_ANSWER: "*"}
 """Of cases without a verified plan, in Matplotlib."""
 GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#bcc1c8", NOT_VERIFIED: PLANS[1], NO_ANSWER: PLANS[3]}
 """Their colours, of sites and of the surface about them."""
+
+
+def told(value: Any) -> str:
+    """A value of an entry in a legend; of an epoch its date and minute."""
+    return value[:16] if isinstance(value, str) else f"{value:.3g}"
 
 
 def label(entry: str) -> str:

@@ -132,7 +132,9 @@ def line_of(results: CampaignResults, place: int) -> Line:
         message=" ".join(filter(None, (row.get("message"), row.get("warnings")))),
         report=report.as_posix() if (results.folder / report).is_file() else None,
         solution=folder.as_posix() if kept else None,
-        commands="\n".join(command_lines(results.campaign, changes, int(row["seed"]))),
+        commands="\n".join(
+            command_lines(results.campaign, changes, int(row["seed"]), results.base.risk.allocation)
+        ),
     )
 
 

@@ -20,13 +20,16 @@ COMMANDS = {
 """What is done with a case, as commands after `python -m scp_recon.`."""
 
 
-def command_lines(campaign: Campaign, changes: Mapping[str, Any], seed: int) -> list[str]:
+def command_lines(
+    campaign: Campaign, changes: Mapping[str, Any], seed: int, allocation: str
+) -> list[str]:
     """Commands that repeat a case, to be given in the study's folder.
 
     Args:
         campaign: the study's.
         changes: values by entry of the scenario; of lists their JSON.
         seed: of the case.
+        allocation: of the base's risk.
     """
     values = {**campaign.overrides, **changes}
     words = {
@@ -35,12 +38,15 @@ def command_lines(campaign: Campaign, changes: Mapping[str, Any], seed: int) -> 
         "samples": str(campaign.samples),
         "seed": str(seed),
     }
-    return [f"python -m scp_recon.{line.format(**words)}" for line in COMMANDS[campaign.do]]
+    lines = [f"python -m scp_recon.{line.format(**words)}" for line in COMMANDS[campaign.do]]
+    if campaign.do != "certify" and values.get("risk.allocation", allocation) == "exact":
+        lines[0] += " --certify no"  # as the campaign does not
+    return lines
 
 
 def as_toml(value: Any) -> str:
     """A value in TOML, whose text, numbers and lists are JSON's."""
-    if isinstance(value, str) and value[:1] in "[{":
+    if isinstance(value, str):
         value = _parsed(value)
     if isinstance(value, Mapping):
         inner = ", ".join(f"{key} = {as_toml(each)}" for key, each in value.items())
@@ -49,8 +55,9 @@ def as_toml(value: Any) -> str:
 
 
 def _parsed(text: str) -> Any:
-    """What a cell of a table holds that is no plain value."""
+    """What a cell of text stands for: a list, a table or a number as JSON, or the text itself."""
     try:
-        return json.loads(text)
+        found = json.loads(text)
     except ValueError:
         return text
+    return text if found is None or isinstance(found, bool | str) else found

@@ -196,12 +196,18 @@ def _digests(study: Study) -> Iterator[tuple[str, str]]:
     layers = [study.base.model_dump(mode="json", exclude_none=True)]
     layers += [layer_of(row, study.folder) for rows in study.axes for row in rows]
     for tables in layers:
-        for table in tables.values():
-            for key, value in table.items() if isinstance(table, dict) else ():
-                if key.endswith(("_file", "_files")):
-                    named |= set(value if isinstance(value, list) else [value])
+        named |= set(files_in(tables))
     for name in sorted(name for name in named if isinstance(name, str)):
         path = Path(name)
         if path.is_file():
             with path.open("rb") as file:
                 yield name, hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def files_in(table: Any) -> Iterator[Any]:
+    """Values of the entries that name files, however deep."""
+    for key, value in table.items() if isinstance(table, dict) else ():
+        if key.endswith(("_file", "_files")):
+            yield from value if isinstance(value, list) else [value]
+        else:
+            yield from files_in(value)

@@ -244,9 +244,12 @@ def cell(value: Any, kind: type) -> Any:
 
 def kind_of(values: Iterable[Any]) -> type:
     """What a column of such values holds; text where they are of several kinds."""
-    kinds = {type(value) for value in values}
+    known = list(values)
+    kinds = {type(value) for value in known}
     if kinds == {bool}:
         return bool
+    if kinds == {int} and all(abs(value) < 2**63 for value in known):
+        return int
     return float if kinds <= {int, float} else str
 
 

@@ -12,8 +12,10 @@ from scp_recon.campaign.changes import changed
 from scp_recon.campaign.study import Do, Study
 from scp_recon.certification.certify import certify
 from scp_recon.cli.design_tables import why_nothing
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.summary import Summary, summarise
 from scp_recon.monte_carlo.verdict import shortfalls
 from scp_recon.pass_design.design import Designer
@@ -123,6 +125,10 @@ class StudyWork:
         """
         scenario = changed(self.base, case.changes, self.folder)
         row: dict[str, Any] = {"asked": scenario.risk.p_chance}
+        if self.do == "certify" and scenario.risk.allocation != "exact":
+            raise InputError(
+                "risk.allocation", scenario.risk.allocation, "must be exact to certify"
+            )
         if self.do == "design":
             found, own = designed(scenario)
             row |= own
@@ -222,9 +228,9 @@ def flown_row(found: Plan, solution: Solution, samples: int, seed: int) -> dict[
     """What many flights found."""
     flown = fly_many(FlightConfig(found.mission, found.burns_m_s, seed), samples=samples)
     summary: Summary = summarise(flown, solution)
-    name, lowest = min(
-        summary.probability.items(), key=lambda item: item[1].estimate.value, default=(None, None)
-    )
+    joint = {name: found for name, found in summary.probability.items() if name != ALL}
+    joint = {name: found for name, found in summary.probability.items() if name != ALL}
+    name, lowest = min(joint.items(), key=lambda item: item[1].estimate.value, default=(None, None))
     whole = summary.whole_flight
     return {
         "flights": samples,

@@ -105,6 +105,8 @@ class Session:
             InputError: if it does not answer.
         """
         address, until = self._cluster.address, monotonic() + self._cluster.gone_s
+        if first:
+            self._check_address(address)
         while True:
             try:
                 self.client = self._distributed.Client(address, timeout=5.0, set_as_default=False)
@@ -124,6 +126,17 @@ class Session:
         again, self.out = self.out, {}
         for case, _ in again.values():
             self.send(case)
+
+    def _check_address(self, address: str) -> None:
+        addressing = self._distributed.comm.addressing
+        try:
+            addressing.parse_host_port(addressing.parse_address(address)[1])
+        except ValueError as error:
+            raise InputError(
+                "--scheduler",
+                f"{address!r}: {error}",
+                "must be the address of a Dask scheduler, e.g. tcp://127.0.0.1:8786",
+            ) from None
 
     def room(self) -> int:
         """How many more cases may be sent."""

@@ -173,6 +173,12 @@ def test_without_a_scheduler_there_is_one_message(tmp_path: Path) -> None:
     assert time.monotonic() - began < 60
 
 
+@pytest.mark.parametrize("address", ["foo", "", "tcp://127.0.0.1:x"])
+def test_what_is_no_address_is_told_at_once(tmp_path: Path, address: str) -> None:
+    with pytest.raises(InputError, match="must be the address of a Dask scheduler"):
+        run(Quick(), some_cases(2), tmp_path / "a", Cluster(address, LIMITS))
+
+
 def test_flights_are_the_same_on_a_cluster(
     cluster: LocalCluster, solution: Solution, verification: Verification, tmp_path: Path
 ) -> None:

@@ -88,22 +88,53 @@ def test_the_command_of_a_case_makes_its_scenario(
     assert found
     words = shlex.split(found[1])
     assert words[:4] == ["python", "-m", "scp_recon.design", "kingfisher"]
-    scenario = load_scenario(words[3], [w for w in words[4:] if w != "--set"])
+    assert words[-2:] == ["--certify", "no"]
+    scenario = load_scenario(words[3], [w for w in words[4:-2] if w != "--set"])
     assert scenario == study.scenario_of(study.cases[number])
 
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.5, "0.5"), ("a", '"a"'), ("[1, 2]", "[1, 2]"), ({"a": True}, "{ a = true }")],
+    [
+        (0.5, "0.5"),
+        ("a", '"a"'),
+        ("24", "24"),
+        ("true", '"true"'),
+        ("[1, 2]", "[1, 2]"),
+        ({"a": True}, "{ a = true }"),
+    ],
 )
 def test_values_are_written_as_toml(value: object, text: str) -> None:
     assert as_toml(value) == text
 
 
+def test_an_exact_plan_is_made_again_as_the_campaign_makes_it(errors: CampaignResults) -> None:
+    (line,) = command_lines(errors.campaign, {}, 7, "exact")
+    assert line.endswith(" --certify no")
+    certified = errors.campaign.model_copy(update={"do": "certify"})
+    assert "--certify" not in command_lines(certified, {}, 7, "exact")[0]
+
+
+def test_epochs_may_stand_on_any_axis(tmp_path: Path) -> None:
+    """And whole numbers stay whole."""
+    axes = [
+        {"entry": "epoch.tdb", "values": ["2020-01-22T00:00:00", "2020-02-22T00:00:00"]},
+        {"entry": "uncertainty.execution_error", "values": [0.02, 0.04, 0.07]},
+        {"entry": "polytopes.cone", "values": [4, 6, 8, 12]},
+    ]
+    for count in (2, 3):
+        folder = tmp_path / str(count)
+        campaign_of({"axis": axes[:count]}, folder)
+        results = read_campaign(folder)
+        assert "2020-02-22T00:00" in render(results, MADE)
+        assert set(figures(results)) == {"curves"}
+    assert results.table["polytopes.cone"].dtype.kind == "i"
+
+
 def test_flights_and_simulations_follow_a_plan(errors: CampaignResults) -> None:
     for do, command in (("fly", "montecarlo"), ("simulate", "simulate")):
         campaign = errors.campaign.model_copy(update={"do": do, "samples": 500})
-        first, second = command_lines(campaign, {"risk.p_chance": 0.8}, 7)
+        first, second = command_lines(campaign, {"risk.p_chance": 0.8}, 7, "uniform")
         assert first == "python -m scp_recon.solve --scenario recon_b --set risk.p_chance=0.8"
         assert second.startswith(f"python -m scp_recon.{command} runs/latest")
         assert second.endswith("--seed 7")

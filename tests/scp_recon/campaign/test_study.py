@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from scp_recon.campaign.cases import Cases, case_seed
-from scp_recon.campaign.study import Study, read_study
+from scp_recon.campaign.study import Study, files_in, read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
@@ -124,6 +124,10 @@ BEYOND = {"entry": P, "law": "uniform", "low": 3, "high": 4}
         ({"draws": [HALF], "count": 2}, "axis 1.draws.0", "must have mean and sigma"),
         ({"draws": [BEYOND], "count": 2}, FIRST, "must be"),
         ({"windows": {"span_days": 0.02}}, "windows", "must find one"),
+        ({"windows": {"from": "2020-01-21T20:33:17Z", "span_days": 2}}, "axis 1.windows.from", ""),
+        ({"entries": [P, P], "values": [[0.7, 0.8]]}, "axis 1", "each entry once"),
+        ({"entries": [], "values": [[], []]}, "axis 1.entries", "at least 1"),
+        ({"draws": [BEYOND, BEYOND], "count": 2}, "axis 1", "each entry once"),
     ],
 )
 def test_a_bad_axis_is_refused(axis: dict[str, Any], entry: str, words: str) -> None:
@@ -136,6 +140,20 @@ def test_a_bad_axis_is_refused(axis: dict[str, Any], entry: str, words: str) -> 
 def test_an_entry_is_on_one_axis() -> None:
     with pytest.raises(InputError, match="must be on one axis"):
         study(P_CHANCE, P_CHANCE)
+    with pytest.raises(InputError, match=r"risk.p_chance: got on axis 1 and axis 2"):
+        study(P_CHANCE, {"entry": "risk", "values": [{"p_chance": 0.9}]})
+
+
+def test_axes_that_contradict_each_other_in_every_case_are_refused() -> None:
+    """Each is a scenario alone."""
+    sigmas = ("initial_sigma_position_m", "initial_sigma_velocity_m_s", "initial_frame")
+    absolute = {
+        "entries": [f"uncertainty.{name}" for name in sigmas],
+        "values": [[[10.0] * 3, [5e-4] * 3, "j2000"]],
+    }
+    study(absolute)
+    with pytest.raises(InputError, match="all axes together"):
+        study({"entry": "uncertainty.initial_sigma_fraction", "values": [0.01, 0.02]}, absolute)
 
 
 @pytest.mark.parametrize(
@@ -182,6 +200,13 @@ def test_a_billion_cases_are_counted_not_made_and_have_to_be_meant() -> None:
     with pytest.raises(InputError, match="1,000,000,000 cases"):
         study({"entry": "risk.p_chance", "grid": {"from": 0.1, "to": 0.2, "count": 10**9}})
     assert time.process_time() - begun < 1.0
+
+
+def test_the_hash_is_of_the_ephemeris_too(tmp_path: Path) -> None:
+    """Which an entry two levels deep names."""
+    file = tmp_path / "ring.csv"
+    table = {"boundary": {"home": {"ephemeris_file": str(file)}}, "name": "x"}
+    assert list(files_in(table)) == [str(file)]
 
 
 def test_the_hash_is_of_what_decides_the_rows(tmp_path: Path) -> None:
