@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from scp_recon.campaign.charts import charts_of
 from scp_recon.campaign.labels import CHANCE, COST, DELTA_V, MEASURES, label
 from scp_recon.campaign.outcome import FEASIBLE, CampaignResults
 from scp_recon.campaign.repeat import command_lines
-from scp_recon.report.content.numbers import script
+from scp_recon.report.offline import render_offline
 from scp_recon.report.page import version_of_planner
 from scp_recon.report.table import Cell, cell
 
@@ -51,20 +50,14 @@ class Line:
 
 def render(results: CampaignResults, made: datetime) -> str:
     """One HTML file that needs nothing else."""
-    from jinja2 import Environment, StrictUndefined
-    from plotly.offline import get_plotlyjs
-
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    own, shared = (
-        files(f"scp_recon.{name}").joinpath("page_files") for name in ("campaign", "report")
-    )
-    template = environment.from_string(own.joinpath("campaign.html").read_text("utf-8"))
     charts = charts_of(results)
     names = [label(entry) for entry in shown(results)]
     done = len(results.table)
-    return template.render(
+    return render_offline(
+        "campaign.html",
+        "campaign.js",
+        charts,
+        "scp_recon.campaign",
         title=f"{results.campaign.do}, {results.base.name}: {', '.join(names) or 'one case'}",
         feasible=results.feasible,
         verdict=results.verdict,
@@ -75,10 +68,6 @@ def render(results: CampaignResults, made: datetime) -> str:
         left_out=f"The first {ROWS_MAX:,} of {done:,}; results.parquet has all."
         * (done > ROWS_MAX),
         rows=[line_of(results, place) for place in order(results)[:ROWS_MAX]],
-        data=script(charts),
-        plotly=get_plotlyjs(),
-        css=shared.joinpath("report.css").read_text("utf-8"),
-        js=own.joinpath("campaign.js").read_text("utf-8"),
     )
 
 

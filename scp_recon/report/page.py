@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import files
 from typing import Any
 
 from scp_recon.physics.time_scales import instant, iso_utc, shown_utc
-from scp_recon.report.content.numbers import script
 from scp_recon.report.content.subject import Subject
+from scp_recon.report.offline import render_offline
 from scp_recon.report.table import Table
 from scp_recon.report.verdict import Verdict
 
@@ -86,14 +85,6 @@ def identity(page: Page) -> str:
 
 def render(page: Page) -> str:
     """One HTML file that needs nothing else."""
-    from jinja2 import Environment, StrictUndefined
-    from plotly.offline import get_plotlyjs
-
-    folder = files("scp_recon.report").joinpath("page_files")
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    template = environment.from_string(folder.joinpath("page.html").read_text("utf-8"))
     first = page.subjects[0]
     data = {
         "scene": page.scene,
@@ -103,17 +94,16 @@ def render(page: Page) -> str:
         "file": f"{first.solution.scenario.name}-{first.solution.plan_hash[:SHOWN]}",
     }
     names = [subject.name for subject in page.subjects]
-    return template.render(
+    return render_offline(
+        "page.html",
+        "report.js",
+        data,
         page=page,
         names=names,
         title=", ".join(dict.fromkeys(s.solution.scenario.name for s in page.subjects)),
         identity=identity(page),
         notes=NOTES,
         groups=_groups(page),
-        css=folder.joinpath("report.css").read_text("utf-8"),
-        js=folder.joinpath("report.js").read_text("utf-8"),
-        plotly=get_plotlyjs(),
-        data=script(data),
     )
 
 

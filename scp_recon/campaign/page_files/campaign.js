@@ -1,7 +1,7 @@
 "use strict";
 /* Draws the charts of a campaign's page and opens cases; everything drawn comes from Plotly. */
 window.campaign = (() => {
-  const charts = JSON.parse(document.getElementById("campaign-data").textContent);
+  const charts = JSON.parse(document.getElementById("report-data").textContent);
   const root = document.documentElement;
   const system = window.matchMedia("(prefers-color-scheme: dark)");
   const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : system.matches);
