@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, NaiveDatetime, model_validator
+from pydantic import Field, NaiveDatetime, PrivateAttr, model_validator
 
 from scp_recon.errors import InputError
 from scp_recon.mission.survey import survey
@@ -224,13 +224,19 @@ class Windows(Axis):
     """
 
     windows: WindowSearch
+    _found: dict[Scenario, list[Row]] = PrivateAttr(default_factory=dict)
 
     def count(self, base: Scenario, /) -> int:
         """By looking for them."""
         return len(self.rows(base, (), Path()))
 
     def rows(self, base: Scenario, _seed: tuple[int, ...], _folder: Path, /) -> list[Row]:
-        """In time."""
+        """In time; looked for once."""
+        if base not in self._found:
+            self._found[base] = self._epochs(base)
+        return self._found[base]
+
+    def _epochs(self, base: Scenario) -> list[Row]:
         epoch, search = base.epoch.tdb, self.windows
         first = ((search.start or epoch) - epoch).total_seconds()
         if abs(first) > DAYS_MAX * DAY_S:

@@ -9,10 +9,10 @@ from typing import Any
 
 from scp_recon.campaign.case import Case, Found, solution_name
 from scp_recon.campaign.changes import changed
+from scp_recon.campaign.checks import check_do
 from scp_recon.campaign.study import Do, Study
 from scp_recon.certification.certify import certify
 from scp_recon.cli.design_tables import why_nothing
-from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
@@ -125,10 +125,7 @@ class StudyWork:
         """
         scenario = changed(self.base, case.changes, self.folder)
         row: dict[str, Any] = {"asked": scenario.risk.p_chance}
-        if self.do == "certify" and scenario.risk.allocation != "exact":
-            raise InputError(
-                "risk.allocation", scenario.risk.allocation, "must be exact to certify"
-            )
+        check_do(self.do, scenario)
         if self.do == "design":
             found, own = designed(scenario)
             row |= own
