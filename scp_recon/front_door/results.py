@@ -79,6 +79,12 @@ def _require_plan(given: object) -> None:
         raise InputError("plan", shortened(given), "must be a plan, which `plan` returns")
 
 
+def _require_readable(plans: tuple[object, ...]) -> None:
+    for given in plans:
+        if not isinstance(given, Plan | Solution | str | Path):
+            raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
+
+
 def side_by_side(*plans: Plan | Solution | str | Path) -> Comparison:
     """Compare plans, solutions or their files; the paths are held against the first one's.
 
@@ -87,9 +93,7 @@ def side_by_side(*plans: Plan | Solution | str | Path) -> Comparison:
     """
     if not plans:
         raise InputError("plans", "none", "must be one or more")
-    for given in plans:
-        if not isinstance(given, Plan | Solution | str | Path):
-            raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
+    _require_readable(plans)
     names, solutions = [], []
     for number, given in enumerate(plans, start=1):
         named = given if isinstance(given, str | Path) else f"plan {number}"
@@ -112,9 +116,7 @@ def write_report(*plans: Plan | Solution | str | Path, file: str | Path = "repor
     from scp_recon.report import write
 
     write.check_extra()
-    for given in plans:
-        if not isinstance(given, Plan | Solution | str | Path):
-            raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
+    _require_readable(plans)
     found = [_solution(p) if isinstance(p, Plan | Solution) else Path(p) for p in plans]
     return write.write_report(found, Path(file))
 

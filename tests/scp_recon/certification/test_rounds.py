@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -38,6 +40,11 @@ def scripted(*reached: float) -> tuple[dict[int, Reached], int]:
 def low(plan: Plan) -> float:
     assert plan.certificate is not None
     return plan.certificate.low
+
+
+def later(ending: Status) -> Callable[[float, str], Status]:
+    """How all rounds but the first end."""
+    return lambda _, start: Status.CONVERGED if start == "given" else ending
 
 
 def test_what_reaches_more_than_sampling_explains_aims_lower(
@@ -164,10 +171,7 @@ def test_ctrl_c_among_flights_keeps_what_there_is(
 def test_ctrl_c_in_a_later_plan_keeps_the_one_before(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def status(_: float, start: str) -> Status:
-        return Status.CONVERGED if start == "given" else Status.INTERRUPTED
-
-    world = World(real, lambda *_: (0.5, 0.5), status)
+    world = World(real, lambda *_: (0.5, 0.5), later(Status.INTERRUPTED))
     found = certified(world, monkeypatch)
     assert (found.status, found.aim) == (Status.INTERRUPTED, world.aims[0])
     assert low(found) < ASKED
@@ -176,12 +180,9 @@ def test_ctrl_c_in_a_later_plan_keeps_the_one_before(
 def test_a_round_that_has_no_plan_ends_it(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a certificate, unless an earlier round has one."""
 
-    def status(_: float, start: str) -> Status:
-        return Status.CONVERGED if start == "given" else Status.INFEASIBLE
-
-    short = certified(World(real, lambda *_: (0.5, 0.5), status), monkeypatch)
+    short = certified(World(real, lambda *_: (0.5, 0.5), later(Status.INFEASIBLE)), monkeypatch)
     assert (short.status, short.certificate) == (Status.INFEASIBLE, None)
-    more = certified(World(real, lambda *_: (0.95, 0.95), status), monkeypatch)
+    more = certified(World(real, lambda *_: (0.95, 0.95), later(Status.INFEASIBLE)), monkeypatch)
     assert more.status is Status.CONVERGED
     assert low(more) >= ASKED
 
@@ -189,10 +190,7 @@ def test_a_round_that_has_no_plan_ends_it(real: Plan, monkeypatch: pytest.Monkey
 def test_a_round_without_a_verdict_leaves_the_nearest(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def status(_: float, start: str) -> Status:
-        return Status.CONVERGED if start == "given" else Status.MAX_ITERATIONS
-
-    world = World(real, lambda *_: (0.89, 0.89), status)
+    world = World(real, lambda *_: (0.89, 0.89), later(Status.MAX_ITERATIONS))
     short = certified(world, monkeypatch)
     assert (short.status, short.aim) == (Status.CONVERGED, world.aims[0])
     assert low(short) < ASKED
