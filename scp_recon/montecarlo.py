@@ -168,7 +168,7 @@ def _flown(
     """Fly, with a bar that grows."""
     blocks = None
     if options.scheduler is not None:
-        from scp_recon.campaign.flights import blocks_on_cluster
+        from scp_recon.campaign.engine.flights import blocks_on_cluster
 
         blocks = blocks_on_cluster(options.scheduler, lambda line: show_line(console, line))
     columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())

@@ -27,7 +27,7 @@ import numpy as np
 import pytest
 
 from scp_recon import export, solve
-from scp_recon.campaign.study import Study
+from scp_recon.campaign.study.study import Study
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.file import read_solution

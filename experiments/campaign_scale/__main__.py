@@ -30,15 +30,15 @@ from typing import Any
 from rich.console import Console
 
 from experiments.campaign_scale.empty import Empty
-from scp_recon.campaign.case import Case, Runner, Work
-from scp_recon.campaign.cases import Cases
-from scp_recon.campaign.engine import run_cases
+from scp_recon.campaign.engine.run import run_cases
+from scp_recon.campaign.engine.work import work_of
+from scp_recon.campaign.rows.case import Case, Runner, Work
 from scp_recon.campaign.runners.child import Limits
 from scp_recon.campaign.runners.cluster import Cluster, run_in_child
 from scp_recon.campaign.runners.here import here
 from scp_recon.campaign.runners.processes import Processes
-from scp_recon.campaign.study import Study
-from scp_recon.campaign.work import work_of
+from scp_recon.campaign.study.cases import Cases
+from scp_recon.campaign.study.study import Study
 from scp_recon.cli.options import int_between
 from scp_recon.errors import needing
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from scp_recon.campaign.case import Case, Found
+from scp_recon.campaign.rows.case import Case, Found
 
 
 @dataclass(frozen=True)

@@ -30,11 +30,11 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from scp_recon.campaign.engine import run_study
+from scp_recon.campaign.engine.run import run_study
 from scp_recon.campaign.report import show_campaign
+from scp_recon.campaign.rows.table import status_counts
 from scp_recon.campaign.studies import WORKERS_MAX, runner_of
-from scp_recon.campaign.study import ASK_FROM, read_study
-from scp_recon.campaign.table import status_counts
+from scp_recon.campaign.study.study import ASK_FROM, read_study
 from scp_recon.cli.options import int_between
 
 

@@ -28,7 +28,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from scp_recon.campaign.outcome import CampaignResults, read_campaign
+from scp_recon.campaign.view.outcome import CampaignResults, read_campaign
 from scp_recon.errors import needing
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.report.write import check_extra
@@ -96,8 +96,8 @@ def write_pictures(results: CampaignResults) -> list[Path]:
         InputError: if the extra [report] is missing, or the folder cannot be written.
     """
     check_extras()
-    from scp_recon.campaign.figures import figures
-    from scp_recon.campaign.page import render
+    from scp_recon.campaign.view.figures import figures
+    from scp_recon.campaign.view.page import render
 
     try:
         written = [write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))]

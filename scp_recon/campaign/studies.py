@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from scp_recon.campaign.case import Runner
-from scp_recon.campaign.engine import limits_of
+from scp_recon.campaign.engine.run import limits_of
+from scp_recon.campaign.rows.case import Runner
 from scp_recon.campaign.runners.here import here
 from scp_recon.campaign.runners.processes import Processes
-from scp_recon.campaign.study import Study, read_study
+from scp_recon.campaign.study.study import Study, read_study
 from scp_recon.errors import InputError, shortened
 
 WORKERS_MAX = 256

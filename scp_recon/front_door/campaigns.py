@@ -47,14 +47,16 @@ def run_campaign(
     Raises:
         InputError: naming the entry, what was given and what is allowed.
     """
-    from scp_recon.campaign import engine, outcome, report, studies
+    from scp_recon.campaign import report, studies
+    from scp_recon.campaign.engine.run import run_study
+    from scp_recon.campaign.view import outcome
 
     report.check_extras()
     whole_number("workers", workers, 0, studies.WORKERS_MAX)
     given = studies.study_of(study, yes=yes)
     path = Path(folder)
-    engine.run_study(given, path, studies.runner_of(given, workers, scheduler))
+    run_study(given, path, studies.runner_of(given, workers, scheduler))
     results = outcome.read_campaign(path)
-    from scp_recon.campaign.figures import figures
+    from scp_recon.campaign.view.figures import figures
 
     return CampaignOutput(results.table, figures(results))

@@ -80,7 +80,8 @@ FLOORS = (
             *("spacecraft.basilisk", "verification", "exchange", "certification", "in_flight"),
             "pass_design",
             *("cli", "report.content", "report.view", "report"),
-            *("campaign", "front_door"),
+            *("campaign.rows", "campaign.study", "campaign.runners", "campaign.engine"),
+            *("campaign.view", "campaign", "front_door"),
         )
     ),
     "scp_recon",  # the lazy front door, and the commands

@@ -18,7 +18,7 @@ from pathlib import Path
 from signal import SIGALRM, SIGKILL
 from typing import IO, Any
 
-from scp_recon.campaign.case import (
+from scp_recon.campaign.rows.case import (
     DIED,
     OUT_OF_MEMORY,
     TIMED_OUT,

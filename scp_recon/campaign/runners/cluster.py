@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import Any
 
-from scp_recon.campaign.case import DIED, Case, Done, Work, trouble
+from scp_recon.campaign.rows.case import DIED, Case, Done, Work, trouble
+from scp_recon.campaign.rows.versions import versions
 from scp_recon.campaign.runners.child import TRIES, Child, Limits, UnfitError
-from scp_recon.campaign.versions import versions
 from scp_recon.errors import InputError, needing
 
 AHEAD = 4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterable
 
-from scp_recon.campaign.case import Case, Done, Work, attempt
+from scp_recon.campaign.rows.case import Case, Done, Work, attempt
 
 
 def here(work: Work, cases: Iterable[Case]) -> Generator[Done, None, None]:

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass
 
-from scp_recon.campaign.case import Case, Done, Work
+from scp_recon.campaign.rows.case import Case, Done, Work
 from scp_recon.campaign.runners.child import Child, Limits, StoppedError, UnfitError
 from scp_recon.errors import InputError
 

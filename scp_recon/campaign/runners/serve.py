@@ -16,7 +16,7 @@ import time
 import warnings
 from pathlib import Path
 
-from scp_recon.campaign.case import attempt
+from scp_recon.campaign.rows.case import attempt
 from scp_recon.campaign.runners.child import READY, Limits, read_message, write_message
 
 LOOK_S = 1.0

@@ -8,11 +8,11 @@ from typing import Any
 
 import pyarrow.parquet
 
-from scp_recon.campaign.case import Case, Runner
-from scp_recon.campaign.cases import Cases
-from scp_recon.campaign.engine import run_cases
+from scp_recon.campaign.engine.run import run_cases
+from scp_recon.campaign.rows.case import Case, Runner
+from scp_recon.campaign.rows.table import MEASURED, RESULTS
 from scp_recon.campaign.runners.child import Limits
-from scp_recon.campaign.table import MEASURED, RESULTS
+from scp_recon.campaign.study.cases import Cases
 
 LIMITS = Limits(4.0, 256)
 ENTRIES = {"x": float}

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from scp_recon.campaign import __main__ as command
-from scp_recon.campaign.table import JOURNAL, ROWS, read_results
+from scp_recon.campaign.rows.table import JOURNAL, ROWS, read_results
 from scp_recon.solution.file import read_solution
 from tests.scp_recon.campaign.support import computed
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon.campaign.study import Study
-from scp_recon.campaign.work import work_of
+from scp_recon.campaign.engine.work import work_of
+from scp_recon.campaign.study.study import Study
 
 STUDIES = Path(__file__).parents[3] / "examples" / "studies"
 SIZES = {"reconnaissance_map": 324, "errors": 64, "sizes": 24}

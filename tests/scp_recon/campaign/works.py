@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from scp_recon.campaign.case import Case, Found
+from scp_recon.campaign.rows.case import Case, Found
 from scp_recon.errors import InputError
 
 

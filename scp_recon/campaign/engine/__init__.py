@@ -1,0 +1,1 @@
+"""What is done with a case, and how all cases come to rows."""

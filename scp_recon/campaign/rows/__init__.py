@@ -1,0 +1,1 @@
+"""A case, what runs one, and the rows that come of cases."""

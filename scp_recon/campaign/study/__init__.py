@@ -1,0 +1,1 @@
+"""What a study asks: its base, its axes, and the cases that they make."""

@@ -1,0 +1,1 @@
+"""What is shown of a campaign: outcomes, map, globe, curves, and the page that has them."""
