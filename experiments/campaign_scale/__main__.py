@@ -1,8 +1,9 @@
 """What a case of a campaign costs beside its plan: `python -m experiments.campaign_scale`.
 
-Processor time of all processes that take part, so that what else the machine does counts little. Plans
-are those of `recon_b` with their verification; empty cases do nothing, and what they take is the way
-there and back. A figure is the difference between many and few cases, a case: starts cancel.
+Plans are those of `recon_b` with their verification; empty cases do nothing, and what they take is the
+way there and back. A figure is the difference between many and few cases, a case: starts cancel.
+Processor time is of all processes that take part, and counts what else the machine does little;
+throughput and efficiency are of wall time, and want a machine that does nothing else.
 """
 
 from __future__ import annotations
@@ -23,9 +24,8 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 
@@ -46,18 +46,23 @@ LIMITS = Limits(600.0, 4096)
 FEW, MANY = 200, 2_200
 
 
-@dataclass(frozen=True)
-class Spent:
-    """Wall time and processor time of all processes, s."""
+class Spent(NamedTuple):
+    """Wall time and processor time of all processes, of the campaign's and of Dask's scheduler, s."""
 
     wall: float
     cpu: float
+    campaign: float
+    scheduler: float
+
+    def a_case(self, fewer: Spent, cases: int) -> Spent:
+        """What each of so many cases took beyond a run without them."""
+        return Spent(*((more - less) / cases for more, less in zip(self, fewer, strict=True)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     p = argparse.ArgumentParser(prog="python -m experiments.campaign_scale", description=__doc__)
-    p.add_argument("--plans", type=int_between(3, 10_000), default=8, metavar="N")
+    p.add_argument("--plans", type=int_between(3, 10_000), default=32, metavar="N")
     p.add_argument("--queued", type=int_between(100, 10**7), default=100_000, metavar="N")
     options = parse(p, arguments)
     return run_command(lambda console: _measure(options, console), options)
@@ -80,19 +85,19 @@ def _measure(options: argparse.Namespace, console: Console) -> int:
     plans, empty = work_of(study), Empty()
     first = Cases(tuple(rows[:2] for rows in study.axes), 0)
     few, many = Cases(([{}] * FEW,), 0), Cases(([{}] * MANY,), 0)
-    for name, runner in _runners():
+    serial = 0.0
+    for name, cores, runner in _runners():
         begun = spent(empty, Cases(([{}],), 0), runner)
         less, more = spent(empty, few, runner), spent(empty, many, runner)
-        case_ms = 1e3 * (more.cpu - less.cpu) / (MANY - FEW)
         console.print(
-            f"{name:22} empty case {case_ms:.2f} ms of processor; the first one {begun.cpu:.2f} s",
-            highlight=False,
+            f"{name:16} {_empty_line(more.a_case(less, MANY - FEW), begun)}", highlight=False
         )
         started = spent(plans, first, runner)
-        took, rest = spent(plans, study.cases, runner), options.plans - len(first)
+        a_plan = spent(plans, study.cases, runner).a_case(started, options.plans - len(first))
+        serial = serial or a_plan.wall
         console.print(
-            f"{name:22} plan {(took.cpu - started.cpu) / rest:.3f} s of processor and "
-            f"{(took.wall - started.wall) / rest:.2f} s of wall time",
+            f"{name:16} plan {a_plan.cpu:.3f} s of processor; {1.0 / a_plan.wall:.2f} plans a second, "
+            f"efficiency {serial / (cores * a_plan.wall):.1%}",
             highlight=False,
         )
     before, after, seconds = scheduler_memory(options.queued)
@@ -104,32 +109,44 @@ def _measure(options: argparse.Namespace, console: Console) -> int:
     return 0
 
 
-def _runners() -> Iterator[tuple[str, Runner]]:
-    yield "this process", here
+def _empty_line(a_case: Spent, begun: Spent) -> str:
+    scheduler = f", the scheduler's {1e3 * a_case.scheduler:.2f}" if a_case.scheduler else ""
+    return (
+        f"empty case {1e3 * a_case.cpu:.2f} ms of processor: the campaign's "
+        f"{1e3 * a_case.campaign:.2f}{scheduler}; the first one {begun.cpu:.2f} s"
+    )
+
+
+def _runners() -> Iterator[tuple[str, int, Runner]]:
+    yield "this process", 1, here
     for workers in (1, 2):
-        yield f"{workers} process{'es' * (workers > 1)}", Processes(workers, LIMITS)
+        yield f"{workers} process{'es' * (workers > 1)}", workers, Processes(workers, LIMITS)
     for workers in (1, 2):
         with local_cluster(workers) as address:
-            yield f"Dask, {workers} worker{'s' * (workers > 1)}", Cluster(address, LIMITS)
+            name = f"Dask, {workers} worker{'s' * (workers > 1)}"
+            yield name, workers, Cluster(address, LIMITS)
 
 
 def spent(work: Work, cases: Sequence[Case], runner: Runner) -> Spent:
     """What running cases into a new folder takes."""
     with tempfile.TemporaryDirectory() as folder:
-        wall, cpu = time.perf_counter(), _processor_s()
+        before = _clocks()
         run_cases(work, cases, Path(folder), runner, {"hash": ""}, {})
-        return Spent(time.perf_counter() - wall, _processor_s() - cpu)
+        return _clocks().a_case(before, 1)
 
 
-def _processor_s() -> float:
+def _clocks() -> Spent:
     """Of this process, those that it began and that have ended, and those that are there."""
     import psutil
 
-    ended = resource.getrusage(resource.RUSAGE_CHILDREN)
-    total = time.process_time() + ended.ru_utime + ended.ru_stime
+    own, ended = time.process_time(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    total, scheduler = own + ended.ru_utime + ended.ru_stime, 0.0
     for process in psutil.Process().children(recursive=True):
-        total += sum(process.cpu_times()[:4])  # its own, and its children's that have ended
-    return total
+        times = process.cpu_times()
+        total += sum(times[:4])  # its own, and its children's that have ended
+        if any("dask_scheduler" in word for word in process.cmdline()):
+            scheduler += sum(times[:2])
+    return Spent(time.perf_counter(), total, own, scheduler)
 
 
 @contextmanager

@@ -145,7 +145,9 @@ class Session:
         if monotonic() - self._looked > LOOK_S:
             self._looked = monotonic()
             with suppress(OSError, TimeoutError, ValueError):
-                self._threads = sum(self.client.nthreads().values())
+                before, self._threads = self._threads, sum(self.client.nthreads().values())
+                if before and not self._threads:
+                    self._cluster.say("the scheduler has no workers: cases wait until one joins it")
         return max(0, max(LEAST_AHEAD, AHEAD * self._threads) - len(self.out))
 
     def send(self, case: Case) -> None:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,7 +19,7 @@ import pytest
 from scp_recon import montecarlo
 from scp_recon.campaign.engine.run import run_study
 from scp_recon.campaign.rows.table import read_results
-from scp_recon.campaign.runners.cluster import Cluster
+from scp_recon.campaign.runners.cluster import Cluster, Session
 from scp_recon.campaign.runners.here import here
 from scp_recon.campaign.study.study import Study
 from scp_recon.errors import InputError
@@ -105,6 +106,22 @@ class After:
         if done >= self.count and not self.acted:
             self.acted = True
             self.action()
+
+
+def test_a_scheduler_without_workers_is_told_once_until_one_joins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    workers: list[dict[str, int]] = [{}, {}, {"a": 2}, {}]
+    said: list[str] = []
+    session = Session(Cluster("tcp://127.0.0.1:1", LIMITS, said.append), b"")
+    session.client = SimpleNamespace(nthreads=lambda: workers.pop(0))
+    monkeypatch.setattr("scp_recon.campaign.runners.cluster.LOOK_S", -1.0)
+    counts = []
+    while workers:
+        session.room()
+        counts.append(len(said))
+    assert counts == [1, 1, 1, 2]
+    assert "no workers" in said[0]
 
 
 def test_a_worker_is_killed_in_mid_run(cluster: LocalCluster, tmp_path: Path) -> None:
