@@ -144,7 +144,7 @@ def _clocks() -> Spent:
     for process in psutil.Process().children(recursive=True):
         times = process.cpu_times()
         total += sum(times[:4])  # its own, and its children's that have ended
-        if any("dask_scheduler" in word for word in process.cmdline()):
+        if "scheduler" in " ".join(process.cmdline()):  # Dask sets its processes' titles
             scheduler += sum(times[:2])
     return Spent(time.perf_counter(), total, own, scheduler)
 
