@@ -9,8 +9,9 @@ from pathlib import Path
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
-from scp_recon.monte_carlo.summary import Summary, read_summary, summarise
+from scp_recon.monte_carlo.summary import Summary, read_summary
 from scp_recon.solution.evaluated import ballistic_arc
 from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
 from scp_recon.solution.file import Solution, read_solution

@@ -40,7 +40,8 @@ from scp_recon.monte_carlo.flights import (
     FlightTally,
     fly_many,
 )
-from scp_recon.monte_carlo.summary import FILE_NAME, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import FILE_NAME
 from scp_recon.monte_carlo.verdict import probability_asked, shortfalls
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution, read_solution

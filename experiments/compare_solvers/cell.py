@@ -21,7 +21,7 @@ from formulations.rows.chance import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.planning.plan import Plan, Provenance
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import (
     CLEARANCE_M,
     PROGRAM_NODES_MAX,
@@ -29,6 +29,7 @@ from scp_recon.planning.planner import (
     ScpStages,
     plan,
 )
+from scp_recon.planning.provenance import Provenance
 from scp_recon.planning.screening import screened
 from scp_recon.planning.stages import RowsSolver, StageRunner
 from scp_recon.scenario.load import load_scenario

@@ -15,13 +15,8 @@ from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import sample_positions
-from scp_recon.monte_carlo.summary import (
-    FILE_NAME,
-    ONE_SIGMA,
-    Summary,
-    read_summary_as,
-    summarise,
-)
+from scp_recon.monte_carlo.summarise import ONE_SIGMA, summarise
+from scp_recon.monte_carlo.summary import FILE_NAME, Summary, read_summary_as
 from scp_recon.solution.evaluated import NOT_OPTIMISED
 from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
 from scp_recon.solution.file import Solution, read_solution

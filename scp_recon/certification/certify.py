@@ -24,7 +24,8 @@ from scp_recon.monte_carlo.certifying import FIRST_SEED, flights_needed
 from scp_recon.monte_carlo.estimates import Estimate, proportion
 from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.planning.plan import Certificate, Plan, as_interrupted
+from scp_recon.planning.plan import Plan, as_interrupted
+from scp_recon.planning.provenance import Certificate
 from scp_recon.scp.status import Status
 
 ROUNDS_MAX = 6

@@ -12,8 +12,8 @@ from rich.console import Console
 
 from scp_recon.pass_design.design import Tried
 from scp_recon.pass_design.near import Found
-from scp_recon.planning.plan import scale
 from scp_recon.planning.primer import WORTH
+from scp_recon.planning.stage import scale
 from scp_recon.solution.primer import Primer
 
 COLUMNS = (

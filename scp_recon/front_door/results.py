@@ -9,7 +9,8 @@ from scp_recon.errors import InputError, shortened
 from scp_recon.files import check_writable, unwritable
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
-from scp_recon.monte_carlo.summary import Summary, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import Summary
 from scp_recon.planning.plan import Plan
 from scp_recon.solution.comparison import Comparison, compare
 from scp_recon.solution.file import FILE_NAME, Solution, read_solution

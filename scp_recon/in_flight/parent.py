@@ -13,9 +13,11 @@ import numpy.typing as npt
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, shortened
-from scp_recon.mission.mission import Mission, Units
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.units import Units
 from scp_recon.planning.method import ScpMethod, scp_method
-from scp_recon.planning.plan import Plan, Provenance
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.provenance import Provenance
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution, plan_hash, read_solution

@@ -26,7 +26,8 @@ from scp_recon.mission.states import state_axes
 from scp_recon.physics.flow import propagate
 from scp_recon.planning import planner
 from scp_recon.planning.method import ALGORITHM, FORMULATION
-from scp_recon.planning.plan import Parent, Plan
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.provenance import Parent
 from scp_recon.planning.stages import CHOICES_MAX, Observer
 from scp_recon.scenario.load import override
 from scp_recon.scenario.schema import Scenario

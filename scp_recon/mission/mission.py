@@ -33,6 +33,7 @@ from scp_recon.mission.states import (
     sun_direction,
 )
 from scp_recon.mission.uncertainty import execution_errors
+from scp_recon.mission.units import Units
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.dynamics import Dynamics
@@ -45,30 +46,6 @@ Array = npt.NDArray[np.float64]
 
 AU_KM = 149_597_870.7
 """IAU 2012 resolution B2."""
-
-
-@dataclass(frozen=True)
-class Units:
-    """Units of the nondimensional problem: an initial radius, and the time that makes GM one."""
-
-    length_m: float
-    time_s: float
-
-    @classmethod
-    def of_orbit(cls, state: Array, gm: float) -> Units:
-        """For a flight that starts at a state, shape (6,)."""
-        length = float(np.linalg.norm(state[:3]))
-        return cls(length, float(np.sqrt(length**3 / gm)))
-
-    @property
-    def speed_m_s(self) -> float:
-        """Unit of velocity."""
-        return self.length_m / self.time_s
-
-    @property
-    def state(self) -> Array:
-        """Units of a state's six components."""
-        return np.repeat([self.length_m, self.speed_m_s], 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.pass_design.optimum import slope
 from scp_recon.pass_design.space import Pass, Space
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.planning.plan import Stage
 from scp_recon.planning.planner import CLEARANCE_AGAIN_M, Planner, ScpStages
+from scp_recon.planning.stage import Stage
 from scp_recon.planning.stages import StageRunner
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status

@@ -12,7 +12,7 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.multipliers import multipliers
 from scp_recon.mission.mission import Mission
 from scp_recon.pass_design.space import Space
-from scp_recon.planning.plan import Stage
+from scp_recon.planning.stage import Stage
 
 Array = npt.NDArray[np.float64]
 

@@ -25,9 +25,11 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import acceleration
 from scp_recon.planning.final_limits import require_no_final_limit
-from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import CLEARANCE_M
+from scp_recon.planning.provenance import Provenance
 from scp_recon.planning.screening import screened
+from scp_recon.planning.stage import Stage
 from scp_recon.planning.stages import Observer, StageRunner
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.scvx import SCvx

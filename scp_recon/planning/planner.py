@@ -24,8 +24,10 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.final_limits import require_no_final_limit
 from scp_recon.planning.opening import RESOLUTION, opened
-from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.provenance import Provenance
 from scp_recon.planning.screening import screened
+from scp_recon.planning.stage import Stage
 from scp_recon.planning.stages import CHOICES_MAX, Observer, StageRunner
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, Record, run

@@ -19,7 +19,8 @@ from formulations.program.multipliers import VANISHED, multipliers, slope_left
 from formulations.program.primer import primer
 from scp_recon.mission.legal_burns import legal_additions
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan, Stage
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.stage import Stage
 from scp_recon.scp.status import Status
 
 Array = npt.NDArray[np.float64]

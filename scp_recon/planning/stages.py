@@ -21,7 +21,9 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import ballistic, circular
 from scp_recon.planning.opening import contradicts_itself
-from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.provenance import Provenance
+from scp_recon.planning.stage import Stage
 from scp_recon.scp.loop import Record, Timing
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status

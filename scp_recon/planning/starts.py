@@ -14,7 +14,9 @@ from formulations.linearisation.linearisation import final_state_map
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
-from scp_recon.planning.plan import Optimum, Plan, Stage, Starts, as_interrupted
+from scp_recon.planning.plan import Plan, as_interrupted
+from scp_recon.planning.provenance import Optimum, Starts
+from scp_recon.planning.stage import Stage
 from scp_recon.planning.stages import OPENING, better, same_optimum
 from scp_recon.scp.status import Status
 

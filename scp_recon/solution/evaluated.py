@@ -9,7 +9,9 @@ from formulations.program.merit import MeritFunction
 from formulations.rows.deterministic import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.provenance import Provenance
+from scp_recon.planning.stage import Stage
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status

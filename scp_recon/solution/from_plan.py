@@ -10,8 +10,10 @@ from scipy.special import ndtr, ndtri
 
 from formulations.rows.final_spread import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import BURN_LIMITS, Plan, Stage, Starts, scale
+from scp_recon.planning.plan import Plan
 from scp_recon.planning.primer import primer_of
+from scp_recon.planning.provenance import Starts
+from scp_recon.planning.stage import BURN_LIMITS, Stage, scale
 from scp_recon.scp.loop import Record
 from scp_recon.solution.file import (
     Burn,

@@ -24,7 +24,8 @@ from experiments.studies import Cell
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import Planning
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Certificate, Plan
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.provenance import Certificate
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scenarios import COARSE

@@ -11,8 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from experiments.kept import Kept
 from experiments.model_fidelity import __main__ as model_fidelity
-from experiments.model_fidelity.__main__ import Compared, compare, flown_models, main, verdicts
+from experiments.model_fidelity import compared as compared_models
+from experiments.model_fidelity.__main__ import main
 from experiments.model_fidelity.arcs import Firing, Model, fly
+from experiments.model_fidelity.compared import Compared, compare, flown_models
 from experiments.model_fidelity.models import (
     BURNS,
     GRAVITY,
@@ -22,6 +24,7 @@ from experiments.model_fidelity.models import (
     passing,
     relapses,
 )
+from experiments.model_fidelity.report import verdicts
 from experiments.observation_table.rows import rows
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
@@ -207,7 +210,7 @@ def test_what_was_flown_is_kept(
         flown.append(1)
         return np.zeros((len(flight.plan.mission.times_s), 6))
 
-    monkeypatch.setattr(model_fidelity, "fly", path)
+    monkeypatch.setattr(compared_models, "fly", path)
     again = compare(flight, kept)
     assert flown == [1]  # the truth
     assert all(

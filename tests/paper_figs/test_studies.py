@@ -14,7 +14,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from experiments import battery_cones as battery_cones_study
-from experiments.model_fidelity.__main__ import TOGETHER, Compared, history, records
+from experiments.model_fidelity.compared import TOGETHER, Compared
+from experiments.model_fidelity.report import history, records
 from experiments.observation_table.rows import rows
 from experiments.studies import to_csv
 from experiments.timing_rules.__main__ import Rule

@@ -7,9 +7,11 @@ from typing import Any
 from scp_recon.campaign.study.study import Do
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.monte_carlo.summary import Summary, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import Summary
 from scp_recon.monte_carlo.verdict import shortfalls
-from scp_recon.planning.plan import Plan, Stage
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.stage import Stage
 from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import FINAL_STATE
 from scp_recon.solution.verdict import Verification

@@ -27,8 +27,8 @@ from scp_recon.cli.method import check_risk, planning
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Certificate
 from scp_recon.planning.planner import Plan, plan
+from scp_recon.planning.provenance import Certificate
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import read_solution

@@ -8,7 +8,8 @@ from io import StringIO
 from rich.console import Console
 
 from scp_recon.cli.live import live_progress
-from scp_recon.planning.plan import Certificate, Plan
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.provenance import Certificate
 
 
 def test_rounds_are_told_beside_the_iterations(default_plan: Plan) -> None:

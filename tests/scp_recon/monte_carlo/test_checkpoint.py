@@ -19,7 +19,7 @@ from scp_recon.cli.interrupts import asked_to_stop
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.checkpoint import FILE_NAME, keep_flights, kept_flights
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.summary import summarise
+from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.solution.file import Solution
 from tests import reliability
 from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan

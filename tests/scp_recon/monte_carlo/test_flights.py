@@ -12,7 +12,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import flights as flights_module
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
 from scp_recon.montecarlo import main
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan

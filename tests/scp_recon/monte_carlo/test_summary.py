@@ -16,6 +16,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
+from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import (
     COMPONENTS,
     FILE_NAME,
@@ -23,7 +24,6 @@ from scp_recon.monte_carlo.summary import (
     Summary,
     read_summary,
     read_summary_as,
-    summarise,
 )
 from scp_recon.solution.file import Solution
 from tests import reliability

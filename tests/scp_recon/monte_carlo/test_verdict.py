@@ -11,7 +11,8 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.monte_carlo.summary import Summary, summarise
+from scp_recon.monte_carlo.summarise import summarise
+from scp_recon.monte_carlo.summary import Summary
 from scp_recon.monte_carlo.verdict import probability_asked, shortfalls
 from scp_recon.solution.file import Solution
 from tests.scp_recon.support import file_of, mission_of

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.summary import summarise
+from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.report.content.camera import Camera
 from scp_recon.report.content.subject import Subject, subjects_of
 from scp_recon.report.page import Page
