@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -49,8 +50,8 @@ Planning = Callable[[Mission, Iterate, float], Plan]
 class Watch(Protocol):
     """Is told how certifying goes on."""
 
-    def __call__(self, number: int, plan: Plan, samples: int) -> None:
-        """A round's plan is made, and its flights begin; or they are flown: it has a certificate."""
+    def __call__(self, number: int, plan: Plan, samples: int, flown: int = 0, /) -> None:
+        """Of a round's flights so many are flown; once all are, the plan has a certificate."""
         ...
 
 
@@ -116,7 +117,8 @@ class _Rounds:
             if watch:
                 watch(number, plan, samples)
             seed = FIRST_SEED + number - 1
-            kept = kept_flights(mission, plan.burns_m_s, samples, seed)
+            seen = partial(watch, number, plan, samples) if watch else None
+            kept = kept_flights(mission, plan.burns_m_s, samples, seed, seen)
             plan = replace(plan, certificate=certificate_from(mission, kept, seed, number))
             if watch:
                 watch(number, plan, samples)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 
 from scipy.special import ndtr, ndtri
 
@@ -155,7 +156,8 @@ def largest_promise(
         try:
             if watch:
                 watch(number, best, samples)
-            kept = kept_flights(mission, best.burns_m_s, samples, seed)
+            seen = partial(watch, number, best, samples) if watch else None
+            kept = kept_flights(mission, best.burns_m_s, samples, seed, seen)
         except KeyboardInterrupt:
             return as_interrupted(found or best)
         reached = certificate_from(mission, kept, seed, number)

@@ -64,10 +64,14 @@ class Progress:
             )
         self._refresh()
 
-    def round(self, number: int, plan: Plan, samples: int) -> None:
-        """The flights of a round of certification begin, or are flown."""
+    def round(self, number: int, plan: Plan, samples: int, flown: int = 0) -> None:
+        """So many flights of a round of certification are flown, or all of them."""
         reached = plan.certificate
-        said = "flying" if reached is None else f"{reached.reached:.4f}, at least {reached.low:.4f}"
+        said = (
+            f"{flown} flown"
+            if reached is None
+            else f"{reached.reached:.4f}, at least {reached.low:.4f}"
+        )
         self.rounds[number] = Text(
             f"round {number}: aimed at {plan.aim:.5g}, {plan.total_dv_m_s:.6f} m/s, "
             f"{len(plan.times_s)} nodes; {samples} flights: {said}"

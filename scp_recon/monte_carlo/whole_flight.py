@@ -7,6 +7,7 @@ two looks follows from how it bends about them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +57,13 @@ class KeptFlights:
     touched_s: Array
 
 
-def kept_flights(mission: Mission, burns_m_s: Array, samples: int, seed: int) -> KeptFlights:
+def kept_flights(
+    mission: Mission,
+    burns_m_s: Array,
+    samples: int,
+    seed: int,
+    progress: Callable[[int], None] | None = None,
+) -> KeptFlights:
     """Fly a plan with the planner's dynamics and see what holds.
 
     Args:
@@ -64,13 +71,16 @@ def kept_flights(mission: Mission, burns_m_s: Array, samples: int, seed: int) ->
         burns_m_s: planned burns, shape (m, 3).
         samples: flights.
         seed: of all draws.
+        progress: is told how many are flown after each block.
     """
     nodes = mission.times_s
     looks = np.union1d(np.arange(nodes[0], nodes[-1], LOOK_S), nodes)
-    blocks = [
-        _block(mission, burns_m_s, looks, number, min(BLOCK, samples - number * BLOCK), seed)
-        for number in range(-(-samples // BLOCK))
-    ]
+    blocks = []
+    for begun in range(0, samples, BLOCK):
+        flights = min(BLOCK, samples - begun)
+        blocks.append(_block(mission, burns_m_s, looks, begun // BLOCK, flights, seed))
+        if progress:
+            progress(begun + flights)
     names = blocks[0].at_looks
     looked = {name: _times(mission, looks, name) for name in names}
     at_looks = {name: np.sum([b.at_looks[name] for b in blocks], axis=0) for name in names}

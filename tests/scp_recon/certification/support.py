@@ -70,9 +70,18 @@ class World:
         final = replace(self.real.final, result=ended)
         return replace(self.real, mission=mission, final=final, aim=aim, certificate=None)
 
-    def fly(self, _mission: Mission, _burns_m_s: object, samples: int, seed: int) -> KeptFlights:
+    def fly(
+        self,
+        _mission: Mission,
+        _burns_m_s: object,
+        samples: int,
+        seed: int,
+        progress: Callable[[int], None] | None = None,
+    ) -> KeptFlights:
         """Flights of the last plan made."""
         at_nodes, whole = self.reach(self.aims[-1], seed)
+        if progress:
+            progress(samples)
         return KeptFlights(
             samples,
             {},

@@ -200,15 +200,18 @@ def test_a_round_without_a_verdict_leaves_the_nearest(
 
 
 def test_the_watch_sees_flights_begin_and_end(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[tuple[int, bool, int]] = []
+    seen: list[tuple[int, bool, int, int]] = []
 
-    def watch(number: int, plan: Plan, samples: int) -> None:
-        seen.append((number, plan.certificate is not None, samples))
+    def watch(number: int, plan: Plan, samples: int, flown: int = 0) -> None:
+        seen.append((number, plan.certificate is not None, samples, flown))
 
     world = World(real, lambda *_: (NEEDED, NEEDED))
     world.enter(monkeypatch)
     certify(real.mission, world.start, world.make_plan, watch)
-    assert seen == [(1, False, 10_000), (1, True, 10_000)]
+    assert seen == [
+        *((1, False, 10_000, 0), (1, False, 10_000, 10_000)),
+        (1, True, 10_000, 0),
+    ]
 
 
 def test_chance_neither_wastes_much_nor_breaks_the_promise(

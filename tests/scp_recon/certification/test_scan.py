@@ -35,7 +35,11 @@ def sparse() -> Plan:
 def kept(sparse: Plan) -> KeptFlights:
     """As flights that are to keep everything."""
     whole = Mission.from_scenario(sparse.mission.scenario.replace({"risk.scope": "flight"}))
-    return kept_flights(whole, sparse.burns_m_s, FLIGHTS, SEED)
+    told: list[int] = []
+    found = kept_flights(whole, sparse.burns_m_s, FLIGHTS, SEED, told.append)
+    assert told == sorted(set(told))
+    assert told[-1] == FLIGHTS
+    return found
 
 
 def test_flights_that_break_a_limit_between_nodes_are_found(

@@ -20,11 +20,12 @@ def test_rounds_are_told_beside_the_iterations(default_plan: Plan) -> None:
     with live_progress(Console(file=out, width=120), plan.mission) as seen:
         seen(stage.name, stage.result.records[0])
         seen.round(1, plan, 10_000)
+        seen.round(1, plan, 10_000, 4_000)
         flying = [str(line) for line in seen.rounds.values()]
         seen.round(1, replace(plan, certificate=reached), 10_000)
         seen.round(2, plan, 10_000)
     assert len(flying) == 1
-    assert flying[0].endswith("10000 flights: flying")
+    assert flying[0].endswith("10000 flights: 4000 flown")
     shown = out.getvalue()
     assert (
         shown.count("round 1: aimed at 0.91234, 0.140135 m/s, 154 nodes; 10000 flights: 0.9090")
