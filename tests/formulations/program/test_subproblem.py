@@ -84,7 +84,7 @@ class Case:
 
 @pytest.fixture(scope="module")
 def case() -> Case:
-    mission = Mission.from_scenario(load_scenario())
+    mission = Mission.from_scenario(load_scenario(None, ("grid.step_max_s=450",)))
     found = plan(mission, initial_guess.cold(mission))
     assert [stage.result.status for stage in found.stages] == [Status.CONVERGED] * 2
     return Case(mission, found)
