@@ -61,19 +61,23 @@ def roots(path: Path) -> set[str]:
     return {name.split(".")[0] for name in imports(path)}
 
 
-@pytest.mark.parametrize("path", modules("formulations"), ids=module_name)
-def test_formulations_imports_nothing_of_the_other_wings(path: Path) -> None:
-    assert not roots(path) & {"scp_recon", *UPPER_FLOORS}
+def importing(package: str, barred: Set[str]) -> dict[str, Set[str]]:
+    """Modules of a package that import what they must not, and what that is."""
+    found = {module_name(path): roots(path) & barred for path in modules(package)}
+    return {name: wrong for name, wrong in found.items() if wrong}
 
 
-@pytest.mark.parametrize("path", modules("formulations"), ids=module_name)
-def test_formulations_knows_no_file_format(path: Path) -> None:
-    assert not roots(path) & {"json", "tomllib", "csv", "pathlib", "pydantic", "rich"}
+def test_formulations_imports_nothing_of_the_other_wings() -> None:
+    assert importing("formulations", {"scp_recon", *UPPER_FLOORS}) == {}
 
 
-@pytest.mark.parametrize("path", modules("scp_recon"), ids=module_name)
-def test_scp_recon_imports_nothing_from_the_floors_above(path: Path) -> None:
-    assert not roots(path) & set(UPPER_FLOORS)
+def test_formulations_knows_no_file_format() -> None:
+    formats = {"json", "tomllib", "csv", "pathlib", "pydantic", "rich"}
+    assert importing("formulations", formats) == {}
+
+
+def test_scp_recon_imports_nothing_from_the_floors_above() -> None:
+    assert importing("scp_recon", set(UPPER_FLOORS)) == {}
 
 
 FLOORS = (
@@ -118,17 +122,15 @@ def floors_above(own: str, imported: Set[str]) -> set[str]:
     return {floor for floor in floors if FLOORS.index(floor) > FLOORS.index(own)}
 
 
-@pytest.mark.parametrize(
-    "path",
-    [path for package in WINGS for path in modules(package)],
-    ids=module_name,
-)
-def test_folders_import_downwards_only(path: Path) -> None:
-    own = floor_of(module_name(path))
-    if own is None:
-        assert path.name == "__init__.py"
-        return
-    assert not floors_above(own, imports(path))
+def test_folders_import_downwards_only() -> None:
+    upwards = {}
+    for path in (path for package in WINGS for path in modules(package)):
+        own = floor_of(name := module_name(path))
+        if own is None:
+            assert path.name == "__init__.py", path
+        elif above := floors_above(own, imports(path)):
+            upwards[name] = above
+    assert upwards == {}
 
 
 def test_every_module_and_command_has_its_floor() -> None:
@@ -162,36 +164,36 @@ def test_there_are_no_circles() -> None:
     assert not graph, f"circle among {sorted(graph)}"
 
 
-@pytest.mark.parametrize(
-    "path", [path for package in LIBRARY for path in modules(package)], ids=module_name
-)
-def test_the_library_neither_prints_nor_asks(path: Path) -> None:
-    called = {
-        node.func.id
-        for node in ast.walk(parsed(path))
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
-    }
-    assert not called & {"print", "input", "breakpoint"}
+def test_the_library_neither_prints_nor_asks() -> None:
+    for path in (path for package in LIBRARY for path in modules(package)):
+        called = {
+            node.func.id
+            for node in ast.walk(parsed(path))
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        }
+        assert not called & {"print", "input", "breakpoint"}, path
 
 
-@pytest.mark.parametrize(
-    "path", [path for package in LIBRARY for path in modules(package)], ids=module_name
-)
-def test_nothing_global_is_set(path: Path) -> None:
-    text = path.read_text("utf-8")
-    for setting in ("np.seterr(", "np.random.seed(", "warnings.simplefilter(", "os.environ["):
-        assert setting not in text
-    tree = parsed(path)
-    assert not any(isinstance(node, ast.Global) for node in ast.walk(tree))
-    guarded = {
-        inside
-        for node in ast.walk(tree)
-        if isinstance(node, ast.With) and "catch_warnings" in ast.unparse(node.items[0])
-        for inside in ast.walk(node)
-    }
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "warnings.filterwarnings":
-            assert node in guarded, "a warnings filter outside catch_warnings"
+def test_nothing_global_is_set() -> None:
+    for path in (path for package in LIBRARY for path in modules(package)):
+        text = path.read_text("utf-8")
+        for setting in ("np.seterr(", "np.random.seed(", "warnings.simplefilter(", "os.environ["):
+            assert setting not in text, path
+        nodes = list(ast.walk(parsed(path)))
+        assert not any(isinstance(node, ast.Global) for node in nodes), path
+        filters = {node for node in nodes if sets_filter(node)}
+        guarded = {
+            inside
+            for node in nodes
+            if filters and isinstance(node, ast.With)
+            if "catch_warnings" in ast.unparse(node.items[0])
+            for inside in ast.walk(node)
+        }
+        assert filters <= guarded, f"{path}: a warnings filter outside catch_warnings"
+
+
+def sets_filter(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func) == "warnings.filterwarnings"
 
 
 def run_python(code: str) -> subprocess.CompletedProcess[str]:
