@@ -21,9 +21,19 @@ from formulations.rows.deterministic import DeterministicRows
 Array = npt.NDArray[np.float64]
 
 
-def share_of_examples(divisor: int) -> int:
-    """Examples of a property that takes its time: a fraction of the profile's."""
-    return max(1, settings().max_examples // divisor)
+MANY = 100
+"""Examples of a profile from which it is one that looks harder than a usual run."""
+
+
+def share_of_examples(divisor: int, usual: int | None = None) -> int:
+    """Examples of a property that takes its time: a fraction of the profile's.
+
+    Args:
+        divisor: of the profile's number.
+        usual: instead, in the profiles of usual runs, where one example takes seconds.
+    """
+    most = settings().max_examples
+    return usual if usual is not None and most < MANY else max(1, most // divisor)
 
 
 generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)

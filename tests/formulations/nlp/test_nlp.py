@@ -44,6 +44,7 @@ from scp_recon.planning.planner import Plan, Stage, plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.solution.from_plan import make_solution
+from tests.scenarios import COARSE
 
 Array = npt.NDArray[np.float64]
 
@@ -125,19 +126,14 @@ class Case:
 
 
 @pytest.fixture(scope="module")
-def default() -> Case:
-    return Case.of()
-
-
-@pytest.fixture(scope="module")
 def coarse() -> Case:
     """Arcs of several Runge-Kutta steps, and few enough of them to differentiate the whole."""
-    return Case.of("grid.step_max_s=450")
+    return Case.of(COARSE)
 
 
 @pytest.fixture(scope="module")
 def infeasible() -> Case:
-    return Case.of("risk.p_chance=0.99")
+    return Case.of(COARSE, "risk.p_chance=0.99")
 
 
 def within(value: Array) -> Any:
@@ -165,9 +161,9 @@ def _stm(arcs: Arcs) -> tuple[list[ca.SX], list[ca.SX]]:
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("style", ["called", "mapped", "differentiated"])
-def test_p3_has_the_rows_of_the_convex_side(default: Case, style: ArcStyle, seed: int) -> None:
-    lin, problem = default.near(seed), default.problem
-    program = default.program(MultipleShooting(scaled_covariance, style), None, lin)
+def test_p3_has_the_rows_of_the_convex_side(coarse: Case, style: ArcStyle, seed: int) -> None:
+    lin, problem = coarse.near(seed), coarse.problem
+    program = coarse.program(MultipleShooting(scaled_covariance, style), None, lin)
     rows = program.residuals(program.start)
     arcs = rows.pop("arcs").reshape(-1, 6)
     assert arcs[1:] == within(lin.defects[:-1])
@@ -181,11 +177,11 @@ def test_p3_has_the_rows_of_the_convex_side(default: Case, style: ArcStyle, seed
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("spread", SPREADS)
-def test_p2_has_the_rows_of_the_convex_side(default: Case, spread: str, seed: int) -> None:
-    lin, problem, facets = default.near(seed), default.problem, default.p2.facets
+def test_p2_has_the_rows_of_the_convex_side(coarse: Case, spread: str, seed: int) -> None:
+    lin, problem, facets = coarse.near(seed), coarse.problem, coarse.p2.facets
     assert facets is not None
     transcription = MultipleShooting(SPREADS[spread], "mapped", whole=True)
-    program = default.program(transcription, facets, lin)
+    program = coarse.program(transcription, facets, lin)
     rows = program.residuals(program.start)
     # Row by row the mean's defects; the spread that goes with the iterate has none.
     form, expected = SPREADS[spread](problem), []
@@ -201,10 +197,10 @@ def test_p2_has_the_rows_of_the_convex_side(default: Case, spread: str, seed: in
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_single_shooting_has_the_rows_of_the_convex_side(default: Case, seed: int) -> None:
-    lin, problem, facets = default.near(seed, flown=True), default.problem, default.p2.facets
+def test_single_shooting_has_the_rows_of_the_convex_side(coarse: Case, seed: int) -> None:
+    lin, problem, facets = coarse.near(seed, flown=True), coarse.problem, coarse.p2.facets
     assert facets is not None
-    program = default.program(SingleShooting(), facets, lin)
+    program = coarse.program(SingleShooting(), facets, lin)
     rows = program.residuals(program.start)
     assert program.iterate(program.start).mean == within(lin.iterate.mean)
     assert rows.pop("final_state") == within(lin.defects[-1])
@@ -230,11 +226,11 @@ def _check_facet_rows(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_p3_as_printed_bounds_the_same_sets(default: Case, seed: int) -> None:
+def test_p3_as_printed_bounds_the_same_sets(coarse: Case, seed: int) -> None:
     """The paper's ratios, turned into distances from the apex, are the convex side's margins."""
-    lin, problem = default.near(seed), default.problem
+    lin, problem = coarse.near(seed), coarse.problem
     transcription = VARIANTS["printed"].transcription
-    program = default.program(transcription, None, lin, elastic=False)
+    program = coarse.program(transcription, None, lin, elastic=False)
     rows = program.residuals(program.start)
 
     def distance(cone: Cone, point: Array, cosine: Array) -> Array:
@@ -286,11 +282,11 @@ def test_derivatives_formed_arc_by_arc_are_those_of_the_whole(coarse: Case, spre
 
 
 @pytest.mark.parametrize("name", ["tuned", "shooting"])
-def test_ipopt_and_scp_find_the_same_p3(default: Case, name: str) -> None:
-    start = Start(initial_guess.cold(default.mission))
-    result = solve_nlp(default.problem, default.arcs, None, start, VARIANTS[name])
+def test_ipopt_and_scp_find_the_same_p3(coarse: Case, name: str) -> None:
+    start = Start(initial_guess.cold(coarse.mission))
+    result = solve_nlp(coarse.problem, coarse.arcs, None, start, VARIANTS[name])
     assert result.outcome is NlpOutcome.SOLVED, result.status
-    expected = default.p3.result.lin.iterate.total_dv
+    expected = coarse.p3.result.lin.iterate.total_dv
     assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
 
 
@@ -299,19 +295,19 @@ def test_ipopt_and_scp_find_the_same_p3(default: Case, name: str) -> None:
     [VARIANTS["tuned"], VARIANTS["shooting"]],
     ids=["tuned", "shooting"],
 )
-def test_ipopt_and_scp_find_the_same_p2_from_the_same_p3(default: Case, variant: Variant) -> None:
-    start = default.start(default.p3)
-    result = solve_nlp(default.problem, default.arcs, default.facets, start, variant)
+def test_ipopt_and_scp_find_the_same_p2_from_the_same_p3(coarse: Case, variant: Variant) -> None:
+    start = coarse.start(coarse.p3)
+    result = solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, variant)
     assert result.outcome is NlpOutcome.SOLVED, result.status
-    expected = default.p2.result.lin.iterate.total_dv
+    expected = coarse.p2.result.lin.iterate.total_dv
     assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
 
 
-def test_a_quasi_newton_hessian_finds_the_same_p2(default: Case) -> None:
+def test_a_quasi_newton_hessian_finds_the_same_p2(coarse: Case) -> None:
     variant = replace(VARIANTS["tuned"], p2=QUASI_NEWTON)
-    start = default.start(default.p3)
-    result = solve_nlp(default.problem, default.arcs, default.facets, start, variant)
-    expected = default.p2.result.lin.iterate.total_dv
+    start = coarse.start(coarse.p3)
+    result = solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, variant)
+    expected = coarse.p2.result.lin.iterate.total_dv
     assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
 
 
@@ -328,10 +324,10 @@ def test_ipopt_and_scp_agree_on_the_merit_of_an_infeasible_case(infeasible: Case
 
 
 @pytest.mark.parametrize("name", ["tuned", "shooting"])
-def test_the_penalty_weighs_as_the_merit_does(default: Case, name: str) -> None:
+def test_the_penalty_weighs_as_the_merit_does(coarse: Case, name: str) -> None:
     """At an iterate with every kind of violation, slacks that just fill it cost the merit."""
-    lin, stage = default.near(7, flown=True), default.p2
-    nlp = assemble(default.program(VARIANTS[name].transcription, default.facets, lin), 10.0)
+    lin, stage = coarse.near(7, flown=True), coarse.p2
+    nlp = assemble(coarse.program(VARIANTS[name].transcription, coarse.facets, lin), 10.0)
     objective, rows = ca.Function("f", [nlp.unknowns], [nlp.objective, nlp.rows])(nlp.start)
     assert np.array(rows).min() >= -1e-9
     defect = np.abs(lin.defects[:-1]).sum()
@@ -341,9 +337,9 @@ def test_the_penalty_weighs_as_the_merit_does(default: Case, name: str) -> None:
 
 @pytest.mark.parametrize("variant", ["tuned", "shooting"])
 def test_the_three_stages_give_a_solution(
-    default: Case, variant: str, capfd: pytest.CaptureFixture[str]
+    coarse: Case, variant: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    mission = default.mission
+    mission = coarse.mission
     lines: list[tuple[str, int]] = []
     result = ipopt.plan(
         mission,
@@ -356,18 +352,18 @@ def test_the_three_stages_give_a_solution(
     assert solution.status == "converged"
     assert [stage.name for stage in solution.stages] == ["P3", "P2"]
     assert len(lines) == len(solution.iterations) == sum(s.iterations for s in solution.stages)
-    expected = default.p2.result.lin.iterate.total_dv * mission.units.speed_m_s
+    expected = coarse.p2.result.lin.iterate.total_dv * mission.units.speed_m_s
     assert solution.total_dv_m_s == pytest.approx(expected, rel=1e-4)
     assert not solution.violation.by_constraint
 
 
 def test_what_does_not_converge_begins_again_at_the_ballistic_arc(
-    default: Case, monkeypatch: pytest.MonkeyPatch
+    coarse: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the planner has it; here P3 is given too few iterations, so that no try converges."""
     brief = replace(VARIANTS["shooting"], p3=replace(EXACT, max_iterations=3))
     monkeypatch.setitem(VARIANTS, "shooting", brief)
-    result = ipopt.plan(default.mission, initial_guess.cold(default.mission), variant="shooting")
+    result = ipopt.plan(coarse.mission, initial_guess.cold(coarse.mission), variant="shooting")
     names = [stage.name for stage in result.stages]
     assert names[:4] == ["P3", "P3b", "P3c", "P3d"]
     assert all(name.startswith("P2") for name in names[4:])
@@ -391,7 +387,7 @@ def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
 
 @pytest.mark.parametrize("by_hand", [True, False], ids=["ctrl-c", "another exception"])
 def test_only_ctrl_c_is_called_an_interrupt(
-    default: Case, by_hand: bool, monkeypatch: pytest.MonkeyPatch
+    coarse: Case, by_hand: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Both end as an exception in IPOPT."""
 
@@ -408,28 +404,28 @@ def test_only_ctrl_c_is_called_an_interrupt(
             return {"return_status": "NonIpopt_Exception_Thrown"}
 
     monkeypatch.setattr(solve, "_solver", Thrown)
-    start = Start(initial_guess.cold(default.mission))
-    result = solve_nlp(default.problem, default.arcs, None, start, VARIANTS["shooting"])
+    start = Start(initial_guess.cold(coarse.mission))
+    result = solve_nlp(coarse.problem, coarse.arcs, None, start, VARIANTS["shooting"])
     assert result.outcome is (NlpOutcome.INTERRUPTED if by_hand else NlpOutcome.FAILED)
 
 
-def test_a_limit_is_said(default: Case) -> None:
+def test_a_limit_is_said(coarse: Case) -> None:
     brief = Variant(SingleShooting(), p3=replace(EXACT, max_iterations=2), p2=Settings())
-    start = Start(initial_guess.cold(default.mission))
-    result = solve_nlp(default.problem, default.arcs, None, start, brief)
+    start = Start(initial_guess.cold(coarse.mission))
+    result = solve_nlp(coarse.problem, coarse.arcs, None, start, brief)
     assert result.outcome is NlpOutcome.LIMIT
 
 
-def test_p2_needs_a_factor_to_start_from(default: Case) -> None:
-    start = Start(default.p3.result.lin.iterate)
+def test_p2_needs_a_factor_to_start_from(coarse: Case) -> None:
+    start = Start(coarse.p3.result.lin.iterate)
     with pytest.raises(ValueError, match="factor"):
-        solve_nlp(default.problem, default.arcs, default.facets, start, VARIANTS["tuned"])
+        solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, VARIANTS["tuned"])
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_without_a_facet_p2_only_flies(default: Case, name: str) -> None:
-    none = Facets(*(getattr(default.facets, field)[:0] for field in Facets.__annotations__))
-    start = default.start(default.p3)
-    result = solve_nlp(default.problem, default.arcs, none, start, VARIANTS[name])
+def test_without_a_facet_p2_only_flies(coarse: Case, name: str) -> None:
+    none = Facets(*(getattr(coarse.facets, field)[:0] for field in Facets.__annotations__))
+    start = coarse.start(coarse.p3)
+    result = solve_nlp(coarse.problem, coarse.arcs, none, start, VARIANTS[name])
     assert result.outcome is NlpOutcome.SOLVED, result.status
-    assert result.iterate.total_dv < default.p3.result.lin.iterate.total_dv
+    assert result.iterate.total_dv < coarse.p3.result.lin.iterate.total_dv

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from formulations.linearisation.condensation import CONDENSATIONS
 from formulations.program.penalty import Penalty
 from formulations.registry import FORMULATIONS, make_subproblem
-from tests.helpers import generators
+from tests.helpers import generators, share_of_examples
 
 from .support import (
     PENALTIES,
@@ -32,7 +32,7 @@ def tight(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("penalty", PENALTIES)
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-@settings(max_examples=2)
+@settings(max_examples=share_of_examples(250, usual=1))
 @given(generators)
 def test_the_program_has_the_plain_programs_solution(
     formulation: str, name: str, penalty: Penalty, rng: np.random.Generator

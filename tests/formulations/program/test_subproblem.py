@@ -33,7 +33,7 @@ from scp_recon.planning.planner import Plan, plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
-from tests.helpers import Array, constrain, generators, random_flyby
+from tests.helpers import Array, constrain, generators, random_flyby, share_of_examples
 
 from .support import every_row, need, tighten
 
@@ -206,7 +206,7 @@ def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-@settings(max_examples=5)
+@settings(max_examples=share_of_examples(100, usual=2))
 @given(st.integers(0, 2**32 - 1))
 @example(1)  # a constraint on the last node, where the final state is missed
 def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(
@@ -294,7 +294,7 @@ def test_lifted_and_condensed_agree_where_the_final_state_is_out_of_reach(
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
-@settings(max_examples=10)
+@settings(max_examples=share_of_examples(50, usual=4))
 @given(generators, st.sampled_from([("in",), ("out",), ("in", "out")]))
 def test_lifted_and_condensed_agree_on_random_flybys(
     name: str, rng: np.random.Generator, keeps: tuple[str, ...]
