@@ -12,7 +12,7 @@ from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import Verification, verify
 
-from .support import CommandLine, run_solve
+from .support import CommandLine, fly_few, run_solve
 
 
 @pytest.fixture(scope="session")
@@ -45,3 +45,9 @@ def verification(mission: Mission, solution: Solution) -> Verification:
 def default_run(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
     """`python -m scp_recon.solve --init cold`, once."""
     return run_solve(tmp_path_factory.mktemp("default"), "--init", "cold")
+
+
+@pytest.fixture
+def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of verifications within the test; those of what is made once have as many as ever."""
+    fly_few(monkeypatch)

@@ -21,12 +21,19 @@ from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
+from scp_recon.verification import probabilities, reintegration
 
 Array = npt.NDArray[np.float64]
 
 
 def mission_of(*overrides: str) -> Mission:
     return Mission.from_scenario(load_scenario(None, overrides))
+
+
+def fly_few(patch: pytest.MonkeyPatch) -> None:
+    """Have verifications fly few flights: where what is tested does not depend on their number."""
+    for module in (probabilities, reintegration):
+        patch.setattr(module, "SAMPLES", 500)
 
 
 def flight_beyond(mission: Mission) -> Iterate:

@@ -35,6 +35,8 @@ from scp_recon.solution.file import read_solution
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, mission_of, run_solve
 
+pytestmark = pytest.mark.usefixtures("few_flights")
+
 SPLIT_TOO_DEAR = ("--set", "risk.p_chance=0.98", "--set", COARSE)
 EXACT = ("risk.allocation=exact", COARSE)
 

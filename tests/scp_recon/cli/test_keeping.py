@@ -15,16 +15,11 @@ from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
 from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.runs import only_run_in
 from scp_recon.solution.verdict import Verification
-from scp_recon.verification import reintegration
 from tests.scp_recon.support import run_solve
 
+pytestmark = pytest.mark.usefixtures("few_flights")
+
 HOPELESS = ("--problem", "P3", "--set", "burns.dv_max_m_s=0.02", "--set", "grid.step_max_s=3000.0")
-
-
-@pytest.fixture(autouse=True)
-def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the verification; what is tested here does not depend on their number."""
-    monkeypatch.setattr(reintegration, "SAMPLES", 200)
 
 
 @pytest.fixture(scope="module")

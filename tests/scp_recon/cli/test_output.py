@@ -18,6 +18,8 @@ from scp_recon.solution.comparison import compare
 from scp_recon.solution.file import read_solution
 from tests.scp_recon.support import CommandLine
 
+pytestmark = pytest.mark.usefixtures("few_flights")
+
 PROJECT = Path(__file__).parents[3]
 STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
 """Near the default plan at 17,000 s, J2000."""

@@ -19,15 +19,14 @@ from scp_recon.in_flight.prediction import predict
 from scp_recon.planning.plan import Plan
 from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.verdict import Verification
-from scp_recon.verification import probabilities
+
+pytestmark = pytest.mark.usefixtures("few_flights")
 
 OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
 
 
 @pytest.fixture(autouse=True)
-def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the verification; what is tested here does not depend on their number."""
-    monkeypatch.setattr(probabilities, "SAMPLES", 500)
+def wide(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
 
 

@@ -22,6 +22,8 @@ from scp_recon.solution.file import Solution, read_solution
 from tests import reference, reliability
 from tests.scp_recon.support import CommandLine, run_solve
 
+pytestmark = pytest.mark.usefixtures("few_flights")
+
 PROJECT = Path(__file__).parents[3]
 
 
@@ -491,10 +493,13 @@ def test_verify_refuses_a_damaged_solution(
     assert run.errors.count("error: ") == 1
 
 
-def test_verify_repeats_what_the_solution_holds(default_run: CommandLine) -> None:
+def test_verify_repeats_what_the_solution_holds(
+    default_run: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from scp_recon.mission.mission import Mission
     from scp_recon.verification.reintegration import verify as check
 
+    monkeypatch.undo()  # with as many flights as it had
     solution: Solution = read_solution(default_run.folder)
     again = check(Mission.from_scenario(solution.scenario), solution)
     assert again == solution.verification

@@ -10,6 +10,8 @@ from formulations.program import solvers
 from scp_recon.solution.file import read_solution
 from tests.scp_recon.support import run_solve
 
+pytestmark = pytest.mark.usefixtures("few_flights")
+
 P3_EXACT = ("--problem", "P3", "--set", "risk.allocation=exact")
 
 

@@ -107,12 +107,6 @@ def test_the_same_solution_called_p2_is_not_confirmed(mission: Mission) -> None:
 # --- wrong solutions ----------------------------------------------------------------------------
 
 
-@pytest.fixture
-def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the probabilities are not the question."""
-    monkeypatch.setattr("scp_recon.verification.reintegration.SAMPLES", 500)
-
-
 def changed(solution: Solution, change: Change) -> Solution:
     data = solution.model_dump(mode="json")
     change(data)
