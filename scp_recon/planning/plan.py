@@ -9,6 +9,7 @@ from html import escape
 import numpy as np
 import numpy.typing as npt
 
+from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.provenance import Certificate, Parent, Provenance, Starts
 from scp_recon.planning.stage import Stage, Unit, scale
@@ -23,9 +24,9 @@ class Plan:
     """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
 
     A plan is data: it pickles and copies, its arrays are read-only, and it equals another one of the
-    same scenario and provenance that went through the same stages to the same flight, to the last bit.
-    Timings do not count. A solver that was kept from an earlier plan may differ in the last digits from
-    a new one, and so may their plans.
+    same scenario, provenance, certificate and parent that went through the same stages to the same
+    flight, to the last bit. Timings do not count. A solver that was kept from an earlier plan may differ
+    in the last digits from a new one, and so may their plans.
     """
 
     mission: Mission
@@ -132,18 +133,22 @@ class Plan:
 
     @property
     def _identity(self) -> tuple[object, ...]:
-        runs = [(s.name, s.result.status, len(s.result.records)) for s in self.stages]
-        flown = [
-            (s.result.lin.iterate.burns.tobytes(), s.result.lin.iterate.mean.tobytes())
+        runs = [
+            (s.name, s.result.status, len(s.result.records), *_to_the_bit(s.result.lin.iterate))
             for s in (*self.stages, self.final)
         ]
-        return self.mission.scenario, self.provenance, runs, flown, self.starts
+        made = self.provenance, self.aim, self.certificate, self.starts, self.parent
+        return self.mission.scenario, made, runs
 
 
 def as_interrupted(plan: Plan) -> Plan:
     """The plan as the best that there was when Ctrl-C came."""
     result = replace(plan.final.result, status=Status.INTERRUPTED)
     return replace(plan, final=replace(plan.final, result=result))
+
+
+def _to_the_bit(iterate: Iterate) -> tuple[bytes, bytes]:
+    return iterate.burns.tobytes(), iterate.mean.tobytes()
 
 
 def _read_only(array: Array) -> Array:

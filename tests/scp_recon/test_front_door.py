@@ -21,7 +21,7 @@ import scp_recon as sr
 from scp_recon.compare import main as compare
 from scp_recon.errors import InputError
 from scp_recon.front_door import planning, results
-from scp_recon.planning.plan import Plan
+from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.verdict import Verification
@@ -93,6 +93,21 @@ def test_a_plan_is_data(default_plan: Plan) -> None:
                     array[0] = 0.0
     assert default_plan != sr.plan(init="warm")
     assert default_plan != 3
+
+
+def test_a_plan_is_another_one_with_anything_but_its_timing_changed(default_plan: Plan) -> None:
+    certificate = Certificate(1000, 0, 0.71, 0.7, 0.72, 0.71, 1)
+    for other in (
+        as_interrupted(default_plan),
+        replace(default_plan, aim=0.7),
+        replace(default_plan, certificate=certificate),
+        replace(default_plan, parent=Parent("runs/mine", "0" * 64, 17000.0)),
+        replace(default_plan, provenance=replace(default_plan.provenance, init="warm")),
+        replace(default_plan, stages=default_plan.stages[1:]),
+    ):
+        assert other != default_plan
+        assert pickle.loads(pickle.dumps(other)) == other
+    assert replace(default_plan, total_s=1e3) == default_plan
 
 
 def test_replaced_entries_are_validated() -> None:
