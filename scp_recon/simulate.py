@@ -16,10 +16,10 @@ if __name__ == "__main__":
     exit_on_sigint()
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
@@ -35,6 +35,7 @@ from scp_recon.solution.runs import folder_of, only_run_in, resolve_run
 from scp_recon.spacecraft.basilisk.optional import needing_basilisk
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.record import FILE_NAME, make_record, write_record
+from scp_recon.spacecraft.summary import Angles, FlightSummary
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 from scp_recon.spacecraft.verdict import check_vehicle, shortfalls
 
@@ -86,7 +87,7 @@ def _simulate(options: argparse.Namespace, console: Console) -> Answer:
     failed = shortfalls(record.summary, solution)
     show_verdict(console, "as asked", failed)
     show_written(console, path)
-    document = {"failed": failed, "files": [str(path)], "summary": record.summary}
+    document = {"failed": failed, "files": [str(path)], "summary": record.summary.entries()}
     return Answer(NOT_VERIFIED if failed else 0, document)
 
 
@@ -104,47 +105,52 @@ def _flight(
         )
 
 
-def show(console: Console, summary: dict[str, Any]) -> None:
+def show(console: Console, summary: FlightSummary) -> None:
     """The figures that matter."""
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("mode", "from s", "for s", "at least s", "steady after s"):
         table.add_column(heading, justify="left" if heading == "mode" else "right")
-    for leg in summary["legs"]:
-        mark = "" if leg["ok"] else " too short"
-        mark += "" if leg["settled_in_time"] else " not steady in time"
-        settled = "never" if leg["settled_s"] is None else f"{leg['settled_s']:.0f}"
-        numbers = (leg["start_s"], leg["duration_s"], leg["required_s"])
-        table.add_row(leg["mode"] + mark, *(f"{x:.0f}" for x in numbers), settled)
+    for leg in summary.legs:
+        mark = "" if leg.ok else " too short"
+        mark += "" if leg.settled_in_time else " not steady in time"
+        settled = "never" if leg.settled_s is None else f"{leg.settled_s:.0f}"
+        numbers = (leg.start_s, leg.duration_s, leg.required_s)
+        table.add_row(leg.mode + mark, *(f"{x:.0f}" for x in numbers), settled)
     console.print(table)
     table = Table(box=None, header_style="bold", pad_edge=False)
     for heading in ("burn at s", "planned m/s", "executed m/s", "off at start deg", "executed deg"):
         table.add_column(heading, justify="right")
-    for burn in summary["burns"]:
-        sizes = (sum(x * x for x in burn[key]) ** 0.5 for key in ("planned_m_s", "executed_m_s"))
-        angles = (burn["pointing_deg"], burn["executed_pointing_deg"])
-        row = (f"{burn['t_s']:.0f}", *(f"{x:.5f}" for x in sizes), *(f"{x:.3f}" for x in angles))
+    for burn in summary.burns:
+        sizes = (math.hypot(*velocity) for velocity in (burn.planned_m_s, burn.executed_m_s))
+        angles = (burn.pointing_deg, burn.executed_pointing_deg)
+        row = (f"{burn.t_s:.0f}", *(f"{x:.5f}" for x in sizes), *(f"{x:.3f}" for x in angles))
         table.add_row(*row)
     console.print(table)
     lines = [
-        f"{name:22} " + ", ".join(f"{key} {value:.3f}" for key, value in spread.items()) + " deg"
-        for name, spread in (
-            ("camera against command", summary["window_pointing_deg"]["camera"]),
-            ("camera against site", summary["window_pointing_deg"]["site"]),
-            ("estimated attitude", summary["estimate_deg"]),
+        f"{name:22} {_spread(angles)} deg"
+        for name, angles in (
+            ("camera against command", summary.window_pointing_deg.camera),
+            ("camera against site", summary.window_pointing_deg.site),
+            ("estimated attitude", summary.estimate_deg),
         )
     ]
-    miss = summary["terminal_miss"]
+    miss = summary.terminal_miss
     lines += [
-        f"least state of charge  {summary['least_charge']:.3f} (floor {summary['floor_charge']:.2f})",
-        f"energy ledger error    {summary['ledger_error']:.1e} of what is generated",
-        f"momentum dumps         {summary['dumps']}",
-        f"final state            {miss['position_m']:.1f} m and {miss['velocity_m_s']:.4f} m/s "
+        f"least state of charge  {summary.least_charge:.3f} (floor {summary.floor_charge:.2f})",
+        f"energy ledger error    {summary.ledger_error:.1e} of what is generated",
+        f"momentum dumps         {summary.dumps}",
+        f"final state            {miss.position_m:.1f} m and {miss.velocity_m_s:.4f} m/s "
         "from the planned mean",
-        f"within 3 sigma         at {100 * summary['within_3_sigma']:.1f} % of the nodes, "
-        f"at most {summary['largest_sigma_distance']:.2f} sigma",
+        f"within 3 sigma         at {100 * summary.within_3_sigma:.1f} % of the nodes, "
+        f"at most {summary.largest_sigma_distance:.2f} sigma",
     ]
     for line in lines:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _spread(angles: Angles) -> str:
+    named = angles.model_dump(by_alias=True)
+    return ", ".join(f"{key} {value:.3f}" for key, value in named.items())
 
 
 if __name__ == "__main__":

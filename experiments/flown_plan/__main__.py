@@ -17,7 +17,6 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +40,7 @@ from scp_recon.spacecraft.record import (
     read_record,
     write_record,
 )
+from scp_recon.spacecraft.summary import Angles, FlightSummary, WindowPointing
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
 Array = npt.NDArray[np.float64]
@@ -53,9 +53,9 @@ RADIUS_SIGMA = 3.0
 EXPECTED = float(chi2.cdf(RADIUS_SIGMA**2, 3))
 """Share of a normal position that lies within three sigma."""
 
-ANGLES = {
-    "camera against command, in the window": "camera",
-    "camera against the site, in the window": "site",
+ANGLES: dict[str, Callable[[WindowPointing], Angles]] = {
+    "camera against command, in the window": lambda pointing: pointing.camera,
+    "camera against the site, in the window": lambda pointing: pointing.site,
 }
 
 
@@ -83,7 +83,7 @@ def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Rec
     except InputError:
         return None
     # Files of earlier versions lack the digests, and are flown again.
-    flown = record.summary["seed"], record.plan_hash, record.summary.get("inputs_sha256")
+    flown = record.summary.seed, record.plan_hash, record.summary.inputs_sha256
     asked = seed, solution.plan_hash, inputs_digest(solution, vehicle)
     return record if flown == asked else None
 
@@ -91,21 +91,21 @@ def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Rec
 def line(record: Record) -> dict[str, Cell]:
     """One line of the table."""
     summary, distance = record.summary, record.arrays["node_sigma_distance"]
-    camera, site = (summary["window_pointing_deg"][key] for key in ("camera", "site"))
+    camera, site = summary.window_pointing_deg.camera, summary.window_pointing_deg.site
     return {
-        "seed": summary["seed"],
-        "least_charge": summary["least_charge"],
-        "modes_hold": all(leg["ok"] for leg in summary["legs"]),
-        "settled_in_time": all(leg["settled_in_time"] for leg in summary["legs"]),
-        "burn_start_max_deg": max(burn["pointing_deg"] for burn in summary["burns"]),
-        "burn_executed_max_deg": max(burn["executed_pointing_deg"] for burn in summary["burns"]),
-        "camera_mean_deg": camera["mean"],
-        "camera_max_deg": camera["q100"],
-        "site_mean_deg": site["mean"],
-        "site_max_deg": site["q100"],
-        "dumps": summary["dumps"],
-        "ledger_error": summary["ledger_error"],
-        "terminal_miss_m": summary["terminal_miss"]["position_m"],
+        "seed": summary.seed,
+        "least_charge": summary.least_charge,
+        "modes_hold": all(leg.ok for leg in summary.legs),
+        "settled_in_time": all(leg.settled_in_time for leg in summary.legs),
+        "burn_start_max_deg": max(burn.pointing_deg for burn in summary.burns),
+        "burn_executed_max_deg": max(burn.executed_pointing_deg for burn in summary.burns),
+        "camera_mean_deg": camera.mean,
+        "camera_max_deg": camera.q100,
+        "site_mean_deg": site.mean,
+        "site_max_deg": site.q100,
+        "dumps": summary.dumps,
+        "ledger_error": summary.ledger_error,
+        "terminal_miss_m": summary.terminal_miss.position_m,
         "terminal_sigma": float(distance[-1]),
         "largest_sigma": float(distance.max()),
         "nodes_within_3_sigma": float((distance <= RADIUS_SIGMA).mean()),
@@ -157,12 +157,12 @@ def _power_and_end(records: Sequence[Record]) -> str:
     summaries = [record.summary for record in records]
     generated = np.concatenate([r.arrays["panel_w"][1:].sum(axis=1) for r in records])
     drawn = np.concatenate([r.arrays["consumed_w"][1:] for r in records])
-    misses = [summary["terminal_miss"]["position_m"] for summary in summaries]
+    misses = [summary.terminal_miss.position_m for summary in summaries]
     return (
-        f"Least state of charge {min(s['least_charge'] for s in summaries):.3f}; the floor is "
-        f"{summaries[0]['floor_charge']:.2f}. Panels generate {generated.min():.0f} to "
+        f"Least state of charge {min(s.least_charge for s in summaries):.3f}; the floor is "
+        f"{summaries[0].floor_charge:.2f}. Panels generate {generated.min():.0f} to "
         f"{generated.max():.0f} W, loads draw {drawn.min():.0f} to {drawn.max():.0f} W. Momentum is "
-        f"dumped {np.mean([s['dumps'] for s in summaries]):.2f} times a flight. Flights end "
+        f"dumped {np.mean([s.dumps for s in summaries]):.2f} times a flight. Flights end "
         f"{min(misses):.0f} to {max(misses):.0f} m from the planned mean."
     )
 
@@ -186,29 +186,29 @@ def _means(samples: Sequence[Inside]) -> list[str]:
     return [f"{np.mean(sample):.3f}" for sample in samples]
 
 
-def _mode_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+def _mode_lines(summaries: Sequence[FlightSummary]) -> list[tuple[str, ...]]:
     lines: list[tuple[str, ...]] = []
-    for legs in zip(*(summary["legs"] for summary in summaries), strict=True):
-        shortest = min(leg["duration_s"] for leg in legs)
-        holds = "yes" if all(leg["ok"] for leg in legs) else "no"
-        settled = [np.inf if leg["settled_s"] is None else leg["settled_s"] for leg in legs]
-        in_time = sum(leg["settled_in_time"] for leg in legs)
+    for legs in zip(*(summary.legs for summary in summaries), strict=True):
+        shortest = min(leg.duration_s for leg in legs)
+        holds = "yes" if all(leg.ok for leg in legs) else "no"
+        settled = [np.inf if leg.settled_s is None else leg.settled_s for leg in legs]
+        in_time = sum(leg.settled_in_time for leg in legs)
         row = (
             f"{shortest:.0f}",
-            f"{legs[0]['required_s']:.0f}",
+            f"{legs[0].required_s:.0f}",
             holds,
             f"{max(settled):.0f}",
             f"{in_time} of {len(legs)}",
         )
-        lines.append((f"{legs[0]['mode']}, from {legs[0]['start_s']:.0f} s", *row))
+        lines.append((f"{legs[0].mode}, from {legs[0].start_s:.0f} s", *row))
     return lines
 
 
-def _angle_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
-    burns = [burn for summary in summaries for burn in summary["burns"]]
+def _angle_lines(summaries: Sequence[FlightSummary]) -> list[tuple[str, ...]]:
+    burns = [burn for summary in summaries for burn in summary.burns]
     # At time zero the attitude is what it should be, by construction.
-    starts = np.array([burn["pointing_deg"] for burn in burns if burn["t_s"] > 0.0])
-    executed = np.array([burn["executed_pointing_deg"] for burn in burns])
+    starts = np.array([burn.pointing_deg for burn in burns if burn.t_s > 0.0])
+    executed = np.array([burn.executed_pointing_deg for burn in burns])
     rows = {
         name: (angles, *np.quantile(angles, (0.95, 0.997, 1.0)))
         for name, angles in (
@@ -216,10 +216,10 @@ def _angle_lines(summaries: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
             ("velocity gained against burn", executed),
         )
     }
-    for name, key in ANGLES.items():
-        spreads = [summary["window_pointing_deg"][key] for summary in summaries]
-        means = np.array([spread["mean"] for spread in spreads])
-        worst = (max(spread[q] for spread in spreads) for q in ("q95", "q99.7", "q100"))
+    for name, of in ANGLES.items():
+        spreads = [of(summary.window_pointing_deg) for summary in summaries]
+        means = np.array([spread.mean for spread in spreads])
+        worst = np.array([(s.q95, s.q997, s.q100) for s in spreads]).max(axis=0)
         rows[name] = (means, *worst)
     return [
         (name, *(f"{x:.3f}" for x in (values.mean(), *worst)))

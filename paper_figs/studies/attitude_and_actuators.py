@@ -47,7 +47,7 @@ def draw(record: Record) -> Figure:
         rows[1].set(ylabel="error (deg)", ylim=(1e-3, 300.0))
         rows[1].set_yticks([1e-2, 1.0, 1e2])
         _bands(rows[2], record, "actuators", {int(k): name for k, name in IN_USE.items()})
-        _bands(rows[3], record, "mode", dict(enumerate(record.summary["modes"])))
+        _bands(rows[3], record, "mode", dict(enumerate(record.summary.modes)))
         for axes in rows:
             mark_burns(axes, record)
         rows[3].set(xlabel="time (h)", xlim=(0.0, float(time[-1])))
@@ -87,15 +87,15 @@ def _bands(axes: Axes, record: Record, name: str, labels: dict[int, str]) -> Non
 def caption(record: Record) -> str:
     """What the figure shows."""
     summary = record.summary
-    camera = summary["window_pointing_deg"]["camera"]
-    worst = max(burn["pointing_deg"] for burn in summary["burns"])
+    camera = summary.window_pointing_deg.camera
+    worst = max(burn.pointing_deg for burn in summary.burns)
     return (
-        f"Attitude of the simulated flight, seed {summary['seed']}. From above: quaternion of the body "
+        f"Attitude of the simulated flight, seed {summary.seed}. From above: quaternion of the body "
         "(solid) and its command (dashed); angle between the two; what controls the attitude; the "
         "mode. Dotted: burns. The camera is within "
-        f"{camera['q100']:.3f} deg of its command throughout the window, the thrust within "
+        f"{camera.q100:.3f} deg of its command throughout the window, the thrust within "
         f"{worst:.3f} deg of the planned burn when it starts; momentum is dumped "
-        f"{summary['dumps']} times."
+        f"{summary.dumps} times."
     )
 
 

@@ -68,5 +68,5 @@ def bands(values: Array, times: Array, value: int) -> Iterator[tuple[float, floa
 
 def mark_burns(axes: Axes, record: Record) -> None:
     """A line at every burn."""
-    for burn in record.summary["burns"]:
-        axes.axvline(burn["t_s"] / HOUR_S, color="0.3", lw=0.8, ls=":")
+    for burn in record.summary.burns:
+        axes.axvline(burn.t_s / HOUR_S, color="0.3", lw=0.8, ls=":")

@@ -84,15 +84,15 @@ def _positions(axes: Axes, distances: Array) -> None:
 
 
 def _angles(axes: Axes, records: list[Record]) -> None:
-    burns = [burn for record in records for burn in record.summary["burns"]]
-    camera = [record.summary["window_pointing_deg"]["camera"] for record in records]
+    burns = [burn for record in records for burn in record.summary.burns]
+    camera = [record.summary.window_pointing_deg.camera for record in records]
     # At time zero the attitude is what it should be, by construction.
-    starts = [burn["pointing_deg"] for burn in burns if burn["t_s"] > 0.0]
+    starts = [burn.pointing_deg for burn in burns if burn.t_s > 0.0]
     for angles, colour, label in (
         (starts, "k", "thrust at start"),
-        ([burn["executed_pointing_deg"] for burn in burns], "tab:blue", "velocity gained"),
-        ([spread["q50"] for spread in camera], "tab:orange", "camera, median"),
-        ([spread["q100"] for spread in camera], "tab:red", "camera, largest"),
+        ([burn.executed_pointing_deg for burn in burns], "tab:blue", "velocity gained"),
+        ([spread.q50 for spread in camera], "tab:orange", "camera, median"),
+        ([spread.q100 for spread in camera], "tab:red", "camera, largest"),
     ):
         axes.ecdf(angles, color=colour, label=label)
     axes.set(xlabel="angle to the command (deg)", xlim=(0.0, None))
@@ -102,7 +102,7 @@ def caption(records: list[Record]) -> str:
     """What the figure shows."""
     distances = _distances(records)
     inside = distances <= RADIUS_SIGMA
-    charge = min(record.summary["least_charge"] for record in records)
+    charge = min(record.summary.least_charge for record in records)
     return (
         f"{len(records)} simulated flights of a plan with all errors. Left: share of the positions at "
         "the solution's nodes, of the final ones and of the farthest of each flight, by their distance "

@@ -42,7 +42,7 @@ def draw(record: Record) -> Figure:
         charge = 100.0 * record.arrays["state_of_charge"]
         for i, look in enumerate(("-", "--")[: charge.shape[1]]):
             bottom.plot(time, charge[:, i], look, color=COLOURS[i], label=f"battery {i + 1}")
-        floor = 100.0 * record.summary["floor_charge"]
+        floor = 100.0 * record.summary.floor_charge
         bottom.axhline(floor, color="0.4", ls=":", lw=1.0)
         bottom.annotate("floor", (0.0, floor), (4, 3), textcoords="offset points")
         bottom.set(ylabel="charge (%)", ylim=(0.0, 112.0), xlabel="time (h)")
@@ -68,12 +68,12 @@ def caption(record: Record) -> str:
     generated = record.arrays["panel_w"].sum(axis=1)[1:]
     ratio = generated / record.arrays["consumed_w"][1:]
     return (
-        f"Power of the simulated flight, seed {record.summary['seed']}. From above: generation and "
+        f"Power of the simulated flight, seed {record.summary.seed}. From above: generation and "
         "consumption; each panel against the most it can give with the Sun along its normal "
         "(dotted), SP4 and SP5 being equal; charge of the two batteries with its floor. Dotted "
         "upright: burns. Generation is "
         f"{np.min(ratio):.1f} to {np.max(ratio):.1f} times consumption; the least charge is "
-        f"{100.0 * record.summary['least_charge']:.1f} %."
+        f"{100.0 * record.summary.least_charge:.1f} %."
     )
 
 

@@ -43,7 +43,7 @@ def craft_chart(subjects: Sequence[Subject]) -> dict[str, Any] | None:
     for number, (subject, record) in enumerate(flown):
         before = "" if len(flown) == 1 else f"{subject.name}: "
         data += _curves(record, before, number)
-        floor = 100.0 * record.summary["floor_charge"]
+        floor = 100.0 * record.summary.floor_charge
         limit_line(layout, Bound("floor: at least", floor), 0)
     layout[axis_name("y", 2).replace("y", "yaxis")] |= {
         "type": "log",

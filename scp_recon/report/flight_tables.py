@@ -31,28 +31,24 @@ def simulation_tables(subject: Subject) -> list[Table]:
         return []
     s = subject.record.summary
     burns: list[Row] = []
-    for number, burn in enumerate(s["burns"], start=1):
-        sizes = [float(np.linalg.norm(burn[key])) for key in ("planned_m_s", "executed_m_s")]
-        angles = (burn["pointing_deg"], burn["executed_pointing_deg"])
+    for number, burn in enumerate(s.burns, start=1):
+        sizes = [float(np.linalg.norm(dv)) for dv in (burn.planned_m_s, burn.executed_m_s)]
+        angles = (burn.pointing_deg, burn.executed_pointing_deg)
         shown = [*(cell(x, ".6f") for x in sizes), *(cell(a, ".3f") for a in angles)]
-        burns.append([str(number), cell(burn["t_s"], ".0f"), *shown])
-    miss = s["terminal_miss"]
+        burns.append([str(number), cell(burn.t_s, ".0f"), *shown])
+    miss = s.terminal_miss
     figures: list[Row] = [
-        ["least state of charge", cell(100.0 * s["least_charge"], ".1f"), "%"],
-        ["floor of it", cell(100.0 * s["floor_charge"], ".1f"), "%"],
-        [
-            "camera off the site, 99.7 %",
-            cell(s["window_pointing_deg"]["site"]["q99.7"], ".3f"),
-            "deg",
-        ],
-        ["final position off the mean", cell(miss["position_m"], ".1f"), "m"],
-        ["final velocity off the mean", cell(miss["velocity_m_s"], ".4f"), "m/s"],
+        ["least state of charge", cell(100.0 * s.least_charge, ".1f"), "%"],
+        ["floor of it", cell(100.0 * s.floor_charge, ".1f"), "%"],
+        ["camera off the site, 99.7 %", cell(s.window_pointing_deg.site.q997, ".3f"), "deg"],
+        ["final position off the mean", cell(miss.position_m, ".1f"), "m"],
+        ["final velocity off the mean", cell(miss.velocity_m_s, ".4f"), "m/s"],
         [
             "largest distance in the planned spread",
-            cell(s["largest_sigma_distance"], ".2f"),
+            cell(s.largest_sigma_distance, ".2f"),
             "sigma",
         ],
-        ["momentum dumps", s["dumps"], ""],
+        ["momentum dumps", s.dumps, ""],
     ]
     heading = (
         "burn",
@@ -62,7 +58,7 @@ def simulation_tables(subject: Subject) -> list[Table]:
         "off at start (deg)",
         "off (deg)",
     )
-    vehicle = f"{s['vehicle']}, seed {s['seed']}"
+    vehicle = f"{s.vehicle}, seed {s.seed}"
     return [
         table("simulated_burns", f"Burns in the simulation ({vehicle})", heading, burns),
         table("simulated", f"In the simulation ({vehicle})", ("figure", "value", "unit"), figures),

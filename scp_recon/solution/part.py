@@ -44,10 +44,14 @@ def read_file(path: Path, kind: type[FileKind], schemas: Sequence[str], noun: st
     Raises:
         InputError: if there is none, it is of another version, or it is damaged.
     """
-    data = _parsed(path, noun)
+    return parse_file(_parsed(path, noun), kind, schemas, f"{noun} {path}")
+
+
+def parse_file(data: Any, kind: type[FileKind], schemas: Sequence[str], named: str) -> FileKind:
+    """What JSON holds, validated, as `read_file` does; messages call it by its name."""
     if not isinstance(data, dict) or data.get("schema") not in schemas:
         given = data.get("schema", "no schema") if isinstance(data, dict) else "no object"
-        raise InputError(f"{noun} {path}", repr(given)[:80], f"schema must be {schemas[-1]!r}")
+        raise InputError(named, repr(given)[:80], f"schema must be {schemas[-1]!r}")
     try:
         # Through JSON again: strict fields such as tuples and dates read from it as written to it.
         return kind.model_validate_json(json.dumps(data))
@@ -55,7 +59,7 @@ def read_file(path: Path, kind: type[FileKind], schemas: Sequence[str], noun: st
         first = error.errors(include_url=False)[0]
         entry = ".".join(str(part) for part in first["loc"])
         given = repr(first["input"])[:80] if first["type"] != "missing" else "nothing"
-        raise InputError(f"{noun} {path}: {entry}", given, first["msg"]) from None
+        raise InputError(f"{named}: {entry}", given, first["msg"]) from None
 
 
 def _parsed(path: Path, noun: str) -> Any:

@@ -10,6 +10,7 @@ import io
 import json
 import zipfile
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,11 @@ from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.schedule import Mode
 from scp_recon.solution.file import Solution
+from scp_recon.solution.part import parse_file
 from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.guidance import CONTROL_PERIOD_S
 from scp_recon.spacecraft.outcome import (
+    LegOutcome,
     Pointing,
     ledger_error,
     leg_outcomes,
@@ -32,25 +35,42 @@ from scp_recon.spacecraft.outcome import (
     sigma_distance,
     state_of_charge,
 )
+from scp_recon.spacecraft.summary import (
+    SCHEMA,
+    Angles,
+    Energy,
+    FlightSummary,
+    FlownBurn,
+    ModeOutcome,
+    TerminalMiss,
+    WindowPointing,
+)
 from scp_recon.spacecraft.vehicle import Vehicle
 
-SCHEMA = "scp_recon.simulation/1"
 FILE_NAME = "simulation.npz"
 SAMPLE_S = 10.0
 MODES = tuple(Mode)
-QUANTILES = (0.5, 0.95, 0.997, 1.0)
+QUANTILES = {"q50": 0.5, "q95": 0.95, "q997": 0.997, "q100": 1.0}
 
-ARRAYS = (
-    "t_s", "state", "attitude", "command", "estimate", "rate_rad_s", "mode", "actuators",
-    "wheel_speed_rad_s", "panel_w", "panel_peak_w", "consumed_w", "state_of_charge",
-    "pointing_error_rad", "node_state", "node_sigma_distance",
-)  # fmt: skip
-KEYS = (
-    "schema", "vehicle", "seed", "modes", "legs", "burns", "window_pointing_deg", "estimate_deg",
-    "least_charge", "floor_charge", "energy_wh", "ledger_error", "dumps", "terminal_miss",
-    "within_3_sigma", "largest_sigma_distance",
-)  # fmt: skip
-"""What every file of this schema has; what was added later may be missing."""
+ARRAYS: dict[str, tuple[str | int, ...]] = {
+    "t_s": ("samples",),
+    "state": ("samples", 6),
+    "attitude": ("samples", 4),
+    "command": ("samples", 4),
+    "estimate": ("samples", 4),
+    "rate_rad_s": ("samples", 3),
+    "mode": ("samples",),
+    "actuators": ("samples",),
+    "wheel_speed_rad_s": ("samples", "wheels"),
+    "panel_w": ("samples", "panels"),
+    "panel_peak_w": ("panels",),
+    "consumed_w": ("samples",),
+    "state_of_charge": ("samples", "batteries"),
+    "pointing_error_rad": ("seconds",),
+    "node_state": ("nodes", 6),
+    "node_sigma_distance": ("nodes",),
+}
+"""What every file of this schema has, with its shape: numbers, and names of lengths that are equal."""
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -60,13 +80,12 @@ class Record:
     """A simulation file: arrays by name, and the summary."""
 
     arrays: Arrays
-    summary: dict[str, Any]
+    summary: FlightSummary
 
     @property
     def plan_hash(self) -> str | None:
         """`Solution.plan_hash` of the plan flown; none in files of earlier versions."""
-        found = self.summary.get("plan_hash")
-        return found if isinstance(found, str) else None
+        return self.summary.plan_hash
 
 
 def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
@@ -103,75 +122,71 @@ def inputs_digest(solution: Solution, vehicle: Vehicle) -> str:
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
 
-def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) -> dict[str, Any]:
+def _summary(flight: Flight, solution: Solution, angles: Pointing, seed: int) -> FlightSummary:
     plan = flight.plan
     charge, distance = state_of_charge(flight), sigma_distance(flight, solution)
     miss = flight.terminal_state - np.array(solution.nodes.state[-1])
-    return {
-        "schema": SCHEMA,
-        "vehicle": plan.vehicle.name,
-        "seed": seed,
-        "plan_hash": solution.plan_hash,
-        "inputs_sha256": inputs_digest(solution, plan.vehicle),
-        "modes": list(MODES),
-        "legs": _legs(flight),
-        "burns": _burns(flight, angles),
-        "window_pointing_deg": {"camera": _spread(angles.camera), "site": _spread(angles.site)},
-        "estimate_deg": _spread(angles.estimate),
-        "least_charge": float(charge.min()),
-        "floor_charge": plan.vehicle.battery.floor_charge,
-        "energy_wh": _energy(flight),
-        "ledger_error": ledger_error(flight),
-        "dumps": flight.dumps,
-        "terminal_miss": {
-            "position_m": float(np.linalg.norm(miss[:3])),
-            "velocity_m_s": float(np.linalg.norm(miss[3:])),
-        },
-        "within_3_sigma": float((distance <= 3.0).mean()),
-        "largest_sigma_distance": float(distance.max()),
-    }
+    return FlightSummary(
+        vehicle=plan.vehicle.name,
+        seed=seed,
+        plan_hash=solution.plan_hash,
+        inputs_sha256=inputs_digest(solution, plan.vehicle),
+        modes=tuple(mode.value for mode in MODES),
+        legs=tuple(_outcome(outcome) for outcome in leg_outcomes(flight)),
+        burns=tuple(_burns(flight, angles)),
+        window_pointing_deg=WindowPointing(
+            camera=_quantiles(angles.camera), site=_quantiles(angles.site)
+        ),
+        estimate_deg=_quantiles(angles.estimate),
+        least_charge=float(charge.min()),
+        floor_charge=plan.vehicle.battery.floor_charge,
+        energy_wh=_energy(flight),
+        ledger_error=ledger_error(flight),
+        dumps=flight.dumps,
+        terminal_miss=TerminalMiss(
+            position_m=float(np.linalg.norm(miss[:3])),
+            velocity_m_s=float(np.linalg.norm(miss[3:])),
+        ),
+        within_3_sigma=float((distance <= 3.0).mean()),
+        largest_sigma_distance=float(distance.max()),
+    )
 
 
-def _legs(flight: Flight) -> list[dict[str, Any]]:
-    """Every mode against the rules."""
-    return [
-        {
-            "mode": outcome.leg.mode,
-            "start_s": outcome.leg.start_s,
-            "duration_s": outcome.duration_s,
-            "required_s": outcome.required_s,
-            "ok": outcome.ok,
-            "settled_s": outcome.settled_s if np.isfinite(outcome.settled_s) else None,
-            "settled_in_time": outcome.settled_in_time,
-        }
-        for outcome in leg_outcomes(flight)
-    ]
+def _outcome(outcome: LegOutcome) -> ModeOutcome:
+    """A mode against the rules."""
+    return ModeOutcome(
+        mode=outcome.leg.mode.value,
+        start_s=outcome.leg.start_s,
+        duration_s=outcome.duration_s,
+        required_s=outcome.required_s,
+        ok=outcome.ok,
+        settled_s=outcome.settled_s if np.isfinite(outcome.settled_s) else None,
+        settled_in_time=outcome.settled_in_time,
+    )
 
 
-def _burns(flight: Flight, angles: Pointing) -> list[dict[str, Any]]:
+def _burns(flight: Flight, angles: Pointing) -> Iterator[FlownBurn]:
     """Every burn as planned and as executed."""
     start, mean = np.rad2deg(angles.burns).tolist(), np.rad2deg(angles.executed).tolist()
-    return [
-        {
-            "t_s": firing.start_s,
-            "duration_s": firing.duration_s,
-            "planned_m_s": firing.dv_m_s.tolist(),
-            "executed_m_s": flight.burns_m_s[i].tolist(),
-            "pointing_deg": start[i],
-            "executed_pointing_deg": mean[i],
-        }
-        for i, firing in enumerate(flight.plan.firings)
-    ]
+    for i, firing in enumerate(flight.plan.firings):
+        yield FlownBurn(
+            t_s=firing.start_s,
+            duration_s=firing.duration_s,
+            planned_m_s=tuple(firing.dv_m_s.tolist()),
+            executed_m_s=tuple(flight.burns_m_s[i].tolist()),
+            pointing_deg=start[i],
+            executed_pointing_deg=mean[i],
+        )
 
 
-def _spread(angle: npt.NDArray[np.float64]) -> dict[str, float]:
+def _quantiles(angle: npt.NDArray[np.float64]) -> Angles:
     """Mean and quantiles in degrees."""
     degrees = np.rad2deg(angle)
-    named = {f"q{100 * q:g}": float(np.quantile(degrees, q)) for q in QUANTILES}
-    return {"mean": float(degrees.mean()), **named}
+    named = {name: float(np.quantile(degrees, level)) for name, level in QUANTILES.items()}
+    return Angles(mean=float(degrees.mean()), **named)
 
 
-def _energy(flight: Flight) -> dict[str, float]:
+def _energy(flight: Flight) -> Energy:
     """Totals of the bus."""
     hours = CONTROL_PERIOD_S / 3600.0
     totals = {
@@ -181,7 +196,7 @@ def _energy(flight: Flight) -> dict[str, float]:
         "unused": flight.unused_w,
         "short": flight.short_w,
     }
-    return {name: float(power[1:].sum()) * hours for name, power in totals.items()}
+    return Energy(**{name: float(power[1:].sum()) * hours for name, power in totals.items()})
 
 
 def write_record(record: Record, folder: Path) -> Path:
@@ -191,7 +206,7 @@ def write_record(record: Record, folder: Path) -> Path:
         OSError: if the folder cannot be written.
     """
     buffer = io.BytesIO()
-    text = np.array(json.dumps(record.summary))
+    text = np.array(json.dumps(record.summary.entries()))
     np.savez_compressed(buffer, allow_pickle=False, summary=text, **record.arrays)
     return write_atomically(folder / FILE_NAME, buffer.getvalue())
 
@@ -216,12 +231,27 @@ def read_record(path: Path) -> Record:
         raise InputError(
             f"simulation {file}", str(error)[:80], "must be a simulation file"
         ) from None
-    if not isinstance(summary, dict):
-        raise InputError(f"simulation {file}", "a summary that is no object", "must be one")
-    if summary.get("schema") != SCHEMA:
-        given = repr(summary.get("schema"))[:80]
-        raise InputError(f"simulation {file}", given, f"schema must be {SCHEMA!r}")
-    missing = [name for name in (*ARRAYS, *KEYS) if name not in arrays and name not in summary]
-    if missing:
-        raise InputError(f"simulation {file}", f"no {missing[0]}", "must have every entry")
-    return Record(arrays, summary)
+    found = parse_file(summary, FlightSummary, [SCHEMA], f"simulation {file}")
+    if strange := _strange(arrays):
+        raise InputError(f"simulation {file}: {strange}", "no such array", _shape_of(strange))
+    return Record(arrays, found)
+
+
+def _strange(arrays: Arrays) -> str | None:
+    """An array that is missing, holds no numbers, or does not fit the others."""
+    lengths: dict[str | int, int] = {}
+    for name, shape in ARRAYS.items():
+        array = arrays.get(name)
+        if array is None or array.dtype.kind not in "fiu" or array.ndim != len(shape):
+            return name
+        for side, length in zip(shape, array.shape, strict=True):
+            expected = side if isinstance(side, int) else lengths.setdefault(side, length)
+            if length != expected or not length:
+                return name
+        if not np.isfinite(array).all():
+            return name
+    return None
+
+
+def _shape_of(name: str) -> str:
+    return f"must be finite numbers of shape ({', '.join(map(str, ARRAYS[name]))})"

@@ -43,8 +43,9 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.record import ARRAYS, KEYS, SCHEMA, Record, write_record
+from scp_recon.spacecraft.record import Record, write_record
 from scp_recon.spacecraft.vehicle import load_vehicle
+from tests.scp_recon.spacecraft import made_up
 
 PLAN = "1f" * 32
 """Hash of no plan."""
@@ -102,7 +103,7 @@ def write_flight(folder: Path, seed: int = 4, plan_hash: str | None = PLAN) -> N
     zero = np.zeros(n)
     command = np.stack([np.cos(angle / 2), np.sin(angle / 2), zero, zero], axis=1)
     panel = np.array([11.4, 27.0, 27.0, 143.8, 143.8])
-    arrays = dict.fromkeys(ARRAYS, zero) | {
+    arrays = made_up.arrays(samples=n, seconds=7200, nodes=50) | {
         "t_s": t,
         "attitude": -command,
         "command": command * np.sign(command[:, :1]),
@@ -115,20 +116,11 @@ def write_flight(folder: Path, seed: int = 4, plan_hash: str | None = PLAN) -> N
         "node_sigma_distance": np.linspace(0.0, seed, 50),
         "pointing_error_rad": np.exp(-np.arange(7200.0) % 1800.0 / 200.0) + 1e-3,
     }
-    summary = dict.fromkeys(KEYS) | {
-        "schema": SCHEMA,
-        "seed": seed,
-        "plan_hash": plan_hash,
-        "modes": ["delta-V", "sun-pointing", "observation"],
-        "burns": [
-            {"t_s": 0.0, "pointing_deg": 0.02, "executed_pointing_deg": 0.1},
-            {"t_s": 3600.0, "pointing_deg": 0.5, "executed_pointing_deg": 0.6},
-        ],
-        "window_pointing_deg": {"camera": {"q50": 0.05, "q100": 0.123}},
-        "dumps": 1,
-        "least_charge": 0.2,
-        "floor_charge": 0.3,
-    }
+    (burn,) = made_up.entries()["burns"]
+    later = {"t_s": 3600.0, "pointing_deg": 0.5, "executed_pointing_deg": 0.6}
+    summary = made_up.summary(
+        seed=seed, plan_hash=plan_hash, burns=[burn, burn | later], least_charge=0.2
+    )
     folder.mkdir()
     write_record(Record(arrays, summary), folder)
 

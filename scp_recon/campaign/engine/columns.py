@@ -127,9 +127,9 @@ def simulated_row(solution: Solution, seed: int) -> dict[str, Any]:
     summary = make_record(flight, solution, seed).summary
     strange = "; ".join(map(str, [*solution.warnings, *check_vehicle(vehicle, solution.scenario)]))
     return {
-        "least_charge": summary["least_charge"],
-        "miss_position_m": summary["terminal_miss"]["position_m"],
-        "miss_velocity_m_s": summary["terminal_miss"]["velocity_m_s"],
+        "least_charge": summary.least_charge,
+        "miss_position_m": summary.terminal_miss.position_m,
+        "miss_velocity_m_s": summary.terminal_miss.velocity_m_s,
         "simulated_shortfalls": "; ".join(of_simulation(summary, solution)) or None,
         "warnings": strange or None,
     }

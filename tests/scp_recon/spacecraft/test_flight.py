@@ -251,8 +251,8 @@ def test_the_command_writes_one_file(short_solution: Solution, tmp_path: Path) -
     assert code == 0, errors.getvalue()
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["simulation.npz"]
     record = read_record(tmp_path / "out")
-    assert record.summary["seed"] == 7
-    assert record.summary["least_charge"] > 0.3
+    assert record.summary.seed == 7
+    assert record.summary.least_charge > 0.3
     n = len(record.arrays["t_s"])
     for name, width in (("attitude", 4), ("command", 4), ("panel_w", 5), ("state_of_charge", 2)):
         assert record.arrays[name].shape == (n, width)

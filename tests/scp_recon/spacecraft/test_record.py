@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +15,15 @@ from scp_recon.spacecraft.flight import Flight
 from scp_recon.spacecraft.record import (
     ARRAYS,
     FILE_NAME,
-    KEYS,
-    SCHEMA,
-    Record,
+    Arrays,
     inputs_digest,
     make_record,
     read_record,
     write_record,
 )
+from scp_recon.spacecraft.summary import SCHEMA
 from scp_recon.spacecraft.vehicle import Vehicle
-
-WHOLE: dict[str, Any] = dict.fromkeys(KEYS) | {"schema": SCHEMA}
+from tests.scp_recon.spacecraft.made_up import arrays, entries, summary
 
 
 def test_a_record_is_read_as_it_was_written(
@@ -32,7 +31,6 @@ def test_a_record_is_read_as_it_was_written(
 ) -> None:
     record = make_record(perfect, short_solution, 0)
     assert set(record.arrays) == set(ARRAYS)
-    assert set(KEYS) <= set(record.summary)
     write_record(record, tmp_path)
     again = read_record(tmp_path)
     assert again.summary == record.summary
@@ -41,26 +39,65 @@ def test_a_record_is_read_as_it_was_written(
         np.testing.assert_array_equal(again.arrays[name], record.arrays[name])
 
 
-@pytest.mark.parametrize("entry", [{}, {"plan_hash": None}, {"plan_hash": 5}])
+@pytest.mark.parametrize("entry", [{}, {"plan_hash": None}])
 def test_an_older_file_is_of_an_unknown_plan(tmp_path: Path, entry: dict[str, Any]) -> None:
-    write_record(Record(dict.fromkeys(ARRAYS, np.zeros(1)), WHOLE | entry), tmp_path)
+    older = entries()
+    del older["plan_hash"]
+    save(tmp_path, older | entry, arrays())
     assert read_record(tmp_path).plan_hash is None
 
 
-@pytest.mark.parametrize(
-    ("summary", "arrays"),
-    [
-        ([1], ARRAYS),
-        ({**WHOLE, "schema": "other"}, ARRAYS),
-        ({key: WHOLE[key] for key in KEYS if key != "burns"}, ARRAYS),
-        (WHOLE, ARRAYS[1:]),
-    ],
-)
-def test_what_is_no_record_is_named(tmp_path: Path, summary: object, arrays: list[str]) -> None:
-    named = {name: np.zeros(1) for name in arrays}
-    np.savez(tmp_path / FILE_NAME, summary=np.array(json.dumps(summary)), **named)  # type: ignore[arg-type]
+def test_what_a_later_version_adds_is_passed_over(tmp_path: Path) -> None:
+    save(tmp_path, entries(later=1), arrays() | {"later": np.zeros(7)})
+    assert read_record(tmp_path).summary == summary()
+
+
+def numbers_of(content: Any) -> Iterator[tuple[str | int, ...]]:
+    """Where a number stands."""
+    items = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in items:
+        if isinstance(value, dict | list):
+            yield from ((key, *place) for place in numbers_of(value))
+        elif isinstance(value, float | int) and not isinstance(value, bool):
+            yield (key,)
+
+
+@pytest.mark.parametrize("place", list(numbers_of(entries())), ids=str)
+def test_numbers_are_neither_true_nor_words_nor_infinite(
+    tmp_path: Path, place: tuple[str | int, ...]
+) -> None:
+    for strange in (True, "1", [1.0], None, float("nan"), float("inf")):
+        content: Any = entries()
+        part = content
+        for key in place[:-1]:
+            part = part[key]
+        if strange is None and place[-1] == "settled_s":
+            continue
+        part[place[-1]] = strange
+        save(tmp_path, content, arrays())
+        with pytest.raises(InputError, match=rf"simulation\.npz: .*{place[-1]}"):
+            read_record(tmp_path)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_arrays_are_finite_numbers_that_fit_together(tmp_path: Path, name: str) -> None:
+    whole = arrays()
+    array = whole.pop(name)
+    for strange in (None, array > 0.0, array.astype(str), array[None], array[:0], array + np.nan):
+        save(tmp_path, entries(), whole if strange is None else whole | {name: strange})
+        with pytest.raises(InputError, match=r"simulation\.npz: .*must be finite numbers of shape"):
+            read_record(tmp_path)
+
+
+@pytest.mark.parametrize("content", [[1], entries(schema="other"), {"schema": SCHEMA}])
+def test_what_is_no_record_is_named(tmp_path: Path, content: object) -> None:
+    save(tmp_path, content, arrays())
     with pytest.raises(InputError, match=r"simulation\.npz"):
         read_record(tmp_path)
+
+
+def save(folder: Path, content: object, named: Arrays) -> None:
+    np.savez(folder / FILE_NAME, summary=np.array(json.dumps(content)), **named)  # type: ignore[arg-type]
 
 
 def test_a_damaged_file_is_named(tmp_path: Path) -> None:

@@ -9,14 +9,9 @@ import pytest
 from scp_recon.solution.file import Solution
 from scp_recon.spacecraft.vehicle import load_vehicle
 from scp_recon.spacecraft.verdict import check_vehicle, shortfalls
+from tests.scp_recon.spacecraft.made_up import entries, summary
 
-LEG = {"mode": "delta-V", "start_s": 100.0, "duration_s": 900.0, "required_s": 900.0}
-KEPT: dict[str, Any] = {
-    "least_charge": 0.9,
-    "floor_charge": 0.3,
-    "energy_wh": {"short": 0.0},
-    "legs": [LEG | {"ok": True, "settled_s": 300.0, "settled_in_time": True}],
-}
+KEPT = entries()
 
 
 def leg(**changes: object) -> dict[str, Any]:
@@ -29,7 +24,7 @@ def leg(**changes: object) -> dict[str, Any]:
         ({}, []),
         ({"least_charge": 0.3}, []),
         ({"least_charge": 0.0}, ["least state of charge 0.000, asked 0.30"]),
-        ({"energy_wh": {"short": 2.5}}, ["2.5 Wh short, asked 0"]),
+        ({"energy_wh": KEPT["energy_wh"] | {"short": 2.5}}, ["2.5 Wh short, asked 0"]),
         (
             leg(ok=False, duration_s=800.0),
             ["delta-V mode from 100 s 800 s long, asked 900 s"],
@@ -43,12 +38,12 @@ def leg(**changes: object) -> dict[str, Any]:
 def test_what_is_not_kept_stands_beside_what_was_asked(
     changes: dict[str, Any], said: list[str], short_solution: Solution
 ) -> None:
-    assert shortfalls(KEPT | changes, short_solution) == said
+    assert shortfalls(summary(**changes), short_solution) == said
 
 
 def test_a_plan_that_did_not_converge_is_named(short_solution: Solution) -> None:
     stalled = short_solution.model_copy(update={"status": "stalled"})
-    assert shortfalls(KEPT, stalled) == ["the plan is stalled, asked converged"]
+    assert shortfalls(summary(), stalled) == ["the plan is stalled, asked converged"]
 
 
 def test_a_vehicle_that_is_not_the_plans_spacecraft_is_warned_about(
