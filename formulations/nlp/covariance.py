@@ -81,7 +81,7 @@ class Covariance:
         return len(self._element[0]) + 6 * self._shared
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
-        """A Sigma A', and A times shared columns."""
+        """Entries of A Sigma A', and A times shared columns."""
         before = ca.reshape(entries[self._entry.ravel().tolist()], 6, 6).T
         after = stm @ before @ stm.T
         carried = (after[int(i), int(j)] for i, j in zip(*self._element, strict=True))
@@ -89,7 +89,7 @@ class Covariance:
         return ca.vertcat(*carried, ca.vec(stm @ shared))
 
     def kick(self, burn: ca.MX, burns: int) -> ca.MX:  # noqa: ARG002 -- of the protocol
-        """C C' on the velocity, and shared columns as they are."""
+        """Add C C' to the velocity's part, and shared columns as they are."""
         added = own_covariance(self._errors, burn) / self._unit**2
         zero = ca.MX(1, 1)
         entries = [
@@ -100,7 +100,7 @@ class Covariance:
         return ca.vertcat(*entries, ca.vec(shared))
 
     def pack(self, factor: Array, burns: int) -> Array:  # noqa: ARG002 -- of the protocol
-        """S S' of the columns that burns do not share, and those that they do."""
+        """Entries of S S' of the columns that burns do not share, and the columns that they do."""
         first = self._initial_columns
         shared = factor[:, first : first + self._shared]
         covariance = factor @ factor.T - shared @ shared.T
@@ -120,7 +120,7 @@ class Covariance:
 
 
 class Factor:
-    """S by columns: the initial ones, those that burns share, and each burn's at or before the node.
+    """Factor S by columns: initial ones, those that burns share, each burn's at or before the node.
 
     Args:
         problem: gives the execution errors and the initial columns.
@@ -137,7 +137,7 @@ class Factor:
         return 6 * self._columns(burns)
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
-        """A S."""
+        """Columns of A S."""
         return ca.vec(stm @ ca.reshape(entries, 6, entries.numel() // 6))
 
     def kick(self, burn: ca.MX, burns: int) -> ca.MX:
@@ -152,7 +152,7 @@ class Factor:
         return factor.T.ravel()[: self.size(burns)] / self._unit
 
     def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
-        """||S'a||, in which the entries are convex."""
+        """Standard deviation ||S'a||, convex in the entries."""
         position = ca.reshape(entries, 6, entries.numel() // 6)[:3, :]
         return root(self._unit**2 * ca.sum2((ca.DM(normal) @ position) ** 2))
 

@@ -24,12 +24,12 @@ class ArcDerivatives(Protocol):
 
     @property
     def stm(self) -> Array:
-        """A[k, i, j] = dF_i/dx_j."""
+        """State-transition matrices dF_i/dx_j of every arc k, shape (n - 1, 6, 6)."""
         ...
 
     @property
     def tensor(self) -> Array:
-        """T[k, i, j, l] = d2F_i/dx_j dx_l."""
+        """Second derivatives d2F_i/dx_j dx_l of every arc k, shape (n - 1, 6, 6, 6)."""
         ...
 
 

@@ -147,7 +147,7 @@ class LiftedDynamics:
         return rows, np.concatenate([mean_entry.ravel(), own.ravel(), from_mean.ravel()])
 
     def _kicks(self) -> sp.csr_array:
-        """B dv on the means and, where that is linear, B C(dv) on the factors, (states, 3 burns)."""
+        """What burns add: B dv to means and, where linear, B C(dv) to factors, (states, 3 burns)."""
         rows = np.add.outer(6 * self._burns + 3, np.arange(3)).ravel()
         entries = np.ones(len(rows)), (rows, np.arange(len(rows)))
         kicks = sp.csr_array(entries, shape=(self._size, len(rows)))

@@ -59,7 +59,7 @@ class LiftedErrors:
         return sp.csr_array(entries, shape=(self._size, 3 * self._burns))
 
     def remainder(self, problem: FlybyProblem, iterate: Iterate) -> Array:
-        """C less its derivative times the burns, shape (states,)."""
+        """Columns C less their derivative times the burns, shape (states,)."""
         errors, burns = problem.execution_errors, iterate.burns
         left = errors.columns(burns) - np.einsum("mikl,ml->mik", errors.jacobian(burns), burns)
         found = np.zeros(self._size)

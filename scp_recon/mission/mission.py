@@ -175,7 +175,7 @@ class Mission:
 
     @cached_property
     def initial_factor(self) -> Array:
-        """S with S S' the covariance of the initial state, shape (6, 6)."""
+        """Factor S, where S S' is the covariance of the initial state, shape (6, 6)."""
         return first_factor(self.scenario, self.rotation, self.initial_state)
 
     @property

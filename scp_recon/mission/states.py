@@ -45,7 +45,7 @@ def first_state(scenario: Scenario, rotation: Rotation) -> Array:
 
 
 def first_factor(scenario: Scenario, rotation: Rotation, state: Array) -> Array:
-    """S with S S' the covariance there, shape (6, 6).
+    """Factor S, where S S' is the covariance there, shape (6, 6).
 
     In flight the scenario's initial one, unless another is given: its figures, in axes of the state if
     they are radial, transverse and normal.

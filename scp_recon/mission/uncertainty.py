@@ -23,7 +23,7 @@ ALONG = 1e-6
 def factor_in_flight(
     scenario: Scenario, state: Array, rotation: Rotation, sun: Array
 ) -> Array | None:
-    """S with S S' the covariance that a scenario gives for a state in flight; None if it gives none.
+    """Factor S of the covariance S S' that a scenario gives in flight; None if it gives none.
 
     Arguments, and what is raised, are those of `initial_factor`, the state being that in flight.
     """
@@ -37,7 +37,7 @@ def factor_in_flight(
 
 
 def initial_factor(scenario: Scenario, state: Array, rotation: Rotation, sun: Array) -> Array:
-    """S with S S' the covariance of the initial state, J2000, m and m/s, shape (6, 6).
+    """Factor S of the covariance S S' of the initial state, J2000, m and m/s, shape (6, 6).
 
     Args:
         scenario: gives the uncertainty and its frame.

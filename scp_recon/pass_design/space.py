@@ -75,7 +75,7 @@ class Space:
         return burns_before(times_s, self.window_s)
 
     def vector(self, one: Pass) -> Array:
-        """X of a pass."""
+        """Point x of a pass."""
         return np.r_[one.phases, np.array(one.times_s) / self.mission.units.time_s]
 
     def at(self, x: Array) -> Pass:

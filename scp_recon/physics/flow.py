@@ -36,7 +36,7 @@ class FlowDerivatives:
 
     @cached_property
     def tensor(self) -> Array:
-        """T[n, i, j, k] = d2F_i/dx_j dx_k, shape (n, 6, 6, 6), symmetric in j and k.
+        """Second derivatives d2F_i/dx_j dx_k, shape (n, 6, 6, 6), symmetric in j and k.
 
         Made when first asked for: P3 and Newton's method need no second derivatives.
         """

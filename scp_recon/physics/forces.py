@@ -92,7 +92,7 @@ def _pulls(r2: Any, u: Any, forces: ForceModel) -> tuple[Any, Any]:
 
 
 def gravity_gradient(position: Array, forces: ForceModel) -> Array:
-    """G[n, i, j] = da_i/dx_j at positions (n, 3), shape (n, 3, 3), symmetric.
+    """Gravity gradient da_i/dx_j at positions (n, 3), shape (n, 3, 3), symmetric.
 
     The acceleration is f(x) x + g(x) p + const. With f_j = e1 x_j + e2 p_j and
     g_j = e3 p_j + e2 x_j the gradient is f I + e1 x x' + e2 (x p' + p x') + e3 p p'.
@@ -112,7 +112,7 @@ def gravity_gradient(position: Array, forces: ForceModel) -> Array:
 
 
 def gravity_curvature(position: Array, forces: ForceModel) -> Array:
-    """H[n, i, j, k] = d2a_i/dx_j dx_k at positions (n, 3), shape (n, 3, 3, 3), symmetric in all.
+    """Its derivative d2a_i/dx_j dx_k at positions (n, 3), shape (n, 3, 3, 3), symmetric in all.
 
     With e1 = .. + c x and so on for the coefficients of the gradient it is
     c x x x + d (x x p + ..) + e (x p p + ..) + e1 (I x + ..) + e2 (I p + ..), where dots stand for
@@ -139,6 +139,6 @@ def gravity_curvature(position: Array, forces: ForceModel) -> Array:
 
 
 def _oblate(position: Array, pole: Array) -> tuple[Array, Array, Array]:
-    """P . r, 1 / r^2 and 1 / r^5, (n,) each."""
+    """For positions r and the pole p: p . r, 1 / r^2 and 1 / r^5, shape (n,) each."""
     i2 = 1.0 / np.einsum("ni,ni->n", position, position)
     return position @ pole, i2, i2 * i2 * np.sqrt(i2)

@@ -10,7 +10,7 @@ Array = npt.NDArray[np.float64]
 
 
 def _stumpff(z: float) -> tuple[float, float]:
-    """C(z) and S(z)."""
+    """Stumpff's functions C(z) and S(z)."""
     if z > 1e-6:
         r = np.sqrt(z)
         return (1.0 - np.cos(r)) / z, (r - np.sin(r)) / r**3

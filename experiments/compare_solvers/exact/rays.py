@@ -71,7 +71,7 @@ def _nearest(event: Event, mean: Array, covariance: Array) -> tuple[Array, Array
 
 
 def _moments(event: Event, mean: Array, covariance: Array, rays: int) -> tuple[Array, Array, Array]:
-    """P at each node, dP/dmean and dP/dcovariance."""
+    """Probability P at each node, dP/dmean and dP/dcovariance."""
     root = np.asarray(np.linalg.cholesky(covariance), dtype=float)
     u = fibonacci_directions(rays)
     along = u @ root.swapaxes(1, 2)
