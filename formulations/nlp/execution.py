@@ -34,7 +34,7 @@ def own_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
 
 
 def own_covariance(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
-    """Covariance C C' of the columns of a burn (3,) alone, shape (3, 3), smooth where the burn vanishes."""
+    """Covariance C C' of a burn's own columns, shape (3, 3), smooth where the burn (3,) vanishes."""
     if isinstance(errors, GatesErrors):
         s, p, outer = errors.magnitude_proportional, errors.pointing_proportional, burn @ burn.T
         found = s**2 * outer + p**2 * (ca.dot(burn, burn) * ca.MX(np.eye(3)) - outer)

@@ -25,8 +25,8 @@ class Plan:
 
     A plan is data: it pickles and copies, its arrays are read-only, and it equals another one of the
     same scenario, provenance, certificate and parent that went through the same stages to the same
-    flight, to the last bit. Timings do not count. A solver that was kept from an earlier plan may differ
-    in the last digits from a new one, and so may their plans.
+    flight, to the last bit. Timings do not count. A solver that was kept from an earlier plan may
+    differ in the last digits from a new one, and so may their plans.
     """
 
     mission: Mission
