@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Set
@@ -81,31 +82,58 @@ def test_scp_recon_imports_nothing_from_the_floors_above() -> None:
 
 
 FLOORS = (
-    *(f"formulations.{name}" for name in ("risk", "problem", "linearisation", "rows", "program")),
-    *(f"formulations.{name}" for name in ("nlp", "registry")),
-    *(f"scp_recon.{name}" for name in ("errors", "files", "environment", "scenario", "physics")),
-    *(f"scp_recon.{name}" for name in ("mission", "draft", "scp")),
-    *(f"scp_recon.{name}" for name in ("planning", "solution", "monte_carlo", "spacecraft")),
-    *(
-        f"scp_recon.{name}"
-        for name in (
-            *("spacecraft.basilisk", "verification", "exchange", "certification", "in_flight"),
-            "pass_design",
-            *("cli", "report.content", "report.view", "report"),
-            *("campaign.rows", "campaign.study", "campaign.runners", "campaign.engine"),
-            *("campaign.view", "campaign", "front_door"),
-        )
-    ),
+    "formulations.risk",
+    "formulations.problem",
+    "formulations.linearisation",
+    "formulations.rows",
+    "formulations.program",
+    "formulations.nlp",
+    "formulations.registry",
+    "scp_recon.errors",
+    "scp_recon.files",
+    "scp_recon.environment",
+    "scp_recon.scenario",
+    "scp_recon.physics",
+    "scp_recon.mission",
+    "scp_recon.draft",
+    "scp_recon.scp",
+    "scp_recon.planning",
+    "scp_recon.solution",
+    "scp_recon.monte_carlo",
+    "scp_recon.spacecraft",
+    "scp_recon.spacecraft.basilisk",
+    "scp_recon.verification",
+    "scp_recon.certification",
+    "scp_recon.exchange",
+    "scp_recon.pass_design",
+    "scp_recon.in_flight",
+    "scp_recon.cli",
+    "scp_recon.report.content",
+    "scp_recon.report.view",
+    "scp_recon.report",
+    "scp_recon.campaign.rows",
+    "scp_recon.campaign.study",
+    "scp_recon.campaign.runners",
+    "scp_recon.campaign.engine",
+    "scp_recon.campaign.view",
+    "scp_recon.campaign",
+    "scp_recon.front_door",
     "scp_recon",  # the lazy front door, and the commands
-    *(f"experiments.{name}" for name in ("studies", "observation_table", "compare_solvers")),
+    "experiments.studies",
+    "experiments.observation_table",
+    "experiments.compare_solvers",
     "experiments",
-    *(
-        f"paper_figs.{name}"
-        for name in ("inputs", "first", "labels", "drawing", "paper", "studies")
-    ),
-    *("paper_figs", "benchmarks"),
+    "paper_figs.inputs",
+    "paper_figs.first",
+    "paper_figs.labels",
+    "paper_figs.drawing",
+    "paper_figs.paper",
+    "paper_figs.studies",
+    "paper_figs",
+    "benchmarks",
 )
 """Folders, and modules that stand alone, from the lowest up: the README's tree read backwards."""
+TREE = (PROJECT / "README.md").read_text("utf-8").split("## The house")[1]
 PACKAGES = {"scp_recon", *UPPER_FLOORS}
 """By their own name no more than the package around what is imported of it."""
 
@@ -141,6 +169,29 @@ def test_every_module_and_command_has_its_floor() -> None:
     files = [path for package in WINGS for path in modules(package)]
     floors = {floor_of(module_name(path)) for path in files}
     assert floors - {None} == set(FLOORS)
+
+
+@pytest.mark.parametrize("wing", LIBRARY)
+def test_the_readmes_tree_is_the_house_from_the_top_down(wing: str) -> None:
+    """A wing's folders stand six spaces in, those of the floors and in their order."""
+    drawn = re.findall(r"^ {6}(\w+)/", TREE.split(f"\n    {wing}/ ")[1].split("\n\n")[0], re.M)
+    inside = [floor.split(".")[1:] for floor in FLOORS if floor.startswith(f"{wing}.")]
+    folders = [names[0] for names in inside if (PROJECT / wing / names[0]).is_dir()]
+    assert [name for name in drawn if name != "data"] == list(dict.fromkeys(reversed(folders)))
+
+
+@pytest.mark.parametrize("wing", WINGS[:-1])
+def test_the_readmes_tree_names_every_folder_and_study(wing: str) -> None:
+    named = set(re.findall(r"\w+", TREE))
+    for path in modules(wing):
+        *folders, module = path.relative_to(PROJECT / wing).with_suffix("").parts
+        alone = [] if folders or wing in LIBRARY or module.startswith("__") else [module]
+        assert {*folders[: 2 if wing in LIBRARY else 1], *alone} <= named, path
+
+
+def test_the_readmes_tree_names_every_command() -> None:
+    first = TREE.split("\n    scp_recon/ ")[1].split("front_door/")[0]
+    assert {name.split(".")[1] for name in COMMANDS} - {"__main__"} <= {*first.split()}
 
 
 @pytest.mark.parametrize("wing", WINGS[2:])
