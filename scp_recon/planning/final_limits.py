@@ -1,9 +1,19 @@
-"""Who can keep limits on the covariance after the last burn."""
+"""Who can keep limits on the covariance after the last burn, and what a violation is charged first."""
 
 from __future__ import annotations
 
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+
+WEIGHT = 100.0
+"""First penalty weight beside such a limit. Its multiplier may exceed the usual ten; and at a thousand,
+which comes next, what the probability of whole flights cannot resolve would hide what there is to gain.
+"""
+
+
+def has_final_limit(mission: Mission) -> bool:
+    """Whether a mission limits the covariance after the last burn."""
+    return any(limit is not None for limit in mission.problem.final_spread)
 
 
 def require_no_final_limit(mission: Mission, needs: str) -> None:

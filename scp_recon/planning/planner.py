@@ -22,7 +22,7 @@ from formulations.rows.deterministic import DeterministicRows
 from formulations.rows.exact import ExactRows, FlightRows, NodeRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.final_limits import require_no_final_limit
+from scp_recon.planning.final_limits import WEIGHT, has_final_limit, require_no_final_limit
 from scp_recon.planning.opening import RESOLUTION, opened
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.provenance import Provenance
@@ -117,7 +117,8 @@ class Planner:
         self.formulation: Final = formulation
         self.solver: Final = solver
         self.algorithm_name: Final = algorithm
-        self.algorithm: Final = ALGORITHMS[algorithm]()
+        weight = {"weight": WEIGHT} if has_final_limit(mission) else {}
+        self.algorithm: Final = ALGORITHMS[algorithm](**weight)
         if self.algorithm.penalty == "augmented" and not mission.must_meet:
             raise InputError(
                 "algorithm",

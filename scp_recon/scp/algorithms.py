@@ -9,7 +9,7 @@ from scp_recon.scp.ptr import PTR
 from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.scvx_star import SCvxStar
 
-ALGORITHMS: dict[str, Callable[[], Algorithm]] = {
+ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
     "scvx": SCvx,
     "ptr": PTR,
     "scvx-star": SCvxStar,

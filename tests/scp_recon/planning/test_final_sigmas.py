@@ -75,7 +75,7 @@ def test_a_limit_that_is_more_changes_nothing(free: Plan) -> None:
 @pytest.mark.parametrize("scope", ["node", "flight"])
 def test_it_binds_with_exact_risk_too(scope: str) -> None:
     exact = "risk.allocation='exact'", f"risk.scope={scope!r}", "risk.p_chance=0.6"
-    limit = 0.97 * final_sigmas(planned(*exact))[0]
+    limit = 0.9 * final_sigmas(planned(*exact))[0]
     plan = planned(*exact, f"{LIMITS['position']}={limit}")
     assert plan.status is Status.CONVERGED
     assert final_sigmas(plan)[0] == pytest.approx(limit, rel=1e-4)
