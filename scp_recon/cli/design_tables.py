@@ -102,7 +102,7 @@ def primer_says(primer: Primer | None) -> str:
         return "no primer: it takes a plan whose errors shrink with the burns"
     legal = np.flatnonzero(primer.legal)
     if len(legal) == 0:
-        return "no other burn is legal with these kept, so that the primer forbids none"
+        return "primer: no time is legal for another burn with these kept: it tells nothing of one"
     best = legal[np.argmax(np.array(primer.allowed)[legal])]
     most, when = primer.allowed[best], f"at {primer.t_s[best]:.0f} s"
     if most <= 1.0 + WORTH:

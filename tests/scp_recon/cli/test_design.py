@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from scp_recon import design, solve
+from scp_recon.cli.design_tables import primer_says
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.write import scenario_text
 from scp_recon.solution.file import read_solution
+from scp_recon.solution.primer import Primer
 from tests.scp_recon.pass_design.support import home_scenario
 
 
@@ -95,3 +97,11 @@ def test_certifying_what_no_flights_certify_is_refused(
     assert design.main([free, "--certify", "yes", "--out", str(out)]) == 2
     assert "--certify: got yes; goes with risk.allocation = exact" in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_primer_without_a_legal_time_says_that_it_tells_nothing() -> None:
+    there = {"t_s": [0.0, 1.0], "vector": [(2.0, 0.0, 0.0)] * 2, "residual": 0.0}
+    none = Primer(**there, allowed=[2.0, 2.0], legal=[False, False])
+    assert "no time is legal for another burn" in primer_says(none)
+    some = Primer(**there, allowed=[2.0, 0.5], legal=[False, True])
+    assert "at most 0.500 at legal times (at 1 s)" in primer_says(some)

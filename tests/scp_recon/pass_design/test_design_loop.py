@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 
 from scp_recon.pass_design import design
 from scp_recon.pass_design.design import Designer, Tried
+from scp_recon.pass_design.number import Other
 from scp_recon.pass_design.setting import spaces_of
 from scp_recon.pass_design.space import Pass
 from tests.scp_recon.pass_design.support import home_scenario
@@ -125,3 +126,34 @@ def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(
     found, window, _ = run(World({1}, set(), costs=tuple([1.0] * 12)), monkeypatch)
     assert not found.converged
     assert window == 1  # short by 0.2, where the first one's map is short by 1
+
+
+@pytest.mark.parametrize(("cost", "burns"), [(9.0, 4), (0.5, 5)])
+def test_a_burn_more_counts_only_where_it_is_cheaper(
+    monkeypatch: pytest.MonkeyPatch, cost: float, burns: int
+) -> None:
+    """Whatever the descent with one more ends at: with it no pass is dearer than without."""
+
+    def more(space: Any, found: Made) -> list[Other]:
+        times = found.at.times_s
+        if len(times) > 4:
+            return []
+        at = Pass(found.at.phases, (*times[:3], 0.5 * (times[2] + times[3]), times[3]))
+        wider = replace(space, time_spans=(*space.time_spans[:3], *space.time_spans[2:]))
+        return [Other(wider, at, np.insert(found.burns_m_s, 3, 0.0, axis=0))]
+
+    def descend(_: Any, at: Pass, _burns: Any, seen: Any, *_more: Any, **_others: Any) -> Made:
+        made = Made(at, True, cost if len(at.times_s) == 5 else 1.0)
+        seen(made)
+        return made
+
+    spaces = spaces_of(home_scenario(design=SPANS))
+    World({0}, {0}).install(monkeypatch, [space.window_s for space, _ in spaces])
+    monkeypatch.setattr(design, "others", more)
+    monkeypatch.setattr(design, "descend", descend)
+    designer = Designer(home_scenario(design=SPANS), lambda _: None)
+    space, found = designer.run()
+    assert isinstance(found, Made)
+    assert found.dv_m_s == min(cost, 1.0)
+    assert space.n_burns == len(found.at.times_s) == burns
+    assert any(len(one.found.at.times_s) == 5 for one in designer.tried)
