@@ -8,10 +8,10 @@ from typing import Literal
 
 from scp_recon.pass_design.local import ROUNDS_MAX, WORTH, descend
 from scp_recon.pass_design.near import Found
-from scp_recon.pass_design.number import BURNS_MAX, Other, others, vanished
+from scp_recon.pass_design.number import Other, others, vanished
 from scp_recon.pass_design.ring import TURN
 from scp_recon.pass_design.scan import scan, starts
-from scp_recon.pass_design.setting import spaces_of
+from scp_recon.pass_design.setting import BURNS_MAX, spaces_of
 from scp_recon.pass_design.space import Pass, Space
 from scp_recon.scenario.schema import Scenario
 

@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from scp_recon.pass_design.near import Found
 from scp_recon.pass_design.rules import nearest_legal
+from scp_recon.pass_design.setting import BURNS_MAX
 from scp_recon.pass_design.space import Pass, Space
 from scp_recon.planning.primer import WORTH, PrimerHistory, primer_history
 
 Array = npt.NDArray[np.float64]
 
-BURNS_MAX = 8
 PLACES_MAX = 3
 """Peaks of the primer at which another burn is tried."""
 VANISHED_M_S = 1e-6

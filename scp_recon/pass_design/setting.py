@@ -20,6 +20,8 @@ from scp_recon.physics.orbit import two_body
 from scp_recon.scenario.home import Design
 from scp_recon.scenario.schema import Scenario
 
+BURNS_MAX = 8
+"""Of a design."""
 WINDOWS_MAX = 24
 """In the span of dates; passes are planned about each."""
 WINDOW_AT = 0.43
@@ -39,6 +41,7 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
         raise InputError("boundary.home", "nothing", "must be a home orbit for a design")
     if scenario.in_flight is not None:
         raise InputError("in_flight", "a flight under way", "must be left out of a design")
+    _check_size(scenario)
     departure = design.departure_s or (0.0, 0.0)
     arrival = design.arrival_s or (scenario.duration_s,) * 2
     if arrival[1] <= departure[0]:
@@ -63,6 +66,23 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
             f"lighting window; those there: {'; '.join(map(_text, windows)) or 'none'}",
         )
     return found
+
+
+def _check_size(scenario: Scenario) -> None:
+    """Refuse a home orbit that no plan may begin on, and more burns than a design has."""
+    home, least = scenario.boundary.home, scenario.safety.radius_min_m
+    assert home is not None
+    if home.ephemeris_file is None and home.radius_m <= least:
+        raise InputError(
+            "boundary.home.radius_m",
+            f"{home.radius_m:g}",
+            f"must exceed safety.radius_min_m, {least:g} m",
+        )
+    count = len(scenario.burns.times_s)
+    if count > BURNS_MAX:
+        raise InputError(
+            "burns.times_s", f"{count} burns", f"must be at most {BURNS_MAX} in a design"
+        )
 
 
 def _windows(scenario: Scenario, span: Span) -> list[Window]:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from scp_recon.scenario.fields import Line, NonZeroVector, Positive, Section
 
@@ -43,13 +43,12 @@ class HomeOrbit(Section):
     arrival_deg: tuple[Phase, Phase] = (0.0, FULL_TURN_DEG)
     """Least and greatest phase of arrival in deg; equal where it is not free."""
 
-    @model_validator(mode="after")
-    def _one_turn(self) -> Self:
-        for name in ("departure_deg", "arrival_deg"):
-            low, high = getattr(self, name)
-            if not low <= high <= low + FULL_TURN_DEG:
-                raise ValueError(f"{name} must ascend by at most {FULL_TURN_DEG:g} deg")
-        return self
+    @field_validator("departure_deg", "arrival_deg")
+    @classmethod
+    def _one_turn(cls, span: tuple[float, float]) -> tuple[float, float]:
+        if not span[0] <= span[1] <= span[0] + FULL_TURN_DEG:
+            raise ValueError(f"must ascend by at most {FULL_TURN_DEG:g} deg")
+        return span
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -99,10 +98,9 @@ class Design(Section):
     burn_times: Literal["free", "given"] = "free"
     """Whether the burns between are moved within the schedule's rules, or stay as in burns.times_s."""
 
-    @model_validator(mode="after")
-    def _ascending(self) -> Self:
-        for name in ("departure_s", "arrival_s"):
-            span = getattr(self, name)
-            if span is not None and span[0] > span[1]:
-                raise ValueError(f"{name} must ascend")
-        return self
+    @field_validator("departure_s", "arrival_s")
+    @classmethod
+    def _ascending(cls, span: tuple[float, float] | None) -> tuple[float, float] | None:
+        if span is not None and span[0] > span[1]:
+            raise ValueError("must ascend")
+        return span

@@ -223,20 +223,35 @@ def _fixed_length(location: list[str | int], schema: type[BaseModel]) -> int | N
 
 def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     """The entry that an unknown one may have been meant for, else those beside it."""
-    tables = {name: field.annotation for name, field in schema.model_fields.items()}
-    paths = [
-        f"{table}.{key}"
-        for table, model in tables.items()
-        for key in getattr(model, "model_fields", {})
-    ]
+    paths = list(_entries(schema))
     written = ".".join(str(part) for part in location)
-    by_key = {path.split(".")[1]: path for path in paths}
+    by_key = {path.rsplit(".", 1)[1]: path for path in paths}
     near = difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
     near = near or difflib.get_close_matches(str(location[-1]), by_key, n=1, cutoff=0.6)
     if near:
         return f"did you mean {by_key.get(near[0], near[0])}? (units are part of the key)"
-    beside = getattr(tables.get(str(location[0])), "model_fields", None) if location[1:] else tables
-    return f"must be one of {', '.join(beside or tables)}"
+    beside: type[BaseModel] = schema
+    for part in location[:-1]:
+        field = beside.model_fields.get(str(part))
+        beside = (_table(field.annotation) if field else None) or schema
+    return f"must be one of {', '.join(beside.model_fields)}"
+
+
+def _entries(schema: type[BaseModel], above: str = "") -> Iterator[str]:
+    """Paths of all entries in tables, and in tables of those."""
+    for name, field in schema.model_fields.items():
+        table = _table(field.annotation)
+        if table is not None:
+            yield from _entries(table, f"{above}{name}.")
+        elif above:
+            yield above + name
+
+
+def _table(annotation: object) -> type[BaseModel] | None:
+    """The table that an entry is, or may be."""
+    choices = get_args(annotation) or (annotation,)
+    tables = (one for one in choices if isinstance(one, type) and issubclass(one, BaseModel))
+    return next(tables, None)
 
 
 def _shown(value: object) -> str:

@@ -103,11 +103,14 @@ def test_states_and_a_home_orbit_take_each_other_s_place() -> None:
 @pytest.mark.parametrize(
     ("changes", "entry"),
     [
-        ({"boundary.home.departure_deg": [10.0, 0.0]}, "boundary.home"),
-        ({"boundary.home.arrival_deg": [0.0, 400.0]}, "boundary.home"),
+        ({"boundary.home.departure_deg": [10.0, 0.0]}, r"boundary\.home\.departure_deg.*\[10"),
+        ({"boundary.home.arrival_deg": [0.0, 400.0]}, r"boundary\.home\.arrival_deg.*400"),
         ({"boundary.home.radius_m": -1.0}, "boundary.home.radius_m"),
         ({"boundary.home.normal": [0.0, 0.0, 0.0]}, "boundary.home.normal"),
-        ({"design.departure_s": [10.0, 0.0]}, "design"),
+        ({"design.departure_s": [10.0, 0.0]}, r"design\.departure_s.*\[10"),
+        ({"design.burn_tines": "free"}, r"design\.burn_tines.*did you mean design\.burn_times"),
+        ({"design.zzz": 4}, r"design\.zzz.*departure_s, arrival_s, burn_times$"),
+        ({"boundary.home.radus_m": 4.0}, r"boundary\.home.*did you mean boundary\.home\.radius_m"),
         ({"design.burn_times": "any"}, "design.burn_times"),
     ],
 )
@@ -122,6 +125,24 @@ def test_a_wrong_entry_beside_a_home_orbit_calls_no_state_missing() -> None:
     with pytest.raises(InputError, match=r"^boundary\.final_sigma_position_m") as told:
         validate_scenario(text)
     assert "missing" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (
+            {"boundary.home.radius_m": 500.0},
+            r"^boundary\.home\.radius_m.*safety\.radius_min_m, 500 m",
+        ),
+        (
+            {"burns.times_s": [8e3 * k for k in range(9)]},
+            r"^burns\.times_s: got 9 burns.*at most 8",
+        ),
+    ],
+)
+def test_what_no_design_can_begin_with_is_refused(changes: dict[str, object], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        spaces_of(home_scenario(changes))
 
 
 def test_a_design_without_home_orbit_window_or_legal_time_says_so() -> None:
