@@ -111,7 +111,8 @@ def test_the_velocity_is_how_the_position_changes(share: float, name: str, step:
     e=st.floats(0.0, 0.6),
     angles=st.tuples(st.floats(0.0, 90.0), *[st.floats(0.0, 360.0)] * 3),
     motion=st.floats(0.1, 2.0),
-    days=st.floats(-400.0, 400.0),
+    # SPICE's propagation refuses times that are almost no number, such as 1e-319 s.
+    days=st.floats(-400.0, 400.0).map(lambda days: round(days, 9)),
 )
 def test_kepler_agrees_with_spice(
     e: float, angles: tuple[float, ...], motion: float, days: float, spice: ModuleType

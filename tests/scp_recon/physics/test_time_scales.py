@@ -51,7 +51,8 @@ def test_there_and_back_is_the_same(date: datetime) -> None:
     assert abs(found - date) <= timedelta(microseconds=1)
 
 
-@given(date=DATES, seconds=st.floats(-1e6, 1e6))
+# Two weeks after UTC begins, so that what is earlier has a UTC too.
+@given(date=st.datetimes(datetime(1972, 1, 14), datetime(2040, 1, 1)), seconds=st.floats(-1e6, 1e6))
 def test_later_is_later(date: datetime, seconds: float) -> None:
     later = instant(date, seconds)
     assert (later > instant(date)) == (seconds > 0.5e-9)
