@@ -127,6 +127,12 @@ def plan_again(
     is left of the observation window counts. With fewer than two burns left the final state is met as
     nearly as they can: `check` says how much is missed.
 
+    >>> import scp_recon as sr
+    >>> flown = sr.plan()
+    >>> left = sr.plan_again(flown, flown.times_s[80], flown.states[80])
+    >>> print(f"{len(left.burns_m_s)} burns, {left.total_dv_m_s:.3f} m/s")
+    2 burns, 0.062 m/s
+
     Args:
         plan: that is flown; nodes and spread of a solution, or its file, are held against its burns.
         at_s: time of the state past the plan's epoch, s.

@@ -28,7 +28,12 @@ def fly(
     errors: ErrorModel | None = None,
     workers: int = 1,
 ) -> Summary:
-    """Fly a plan many times with errors: `flights.probability["emission"]` has value, low and high.
+    """Fly a plan many times with errors.
+
+    >>> import scp_recon as sr
+    >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
+    >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
+    0.982, 95 % interval 0.972 to 0.989
 
     Args:
         plan: to fly.
@@ -50,6 +55,10 @@ def fly(
 def check(plan: Plan) -> Verification:
     """Verify a plan without the solver: `ok`, and what `failed`.
 
+    >>> import scp_recon as sr
+    >>> sr.check(sr.plan())
+    <Verification: verified>
+
     Raises:
         InputError: if it is no plan.
     """
@@ -62,6 +71,10 @@ def save(plan: Plan, folder: str | Path) -> Path:
 
     A plan that is not verified goes beside a verified one that is there, as `solution_unverified.json`;
     what was made of another plan is set aside (`old_montecarlo.json`).
+
+    >>> import scp_recon as sr
+    >>> sr.save(sr.plan(), "runs/mine").name
+    'solution.json'
 
     Raises:
         InputError: if it is no plan, or the folder cannot be written.
@@ -88,6 +101,11 @@ def _require_readable(plans: tuple[object, ...]) -> None:
 
 def side_by_side(*plans: Plan | Solution | str | Path) -> Comparison:
     """Compare plans, solutions or their files; the paths are held against the first one's.
+
+    >>> import scp_recon as sr
+    >>> table = sr.side_by_side(sr.plan(), sr.plan(problem="P3"))
+    >>> print(*(f"{dv:.3f} m/s" for dv in table["total delta-v"]))
+    0.140 m/s 0.108 m/s
 
     Raises:
         InputError: if there is none, or one is no plan and no file of a solution.

@@ -22,7 +22,7 @@ ABSENT = ""
 """A cell where a plan has no such figure."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Comparison:
     """A table of figures, a column a plan.
 
@@ -59,6 +59,8 @@ class Comparison:
             columns = (text.rjust(width) for text, width in zip(figures, widths[1:], strict=True))
             lines.append("  ".join([head.ljust(widths[0]), *columns]).rstrip())
         return "\n".join(lines)
+
+    __repr__ = __str__
 
     def _repr_html_(self) -> str:
         """For a notebook."""
