@@ -45,7 +45,8 @@ def ratio_lines(figures: dict[str, Timed], commands: dict[str, float]) -> list[s
         f"{built / without_setup(ours):.1f} without.",
         f"- Conic solver: {1e3 * conic:.0f} ms in all, "
         f"{1e3 * ours.details['p2_subproblem']:.1f} ms for a P2 subproblem; everything else "
-        f"{rest / conic:.2f} of it, canonicalisation {ours.split['canonicalise'] / conic:.2f}.",
+        f"{rest / conic:.2f} times that, canonicalisation "
+        f"{ours.split['canonicalise'] / conic:.2f} times.",
         f"- First plan in a process: {ours.first - ours.best:+.3f} s over a later one.",
         f"- Planning again, {REPLANS} perturbed initial states, "
         f"{figures['replan'].details['converged']:.0f} converged: {1e3 * again:.0f} ms against "
@@ -54,7 +55,7 @@ def ratio_lines(figures: dict[str, Timed], commands: dict[str, float]) -> list[s
         f"- Monte Carlo with crossing times: {figures['montecarlo'].details['flights_per_s']:,.0f} "
         "flights/s on one core.",
         f"- Command line, start to verdict: {commands['solve']:.2f} s, "
-        f"{commands['solve'] / commands['import cvxpy']:.2f} of importing CVXPY.",
+        f"{commands['solve'] / commands['import cvxpy']:.2f} times that of importing CVXPY.",
     ]
 
 

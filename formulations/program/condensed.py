@@ -39,7 +39,7 @@ SLOTS = 32
 """For each size of cone, to begin with."""
 
 FEW = 8
-"""How many missed rows may wait for one free slot, where the solver is kept and quick to ask again."""
+"""Missed rows per free slot up to which slots are not doubled: a kept solver is quick to ask again."""
 
 MISSED = 1e-9
 """Violation from which on a row that was left out is put in: the conic solver's own tolerance."""

@@ -14,7 +14,7 @@ from formulations.rows.cones import Rows
 BINDING = 1e-5
 """Room up to which a constraint may have a multiplier."""
 VANISHED = 1e-6
-"""Size of a burn, nondimensional, below which its direction says nothing."""
+"""Size of a burn, nondimensional, below which its direction is rounding."""
 
 
 def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:

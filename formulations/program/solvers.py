@@ -182,7 +182,7 @@ SOLVERS: dict[str, Callable[[Mapping[str, float]], ConicSolver]] = {
     "CLARABEL": Clarabel,
     "QOCO": Qoco,
 }
-"""Solvers whose numbers can be updated."""
+"""Solvers that are kept, with their numbers updated in place."""
 
 
 def installed() -> tuple[str, ...]:

@@ -32,7 +32,7 @@ good to a tenth at 1e-3, a third at 1e-4, a half (0.1 standard deviations) at 1e
 1e-6; and limits more than `reach` away are left out."""
 
 GRAZING = 1e-6
-"""Cosine between line and surface below which an end counts as moving no faster."""
+"""Least cosine between line and normal: nearer to a tangent an end is taken to move no faster."""
 
 
 class Limit(NamedTuple):
@@ -229,4 +229,4 @@ def sphere_directions(count: int, dimension: int) -> Array:
 
 
 SEED = 20200121
-"""Of the scrambling: the same flights for everyone."""
+"""Seed of the scrambling: every run draws the same flights."""

@@ -38,7 +38,7 @@ DIGITS = 4
 """Of a probability that is promised."""
 
 ANSWERS = (Status.CONVERGED, Status.INFEASIBLE, Status.INTERRUPTED)
-"""Ends of a try after which it is not made again from another start."""
+"""Outcomes after which a try is not repeated from another start."""
 
 
 def rounded_down(probability: float) -> float:

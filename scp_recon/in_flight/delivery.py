@@ -24,7 +24,7 @@ UNITS_RATIO_MAX = 30.0
 UNLIKELY = 1e-4
 """Probability of a state as far from the prediction, below which it hardly is that of this flight."""
 SURE_SIGMAS = 5.0
-"""Of a burn's errors, beyond which a measurement hardly is of the burn that was planned."""
+"""Multiple of a burn's errors beyond which a measurement is unlikely to be of the planned burn."""
 LEAST_SPREAD = 1e-6
 """In units of length and speed, added to every spread: a millimetre is no contradiction."""
 

@@ -169,7 +169,7 @@ def _method(made: Provenance | Solution) -> ScpMethod:
 
 
 def _contradictions(solution: Solution, lin: Linearisation, units: Units) -> Iterator[str]:
-    """What of the nodes does not follow from scenario and burns, by the names of the verification."""
+    """Parts of the nodes that contradict scenario and burns, by the verification's names."""
     first = lin.problem.initial_state.copy()
     if not lin.problem.coasts:
         first[3:] += lin.iterate.burns[0]

@@ -35,7 +35,7 @@ def before_burn_s(rules: ScheduleRules) -> float:
 def legal_starts(
     window_s: Window, duration_s: float, before: int, after: int, rules: ScheduleRules
 ) -> Interval:
-    """When a flight may begin that observes in a window, its other burns placed as may be.
+    """When a flight that observes in a window may begin, with its other burns placed freely.
 
     Args:
         window_s: edges.

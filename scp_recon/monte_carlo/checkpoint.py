@@ -64,7 +64,7 @@ def kept_flights(config: FlightConfig, solution: Solution, folder: Path) -> Flig
 
 
 def forget_flights(folder: Path) -> None:
-    """Take the file away: its flights are in a summary now."""
+    """Delete the file: its flights are in a summary now."""
     (folder / FILE_NAME).unlink(missing_ok=True)
 
 

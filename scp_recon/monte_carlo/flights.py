@@ -25,14 +25,14 @@ from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, TruthModel, fly_bl
 Array = npt.NDArray[np.float64]
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
-"""Fewer flights say nothing of a distribution: the normality test needs as many."""
+"""Least number of flights: the normality test needs as many."""
 
 LOOK_STEP_S = 60.0
 """Longest spacing of the times at which the window is looked at; crossings are then bisected."""
 
 TIME_BIN_S, DISTANCE_BIN_M = 0.5, 0.1
 TERMINAL_KEPT = 5000
-"""Final states kept for the normality test, whose distribution is tabulated up to there."""
+"""Final states kept for the normality test, whose distribution is tabulated up to this number."""
 
 
 @dataclass(frozen=True, eq=False)

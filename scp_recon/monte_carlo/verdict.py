@@ -1,4 +1,4 @@
-"""Whether a campaign shows what was asked of its plan."""
+"""Whether flights show what was asked of their plan."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """All stages of planning a mission; the one in `stages` that `final` names holds the answer.
+    """The stages of planning a mission; `final` holds the answer.
 
     A plan is data: it pickles and copies, its arrays are read-only, and it equals another one of the
     same scenario, provenance, certificate and parent that went through the same stages to the same
@@ -51,7 +51,7 @@ class Plan:
         return hash(self.final.result.lin.iterate.burns.tobytes())
 
     def __getstate__(self) -> dict[str, object]:
-        """What it was made with; copies work out the rest anew, read-only like here."""
+        """Its fields; a copy computes the cached arrays again, read-only too."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
@@ -142,7 +142,7 @@ class Plan:
 
 
 def as_interrupted(plan: Plan) -> Plan:
-    """The plan as the best that there was when Ctrl-C came."""
+    """The plan marked as interrupted: the best that was found when Ctrl-C came."""
     result = replace(plan.final.result, status=Status.INTERRUPTED)
     return replace(plan, final=replace(plan.final, result=result))
 

@@ -42,7 +42,7 @@ The second figure is for starting at a solution of P2, which moves less than one
 """
 
 FEW_LINES, LINES = 512, 4096
-"""Directions in which a plan of whole flights looks, and each the other way: first, and in the end."""
+"""Directions, each taken both ways, in which a plan of whole flights looks: first, and finally."""
 
 COARSE, FINE = 1e-3, 1e-5
 """Relative reduction of the merit at which their stages stop; sampling errs by more."""

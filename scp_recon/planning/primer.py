@@ -26,7 +26,7 @@ from scp_recon.scp.status import Status
 Array = npt.NDArray[np.float64]
 
 WORTH = 1e-3
-"""By how much the primer exceeds one where another burn is worth a try: plans stop short of this."""
+"""Excess of the primer over one at which another burn is worth trying: converged plans stay below."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def primer_of(plan: Plan) -> PrimerHistory | None:
 
 
 def primer_history(mission: Mission, stage: Stage) -> PrimerHistory | None:
-    """The history of what a stage ended with.
+    """The history at the end of a stage.
 
     Returns:
         None where it has not converged, where burns have errors that do not shrink with them, so that

@@ -80,7 +80,7 @@ class Optimum:
 
 @dataclass(frozen=True)
 class Starts:
-    """Several starts, of which a plan is the best.
+    """Several starts; the plan is the best of them.
 
     Attributes:
         number: asked for, the guess included.

@@ -26,7 +26,7 @@ BURN_LIMITS = ("dv_max", "dv_battery")
 
 
 def scale(mission: Mission, unit: Unit) -> float:
-    """What one of the nondimensional problem's margins counts in SI."""
+    """SI value of one nondimensional unit of a margin."""
     units = mission.units
     return {"m": units.length_m, "m/s": units.speed_m_s, "sigma": 1.0}[unit]
 
@@ -57,7 +57,7 @@ class Stage:
         return "P3" if isinstance(self.merit.rows, DeterministicRows) else "P2"
 
     def unit(self, constraint: str) -> Unit:
-        """What the margins of a constraint count in SI."""
+        """Unit of a constraint's margins in SI."""
         if constraint in (*BURN_LIMITS, FINAL_VELOCITY):
             return "m/s"
         if constraint == FINAL_POSITION:

@@ -1,4 +1,4 @@
-"""How the stages of a plan follow each other, whatever solves them: P3, P2, and both begun again."""
+"""The order of a plan's stages, whatever solves them: P3, P2, and both again from other starts."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ from scp_recon.scp.status import Status
 Observer = Callable[[str, Record], None]
 
 OTHER_OPTIMUM = 0.999
-"""Share of a merit below which another run has found another optimum."""
+"""Ratio of two merits below which the runs ended at different optima."""
 OTHER_BURNS = 1e-2
-"""Difference of a burn component, nondimensional, from which on it is another too."""
+"""Difference of a burn component, nondimensional, above which they did so too."""
 
 OPENING = ".open"
-"""Ends the name of the stage that leads to a P3 whose guess is no flight."""
+"""Suffix of the stage that leads to a P3 whose guess is no flight."""
 
 CHOICES_MAX = 4
 """Further choices of facets before P2 is called infeasible, where there is another choice."""
 
 
 class RowsSolver(Protocol):
-    """What solves P3 or P2 on one set of rows; all that distinguishes SCP's plans from IPOPT's."""
+    """Solves P3 or P2 on one set of rows; nothing else distinguishes SCP's plans from IPOPT's."""
 
     def deterministic_rows(self) -> DeterministicRows:
         """P3's constraints."""
         ...
 
     def opening_rows(self) -> DeterministicRows | None:
-        """Those that P3 begins with where its guess is no flight, if it does."""
+        """Rows that P3 begins with where its guess is no flight; None if it begins with all."""
         ...
 
     def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
@@ -186,7 +186,7 @@ class StageRunner:
         return stage
 
     def _exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
-        """Made once: drawing the directions of flights takes its time."""
+        """Made once, because drawing the directions of flights takes time."""
         if self._exact is None:
             self._exact = self.solver.exact_rows()
         return self._exact
@@ -267,14 +267,14 @@ def _interrupted(stages: list[Stage]) -> Stage:
 
 
 def better(new: Stage, old: Stage) -> bool:
-    """Whether a run is worth keeping instead: first by how it ended, then cheaper."""
+    """Whether a new run is better than an old one: by how it ended, then by its cost."""
     if _rank(new) != _rank(old):
         return _rank(new) > _rank(old)
     return _merit(new) < _merit(old)
 
 
 def _rank(stage: Stage) -> int:
-    """How much a run's end says: a solution, a point that violates nothing, any other, nothing."""
+    """How well a run ended: 3 solved, 2 at a point that violates nothing, 0 failed, 1 otherwise."""
     if stage.result.status is Status.CONVERGED:
         return 3
     if stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:

@@ -35,9 +35,9 @@ SCHEMA, READABLE = "scp_recon.solution/2", ("scp_recon.solution/1", "scp_recon.s
 """What is written and what is read; /1 called a worst margin `worst_margin_m_or_rad`."""
 FILE_NAME = "solution.json"
 Number = Annotated[float, Field(ge=-1e30, le=1e30)]
-"""Of what is worked with: its square and its quotients stay finite."""
+"""A number to compute with: small enough that its square and quotients stay finite."""
 Direction = Annotated[tuple[Number, Number, Number], Field(strict=False)]
-"""A list will do, whose numbers have to be numbers all the same."""
+"""A list is accepted too; its entries still have to be numbers."""
 
 
 class Burn(Part):

@@ -1,4 +1,4 @@
-"""What the project's JSON files have in common: frozen, strict parts, a schema, one way to be read."""
+"""What the project's JSON files share: frozen, strict parts, a schema, and one way of reading."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Probability = Annotated[float, Field(ge=0, le=1)]
 
 
 class Part(BaseModel):
-    """Frozen; keys that are not known are kept out, and numbers are neither booleans nor strings."""
+    """Frozen and strict: unknown keys are refused, and so are booleans or strings for numbers."""
 
     model_config = ConfigDict(
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, validate_by_name=True
@@ -24,7 +24,7 @@ class Part(BaseModel):
 
 
 class File(Part):
-    """A file's whole content; keys of a later minor version are passed over."""
+    """The whole content of a file; keys that a later version added are ignored."""
 
     model_config = ConfigDict(extra="ignore")
 

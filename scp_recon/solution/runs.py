@@ -80,7 +80,7 @@ def point_to(folder: Path, root: Path = RUNS) -> None:
 
 
 def resolve_run(path: Path) -> Path:
-    """The folder that a pointer stands for, or the path itself; asked once, it stays the same run."""
+    """The folder that a pointer leads to, or the path itself; resolve it once to stay with one run."""
     try:
         if path.is_symlink() and path.is_dir():
             return path.parent / path.readlink()
@@ -105,7 +105,7 @@ def is_pointer(path: Path) -> bool:
 
 @contextmanager
 def only_run_in(folder: Path, entry: str) -> Iterator[None]:
-    """Keep other runs out of a folder that exists; the lock of a process that has died counts for none.
+    """Keep other runs out of a folder that exists; a lock left by a dead process does not count.
 
     Raises:
         InputError: if another process is at work in it.

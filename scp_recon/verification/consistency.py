@@ -110,7 +110,7 @@ def _nodes(mission: Mission, solution: Solution) -> dict[str, npt.NDArray[np.int
 
 
 def _are_results(mission: Mission, solution: Solution, margins: dict[str, Array]) -> bool:
-    """Whether each constraint is told once, with its kind and its margin where that is smallest."""
+    """Whether each constraint is listed once, with its kind and the place of its smallest margin."""
     stored, nodes = {c.name: c for c in solution.constraints}, _nodes(mission, solution)
     if len(stored) != len(solution.constraints) or stored.keys() != margins.keys():
         return False
@@ -197,7 +197,7 @@ def _is_violation(mission: Mission, solution: Solution, margins: dict[str, Array
 
 
 def _adds_up(mission: Mission, violation: Violation) -> bool:
-    """Whether the largest of all and the sum are those of the constraints, and zero without any."""
+    """Whether the maximum and the sum are those of the constraints, and zero if there are none."""
     parts = violation.by_constraint.values()
     if not all(part.total >= part.max * (1.0 - ROUNDING) > 0.0 for part in parts):
         return False

@@ -60,7 +60,7 @@ def shortfalls(
 
 
 def _bears_out(asked: float, risk: Risk, probabilities: list[JointProbability]) -> bool:
-    """Whether other flights reach what a certificate says that its flights did."""
+    """Whether new flights reach what the certificate's flights are said to have reached."""
     certificate = risk.certificate
     assert certificate is not None
     named = [p for p in probabilities if p.name == FLIGHT] or probabilities

@@ -52,10 +52,10 @@ def test_ratios_are_of_the_methods_they_name() -> None:
     assert "printed over SCP: 100 with set-up, 150 without" in lines
     # The quickest to the first answer is not the quickest without set-up.
     assert "tuned NLP over SCP: 10.0 with set-up, 11.0 without" in lines
-    assert "everything else 1.00 of it, canonicalisation 0.20" in lines
+    assert "everything else 1.00 times that, canonicalisation 0.20 times" in lines
     assert "99 converged: 20 ms against 100 ms cold, 0.20 of it" in lines
     assert "20,000 flights/s" in lines
-    assert "1.50 s, 2.00 of importing CVXPY" in lines
+    assert "1.50 s, 2.00 times that of importing CVXPY" in lines
 
 
 def test_the_table_says_what_is_not_verified_and_how_far_it_is_off() -> None:
