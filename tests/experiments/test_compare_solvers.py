@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import os
 from dataclasses import asdict, replace
 from pathlib import Path
 from unittest import mock
@@ -38,29 +37,11 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from tests.scp_recon.support import flight_beyond
 
-FIGURES = ("total_dv_m_s", "merit_m_s", "heavy_merit_m_s", "violation_m", "total_s", "cpu_s")
-FIGURES += ("solver_s", "peak_mib", "observed_s")
+from .cell_works import dies, fine, raises, works_for_ever
+
 CELLS = [Cell("matrix", "recon_b", (), REFERENCE, "random", seed) for seed in range(3)]
 LIMIT_S = 2.0
 UNGUARDED_FROZEN = Method("frozen-covariance", UNGUARDED, "CLARABEL")
-
-
-def fine(cell: Cell, flights: int) -> Row:
-    figures = dict.fromkeys(FIGURES, float(flights))  # NaN is not even equal to itself
-    return replace(failed_row(cell, ""), status="converged", problem="P2", **figures)
-
-
-def raises(cell: Cell, flights: int) -> Row:
-    raise ArithmeticError(f"nothing for {cell.seed} with {flights}")
-
-
-def dies(cell: Cell, flights: int) -> Row:
-    os._exit(7 + flights + 0 * cell.seed)
-
-
-def works_for_ever(cell: Cell, flights: int) -> Row:
-    while True:
-        flights += cell.seed
 
 
 def collect(path: Path, solve: Solve, cells: list[Cell] = CELLS) -> list[Row]:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,6 +16,14 @@ from scp_recon.spacecraft.basilisk import simulation
 from scp_recon.spacecraft.record import read_record
 from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_samples() -> Iterator[None]:
+    """Beside the flight; what is tested here does not depend on their number."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flown_plan, "SAMPLES", 500)
+        yield
 
 
 @pytest.fixture(scope="module")

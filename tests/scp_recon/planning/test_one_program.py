@@ -23,7 +23,8 @@ from scp_recon.planning.planner import Plan, Planner, ScpStages, plan
 from scp_recon.planning.stages import StageRunner
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
-from tests.scp_recon.support import Array, burns_of
+from tests.scenarios import COARSE
+from tests.scp_recon.support import Array, burns_of, mission_of
 
 
 @dataclass
@@ -109,9 +110,14 @@ def assert_cvxpys_own(seen: Watched) -> None:
         assert np.array_equal(b, program.bound)
 
 
+@pytest.fixture(scope="module")
+def coarse() -> Mission:
+    return mission_of(COARSE)
+
+
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_every_iteration_is_solved_with_the_numbers_of_cvxpys_compiled_form(
-    mission: Mission, formulation: str, monkeypatch: pytest.MonkeyPatch
+    coarse: Mission, formulation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen, iterations = watch(monkeypatch), list[Record]()
 
@@ -119,7 +125,7 @@ def test_every_iteration_is_solved_with_the_numbers_of_cvxpys_compiled_form(
         iterations.append(record)
         seen.after.append(len(seen.asked))
 
-    found = plan(mission, initial_guess.cold(mission), formulation=formulation, observe=observe)
+    found = plan(coarse, initial_guess.cold(coarse), formulation=formulation, observe=observe)
     assert found.final.result.status is Status.CONVERGED
     assert len(iterations) == sum(len(stage.result.records) for stage in found.stages)
     assert_cvxpys_own(seen)
@@ -127,7 +133,7 @@ def test_every_iteration_is_solved_with_the_numbers_of_cvxpys_compiled_form(
 
 @pytest.mark.parametrize("bypass", ["numbers", "values", "solver", "none"])
 def test_what_bypasses_cvxpy_is_found_out(
-    mission: Mission, bypass: str, monkeypatch: pytest.MonkeyPatch
+    coarse: Mission, bypass: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Numbers written by hand, of other values, or an iteration that never asks."""
     seen, solve = watch(monkeypatch), solvers.FallbackSolver.solve
@@ -154,8 +160,8 @@ def test_what_bypasses_cvxpy_is_found_out(
 
     monkeypatch.setattr(solvers.FallbackSolver, "solve", cheat)
     plan(
-        mission,
-        initial_guess.cold(mission),
+        coarse,
+        initial_guess.cold(coarse),
         problem="P3",
         observe=lambda *_: seen.after.append(len(seen.asked)),
     )
