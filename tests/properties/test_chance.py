@@ -203,7 +203,7 @@ few_facets = st.builds(
 )
 
 
-@settings(max_examples=share_of_examples(6))
+@settings(max_examples=share_of_examples(6, usual=3))
 @given(st.sampled_from([0.55, 0.7, 0.9, 0.99]), few_facets, generators)
 def test_facets_with_booles_shares_hold_together_with_the_probability(
     probability: float, shapes: Polytopes, rng: np.random.Generator

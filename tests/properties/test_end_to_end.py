@@ -29,7 +29,7 @@ OPTIONS = st.tuples(
     st.sampled_from([[], ["--init", "warm"]]), st.sampled_from([[], ["--facet-rounds", "1"]])
 )
 expensive = settings(
-    max_examples=share_of_examples(20),
+    max_examples=share_of_examples(20, usual=1),
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.too_slow],
 )

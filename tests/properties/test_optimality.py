@@ -38,7 +38,7 @@ from tests.helpers import Array, share_of_examples
 from tests.scenarios import planned, scenarios
 
 expensive = settings(
-    max_examples=share_of_examples(20),
+    max_examples=share_of_examples(20, usual=1),
     phases=[Phase.explicit, Phase.reuse, Phase.generate],
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
