@@ -33,7 +33,7 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.file import read_solution
 from tests.experiments.support import write_kernel
 from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import fly_few, mission_of
 
 PROJECT = Path(__file__).parents[1]
 PAGES = [
@@ -179,6 +179,7 @@ def one_flight(patch: pytest.MonkeyPatch) -> None:
         return FLOWN["flight"]
 
     patch.setattr(simulation, "simulate", once)
+    patch.setattr(importlib.import_module("experiments.flown_plan.__main__"), "SAMPLES", 500)
 
 
 def simulated(arguments: str, command: str = "scp_recon.simulate") -> Quick:
@@ -404,6 +405,14 @@ def call(words: Sequence[str]) -> int:
         return int(main(arguments))
     except SystemExit as end:  # argparse ends this way
         return int(end.code or 0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_flights() -> Iterator[None]:
+    """Of what is verified: that it runs does not depend on their number."""
+    with pytest.MonkeyPatch.context() as patch:
+        fly_few(patch)
+        yield
 
 
 @pytest.fixture(scope="module")
