@@ -44,7 +44,7 @@ def flown(mission: Mission, vehicle: Vehicle, state: Array, field: HarmonicField
 
 
 def planned(forces: ForceModel, state: Array) -> Array:
-    return propagate(state, DURATION_S, forces, substeps=4000)
+    return propagate(state, DURATION_S, forces, substeps=1000)
 
 
 def test_a_point_mass_arc_is_the_planners_to_a_millimetre(
