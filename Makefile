@@ -3,6 +3,10 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 VENV := .venv
 BIN := $(VENV)/bin
+# On two processes, and by file: what the tests of a file share is made once.
+BY_FILE := -n 2 --dist loadfile
+# Empty is unset: the tests start a hundred processes, and what one has compiled the next need not.
+export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
 .PHONY: help solve test nightly coverage mutation lint format types check bench figures clean
@@ -13,7 +17,7 @@ solve: $(VENV)/.solve  ## set up and plan Reconnaissance B from a cold start
 	$(BIN)/python -m scp_recon.solve --init cold
 
 test: $(VENV)/.test  ## set up and run the tests on two processes
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest $(BY_FILE)
 
 lint: $(VENV)/.dev  ## lint and check the format
 	$(BIN)/ruff check .
@@ -27,11 +31,11 @@ types: $(VENV)/.dev  ## check the types
 	$(BIN)/mypy
 
 nightly: $(VENV)/.test  ## look harder: 500 examples a property, and the table of reliability figures
-	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest -n 2 --timeout 3600 \
+	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest $(BY_FILE) --timeout 3600 \
 	--reliability=runs/reliability.md
 
 coverage: $(VENV)/.dev  ## lines and branches that the tests reach
-	$(BIN)/python -m pytest -n 2 --cov --cov-report term --cov-report json:runs/coverage.json
+	$(BIN)/python -m pytest $(BY_FILE) --cov --cov-report term --cov-report json:runs/coverage.json
 
 mutation: $(VENV)/.dev  ## change formulations in every small way, and see which changes no test notices
 	HYPOTHESIS_PROFILE=mutation OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2
