@@ -228,6 +228,14 @@ def test_the_table_shows_failed_rows_as_such(runs: Runs) -> None:
 # --- files --------------------------------------------------------------------------------------
 
 
+class Ready:
+    """A figure's module whose figure is drawn already."""
+
+    def __init__(self, name: str, figure: Figure) -> None:
+        self.draw = lambda _: figure
+        self.caption = FIGURES[name].caption
+
+
 def test_everything_is_written_into_one_folder(
     folder: Path,
     runs: Runs,
@@ -235,12 +243,8 @@ def test_everything_is_written_into_one_folder(
     drawn: dict[str, Figure],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    class Ready:
-        def __init__(self, name: str) -> None:
-            self.draw = lambda _: drawn[name]
-            self.caption = FIGURES[name].caption
-
-    monkeypatch.setattr(command_line, "FIGURES", {name: Ready(name) for name in FIGURES})
+    ready = {name: Ready(name, drawn[name]) for name in FIGURES}
+    monkeypatch.setattr(command_line, "FIGURES", ready)
     written = list(make_all(runs, folder, tmp_path / "figures"))
     expected = {f"{name}{ending}" for name in FIGURES for ending in PICTURES}
     expected |= {f"{name}.md" for name in TABLES} | {TABLE, "captions.md"}
@@ -453,12 +457,19 @@ def test_words_keep_apart_in_figures_of_five_burns(own_drawn: dict[str, Figure],
 
 
 def test_figures_of_one_s_own_plan_are_written_without_the_paper_s_table(
-    own_runs: Runs, five_burns: Path, tmp_path: Path
+    own_runs: Runs,
+    own_drawn: dict[str, Figure],
+    five_burns: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    ready = {name: Ready(name, own_drawn[name]) for name in FIGURES}
+    monkeypatch.setattr(command_line, "FIGURES", ready)
+    monkeypatch.setattr(command_line, "PICTURES", PICTURES[:1])
     written = {path.name for path in make_all(own_runs, five_burns, tmp_path)}
     assert written == {
         *("parameters.md", "captions.md"),
-        *(f"{name}{ending}" for name in FIGURES for ending in PICTURES),
+        *(f"{name}{PICTURES[0]}" for name in FIGURES),
     }
     assert "ballistic arc" in FIGURES["trajectories"].caption(own_runs)
     assert own_runs.plan.summary.is_of(own_runs.plan.solution)
