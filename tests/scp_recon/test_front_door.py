@@ -33,6 +33,7 @@ PROJECT = Path(__file__).parents[2]
 NEED_EXTRAS = {"run_campaign", "write_report"}
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(str(PROJECT / "examples" / "first_plan.py"))
     printed = capsys.readouterr().out
@@ -125,6 +126,7 @@ def test_replaced_entries_are_validated() -> None:
         scenario.replace({"risk.p_chanc": 0.8})
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_planning_starts_from_files_and_tables(default_plan: Plan, tmp_path: Path) -> None:
     saved = sr.save(default_plan, str(tmp_path / "mine"))
     assert read_solution(saved).verification is not None
@@ -239,6 +241,7 @@ def test_completion_offers_the_front_door_and_modules() -> None:
     assert {name for name in offered if not ismodule(getattr(sr, name))} == set(sr.__all__)
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_plans_stand_side_by_side(
     default_plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -318,6 +321,7 @@ def test_what_a_plan_is_made_of_is_equal_only_to_itself(default_plan: Plan) -> N
         assert len({one, other}) == 2
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_a_campaign_gives_a_table_and_figures(tmp_path: Path) -> None:
     study = {"axis": [{"entry": "risk.p_chance", "values": [0.7, 0.75]}]}
     table, figures = sr.run_campaign(study, tmp_path, workers=0)
