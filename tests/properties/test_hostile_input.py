@@ -457,7 +457,10 @@ def test_a_solution_whose_parts_do_not_fit_together_is_refused(
 
 
 @pytest.mark.parametrize("word", ["[/red]", "[bold]", "[/]", "[", "\\["])
-def test_names_of_a_solution_are_shown_as_they_are(solved: Path, tmp_path: Path, word: str) -> None:
+def test_names_of_a_solution_are_shown_as_they_are(
+    solved: Path, tmp_path: Path, word: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fly_few(monkeypatch)
     content = json.loads((solved / "solution.json").read_text("utf-8"))
     content["constraints"][0]["name"] = content["stages"][0]["name"] = word
     with_a_word_as_key(content, word + " too")
