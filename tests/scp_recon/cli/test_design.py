@@ -100,8 +100,10 @@ def test_certifying_what_no_flights_certify_is_refused(
 
 
 def test_a_primer_without_a_legal_time_says_that_it_tells_nothing() -> None:
-    there = {"t_s": [0.0, 1.0], "vector": [(2.0, 0.0, 0.0)] * 2, "residual": 0.0}
-    none = Primer(**there, allowed=[2.0, 2.0], legal=[False, False])
+    vectors = [(2.0, 0.0, 0.0)] * 2
+    none = Primer(
+        t_s=[0.0, 1.0], vector=vectors, residual=0.0, allowed=[2.0, 2.0], legal=[False, False]
+    )
     assert "no time is legal for another burn" in primer_says(none)
-    some = Primer(**there, allowed=[2.0, 0.5], legal=[False, True])
+    some = none.model_copy(update={"allowed": [2.0, 0.5], "legal": [False, True]})
     assert "at most 0.500 at legal times (at 1 s)" in primer_says(some)
