@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 from scp_recon.report.content.numbers import script
@@ -22,7 +23,6 @@ def render_offline(
         shown: what the template names.
     """
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-    from plotly.offline import get_plotlyjs
 
     loader = ChoiceLoader([PackageLoader(name, "page_files") for name in (package, OWN)])
     pages = Environment(
@@ -40,6 +40,19 @@ def render_offline(
         **shown,
         css=text("report.css"),
         js=text(javascript),
-        plotly=get_plotlyjs(),
+        plotly=plotly_script(),
         data=script(data),
     )
+
+
+def plotly_script() -> str:
+    """Plotly's script without the loader about it.
+
+    The loader is handed all of the script as one function, which a browser therefore reads twice:
+    first to find its end, then to run it.
+    """
+    from plotly.offline import get_plotlyjs
+
+    whole = get_plotlyjs()
+    bare = re.search(r'"use strict";var Plotly=.*window\.Plotly = Plotly;', whole, re.DOTALL)
+    return whole if bare is None else whole[: whole.index("*/") + 2] + bare[0]
