@@ -108,7 +108,7 @@ def _export(options: argparse.Namespace, console: Console) -> Answer:
     for line in heading(export):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     ok = solution.verification is not None and solution.verification.ok
-    show_verdict(console, "verified", [] if ok else [export.verdict])
+    show_verdict(console, "verified", [] if ok else [export.verdict.removeprefix("NOT VERIFIED: ")])
     for file in files:
         show_written(console, file)
     document = {

@@ -70,7 +70,7 @@ def test_a_plan_that_is_not_verified_is_written_and_says_so(
     assert document["verdict"].startswith("NOT VERIFIED")
     (file,) = document["files"]
     assert "# NOT VERIFIED" in Path(file).read_text("utf-8")
-    assert "not verified" in said.err
+    assert "not verified: converged, and never checked\n" in said.err
 
 
 @pytest.mark.parametrize(
