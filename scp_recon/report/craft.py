@@ -27,6 +27,7 @@ from scp_recon.spacecraft.record import Record
 Array = npt.NDArray[np.float64]
 
 BINS = 700
+"""Parts of the time, of all simulations together, each shown by two points."""
 LEAST_DEG = 1e-4
 """Of the errors shown, on a logarithmic axis."""
 PANELS = ("state of charge (%)", "power (W)", "pointing error (deg)", "wheel speed (rad/s)")
@@ -42,7 +43,7 @@ def craft_chart(subjects: Sequence[Subject]) -> dict[str, Any] | None:
     data: list[Trace] = []
     for number, (subject, record) in enumerate(flown):
         before = "" if len(flown) == 1 else f"{subject.name}: "
-        data += _curves(record, before, number)
+        data += _curves(record, before, number, BINS // len(flown))
         floor = 100.0 * record.summary.floor_charge
         limit_line(layout, Bound("floor: at least", floor), 0)
     layout[axis_name("y", 2).replace("y", "yaxis")] |= {
@@ -54,7 +55,7 @@ def craft_chart(subjects: Sequence[Subject]) -> dict[str, Any] | None:
     return chart("craft", "Battery and pointing in the simulation", data, layout)
 
 
-def _curves(record: Record, before: str, number: int) -> list[Trace]:
+def _curves(record: Record, before: str, number: int, bins: int) -> list[Trace]:
     times, arrays = record.arrays["t_s"].astype(float), record.arrays
     data: list[Trace] = []
 
@@ -63,7 +64,7 @@ def _curves(record: Record, before: str, number: int) -> list[Trace]:
         colour = (which if not before else number) % len(palette.PLANS)
         data.append(
             curve(
-                *thinned(times, np.asarray(values, dtype=float)),
+                *thinned(times, np.asarray(values, dtype=float), bins),
                 before + name,
                 colour,
                 panel,
@@ -77,18 +78,20 @@ def _curves(record: Record, before: str, number: int) -> list[Trace]:
     add(arrays["consumed_w"].reshape(len(times), -1).sum(axis=1), "consumed", 1, 3)
     error = np.rad2deg(arrays["pointing_error_rad"].astype(np.float64))
     seconds = CONTROL_PERIOD_S * np.arange(len(error))
-    points = thinned(seconds, np.asarray(np.maximum(error, LEAST_DEG), dtype=float))
+    points = thinned(seconds, np.asarray(np.maximum(error, LEAST_DEG), dtype=float), bins)
     data.append(curve(*points, f"{before}attitude against its command", number, 2))
     for i, speed in enumerate(arrays["wheel_speed_rad_s"].T):
         add(speed, f"wheel {i + 1}", 3, i)
     return data
 
 
-def thinned(times: npt.NDArray[Any], values: npt.NDArray[Any]) -> tuple[Array, Array]:
+def thinned(
+    times: npt.NDArray[Any], values: npt.NDArray[Any], bins: int = BINS
+) -> tuple[Array, Array]:
     """Least and largest value of even parts, each at its time: no peak is lost."""
-    if len(times) <= 2 * BINS:
+    if len(times) <= 2 * bins:
         return times, values
-    edges = np.linspace(0, len(times), BINS + 1).astype(int)
+    edges = np.linspace(0, len(times), bins + 1).astype(int)
     kept = sorted(
         {
             low + int(pick(values[low:high]))

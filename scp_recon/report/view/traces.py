@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from scp_recon.report.content.numbers import compact
+from scp_recon.report.content.numbers import compact, packed
 from scp_recon.report.view.solids import Solid
 
 Array = npt.NDArray[np.float64]
@@ -33,7 +33,7 @@ def lines(points: Array, name: str, group: str, colour: str, **line: Any) -> Tra
 def mesh(solid: Solid, name: str, group: str, colour: str, opacity: float) -> Trace:
     """A surface."""
     x, y, z = compact(solid.vertices_m.T, 1)
-    i, j, k = solid.facets.T.tolist()
+    i, j, k = map(packed, np.ascontiguousarray(solid.facets.T))
     return {
         "type": "mesh3d",
         "name": name,
