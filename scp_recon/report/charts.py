@@ -79,10 +79,9 @@ def ground_chart(shown: Sequence[Shown]) -> dict[str, Any]:
         within = curve(longitude[seen], track.latitude_deg[seen], f"{name}, window", number)
         data.append(within | {"line": {"color": palette.PLANS[number], "width": 6}})
         data += _outlines(one, number, alone=alone)
-    place = site_degrees(subject)
     marker = {"symbol": "star", "size": 14, "color": palette.SITE, "line": {"width": 1}}
-    name = f"site {subject.mission.scenario.site.name}"
-    data.append(_points([place[0]], [place[1]], name, marker))
+    sites = {site_degrees(one.subject): one.subject.mission.scenario.site.name for one in shown}
+    data += [_points([x], [y], f"site {name}", marker) for (x, y), name in sites.items()]
     middle = float(np.mean(subject.mission.schedule.window_s))
     dark = curve(*terminator(subject, middle), "terminator at mid-window, of a sphere", 0)
     data.append(dark | {"line": {"color": palette.GREY, "dash": "dot", "width": 2}})

@@ -14,6 +14,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import summary as summary_file
 from scp_recon.monte_carlo.summary import Summary, read_summary
+from scp_recon.physics.time_scales import instant, iso_tdb
 from scp_recon.solution.comparison import path_of
 from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.runs import folder_of, resolve_run
@@ -73,7 +74,7 @@ def subjects_of(given: Sequence[Solution | Path]) -> list[Subject]:
 
     Raises:
         InputError: if there is none or there are too many, one cannot be read, or they are of
-            several bodies.
+            several bodies, or of one at several epochs.
     """
     if not 1 <= len(given) <= PLANS_MAX:
         raise InputError("plans", f"{len(given)}", f"must be 1 to {PLANS_MAX} plans")
@@ -91,7 +92,18 @@ def subjects_of(given: Sequence[Solution | Path]) -> list[Subject]:
                 f"body {other.name}",
                 f"must be of {first.name}, as the first",
             )
+        if subject.mission.rotation != found[0].mission.rotation:
+            raise InputError(
+                f"plan {subject.name}",
+                f"a body that is turned otherwise, t = 0 at {_begins(subject)}",
+                f"must be as the first, t = 0 at {_begins(found[0])}: one view shows one body "
+                "(scp_recon.compare has the figures of any)",
+            )
     return found
+
+
+def _begins(subject: Subject) -> str:
+    return f"{iso_tdb(instant(subject.solution.scenario.epoch.tdb))} TDB"
 
 
 def _told_apart(names: list[str]) -> list[str]:

@@ -175,8 +175,8 @@ window.report = (() => {
 
   function readout() {
     const m = attitude(time);
-    const site = product(m, motion.site);
     const said = motion.plans.map((plan, i) => {
+      const site = product(m, plan.site);
       const away = Math.hypot(...craftAt(i, time).map((x, j) => x - site[j]));
       const leg = plan.legs.find(([, from, to]) => time >= from && time <= to && to > from);
       const name = motion.plans.length > 1 ? `${plan.name}: ` : "";
@@ -184,7 +184,7 @@ window.report = (() => {
     });
     const utc = new Date(new Date(data.epoch_utc).getTime() + 1000 * time).toISOString().slice(0, 19).replace("T", " ");
     document.getElementById("readout").textContent =
-      `t = ${time.toFixed(0)} s | ${utc} UTC | ${said.join(" | ")} | incidence at the site ${angle(product(m, motion.site_normal), sunAt(time)).toFixed(1)} deg`;
+      `t = ${time.toFixed(0)} s | ${utc} UTC | ${said.join(" | ")} | incidence at the ${motion.plans.length > 1 ? "first's " : ""}site ${angle(product(m, motion.site_normal), sunAt(time)).toFixed(1)} deg`;
   }
 
   // ---- cameras ------------------------------------------------------------------------------

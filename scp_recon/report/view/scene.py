@@ -27,7 +27,7 @@ from scp_recon.report.view.traces import Trace, lines, mesh, moved
 Array = npt.NDArray[np.float64]
 
 PATHS = 40
-"""Sampled flights whose paths are drawn."""
+"""Sampled flights whose paths are drawn, of all plans together."""
 SUN_FROM, SUN_TO = 1.15, 1.75
 """Ends of the line to the Sun, in radii of the body."""
 
@@ -35,9 +35,15 @@ SUN_FROM, SUN_TO = 1.15, 1.75
 def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
     """Traces, layout and what moves them, as the page's script takes them."""
     frame, mission = frame_of(plans), plans[0].subject.mission
-    traces = [*_body(frame, mission, shape), *keep_sets(frame, plans[0].subject)]
+    missions = (one.subject.mission for one in plans)
+    sites = {tuple(each.site.position_body): each for each in missions}
+    traces = [
+        *_body(frame, mission, shape),
+        *(_site(each, shape) for each in sites.values()),
+        *keep_sets(frame, plans[0].subject),
+    ]
     for number, one in enumerate(plans):
-        traces += _plan(frame, one, number)
+        traces += _plan(frame, one, number, PATHS // len(plans))
     return {
         "traces": traces,
         "layout": _layout(frame, plans[0].subject, shape),
@@ -82,13 +88,14 @@ def _moving(frame: Frame, one: Shown) -> dict[str, Any]:
         "nodes_s": compact(subject.nodes_s, 3),
         "window_s": list(subject.mission.schedule.window_s),
         "legs": legs,
+        "site": compact(subject.mission.site.position_body, 3),
         "looks_s": compact(ground.looks_s, 2),
         "outlines": compact(ground.outlines_m, 1),
     }
 
 
 def _body(frame: Frame, mission: Mission, shape: Shape) -> list[Trace]:
-    name, site = mission.scenario.body.name, mission.site
+    name = mission.scenario.body.name
     surface = mesh(Solid(shape.vertices_m, shape.facets), name, name, "", 1.0)
     del surface["color"]
     surface |= {
@@ -100,18 +107,24 @@ def _body(frame: Frame, mission: Mission, shape: Shape) -> list[Trace]:
         "lighting": {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0},
     }
     size = float(np.linalg.norm(shape.vertices_m, axis=1).max())
-    normal = site.position_body + np.outer([0.005, 0.35], size * site.normal_body)
-    marker = lines(normal, f"site {mission.scenario.site.name}", "site", palette.SITE, width=6)
-    marker["mode"] = "lines+markers"
-    marker["marker"] = {"size": [6, 0.1], "color": palette.SITE, "symbol": "diamond"}
     pole = frame.seen(mission.rotation.pole) * np.array([[-1.4], [1.4]]) * size
     sun = frame.seen(mission.sun_direction(0.0)) * np.array([[SUN_FROM], [SUN_TO]]) * size
     rays = lines(sun, "to the Sun", "Sun and spin axis", palette.SUN, width=6)
     axis = lines(pole, "spin axis", "Sun and spin axis", palette.GREY, dash="dash")
-    return [moved(surface, "body", lit=True), moved(marker, "body"), rays, axis]
+    return [moved(surface, "body", lit=True), rays, axis]
 
 
-def _plan(frame: Frame, one: Shown, number: int) -> list[Trace]:
+def _site(mission: Mission, shape: Shape) -> Trace:
+    """A mark on the ground with the normal there."""
+    site, size = mission.site, float(np.linalg.norm(shape.vertices_m, axis=1).max())
+    normal = site.position_body + np.outer([0.005, 0.35], size * site.normal_body)
+    marker = lines(normal, f"site {mission.scenario.site.name}", "site", palette.SITE, width=6)
+    marker["mode"] = "lines+markers"
+    marker["marker"] = {"size": [6, 0.1], "color": palette.SITE, "symbol": "diamond"}
+    return moved(marker, "body")
+
+
+def _plan(frame: Frame, one: Shown, number: int, flights: int) -> list[Trace]:
     subject, colour = one.subject, palette.PLANS[number]
     name, times = subject.name, subject.fine_s
     path = frame.seen(subject.positions(times))
@@ -125,7 +138,7 @@ def _plan(frame: Frame, one: Shown, number: int) -> list[Trace]:
     return [
         lines(path, name, "planned path", colour, width=5, dash=dash),
         lines(path[seen], f"{name}: window", "observation window", colour, width=11),
-        *_sampled(frame, one, number),
+        *_sampled(frame, one, number, flights),
         *_tubes(frame, subject, number),
         *_burns(frame, subject),
         moved(craft, "craft", plan=number),
@@ -133,10 +146,10 @@ def _plan(frame: Frame, one: Shown, number: int) -> list[Trace]:
     ]
 
 
-def _sampled(frame: Frame, one: Shown, number: int) -> list[Trace]:
+def _sampled(frame: Frame, one: Shown, number: int, flights: int) -> list[Trace]:
     """Paths of some flights at the nodes, broken between them; and where they are at a time."""
     nodes = np.isin(one.flown.times_s, one.subject.mission.times_s)
-    paths = frame.seen(one.flown.positions[nodes][:, :PATHS]).swapaxes(0, 1)
+    paths = frame.seen(one.flown.positions[nodes][:, :flights]).swapaxes(0, 1)
     broken = np.concatenate([paths, np.full((len(paths), 1, 3), np.nan)], axis=1)
     colour = palette.FLIGHTS[number]
     name = f"{one.subject.name}: {len(paths)} sampled flights"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 import json
 import re
+from datetime import timedelta
 from decimal import Decimal
 from functools import partial
 from html.parser import HTMLParser
@@ -13,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from plotly.offline import get_plotlyjs
 
 from scp_recon.errors import InputError
 from scp_recon.report import write
@@ -20,9 +23,11 @@ from scp_recon.report.__main__ import main
 from scp_recon.report.content import palette
 from scp_recon.report.content.camera import Camera
 from scp_recon.report.content.flown import fly
-from scp_recon.report.content.numbers import compact, script, significant
+from scp_recon.report.content.numbers import compact, packed, script, significant
 from scp_recon.report.content.subject import PLANS_MAX, Subject, subjects_of
+from scp_recon.report.offline import plotly_script
 from scp_recon.report.page import Page, render
+from scp_recon.report.view.scene import PATHS
 from scp_recon.report.write import page_of, write_report
 from scp_recon.scenario.load import load_scenario
 from scp_recon.solution.file import Solution
@@ -261,6 +266,46 @@ def test_bad_input_ends_in_one_message(
     assert list(tmp_path.iterdir()) == [tmp_path / "folder.html"]
 
 
+def elsewhere(solution: Solution, **sections: dict[str, Any]) -> Solution:
+    """The same burns in a scenario with other entries in some of its sections."""
+    sections = {
+        name: getattr(solution.scenario, name).model_copy(update=entries)
+        for name, entries in sections.items()
+    }
+    scenario = solution.scenario.model_copy(update=sections)
+    return solution.model_copy(update={"scenario": scenario})
+
+
+def test_plans_at_other_epochs_are_refused_as_one_view_shows_one_body(verified: Solution) -> None:
+    later = verified.scenario.epoch.tdb + timedelta(seconds=10)
+    with pytest.raises(InputError, match=r"t = 0 at 2020-01-21T20:33:27.184\d* TDB"):
+        subjects_of([verified, elsewhere(verified, epoch={"tdb": later})])
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_each_plan_has_its_own_site_and_its_part_of_the_flights_shown(verified: Solution) -> None:
+    position = tuple(x + 2.0 for x in verified.scenario.site.position_body_m)
+    other = elsewhere(verified, site={"name": "Above", "position_body_m": position})
+    shown = page_of(subjects_of([verified, other]), Camera(), MADE)
+    sites = [plan["site"] for plan in shown.scene["motion"]["plans"]]
+    assert sites[1] == pytest.approx(position)
+    assert sites[0] == pytest.approx(verified.scenario.site.position_body_m)
+    ground = next(chart for chart in shown.charts if chart["key"] == "ground")
+    for traces in (shown.scene["traces"], ground["data"]):
+        named = [trace["name"] for trace in traces if trace["name"].startswith("site ")]
+        assert named == ["site Nightingale", "site Above"]
+    flights = [t["name"] for t in shown.scene["traces"] if "paths" in t["meta"]]
+    assert [name.split(": ")[1] for name in flights] == [f"{PATHS // 2} sampled flights"] * 2
+
+
+def test_plotlys_script_is_there_without_its_loader() -> None:
+    whole, bare = get_plotlyjs(), plotly_script()
+    assert bare.startswith("/**\n* plotly.js v")
+    assert "Licensed under the MIT license" in bare
+    assert "factory" not in bare[:400]
+    assert 0 < len(whole) - len(bare) < 500
+
+
 def test_plans_of_several_bodies_or_too_many_are_refused(verified: Solution) -> None:
     body = load_scenario().body.model_copy(update={"name": "Eros"})
     scenario = verified.scenario.model_copy(update={"body": body})
@@ -300,6 +345,14 @@ def test_numbers_are_rounded_and_what_is_none_is_null() -> None:
     assert significant([123456.789, np.inf], 3) == [123000.0, None]
     assert json.loads(script({"a": "</script>&"})) == {"a": "</script>&"}
     assert "<" not in script("</script>")
+
+
+@pytest.mark.parametrize(("most", "kind"), [(65_535, "u2"), (65_536, "u4")])
+def test_whole_numbers_are_packed_without_loss(most: int, kind: str) -> None:
+    found = packed(np.array([0, 7, most]))
+    assert found["dtype"] == kind
+    read = np.frombuffer(base64.b64decode(found["bdata"]), f"<{kind}")
+    assert read.tolist() == [0, 7, most]
 
 
 def seen_without(cone: int, colour: str) -> np.ndarray[Any, np.dtype[np.float64]]:
