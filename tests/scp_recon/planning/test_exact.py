@@ -13,6 +13,7 @@ from hypothesis import HealthCheck, Phase, assume, given, settings
 from scipy.special import ndtr
 
 from formulations.rows.exact import FLIGHT, FlightRows, NodeRows
+from formulations.rows.node_probability import SPREAD_MIN
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
@@ -101,9 +102,11 @@ def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(
     runner = StageRunner(of, ScpStages(planner, of, planner.algorithm))
     stage = runner.solve_exact("P2", uniform.final.result.lin)
     assert stage.result.status is Status.CONVERGED
+    # Where nothing is uncertain it keeps off the limits by its least spread, which polytopes have not.
+    off = 10.0 * SPREAD_MIN
     assert (
         stage.result.lin.iterate.total_dv
-        <= uniform.final.result.lin.iterate.total_dv * (1.0 + 1e-6) + 1e-7
+        <= uniform.final.result.lin.iterate.total_dv * (1.0 + off) + 1e-7
     )
 
 
