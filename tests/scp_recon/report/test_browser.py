@@ -203,11 +203,11 @@ def test_sets_are_shown_on_demand(seen: Seen) -> None:
         ".map(d => d.visible)"
     )
     assert seen.page.evaluate(find) == [False] * 4
-    for box in seen.page.locator("[data-group^=keep]").all():
-        box.check()
-    seen.page.wait_for_function(f"({find})().every(x => x === true)")
-    for box in seen.page.locator("[data-group^=keep]").all():
-        box.uncheck()
+    for shown in ("true", "false"):
+        seen.page.evaluate(
+            "document.querySelectorAll('[data-group^=keep]').forEach(box => box.click())"
+        )
+        seen.page.wait_for_function(f"({find})().every(x => x === {shown})")
 
 
 def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject: Subject) -> None:
