@@ -15,6 +15,8 @@ from scp_recon.report.content.numbers import compact, significant
 from scp_recon.report.content.palette import DASHES, PLANS
 from scp_recon.report.content.shape import shape_of
 from scp_recon.report.panels import Trace, chart
+from scp_recon.report.view.solids import Solid
+from scp_recon.report.view.traces import mesh
 
 SYMBOLS = {FEASIBLE: "circle"} | dict(
     zip(ENDS[1:], ("x", "circle-open", "cross", "diamond"), strict=True)
@@ -57,17 +59,8 @@ def map_chart(results: CampaignResults) -> dict[str, Any]:
 def shape_chart(results: CampaignResults) -> dict[str, Any]:
     """The sites on the body's shape, body-fixed."""
     shape = shape_of(results.base)
-    x, y, z = (compact(shape.vertices_m[:, k], 1) for k in range(3))
-    i, j, k = (shape.facets[:, n].tolist() for n in range(3))
-    body: Trace = {
-        "type": "mesh3d",
-        "x": x,
-        "y": y,
-        "z": z,
-        "i": i,
-        "j": j,
-        "k": k,
-        "color": "#b9b09e",
+    body = mesh(Solid(shape.vertices_m, shape.facets), "body", "body", "#b9b09e", 1.0)
+    body |= {
         "hoverinfo": "skip",
         "lighting": {"ambient": 0.75, "diffuse": 0.4, "specular": 0.0, "fresnel": 0.0},
     }
