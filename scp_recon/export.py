@@ -107,8 +107,7 @@ def _export(options: argparse.Namespace, console: Console) -> Answer:
         raise unwritable(folder, "--out", error) from None
     for line in heading(export):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
-    ok = solution.verification is not None and solution.verification.ok
-    show_verdict(console, "verified", [] if ok else [export.verdict.removeprefix("NOT VERIFIED: ")])
+    show_verdict(console, "verified", export.shortfalls)
     for file in files:
         show_written(console, file)
     document = {
@@ -130,7 +129,7 @@ def _export(options: argparse.Namespace, console: Console) -> Answer:
         ],
         "plan_hash": solution.plan_hash,
     }
-    return Answer(0 if ok else NOT_VERIFIED, document)
+    return Answer(NOT_VERIFIED if export.shortfalls else 0, document)
 
 
 if __name__ == "__main__":

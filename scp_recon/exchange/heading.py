@@ -46,14 +46,19 @@ class Export:
     ids: Ids
 
     @property
-    def verdict(self) -> str:
-        """In one line."""
+    def shortfalls(self) -> list[str]:
+        """Why the plan is not verified; empty where it is."""
         checked = self.solution.verification
         if checked is None:
-            return f"NOT VERIFIED: {self.solution.status}, and never checked"
+            return [f"{self.solution.status}, and never checked"]
         if not checked.ok:
-            return f"NOT VERIFIED: {self.solution.status}; failed: {', '.join(checked.failed)}"
-        return "verified"
+            return [f"{self.solution.status}; failed: {', '.join(checked.failed)}"]
+        return []
+
+    @property
+    def verdict(self) -> str:
+        """In one line."""
+        return "; ".join(f"NOT VERIFIED: {why}" for why in self.shortfalls) or "verified"
 
     def instant(self, time_s: float) -> int:
         """Nanoseconds of TDB past J2000 at a time past the scenario's epoch."""
