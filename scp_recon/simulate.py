@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _simulate(options: argparse.Namespace, console: Console) -> Answer:
     with needing_basilisk("python -m scp_recon.simulate"):
-        import scp_recon.spacecraft.basilisk.simulation  # noqa: F401
+        import scp_recon.spacecraft.basilisk.simulation  # noqa: F401 -- whether it is there
     home = resolve_run(options.solution)
     solution, vehicle = read_solution(home), load_vehicle(options.vehicle)
     require_whole_flight(solution.scenario, "solution")

@@ -70,8 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _measure(options: argparse.Namespace, console: Console) -> int:
     with needing("cluster", "cluster"):
-        import distributed  # noqa: F401
-        import psutil  # noqa: F401
+        import distributed  # noqa: F401 -- whether it is there
+        import psutil  # noqa: F401 -- whether it is there
     study = Study.validated(
         {
             "axis": [

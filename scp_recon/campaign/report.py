@@ -86,7 +86,7 @@ def check_extras() -> None:
     """
     check_extra()
     with needing("report", "report", "matplotlib"):
-        import matplotlib  # noqa: F401
+        import matplotlib  # noqa: F401 -- whether it is there
 
 
 def write_pictures(results: CampaignResults) -> list[Path]:

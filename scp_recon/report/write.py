@@ -43,8 +43,8 @@ def check_extra() -> None:
         InputError: if not.
     """
     with needing(ENTRY, "report", "plotly", "jinja2"):
-        import jinja2  # noqa: F401
-        import plotly  # noqa: F401
+        import jinja2  # noqa: F401 -- whether it is there
+        import plotly  # noqa: F401 -- whether it is there
 
 
 def write_report(

@@ -47,7 +47,7 @@ def work_of(study: Study) -> StudyWork:
         from scp_recon.spacecraft.basilisk.optional import needing_basilisk
 
         with needing_basilisk("campaign.do"):
-            import scp_recon.spacecraft.basilisk.simulation  # noqa: F401
+            import scp_recon.spacecraft.basilisk.simulation  # noqa: F401 -- whether it is there
     given = study.campaign
     return StudyWork(
         study.base, study.folder.absolute(), given.do, given.samples, given.keep_solutions

@@ -207,7 +207,7 @@ def read_results(folder: Path) -> pandas.DataFrame:
     """
     arrow = needing_parquet()
     with needing("campaign", "campaign", "pandas"):
-        import pandas  # noqa: F401
+        import pandas  # noqa: F401 -- whether it is there
     path = folder / RESULTS
     files = [path] if path.is_file() else sorted((folder / ROWS).glob("part-*.parquet"))
     journal = folder / ROWS / JOURNAL
