@@ -222,10 +222,10 @@ def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject:
 def test_it_fits_a_phone_without_scrolling_aside(seen: Seen) -> None:
     seen.page.set_viewport_size({"width": 390, "height": 844})
     seen.page.wait_for_function("document.getElementById('flight').clientWidth < 390")
-    assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
     seen.page.wait_for_function(
         "[...document.querySelectorAll('.main-svg')].every(s => s.clientWidth <= 390)"
     )
+    assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
     seen.page.set_viewport_size({"width": 1200, "height": 900})
 
 
