@@ -143,8 +143,9 @@ def _item(values: Array, i: int) -> float | None:
 
 
 def _shown(figure: float | str | None) -> str:
+    """Six digits, of a margin that is rounding zero."""
     if isinstance(figure, float):
-        return f"{figure:.6g}"
+        return f"{round(figure, 9) + 0.0:.6g}"
     return ABSENT if figure is None else figure
 
 
