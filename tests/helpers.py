@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ from formulations.rows.chance import ChanceRows
 from formulations.rows.deterministic import DeterministicRows
 
 Array = npt.NDArray[np.float64]
+T = TypeVar("T")
 
 
 MANY = 100
@@ -34,6 +36,11 @@ def share_of_examples(divisor: int, usual: int | None = None) -> int:
     """
     most = settings().max_examples
     return usual if usual is not None and most < MANY else max(1, most // divisor)
+
+
+def usually(cases: Sequence[T], count: int) -> Sequence[T]:
+    """So many of the cases in usual runs, all of them in those that look harder."""
+    return cases if settings().max_examples >= MANY else cases[:count]
 
 
 generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)

@@ -287,10 +287,10 @@ def strained(draw: st.DrawFn) -> str:
 
 
 def solved_or_refused(overrides: list[str], *options: str) -> None:
-    """One of the documented ends, after ten iterations a stage; for bad input nothing is written."""
+    """One of the documented ends, after four iterations a stage; for bad input nothing is written."""
     sets = [argument for override in overrides for argument in ("--set", override)]
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setitem(ALGORITHMS, "scvx", lambda: SCvx(max_iterations=10))
+        patch.setitem(ALGORITHMS, "scvx", lambda: SCvx(max_iterations=4))
         patch.setattr(way_out, "CLOSE", 1.0)  # roughly, where an infeasible plan asks what would do
         fly_few(patch)
         code = command(solve.main, [*options, *sets, "--out", folder])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,19 +11,14 @@ import numpy as np
 import pytest
 
 from scp_recon.report.content.subject import Subject
+from tests.scp_recon.browser import WINDOW, chromium, needed
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-"""WebGL without a graphics card."""
 VIEW_CPU_S = 10.0
 """Processor time of the page's thread until the view is drawn: a machine that is busy with other tests
 takes several times what a quiet one takes."""
 PATIENCE_MS = 120_000
 
-playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+pytestmark = needed
 
 
 @dataclass
@@ -39,14 +33,12 @@ class Seen:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with playwright_api.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=CHROMIUM, args=list(SOFTWARE))
+    with chromium() as opened:
         yield opened
-        opened.close()
 
 
 def opened(browser: Any, file: Path) -> Seen:
-    page = browser.new_context(viewport={"width": 1200, "height": 900}).new_page()
+    page = browser.new_context(viewport=WINDOW).new_page()
     page.set_default_timeout(PATIENCE_MS)
     seen = Seen(page)
     page.on("pageerror", lambda error: seen.said.append(str(error)))
@@ -161,7 +153,7 @@ def eye(seen: Seen) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def test_the_view_turns_by_mouse_and_by_keys(seen: Seen) -> None:
-    seen.page.evaluate("window.scrollTo(0, 0)")
+    seen.page.evaluate("document.getElementById('flight').scrollIntoView({behavior: 'instant'})")
     box = seen.page.locator("#flight").bounding_box()
     x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
     before = eye(seen)
@@ -202,12 +194,12 @@ def test_sets_are_shown_on_demand(seen: Seen) -> None:
         "() => document.getElementById('flight').data.filter(d => d.meta.group.startsWith('keep'))"
         ".map(d => d.visible)"
     )
+    boxes = seen.page.locator("[data-group^=keep]")
     assert seen.page.evaluate(find) == [False] * 4
-    for shown in ("true", "false"):
-        seen.page.evaluate(
-            "document.querySelectorAll('[data-group^=keep]').forEach(box => box.click())"
-        )
-        seen.page.wait_for_function(f"({find})().every(x => x === {shown})")
+    boxes.evaluate_all("boxes => boxes.forEach(box => box.click())")
+    seen.page.wait_for_function(f"({find})().every(x => x)")
+    boxes.first.evaluate("box => box.click()")
+    seen.page.wait_for_function(f"({find})().filter(x => x).length === 3")
 
 
 def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject: Subject) -> None:
@@ -226,7 +218,7 @@ def test_it_fits_a_phone_without_scrolling_aside(seen: Seen) -> None:
         "[...document.querySelectorAll('.main-svg')].every(s => s.clientWidth <= 390)"
     )
     assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
-    seen.page.set_viewport_size({"width": 1200, "height": 900})
+    seen.page.set_viewport_size(WINDOW)
 
 
 def test_dark_and_light_follow_the_system_and_the_button(seen: Seen) -> None:

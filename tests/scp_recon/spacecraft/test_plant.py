@@ -22,7 +22,7 @@ from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 from .support import coast
 
 Array = npt.NDArray[np.float64]
-DURATION_S = 34_842.0
+DURATION_S = 17_421.0
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +35,11 @@ def start(state: Array) -> Start:
 
 
 def flown(mission: Mission, vehicle: Vehicle, state: Array, field: HarmonicField | None) -> Array:
-    """Final state of a ballistic flight as long as the plan, without light and torques."""
+    """Final state of a ballistic flight half as long as the plan, without light and torques."""
     plant = build_plant(
         mission, vehicle, start(state), field=field, light=False, gravity_gradient=False
     )
-    (end,) = coast(plant, [DURATION_S], step_s=2.0)
+    (end,) = coast(plant, [DURATION_S], step_s=3.0)
     return end.state
 
 
@@ -68,7 +68,7 @@ def test_an_oblate_field_turning_with_the_body_is_the_planners_j2(
     state = np.array(solution.nodes.state[0])
     error = flown(mission, vehicle, state, field) - planned(forces, state)
     point_mass = planned(replace(forces, j2_strength=0.0), state) - planned(forces, state)
-    assert np.linalg.norm(point_mass[:3]) > 10.0
+    assert np.linalg.norm(point_mass[:3]) > 2.0
     assert np.linalg.norm(error[:3]) < 1e-3
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,24 +10,18 @@ import pytest
 
 from scp_recon.campaign.report import write_pictures
 from scp_recon.campaign.view.outcome import read_campaign
+from tests.scp_recon.browser import WINDOW, chromium, needed
 from tests.scp_recon.campaign.view.shown import ERRORS, PLACES, campaign_of
 
-CHROMIUM = next(
-    filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
-)
-SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 PATIENCE_MS = 200_000
 
-playwright_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="Chromium is not installed")
+pytestmark = needed
 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with playwright_api.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=CHROMIUM, args=list(SOFTWARE))
+    with chromium() as opened:
         yield opened
-        opened.close()
 
 
 @pytest.mark.parametrize(("tables", "charts"), [(PLACES, 2), (ERRORS, 2)])
@@ -37,7 +30,7 @@ def test_it_draws_opens_cases_and_asks_the_network_for_nothing(
 ) -> None:
     campaign_of(tables, tmp_path)
     file = write_pictures(read_campaign(tmp_path))[0]
-    page = browser.new_context(viewport={"width": 1100, "height": 800}).new_page()
+    page = browser.new_context(viewport=WINDOW).new_page()
     page.set_default_timeout(PATIENCE_MS)
     said: list[str] = []
     asked: list[str] = []
