@@ -195,11 +195,19 @@ def _layout(frame: Frame, subject: Subject, shape: Shape) -> dict[str, Any]:
             "xyz", compact(frame.low_m, 0), compact(frame.high_m, 0), strict=True
         )
     }
-    camera = {"eye": {"x": 1.4, "y": -1.15, "z": 0.55}, "up": {"x": 0, "y": 0, "z": 1}}
+    # One scale for all axes and for good: "data" would take another when a set is shown.
+    size = frame.high_m - frame.low_m
+    aspect = dict(zip("xyz", compact(size / np.cbrt(size.prod()), 6), strict=True))
+    camera = {
+        "eye": {"x": 1.4, "y": -1.15, "z": 0.55},
+        "center": {"x": 0, "y": 0, "z": -0.08},  # the X axis's name is below the box
+        "up": {"x": 0, "y": 0, "z": 1},
+    }
     return {
         "scene": {
             **axes,
-            "aspectmode": "data",
+            "aspectmode": "manual",
+            "aspectratio": aspect,
             "camera": camera,
             "dragmode": "orbit",
             "annotations": _words(frame, subject, shape),
