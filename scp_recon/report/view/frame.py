@@ -52,7 +52,10 @@ class Frame:
 
 
 def frame_of(plans: Sequence[Shown]) -> Frame:
-    """Of the first plan, with room for the mean paths of all, burns, and the safety radius."""
+    """Of the first plan, with room for the mean paths of all, burns, and the safety radius.
+
+    The box ends at whole metres, as it is written: what stands on its edge is in it.
+    """
     mission = plans[0].subject.mission
     axes = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
     paths = np.vstack([one.subject.positions(one.subject.fine_s) @ axes for one in plans])
@@ -62,7 +65,8 @@ def frame_of(plans: Sequence[Shown]) -> Frame:
     bare = Frame(axes, low, high, ARROW * edge)
     tips = np.vstack([arrows_of(bare, one.subject)[1] for one in plans])
     low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
-    return replace(bare, low_m=low - ROOM * edge, high_m=high + ROOM * edge)
+    low, high = np.floor(low - ROOM * edge), np.ceil(high + ROOM * edge)
+    return replace(bare, low_m=low, high_m=high)
 
 
 def arrows_of(frame: Frame, subject: Subject) -> tuple[Array, Array]:

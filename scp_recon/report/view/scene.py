@@ -199,8 +199,8 @@ def _layout(frame: Frame, subject: Subject, shape: Shape) -> dict[str, Any]:
     size = frame.high_m - frame.low_m
     aspect = dict(zip("xyz", compact(size / np.cbrt(size.prod()), 6), strict=True))
     camera = {
-        "eye": {"x": 1.4, "y": -1.15, "z": 0.55},
-        "center": {"x": 0, "y": 0, "z": -0.08},  # the X axis's name is below the box
+        "eye": {"x": 1.5, "y": -1.25, "z": 0.5},
+        "center": {"x": 0, "y": 0, "z": -0.15},  # the X axis's name is below the box
         "up": {"x": 0, "y": 0, "z": 1},
     }
     return {

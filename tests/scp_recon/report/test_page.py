@@ -174,6 +174,18 @@ def test_every_figure_is_one_of_plotlys(page: Page) -> None:
     assert len(set(keys)) == len(keys) == 9  # without a simulation
 
 
+def test_the_view_has_one_scale_and_shows_the_names_of_its_axes(page: Page) -> None:
+    """Plotly leaves out what is written outside the ranges."""
+    scene = page.scene["layout"]["scene"]
+    ranges = {axis: scene[f"{axis}axis"]["range"] for axis in "xyz"}
+    scales = [scene["aspectratio"][axis] / (high - low) for axis, (low, high) in ranges.items()]
+    assert scales == pytest.approx(3 * [scales[0]], rel=1e-5)
+    names = [a for a in scene["annotations"] if a["text"].endswith("(m)")]
+    assert len(names) == 3
+    for name in names:
+        assert all(low <= name[axis] <= high for axis, (low, high) in ranges.items())
+
+
 def test_panels_name_their_units(page: Page) -> None:
     for chart in page.charts:
         headings = [a["text"] for a in chart["layout"]["annotations"] if "<b>" in a["text"]]
