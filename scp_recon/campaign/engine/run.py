@@ -10,7 +10,7 @@ from typing import Any
 
 from scp_recon.campaign.engine.work import work_of
 from scp_recon.campaign.rows.case import Case, Done, Runner, Work
-from scp_recon.campaign.rows.table import RESULTS, Store, cell, needing_parquet
+from scp_recon.campaign.rows.table import RESULTS, ROWS, Store, cell, needing_parquet
 from scp_recon.campaign.rows.versions import versions
 from scp_recon.campaign.runners.child import Limits
 from scp_recon.campaign.runners.processes import Processes
@@ -93,6 +93,8 @@ def run_cases(
     with only_run_in(folder, "--out"):
         _take(folder, identity)
         if (folder / RESULTS).is_file():
+            if observe:
+                observe(len(cases), len(cases), None)
             return folder / RESULTS
         columns = BEFORE | dict(entries) | AFTER | dict(work.columns) | MEASURES
         with closing(Store(folder, columns)) as store:
@@ -108,6 +110,8 @@ def run_cases(
                         observe(len(store.done), len(cases), row)
             finally:
                 over.close()
+            if len(store.done) != len(cases):
+                raise RuntimeError(f"{len(store.done)} rows of {len(cases)} cases")
             return store.finish()
 
 
@@ -126,6 +130,8 @@ def _take(folder: Path, identity: Mapping[str, Any]) -> None:
         InputError: if it is another's.
     """
     path = folder / FILE_NAME
+    if not path.is_file():
+        _check_empty(folder)
     try:
         if not path.is_file():
             content = {"schema": SCHEMA, **identity}
@@ -135,8 +141,14 @@ def _take(folder: Path, identity: Mapping[str, Any]) -> None:
     except OSError as error:
         raise unwritable(folder, "--out", error) from None
     except ValueError:
-        found = {}
-    if not isinstance(found, dict) or found.get("hash") != identity["hash"]:
+        found = None
+    if not isinstance(found, dict) or found.get("schema") != SCHEMA:
+        raise InputError(
+            "--out",
+            f"{folder}, whose {FILE_NAME} is damaged or of another version",
+            "must be a folder of its own",
+        )
+    if found.get("hash") != identity["hash"]:
         raise InputError(
             "--out",
             f"{folder}, which holds another campaign",
@@ -144,10 +156,22 @@ def _take(folder: Path, identity: Mapping[str, Any]) -> None:
         )
 
 
-def _differing(found: Any, identity: Mapping[str, Any]) -> str:
+def _check_empty(folder: Path) -> None:
+    """No rows are there of which nobody can tell what they are of.
+
+    Raises:
+        InputError: if there are.
+    """
+    for name in (RESULTS, ROWS):
+        if (folder / name).exists():
+            raise InputError(
+                "--out", f"{folder}, with {name} but no {FILE_NAME}", "must be a folder of its own"
+            )
+
+
+def _differing(found: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
     """Which versions are not those that the rows were made with."""
-    old = found.get("versions", {}) if isinstance(found, dict) else {}
-    new = identity.get("versions", {})
+    old, new = found.get("versions", {}), identity.get("versions", {})
     names = [
         f"{name} ({old.get(name)}, now {new[name]})" for name in new if old.get(name) != new[name]
     ]

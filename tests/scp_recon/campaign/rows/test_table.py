@@ -121,12 +121,37 @@ def test_two_campaigns_in_one_folder_are_refused(tmp_path: Path) -> None:
         run_cases(Quick(), some_cases(3), tmp_path, here, {"hash": "another"}, {})
 
 
-def test_a_finished_campaign_is_not_run_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("left", [RESULTS, ROWS])
+def test_rows_of_an_unknown_campaign_are_no_results(left: str, tmp_path: Path) -> None:
+    """As where a table was copied: it would pass for this study's."""
+    (tmp_path / left).mkdir() if left == ROWS else (tmp_path / left).write_bytes(b"")
+    with pytest.raises(InputError, match=f"with {left} but no campaign.json; must be a folder of"):
+        run(Quick(), some_cases(3), tmp_path, here)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"schema": "scp_recon.campaign/0"}'])
+def test_a_damaged_folder_is_refused_as_such(text: str, tmp_path: Path) -> None:
+    (tmp_path / "campaign.json").write_text(text)
+    with pytest.raises(InputError, match="is damaged or of another version"):
+        run(Quick(), some_cases(3), tmp_path, here)
+
+
+def test_a_finished_campaign_is_not_run_again_and_says_so(tmp_path: Path) -> None:
     def never(*_: object) -> Any:
         raise AssertionError
 
+    seen: list[tuple[Any, ...]] = []
     first = run(Quick(), some_cases(3), tmp_path, here)
-    assert run(Quick(), some_cases(3), tmp_path, never).equals(first)
+    assert run(Quick(), some_cases(3), tmp_path, never, lambda *s: seen.append(s)).equals(first)
+    assert seen == [(3, 3, None)]
+
+
+def test_a_table_has_all_rows_or_is_not_written(tmp_path: Path) -> None:
+    """Whatever a runner leaves out."""
+    with pytest.raises(RuntimeError, match="2 rows of 3 cases"):
+        run(Quick(), some_cases(3), tmp_path, lambda work, cases: here(work, list(cases)[:2]))
+    assert not (tmp_path / RESULTS).exists()
+    assert len(run(Quick(), some_cases(3), tmp_path, here)) == 3
 
 
 def test_a_folder_without_rows_has_no_results(tmp_path: Path) -> None:
