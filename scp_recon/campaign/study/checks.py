@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import prod
 from pathlib import Path
 from typing import NoReturn
@@ -11,6 +11,7 @@ import numpy as np
 
 from scp_recon.campaign.study.axes import Row
 from scp_recon.campaign.study.changes import changed
+from scp_recon.campaign.study.unmeant import overlap
 from scp_recon.errors import InputError
 from scp_recon.scenario.schema import Scenario
 
@@ -67,7 +68,11 @@ def check_count(counts: list[int], ask_from: int, *, yes: bool) -> None:
 
 
 def check_axes(
-    base: Scenario, folder: Path, axes: Sequence[list[Row]], random: Sequence[bool]
+    base: Scenario,
+    folder: Path,
+    axes: Sequence[list[Row]],
+    random: Sequence[bool],
+    unmeant: Iterable[InputError] = (),
 ) -> None:
     """No entry is on two axes, and every value is one that its entry may have, as far as is looked.
 
@@ -76,11 +81,12 @@ def check_axes(
         folder: to which files are relative that they name.
         axes: their rows.
         random: whether an axis is drawn: rows beyond the bounds are refused cases, unless all are.
+        unmeant: what else is wrong, for the same message.
 
     Raises:
         InputError: one message of what is wrong.
     """
-    wrong = list(_twice(axes))
+    wrong = [*unmeant, *_twice(axes)]
     first = {entry: value for rows in axes for entry, value in rows[0].items()}
     for number, rows in enumerate(axes, start=1):
         looked = sorted({round(place) for place in np.linspace(0, len(rows) - 1, CHECKED)})
@@ -105,10 +111,9 @@ def _twice(axes: Sequence[list[Row]]) -> Iterator[InputError]:
     for number, rows in enumerate(axes, start=1):
         for entry in rows[0]:
             for other, owner in seen:
-                part, whole = sorted((entry, other), key=len, reverse=True)
-                if owner != number and f"{part}.".startswith(f"{whole}."):
+                if owner != number and overlap(entry, other):
                     given = f"on axis {owner} and axis {number}"
-                    yield InputError(part, given, "must be on one axis")
+                    yield InputError(max(other, entry, key=len), given, "must be on one axis")
             seen.append((entry, number))
 
 

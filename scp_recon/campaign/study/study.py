@@ -16,11 +16,12 @@ from pydantic import Field, ValidationError
 from scp_recon.campaign.rows.case import Case
 from scp_recon.campaign.rows.table import kind_of
 from scp_recon.campaign.rows.versions import versions
-from scp_recon.campaign.study.axes import Axis, Draws, Row
+from scp_recon.campaign.study.axes import Axis, Draws, Row, Windows
 from scp_recon.campaign.study.cases import Cases
 from scp_recon.campaign.study.changes import changed, layer_of
 from scp_recon.campaign.study.checks import check_axes, check_count, check_do, refuse
 from scp_recon.campaign.study.kinds import axis_of
+from scp_recon.campaign.study.unmeant import unmeant
 from scp_recon.errors import InputError, shortened
 from scp_recon.files import read_text
 from scp_recon.scenario.fields import Section
@@ -104,7 +105,9 @@ class Study:
             axis.rows(base, (campaign.seed, place), folder) for place, axis in enumerate(kinds)
         )
         study = cls(campaign, base, rows, folder, tables)
-        check_axes(base, folder, rows, [isinstance(axis, Draws) for axis in kinds])
+        random, windows = ([isinstance(axis, kind) for axis in kinds] for kind in (Draws, Windows))
+        given = campaign.model_dump(exclude_unset=True)
+        check_axes(base, folder, rows, random, unmeant(campaign.do, given, rows, windows))
         return study
 
     @property

@@ -175,6 +175,70 @@ def test_a_bad_campaign_is_refused(campaign: dict[str, Any], entry: str, words: 
     assert words in str(caught.value)
 
 
+MEAN_P = {"overrides": {"risk": {"p_chance": 0.9}}}
+SITES = {
+    "latitude_deg": {"from": 90, "to": -30, "count": 5},
+    "longitude_deg": {"from": 0, "to": 360, "count": 5},
+}
+
+
+@pytest.mark.parametrize(
+    ("axes", "campaign", "words"),
+    [
+        ([], {"samples": 1_000_000}, r"campaign.samples: got 1000000 with do = 'plan'; needs"),
+        (
+            [{"entry": "design.departure_s", "values": [[0.0, 0.0]]}],
+            {},
+            r"axis 1: design.departure_s: got with do = 'plan'; needs do = 'design'",
+        ),
+        ([], {"overrides": {"design.burn_times": "given"}}, r"overrides: design.burn_times: got"),
+        ([P_CHANCE], MEAN_P, r"overrides: risk.p_chance: got also on axis 1, which replaces it"),
+        (
+            [{"entry": "risk", "values": [{"p_chance": 0.8}]}],
+            {"overrides": {"risk.p_chance": 0.9}},
+            r"overrides: risk.p_chance: got also on axis 1",
+        ),
+        ([{"entry": "risk.p_chance", "values": [0.7, 0.8, 0.7]}], {}, r"row 3: .* row 1 again"),
+        (
+            [{"entry": "boundary.final_position_m", "values": [[1, 2, 3], [1.0, 2.0, 3.0]]}],
+            {},
+            r"row 2: .* row 1 again",
+        ),
+        ([{"sites": SITES}], {}, r"row 2: .* the site of row 1 again.* a pole is one site"),
+        (
+            [{"sites": SITES | {"latitude_deg": {"from": 30, "to": 30, "count": 1}}}],
+            {},
+            r"row 5: .* 0 and 360 deg are one meridian",
+        ),
+        (
+            [
+                {"windows": {"span_days": 0.5}},
+                {"entries": ["site.latitude_deg", "site.longitude_deg"], "values": [[10.0, 20.0]]},
+            ],
+            {},
+            r"axis 1.windows: got beside site.latitude_deg on axis 2; are windows of the base's",
+        ),
+    ],
+)
+def test_what_no_case_would_do_is_refused(
+    axes: list[dict[str, Any]], campaign: dict[str, Any], words: str
+) -> None:
+    """Rather than left out without a word."""
+    with pytest.raises(InputError, match=words):
+        study(*axes, **campaign)
+
+
+def test_what_differs_a_little_is_meant() -> None:
+    risk = {"entry": "risk", "values": [{"p_chance": 0.8}, {"p_chance": 0.9}]}
+    assert (
+        len(study(risk, overrides={"risk.allocation": "uniform"}, do="fly", samples=50).cases) == 2
+    )
+    assert len(study({"entry": "site.name", "values": ["a", "A"]}).cases) == 2
+    around = SITES | {"longitude_deg": {"from": -180, "to": 90, "count": 4}}
+    around["latitude_deg"] = {"from": 60, "to": -60, "count": 3}
+    assert len(study({"sites": around}).cases) == 12
+
+
 def test_everything_that_is_wrong_is_in_the_message() -> None:
     bad = {"entry": "risk.p_chance", "values": [2, 3]}
     with pytest.raises(InputError) as caught:
