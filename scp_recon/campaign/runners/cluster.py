@@ -7,11 +7,12 @@ twice is taken once.
 from __future__ import annotations
 
 import itertools
+import logging
 import pickle
 import queue
 import threading
-from collections.abc import Callable, Generator, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any
@@ -57,28 +58,39 @@ class Cluster:
             InputError: if the extra is missing, or the scheduler is not there.
         """
         session = Session(self, pickle.dumps((versions(), pickle.dumps(work))))
-        left = iter(cases)
+        with without_tracebacks(), closing(session):
+            yield from self._run(session, iter(cases))
+
+    def _run(self, session: Session, left: Iterator[Case]) -> Generator[Done, None, None]:
         tries: dict[int, int] = {}
-        try:
-            session.connect(first=True)
-            while True:
-                room = session.room()
-                for case in itertools.islice(left, room):
+        session.connect(first=True)
+        while True:
+            for case in itertools.islice(left, session.room()):
+                session.send(case)
+            if not session.out:
+                return
+            for case, done, error in session.over():
+                if done is not None:
+                    tries.pop(case.number, None)
+                    yield done
+                elif (count := tries.get(case.number, 0) + 1) < TRIES:
+                    tries[case.number] = count
                     session.send(case)
-                if not session.out:
-                    return
-                for case, done, error in session.over():
-                    if done is not None:
-                        tries.pop(case.number, None)
-                        yield done
-                    elif (count := tries.get(case.number, 0) + 1) < TRIES:
-                        tries[case.number] = count
-                        session.send(case)
-                    else:
-                        message = f"ended its worker in each of {TRIES} tries: {error}"
-                        yield Done(case, trouble(DIED, message), 0.0, None, TRIES)
-        finally:
-            session.close()
+                else:
+                    message = f"ended its worker in each of {TRIES} tries: {error}"
+                    yield Done(case, trouble(DIED, message), 0.0, None, TRIES)
+
+
+@contextmanager
+def without_tracebacks() -> Iterator[None]:
+    """Keep Dask's client from logging a lost scheduler: a `Session` says so itself, in one line."""
+    log = logging.getLogger("distributed.client")
+    before = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 Over = tuple[Case, Done | None, str]
@@ -113,9 +125,10 @@ class Session:
                 break
             except (OSError, TimeoutError, ValueError) as error:
                 if first or monotonic() > until:
+                    said = (str(error).splitlines() or [type(error).__name__])[0]
                     raise InputError(
                         "--scheduler",
-                        f"{address}, where none answers ({str(error).splitlines()[0][:120]})",
+                        f"{address}, where none answers ({said[:120]})",
                         "must be the address of a Dask scheduler, e.g. tcp://127.0.0.1:8786; "
                         "every row until now is kept, and the same command goes on",
                     ) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import socket
@@ -180,6 +181,33 @@ def test_real_plans_have_the_same_bits_on_a_cluster(cluster: LocalCluster, tmp_p
 
 
 LIMITS_OF_PLANS = type(LIMITS)(200.0, 4096)
+
+
+def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Dask's client logs one; other programs' logs are theirs again afterwards."""
+    log, seen = logging.getLogger("distributed.client"), list[str]()
+
+    class Heard(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            seen.append(record.getMessage())
+
+    heard = Heard()
+    log.addHandler(heard)
+
+    def lost(*_: object, **__: object) -> None:
+        log.error("a traceback")
+        raise TimeoutError  # which says nothing
+
+    monkeypatch.setattr(distributed, "Client", lost)
+    try:
+        with pytest.raises(InputError, match=r"where none answers \(TimeoutError\)"):
+            list(Cluster("tcp://127.0.0.1:9", LIMITS)(Quick(), some_cases(1)))
+        log.error("another's")
+    finally:
+        log.removeHandler(heard)
+    assert seen == ["another's"]
 
 
 def test_without_a_scheduler_there_is_one_message(tmp_path: Path) -> None:
