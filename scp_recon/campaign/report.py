@@ -29,6 +29,7 @@ from pathlib import Path
 from rich.console import Console
 
 from scp_recon.campaign.view.outcome import CampaignResults, read_campaign
+from scp_recon.campaign.view.remarks import remarks
 from scp_recon.errors import needing
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.report.write import check_extra
@@ -58,22 +59,23 @@ def _show(folder: Path, console: Console) -> Answer:
 
 
 def show_campaign(folder: Path, console: Console) -> list[Path]:
-    """Write what the extra [report] allows of a finished campaign, and tell of it.
+    """Tell of a finished campaign, and write what the extra [report] allows of it.
 
     Raises:
-        InputError: if the folder cannot be written.
+        InputError: if the folder cannot be written, or pandas is missing.
     """
-    if any(find_spec(name) is None for name in EXTRA):
-        show_line(console, f"no {PAGE}: pip install 'scp_recon[report]' for the page and pictures")
-        return []
     results = read_campaign(folder)
-    written = write_pictures(results)
+    lacking = any(find_spec(name) is None for name in EXTRA)
+    written = [] if lacking else write_pictures(results)
     _tell(results, written, console)
+    if lacking:
+        show_line(console, f"no {PAGE}: pip install 'scp_recon[report]' for the page and pictures")
     return written
 
 
 def _tell(results: CampaignResults, written: Sequence[Path], console: Console) -> None:
-    show_line(console, results.verdict)
+    for line in (results.verdict, *remarks(results)):
+        show_line(console, line)
     for path in written:
         show_written(console, path)
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from scp_recon.campaign.study.axes import EPOCH, LATITUDE, LONGITUDE
-from scp_recon.campaign.view.figures import axes_of, varies
+from scp_recon.campaign.view.figures import axes_of, cheapest
 from scp_recon.campaign.view.labels import COLOURS, COST, DELTA_V, GREYS, MEASURES, label, told
 from scp_recon.campaign.view.outcome import ENDS, FEASIBLE, CampaignResults
 from scp_recon.environment.surface import direction_of
@@ -31,8 +31,8 @@ POINTS_PX, HEIGHT_PX, VIEW_PX = 11, 430, 560
 def charts_of(results: CampaignResults) -> list[dict[str, Any]]:
     """A chart of sites and the shape, or one of each measure along the axes."""
     if results.is_map:
-        return [map_chart(results), shape_chart(results)]
-    return [curve_chart(results, *measure) for measure in MEASURES] if varies(results) else []
+        return [map_chart(results.by_site), shape_chart(results.by_site)]
+    return [curve_chart(results, *measure) for measure in MEASURES] if results.varies else []
 
 
 def map_chart(results: CampaignResults) -> dict[str, Any]:
@@ -90,16 +90,19 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
     """A measure of the feasible cases along an axis, a curve for each value of the others."""
     along, *others = axes_of(results)
     by = [entry for entry in others if entry is not None]
-    table = results.table[np.array(results.ends) == FEASIBLE].sort_values([*by, along])
+    table = results.table[np.array(results.ends) == FEASIBLE]
     groups = [((), table)] if not by else list(table.groupby(by))
+    shown = f", {CURVES_MAX} of {len(groups)} curves" if len(groups) > CURVES_MAX else ""
+    scattered = results.scatters(along)
     data: list[Trace] = []
     for number, (values, rows) in enumerate(groups[:CURVES_MAX]):
         called = ", ".join(f"{label(e)} {told(v)}" for e, v in zip(by, values, strict=True))
+        rows = cheapest(rows, along)
         x = rows[along]
         data.append(
             {
                 "type": "scatter",
-                "mode": "lines+markers",
+                "mode": "markers" if scattered else "lines+markers",
                 "name": called or name,
                 "showlegend": bool(by),
                 "x": x.tolist() if along == EPOCH else significant(x),
@@ -117,7 +120,7 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
         "xaxis": {"title": {"text": label(along)}},
         "yaxis": {"title": {"text": name}},
     }
-    return chart(column, f"{name} of the feasible cases", data, layout)
+    return chart(column, f"{name} of the feasible cases{shown}", data, layout)
 
 
 def _by_end(results: CampaignResults, size: int) -> list[tuple[Trace, Any]]:

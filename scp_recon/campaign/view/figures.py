@@ -15,7 +15,7 @@ from matplotlib.ticker import NullLocator
 
 from scp_recon.campaign.study.axes import EPOCH, LATITUDE, LONGITUDE
 from scp_recon.campaign.view.globe import draw_globe
-from scp_recon.campaign.view.labels import COLOURS, GREYS, MARKS, MEASURES, label, told
+from scp_recon.campaign.view.labels import COLOURS, COST, GREYS, MARKS, MEASURES, label, told
 from scp_recon.campaign.view.outcome import FEASIBLE, CampaignResults
 
 WIDTH_IN, DPI = 7.0, 120
@@ -30,13 +30,17 @@ def figures(results: CampaignResults) -> dict[str, Figure]:
     found = {}
     if results.is_map:
         found = {"map": draw_map(results), "globe": draw_globe(results)}
-    elif varies(results):
+    elif results.varies:
         found = {"curves": draw_curves(results)}
     return found
 
 
 def draw_map(results: CampaignResults) -> Figure:
-    """Delta-v and probability at each site by longitude and latitude; marks where there is no plan."""
+    """Delta-v and probability at each site by longitude and latitude; marks where there is no plan.
+
+    Of several cases at a site it is the cheapest.
+    """
+    results = results.by_site
     table, ends = results.table, np.array(results.ends)
     figure = Figure(figsize=(WIDTH_IN, 6.6), layout="constrained", dpi=DPI)
     rows = figure.subplots(2, 1, sharex=True, sharey=True)
@@ -79,21 +83,24 @@ def draw_map(results: CampaignResults) -> Figure:
 def draw_curves(results: CampaignResults) -> Figure:
     """Delta-v and probability along the axis with most values, curves by another, panels by a third.
 
-    Only cases with a verified plan have points: a curve ends where there is none.
+    Only cases with a verified plan have points: a curve ends where there is none. Of cases that differ
+    in a fourth entry, or in text, the cheapest is drawn.
     """
     along, by, panels = axes_of(results)
     table = results.table[np.array(results.ends) == FEASIBLE]
-    values = [None] if panels is None else sorted(results.table[panels].unique())[:PANELS_MAX]
+    values = [None] if panels is None else _some(results, panels, PANELS_MAX)
     figure = Figure(figsize=(WIDTH_IN, 5.6), layout="constrained", dpi=DPI)
     grid = figure.subplots(2, len(values), sharex=True, sharey="row", squeeze=False)
-    lines = [None] if by is None else _spread(sorted(results.table[by].unique()), LINES_MAX)
+    lines = [None] if by is None else _some(results, by, LINES_MAX)
+    scattered = results.scatters(along)
     for place, value in enumerate(values):
         here = table if panels is None else table[table[panels] == value]
         for row, (column, name) in enumerate(MEASURES):
             axes = grid[row, place]
             for number, line in enumerate(lines):
-                part = (here if by is None else here[here[by] == line]).sort_values(along)
-                axes.plot(_numbers(part[along]), part[column], **_style(number, len(lines), line))
+                part = cheapest(here if by is None else here[here[by] == line], along)
+                style = _style(number, len(lines), line) | ({"ls": "none"} if scattered else {})
+                axes.plot(_numbers(part[along]), part[column], **style)
             _ticks(axes, results, along)
             axes.grid(color="0.92")
             if place == 0:
@@ -103,12 +110,15 @@ def draw_curves(results: CampaignResults) -> Figure:
                 axes.tick_params(axis="x", labelrotation=30 if along == EPOCH else 0)
         if panels is not None:
             grid[0, place].set_title(f"{label(panels)}: {told(value)}", fontsize=9)
+    if panels is not None and (left_out := _left_out(results, panels, values)):
+        figure.supxlabel(f"panels for{left_out}", fontsize=8)
     if by is not None:
+        left_out = _left_out(results, by, lines)
         handles, labels = grid[0, 0].get_legend_handles_labels()
         figure.legend(
             handles,
             labels,
-            title=label(by),
+            title=f"{label(by)},{left_out}" if left_out else label(by),
             loc="outside upper center",
             ncols=len(labels) if len(labels) <= ACROSS else -(-len(labels) // 2),
             frameon=False,
@@ -118,18 +128,16 @@ def draw_curves(results: CampaignResults) -> Figure:
 
 def axes_of(results: CampaignResults) -> tuple[str, str | None, str | None]:
     """The entries by which curves run, differ, and stand in panels: in order of how many values."""
-    counts = {entry: results.table[entry].nunique() for entry in varies(results)}
+    counts = {entry: results.table[entry].nunique() for entry in results.varies}
     ordered = sorted(counts, key=lambda entry: -counts[entry])
     first, second, third, *_ = *ordered, None, None
     assert first is not None
     return first, second, third
 
 
-def varies(results: CampaignResults) -> list[str]:
-    """The entries of numbers, or the epoch, in which cases differ."""
-    return [
-        entry for entry in results.free if entry == EPOCH or results.table[entry].dtype.kind in "if"
-    ]
+def cheapest(rows: Any, along: str) -> Any:
+    """Of the rows at each value of an entry the cheapest, in its order."""
+    return rows.sort_values(COST).drop_duplicates(along).sort_values(along)
 
 
 def _numbers(column: Any) -> Any:
@@ -152,6 +160,17 @@ def _ticks(axes: Axes, results: CampaignResults, entry: str) -> None:
         axes.set_xscale("log")
         axes.set_xticks(some, [f"{value:.2g}" for value in some])
         axes.xaxis.set_minor_locator(NullLocator())
+
+
+def _some(results: CampaignResults, entry: str, most: int) -> list[Any]:
+    """So many values of an entry at most, from the least to the greatest."""
+    return _spread(sorted(results.table[entry].unique()), most)
+
+
+def _left_out(results: CampaignResults, entry: str, shown: Sequence[Any]) -> str:
+    """How many of an entry's values are shown, if not all are."""
+    count = results.table[entry].nunique()
+    return f" {len(shown)} of {count} values" if len(shown) < count else ""
 
 
 def _spread(values: Sequence[Any], most: int) -> list[Any]:

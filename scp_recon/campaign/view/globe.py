@@ -34,6 +34,7 @@ DARKEST = 0.55
 
 def draw_globe(results: CampaignResults) -> Figure:
     """Delta-v of the nearest site on the surface; grey where it has no verified plan."""
+    results = results.by_site
     shape = shape_of(results.base)
     rows = results.table
     directions = np.array(

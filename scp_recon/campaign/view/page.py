@@ -12,8 +12,9 @@ import numpy as np
 from scp_recon.campaign.rows.case import solution_path
 from scp_recon.campaign.study.axes import EPOCH
 from scp_recon.campaign.view.charts import charts_of
-from scp_recon.campaign.view.labels import CHANCE, COST, DELTA_V, MEASURES, label
-from scp_recon.campaign.view.outcome import FEASIBLE, CampaignResults
+from scp_recon.campaign.view.labels import COST, MEASURES, label
+from scp_recon.campaign.view.outcome import FEASIBLE, SHORTFALLS, CampaignResults
+from scp_recon.campaign.view.remarks import remarks
 from scp_recon.campaign.view.repeat import command_lines
 from scp_recon.report.offline import render_offline
 from scp_recon.report.page import version_of_planner
@@ -21,8 +22,6 @@ from scp_recon.report.table import Cell, cell
 
 ROWS_MAX = 5_000
 """Cases in the page's table."""
-COMMONEST = 3
-"""Limits that are named of those that stop cases."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def render(results: CampaignResults, made: datetime) -> str:
         title=f"{results.campaign.do}, {results.base.name}: {', '.join(names) or 'one case'}",
         feasible=results.feasible,
         verdict=results.verdict,
-        lines=list(remarks(results)),
+        lines=remarks(results),
         identity=f"scp_recon {version_of_planner()} | made {made:%Y-%m-%d %H:%M:%S} UTC",
         charts=charts,
         heading=["end", *names, *(name for _, name in MEASURES), "limit broken most"],
@@ -69,26 +68,6 @@ def render(results: CampaignResults, made: datetime) -> str:
         * (done > ROWS_MAX),
         rows=[line_of(results, place) for place in order(results)[:ROWS_MAX]],
     )
-
-
-def remarks(results: CampaignResults) -> list[str]:
-    """How the cases ended, what the feasible ones cost, and what stopped the others."""
-    counts = ", ".join(f"{count:,} {end}" for end, count in results.counts().items())
-    found = [f"Ends: {counts}."]
-    good = results.table[np.array(results.ends) == FEASIBLE]
-    if len(good):
-        low, middle, high = np.percentile(good[COST], (0, 50, 100))
-        found.append(
-            f"{DELTA_V.capitalize()}: least {low:.4f}, median {middle:.4f}, most {high:.4f}. "
-            f"Lowest probability of a joint constraint: {good[CHANCE].min():.3f} to "
-            f"{good[CHANCE].max():.3f}."
-        )
-    binds = results.table.get("binds")
-    stopped = binds.value_counts() if binds is not None else {}
-    if len(stopped):
-        most = list(stopped.items())[:COMMONEST]
-        found.append(f"Broken most: {', '.join(f'{name} ({count:,})' for name, count in most)}.")
-    return found
 
 
 def shown(results: CampaignResults) -> list[str]:
@@ -118,7 +97,9 @@ def line_of(results: CampaignResults, place: int) -> Line:
         number=number,
         end=results.ends[place],
         cells=tuple(cells),
-        message=" ".join(filter(None, (row.get("message"), row.get("warnings")))),
+        message=" ".join(
+            filter(None, (row.get(column) for column in ("message", *SHORTFALLS, "warnings")))
+        ),
         report=report.as_posix() if (results.folder / report).is_file() else None,
         solution=folder.as_posix() if kept else None,
         commands="\n".join(

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import re
 import shlex
+from dataclasses import replace
 from datetime import UTC, datetime
 from html import unescape
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rich.console import Console
 
 from scp_recon.campaign import report
 from scp_recon.campaign.study.study import Study
+from scp_recon.campaign.view.charts import charts_of
 from scp_recon.campaign.view.figures import axes_of, figures
 from scp_recon.campaign.view.labels import label
 from scp_recon.campaign.view.outcome import CampaignResults, read_campaign
 from scp_recon.campaign.view.page import render
+from scp_recon.campaign.view.remarks import remarks
 from scp_recon.campaign.view.repeat import as_toml, command_lines
 from scp_recon.errors import InputError
 from scp_recon.scenario.load import load_scenario
@@ -55,6 +60,92 @@ def test_a_plan_that_is_not_verified_is_not_feasible(errors: CampaignResults) ->
         errors.folder, table, errors.base, errors.campaign, errors.entries, errors.cases
     )
     assert changed.counts() == {"not verified": 8}
+
+
+@pytest.mark.parametrize("column", ["flown_shortfalls", "simulated_shortfalls"])
+def test_what_a_plans_own_flights_do_not_bear_out_is_not_feasible(
+    errors: CampaignResults, column: str
+) -> None:
+    """Nor is what fell short of its limits with the spacecraft in the loop."""
+    table = errors.table.assign(**{column: ["<short> of it", *[None] * 7]})
+    changed = replace(errors, table=table)
+    assert changed.counts() == {"feasible": 7, "not verified": 1}
+    assert "Not borne out: <short> of it (1)." in remarks(changed)
+    assert "&lt;short&gt; of it</p>" in render(changed, MADE)
+
+
+def test_the_remarks_say_why_cases_have_no_plan(
+    mapped: tuple[Study, CampaignResults], errors: CampaignResults
+) -> None:
+    said = remarks(mapped[1])
+    assert any(line.startswith("Broken most: emission_max (") for line in said)
+    assert any(line.startswith("No mission: design: no window <at all> & none (") for line in said)
+    statuses, warned = ["timed out", *["converged"] * 7], ["odd mass", *[None] * 7]
+    message = ["took longer\nthan " + "9" * 300, *[None] * 7]
+    late = errors.table.assign(status=statuses, message=message, warnings=warned)
+    said = remarks(replace(errors, table=late.assign(verdict=[None, *["not verified: P(x)"] * 7])))
+    assert "Ends: 7 not verified, 1 no answer." in said
+    assert "Not borne out: P(x) (7)." in said
+    assert "Warned: odd mass (1)." in said
+    (answer,) = (line for line in said if line.startswith("No answer: took longer than 999"))
+    assert len(answer) < 200
+
+
+def test_an_axis_that_makes_no_difference_is_told(errors: CampaignResults) -> None:
+    """Whatever the other one is, and only then."""
+    assert errors.idle == ()
+    cones = errors.table["battery.delta_v_cone_deg"]
+    by_error = errors.table.assign(total_dv_m_s=errors.table["uncertainty.execution_error"])
+    told = replace(errors, table=by_error)
+    assert told.idle == ("battery.delta_v_cone_deg",)
+    assert any(line.startswith("No effect: battery.delta_v_cone_deg;") for line in remarks(told))
+    status = ["infeasible" if cone > 15 else "converged" for cone in cones]
+    assert replace(errors, table=by_error.assign(status=status)).idle == ()
+    assert replace(errors, table=by_error.assign(total_dv_m_s=np.nan)).idle == ()
+
+
+def test_cases_that_share_a_place_are_told_and_the_cheapest_is_drawn(tmp_path: Path) -> None:
+    sites = {
+        "latitude_deg": {"from": -30.0, "to": 30.0, "count": 2},
+        "longitude_deg": {"from": 0.0, "to": 240.0, "count": 3},
+    }
+    chances = {"entry": "risk.p_chance", "values": [0.9, 0.7]}
+    campaign_of({"axis": [{"sites": sites}, chances]}, tmp_path / "map")
+    results = read_campaign(tmp_path / "map")
+    assert (len(results.table), results.feasible) == (12, 6)
+    assert list(results.by_site.table["case"]) == [0, 2, 4, 6, 8, 10], (
+        "the first is cheaper by hand"
+    )
+    drawn = figures(results)["map"].axes[0].collections[0]
+    assert drawn.get_offsets().shape == (3, 2)
+    assert any("cheapest" in line for line in remarks(results))
+    grids = [
+        {"entry": entry, "values": values}
+        for entry, values in (
+            ("uncertainty.execution_error", [0.02, 0.04, 0.08]),
+            ("burns.dv_max_m_s", [0.1, 0.2]),
+            ("safety.radius_min_m", [400.0, 500.0]),
+            ("polytopes.ball", ["paper", "tangent"]),
+        )
+    ]
+    for count in (3, 4):
+        campaign_of({"axis": grids[:count]}, tmp_path / str(count))
+        results = read_campaign(tmp_path / str(count))
+        assert results.overlaid == (count == 4)
+        assert len(figures(results)["curves"].axes[0].lines[0].get_xdata()) == 3
+        assert all(len(trace["x"]) == 3 for trace in charts_of(results)[0]["data"])
+
+
+def test_draws_are_points_not_a_line_from_one_to_the_next(tmp_path: Path) -> None:
+    laws = [
+        {"entry": entry, "law": "uniform", "low": 0.05, "high": 0.1}
+        for entry in ("uncertainty.execution_error", "burns.dv_max_m_s")
+    ]
+    for count, style in ((1, "-"), (2, "None")):
+        folder = tmp_path / str(count)
+        campaign_of({"axis": [{"draws": laws[:count], "count": 6}]}, folder)
+        (line,) = figures(read_campaign(folder))["curves"].axes[0].lines
+        assert line.get_linestyle() == style
 
 
 def test_what_changes_together_is_one_axis(errors: CampaignResults) -> None:
@@ -172,6 +263,20 @@ def test_what_was_stopped_is_shown_as_far_as_it_came(
     said = capsys.readouterr().out
     assert "5 feasible of 5 cases run so far, of 8 in the study" in said
     assert {path.name for path in tmp_path.iterdir()} >= {"campaign.html", "curves.png"}
+
+
+def test_what_is_not_verified_is_told_without_the_extra_for_pages(
+    errors: CampaignResults, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The status alone, converged, would pass for success."""
+    told = replace(errors, folder=tmp_path, table=errors.table.assign(verdict="not verified: P(x)"))
+    monkeypatch.setattr(report, "find_spec", lambda _: None)
+    monkeypatch.setattr(report, "read_campaign", lambda _: told)
+    console = Console(file=StringIO(), width=200)
+    assert report.show_campaign(tmp_path, console) == []
+    said = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "0 feasible of 8 cases\nEnds: 8 not verified.\nNot borne out: P(x) (8)." in said
+    assert "no campaign.html" in said
 
 
 def test_a_folder_without_a_campaign_is_one_message(tmp_path: Path) -> None:
