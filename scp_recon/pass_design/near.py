@@ -56,6 +56,17 @@ class Found:
         return self.stage.result.lin.iterate.burns * self.mission.units.speed_m_s
 
 
+def uninterrupted(stage: Stage) -> Stage:
+    """A stage that ended by itself: an interrupted one is no pass without a plan.
+
+    Raises:
+        KeyboardInterrupt: if Ctrl-C ended it, as it is to end the design.
+    """
+    if stage.result.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return stage
+
+
 class Near:
     """Plans P2 near a pass, and says how the optimum changes.
 
@@ -81,7 +92,8 @@ class Near:
         runner = self._runner(self._mission)
         start = runner.start(from_burns(self._mission, burns_m_s))
         if not (self._exact or certain):
-            start = runner.solver.solve("P3", planner.p3_rows, start, _unseen).result.lin
+            p3 = runner.solver.solve("P3", planner.p3_rows, start, _unseen)
+            start = uninterrupted(p3).result.lin
         self._rows: Rows = planner.p3_rows if certain else self._rows_at(start)
         self._name: Literal["P3", "P2"] = "P3" if certain else "P2"
         self.first = self.plan(space.vector(at), start)
@@ -94,7 +106,8 @@ class Near:
         lin = runner.start(begun.iterate)
         if isinstance(self._rows, ChanceRows):
             return Found(at, mission, runner.restore("P2", self._rows, lin))
-        return Found(at, mission, runner.solver.solve(self._name, self._rows, lin, _unseen))
+        stage = runner.solver.solve(self._name, self._rows, lin, _unseen)
+        return Found(at, mission, uninterrupted(stage))
 
     def slope(self, found: Found, free: npt.NDArray[np.bool_]) -> Array:
         """See `optimum.slope`."""

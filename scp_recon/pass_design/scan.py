@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
-from scp_recon.pass_design.near import Found
+from scp_recon.pass_design.near import Found, uninterrupted
 from scp_recon.pass_design.ring import TURN
 from scp_recon.pass_design.space import Pass, Space
 from scp_recon.planning.initial_guess import circular, from_burns
@@ -60,7 +60,7 @@ def _cheapest(planner: Planner, at: Pass, mission: Mission, last: Found | None) 
     runner = StageRunner(mission, ScpStages(planner, mission, algorithm))
     for guess in _guesses(mission, last):
         stage = runner.solver.solve("P3", planner.p3_rows, runner.start(guess), lambda *_: None)
-        tried = Found(at, mission, stage)
+        tried = Found(at, mission, uninterrupted(stage))
         if tried.converged:
             break
     return tried
