@@ -25,10 +25,10 @@ import numpy.typing as npt
 from rich.console import Console
 
 from scp_recon.certification.certify import certify
-from scp_recon.cli.design_tables import as_csv, primer_says, progress, why_nothing
 from scp_recon.cli.keeping import point_latest, run_folder
 from scp_recon.cli.live import Progress
 from scp_recon.cli.options import add_certify, add_overrides, named_folder
+from scp_recon.cli.view.design_tables import as_csv, primer_says, progress, why_nothing
 from scp_recon.errors import InputError
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.mission import Mission
@@ -136,7 +136,7 @@ def _keep_primer(folder: Path, console: Console) -> None:
     solution = read_solution(folder)
     show_line(console, primer_says(solution.primer))
     if solution.primer is not None and _can_draw():
-        from scp_recon.cli.primer_chart import draw
+        from scp_recon.cli.view.primer_chart import draw
 
         _keep(folder, PRIMER, draw(solution.primer, [burn.t_s for burn in solution.burns]))
 
@@ -151,7 +151,7 @@ def _keep_map(folder: Path, tried: Sequence[Tried], found: Found, console: Conso
     if not _can_draw():
         show_line(console, f"no {MAP}, no {PRIMER}: pip install 'scp_recon[report]' for them")
         return
-    from scp_recon.cli.design_map import draw
+    from scp_recon.cli.view.design_map import draw
 
     _keep(folder, MAP, draw(tried, found))
 

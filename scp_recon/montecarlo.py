@@ -24,10 +24,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 
-from scp_recon.cli.flight_tables import show_summary
 from scp_recon.cli.interrupts import asked_to_stop
 from scp_recon.cli.keeping import check_holds
 from scp_recon.cli.options import SEED, int_between
+from scp_recon.cli.view.flight_tables import show_summary
 from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission

@@ -23,10 +23,10 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from scp_recon.cli import plan_tables
 from scp_recon.cli.documents import plan_document
 from scp_recon.cli.from_track import add_track_options, source_of, track_draft
 from scp_recon.cli.options import date_tdb, number_between
+from scp_recon.cli.view import plan_tables
 from scp_recon.draft.draft import Draft, GivenBody
 from scp_recon.draft.drafting import drafts, scenario_of
 from scp_recon.draft.flown import start_csv, start_table

@@ -25,9 +25,7 @@ from rich.console import Console
 
 from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
-from scp_recon.cli import plan_tables
 from scp_recon.cli.documents import plan_document
-from scp_recon.cli.infeasible import show_what_would_do, undoing
 from scp_recon.cli.keeping import UNVERIFIED, point_latest, run_folder, written
 from scp_recon.cli.live import Progress, live_progress
 from scp_recon.cli.method import check_risk, planning
@@ -39,6 +37,8 @@ from scp_recon.cli.options import (
     named_folder,
     number_between,
 )
+from scp_recon.cli.view import plan_tables
+from scp_recon.cli.view.infeasible import show_what_would_do, undoing
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission

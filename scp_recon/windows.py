@@ -16,8 +16,8 @@ from rich.console import Console
 
 from scp_recon.cli.documents import survey_document
 from scp_recon.cli.options import date_tdb, number_between
+from scp_recon.cli.view.window_tables import as_csv, show_survey
 from scp_recon.cli.warnings import show_warnings
-from scp_recon.cli.window_tables import as_csv, show_survey
 from scp_recon.errors import InputError, needing
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.checks.given import Given
@@ -79,7 +79,7 @@ def _windows(options: argparse.Namespace, console: Console) -> Answer:
         )
     if options.chart:
         with needing("--chart", "report"):
-            from scp_recon.cli.window_chart import draw
+            from scp_recon.cli.view.window_chart import draw
     warnings = check_given(Given(scenario, rotation_of(scenario), site_of(scenario)))
     found = survey(scenario, (first, first + options.span_days * DAY_S))
     show_survey(console, scenario, found)

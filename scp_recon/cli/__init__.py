@@ -1,1 +1,1 @@
-"""What the commands share: how they end, their options, and the tables that they print."""
+"""What the commands share: how they end, their options, verdicts, and what is kept of a run."""

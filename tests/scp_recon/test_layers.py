@@ -108,6 +108,7 @@ FLOORS = (
     "scp_recon.pass_design",
     "scp_recon.in_flight",
     "scp_recon.cli",
+    "scp_recon.cli.view",
     "scp_recon.report.content",
     "scp_recon.report.view",
     "scp_recon.report",

@@ -21,7 +21,7 @@ from scp_recon.campaign.study.changes import changed
 from scp_recon.campaign.study.checks import check_do
 from scp_recon.campaign.study.study import Do, Study
 from scp_recon.certification.certify import certify
-from scp_recon.cli.design_tables import why_nothing
+from scp_recon.cli.view.design_tables import why_nothing
 from scp_recon.mission.mission import Mission
 from scp_recon.pass_design.design import Designer
 from scp_recon.pass_design.setting import settled

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from scp_recon import design, solve
-from scp_recon.cli.design_tables import primer_says
+from scp_recon.cli.view.design_tables import primer_says
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.write import scenario_text

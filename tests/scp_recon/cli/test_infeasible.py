@@ -22,8 +22,8 @@ from scp_recon.certification.way_out import (
     exact_plan,
     way_out,
 )
-from scp_recon.cli.infeasible import undoing, what_binds, what_would_do
 from scp_recon.cli.method import check_risk, planning
+from scp_recon.cli.view.infeasible import undoing, what_binds, what_would_do
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess

@@ -1,0 +1,1 @@
+"""What the commands show: tables in the terminal, and charts beside a plan."""
