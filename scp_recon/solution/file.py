@@ -24,7 +24,7 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 from scp_recon.solution.parent import ParentPlan
-from scp_recon.solution.part import File, Part, read_file
+from scp_recon.solution.part import File, Part, parse_file, read_json
 from scp_recon.solution.primer import Primer
 from scp_recon.solution.risk import Risk
 from scp_recon.solution.runs import resolve_run
@@ -34,6 +34,8 @@ from scp_recon.solution.verdict import Verification
 SCHEMA, READABLE = "scp_recon.solution/2", ("scp_recon.solution/1", "scp_recon.solution/2")
 """What is written and what is read; /1 called a worst margin `worst_margin_m_or_rad`."""
 FILE_NAME = "solution.json"
+HASH = "plan_hash"
+"""Key of the hash with which a file was written, and what has failed where it is another plan's now."""
 Number = Annotated[float, Field(ge=-1e30, le=1e30)]
 """A number to compute with: small enough that its square and quotients stay finite."""
 Direction = Annotated[tuple[Number, Number, Number], Field(strict=False)]
@@ -245,7 +247,8 @@ class Solution(File):
 
     def text(self) -> str:
         """What the file holds: an entry a line."""
-        entries: dict[str, Any] = {"schema": SCHEMA, **self.model_dump(mode="json")}
+        entries: dict[str, Any] = {"schema": SCHEMA, HASH: self.plan_hash}
+        entries |= self.model_dump(mode="json")
         lines = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in entries.items()]
         return "{\n" + ",\n".join(lines) + "\n}\n"
 
@@ -263,13 +266,17 @@ def plan_hash(scenario: Scenario, burns: Sequence[Burn]) -> str:
 def read_solution(path: Path) -> Solution:
     """Read a solution file, or the one in a folder; `runs/latest` is that of the last finished run.
 
+    A file whose scenario or burns were changed after it was written is read, but as one that is not
+    verified, with a warning: its margins and its verification are of another plan.
+
     Raises:
         InputError: if there is none, it is of another version, it is damaged, or its parts do not
             fit together.
     """
     path = resolve_run(path)
     file = path / FILE_NAME if path.is_dir() else path
-    solution = read_file(file, Solution, READABLE, "solution")
+    data = read_json(file, "solution")
+    solution = parse_file(data, Solution, READABLE, f"solution {file}")
     try:
         Status.named(solution.status)
     except ValueError:
@@ -285,7 +292,23 @@ def read_solution(path: Path) -> Solution:
         raise InputError(
             f"solution {file}: {strange[0]}", "what contradicts its scenario", "must be of one plan"
         )
+    if data.get(HASH, solution.plan_hash) != solution.plan_hash:  # older files have none
+        return _changed(solution, file)
     return solution
+
+
+def _changed(solution: Solution, file: Path) -> Solution:
+    """The solution of a file that was edited: not verified, and with a warning."""
+    word = ScenarioWarning.of(
+        f"solution {file}",
+        "a scenario or burns that were changed after it was written",
+        "those it was planned with would be no surprise: its margins are of another plan",
+    )
+    changes: dict[str, Any] = {"warnings": (*solution.warnings, word)}
+    if (checked := solution.verification) is not None:
+        failed = [HASH, *checked.failed]
+        changes["verification"] = checked.model_copy(update={"ok": False, "failed": failed})
+    return solution.model_copy(update=changes)
 
 
 def _strange(mission: Mission, solution: Solution) -> list[str]:

@@ -44,7 +44,7 @@ def read_file(path: Path, kind: type[FileKind], schemas: Sequence[str], noun: st
     Raises:
         InputError: if there is none, it is of another version, or it is damaged.
     """
-    return parse_file(_parsed(path, noun), kind, schemas, f"{noun} {path}")
+    return parse_file(read_json(path, noun), kind, schemas, f"{noun} {path}")
 
 
 def parse_file(data: Any, kind: type[FileKind], schemas: Sequence[str], named: str) -> FileKind:
@@ -62,7 +62,12 @@ def parse_file(data: Any, kind: type[FileKind], schemas: Sequence[str], named: s
         raise InputError(f"{named}: {entry}", given, first["msg"]) from None
 
 
-def _parsed(path: Path, noun: str) -> Any:
+def read_json(path: Path, noun: str) -> Any:
+    """What a file of JSON holds; messages call it by the noun.
+
+    Raises:
+        InputError: if there is none, or it is no JSON.
+    """
     text = read_text(path, f"{noun} {path}", f"{noun} file in JSON")
     try:
         return json.loads(text)

@@ -162,6 +162,35 @@ def test_the_plans_hash_knows_the_last_bit_of_every_burn(
     assert solution.model_copy(update={"burns": burns}).plan_hash != solution.plan_hash
 
 
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("burns.0.dv_m_s.0", 0.012),
+        ("scenario.risk.p_chance", 0.95),
+        ("scenario.uncertainty.execution_error", 0.02),
+        ("scenario.observation.emission_max_deg", 44.0),
+    ],
+)
+def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(
+    data: Data, tmp_path: Path, path: str, value: object
+) -> None:
+    assert data["verification"]["ok"]
+    (tmp_path / "solution.json").write_text(edited(data, path, value), "utf-8")
+    read = read_solution(tmp_path)
+    assert read.verification is not None
+    assert not read.verification.ok
+    assert read.verification.failed == ["plan_hash"]
+    assert "changed after it was written" in str(read.warnings[-1])
+
+
+def test_a_file_from_before_it_held_its_hash_is_believed(data: Data, tmp_path: Path) -> None:
+    (tmp_path / "solution.json").write_text(edited(data, "plan_hash", ...), "utf-8")
+    read = read_solution(tmp_path)
+    assert read.verification is not None
+    assert read.verification.ok
+    assert not read.warnings
+
+
 def other(value: object) -> object:
     """A value next to one of the scenario's; of any number the next one."""
     match value:
