@@ -161,7 +161,11 @@ class Delivery:
         return [list(burn) for burn in flown]
 
     def strange_burns(self, scenario: Scenario, planned: Array) -> Iterator[ScenarioWarning]:
-        """Measured burns that are far from those of the plan that is flown, shape (m, 3)."""
+        """Measured burns that are far from those of the plan that is flown, shape (m, 3), m/s.
+
+        Raises:
+            InputError: if one is no burn of this flight in metres per second.
+        """
         errors, first = execution_errors(scenario), scenario.burns_flown + 1
         for number, burn in sorted(self.measured.items()):
             if not 0 <= number - first < len(planned):
@@ -169,6 +173,13 @@ class Delivery:
             expected = planned[number - first]
             sigma = float(np.linalg.norm(errors.columns(expected[None])[0]))
             off = float(np.linalg.norm(burn - expected))
+            size, planned_size = float(np.linalg.norm(burn)), float(np.linalg.norm(expected))
+            if size > max(UNITS_RATIO_MAX * planned_size, scenario.burns.dv_max_m_s):
+                raise InputError(
+                    self.name("measured_burns"),
+                    f"burn {number} of {size:.4g}",
+                    f"must be in m/s: the plan has {planned_size:.4g} m/s then",
+                )
             if off > SURE_SIGMAS * sigma and off > 0.0:
                 yield ScenarioWarning.of(
                     self.name("measured_burns"),

@@ -165,6 +165,15 @@ def test_a_burn_that_was_not_flown_cannot_have_been_measured(
         sr.plan_again(default_plan, AT, state, measured_burns=measured)
 
 
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_burn_measured_in_millimetres_per_second_is_refused_by_its_name(
+    default_plan: Plan, state: Array, number: int
+) -> None:
+    burn = 1e3 * default_plan.burns_m_s[number - 1]
+    with pytest.raises(InputError, match=f"^measured_burns: got burn {number} of .*in m/s"):
+        sr.plan_again(default_plan, AT, state, measured_burns={number: burn})
+
+
 def test_a_burn_measured_in_kilometres_per_second_is_told(default_plan: Plan, state: Array) -> None:
     burn = 1e-3 * default_plan.burns_m_s[1]
     plan = sr.plan_again(default_plan, AT, state, measured_burns={2: burn})
