@@ -188,6 +188,21 @@ def site_position(given: Given) -> Iterator[ScenarioWarning]:
     yield from between("site.position_body_m", distance, text, why, edges, refused, "m")
 
 
+def site_angles(given: Given) -> Iterator[ScenarioWarning]:
+    """Latitude and longitude that could both be in radians likely are: one site of 1000 is there."""
+    site = given.scenario.site
+    latitude, longitude = site.latitude_deg, site.longitude_deg
+    if latitude is None or longitude is None:
+        return
+    if 0.0 < abs(latitude) < 0.5 * np.pi and 0.0 < abs(longitude) < 2.0 * np.pi:
+        yield ScenarioWarning.of(
+            "site.latitude_deg",
+            f"{latitude:g} deg, and longitude {longitude:g} deg",
+            f"a latitude beyond {0.5 * np.pi:.2f} or a longitude beyond {2.0 * np.pi:.2f} deg would be "
+            "no surprise; degrees?",
+        )
+
+
 def site_normal(given: Given) -> Iterator[ScenarioWarning]:
     """A slope is seldom steep against the direction from the centre, and never overhanging.
 

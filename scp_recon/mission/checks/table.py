@@ -30,6 +30,7 @@ CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
     figure.semi_axes,
     figure.oblateness,
     body.site_position,
+    body.site_angles,
     body.named_site,
     body.site_normal,
     sun.distance,

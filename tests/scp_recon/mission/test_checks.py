@@ -13,6 +13,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.checks import body as body_checks
 from scp_recon.mission.checks import sun as sun_checks
 from scp_recon.mission.checks.given import Given, angle_deg
+from scp_recon.mission.checks.table import check_given
 from scp_recon.mission.mission import Mission, rotation_of, site_of
 from scp_recon.physics.orbit import two_body
 from scp_recon.scenario.load import load_scenario, validate_scenario
@@ -190,6 +191,21 @@ def test_a_packaged_sites_name_goes_with_its_place() -> None:
     assert "latitude 55.9 deg, longitude 41.8 deg east" in warning.expected
     named = 'site.name="Elsewhere"'
     assert mission_of("site.latitude_deg=41.8", "site.longitude_deg=55.9", named).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "told"),
+    [(0.976, 0.73, 1), (-1.2, -3.0, 1), (0.0, 0.73, 0), (0.976, 41.8, 0), (55.9, 0.73, 0)],
+)
+def test_a_site_whose_angles_are_likely_in_radians_is_warned_about(
+    scenario: Scenario, latitude: float, longitude: float, told: int
+) -> None:
+    changes = {"site.latitude_deg": latitude, "site.longitude_deg": longitude}
+    found = scenario.replace(changes)
+    given = Given(found, rotation_of(found), site_of(found))
+    warnings = [w for w in check_given(given) if w.entry == "site.latitude_deg"]
+    assert len(warnings) == told
+    assert all("degrees?" in w.expected for w in warnings)
 
 
 @pytest.mark.parametrize(
