@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 
 import numpy as np
+import numpy.typing as npt
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -14,6 +15,7 @@ from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.errors import InputError
 from scp_recon.mission.constraints import observation_limits
 from scp_recon.mission.mission import Mission
+from scp_recon.physics.geometry import angle
 from scp_recon.physics.time_scales import instant, iso_utc
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
@@ -27,6 +29,8 @@ from scp_recon.verification.reintegration import (
     POSITION_LIMIT_M,
     VELOCITY_LIMIT_M_S,
 )
+
+Array = npt.NDArray[np.float64]
 
 
 def show_mission(console: Console, mission: Mission) -> None:
@@ -48,6 +52,12 @@ def show_mission(console: Console, mission: Mission) -> None:
     console.print(
         f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})", highlight=False
     )
+    start, end = mission.times_s[[0, -1]]
+    console.print(
+        f"boundary  {_place(mission, start, mission.initial_state)}; "
+        f"{_place(mission, end, mission.final_state)}",
+        highlight=False,
+    )
     legs = ", ".join(f"{leg.mode} {leg.start_s:.0f}-{leg.end_s:.0f}" for leg in schedule.legs)
     console.print(Text(f"schedule  {legs} s"))
     burns = "; ".join(
@@ -65,6 +75,18 @@ def show_mission(console: Console, mission: Mission) -> None:
         f"grid      {len(mission.times_s)} nodes, {len(mission.window_nodes)} of them in the "
         f"window, arcs of {arcs.min():.0f} to {arcs.max():.0f} s",
         highlight=False,
+    )
+
+
+def _place(mission: Mission, time_s: float, state: Array) -> str:
+    """Of a boundary state what does not depend on axes: wrong ones show here, and nowhere else."""
+    position, velocity = state[:3], state[3:]
+    distance, speed = np.linalg.norm(position), np.linalg.norm(velocity)
+    off_sun = np.rad2deg(angle(position, mission.sun_direction(time_s)))
+    climb = velocity @ position / distance
+    return (
+        f"at {time_s:g} s {distance:.0f} m from the centre, {off_sun:.1f} deg off the Sun, "
+        f"{speed:.4f} m/s of which {climb:+.4f} upwards"
     )
 
 

@@ -1,6 +1,7 @@
 """Whether flight, limits and spacecraft are those that were meant, and in the units of their keys.
 
-Physics cannot tell the axes of the boundary states, a probability or an error.
+Physics cannot tell a probability or an error, and the axes of the boundary states only where wrong ones
+lead into the body's shadow.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.given import Given
+from scp_recon.mission.states import boundary_state, sun_direction
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scenario.warning import ScenarioWarning
 
@@ -76,6 +78,25 @@ def boundary(given: Given) -> Iterator[ScenarioWarning]:
         position = getattr(states, f"{which}position_m")
         velocity = getattr(states, f"{which}velocity_m_s")
         yield from _near(given.scenario, f"boundary.{which}", position, velocity)
+
+
+def shadow(given: Given) -> Iterator[ScenarioWarning]:
+    """A flight begins and ends in the light: swapped axes may lead into the body's shadow.
+
+    That is a cylinder of the reference radius; the planner's forces know of none.
+    """
+    scenario, radius = given.scenario, given.scenario.body.reference_radius_m
+    for which, time_s in (("initial", 0.0), ("final", scenario.duration_s)):
+        position = boundary_state(scenario, given.rotation, which)[:3]
+        sun = sun_direction(scenario, time_s)
+        along, across = float(position @ sun), float(np.linalg.norm(np.cross(position, sun)))
+        if along < 0.0 and across < radius:
+            yield ScenarioWarning.of(
+                f"boundary.{which}_position_m",
+                f"a place in the body's shadow, {across:.0f} m off its axis",
+                f"one in the light, {radius:g} m and more off it, would be no surprise: the frame and "
+                "its axes?",
+            )
 
 
 def in_flight(scenario: Scenario) -> Iterator[ScenarioWarning]:

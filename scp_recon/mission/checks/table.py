@@ -39,6 +39,7 @@ CHECKS: tuple[Callable[[Given], Iterator[ScenarioWarning]], ...] = (
     flight.safety,
     flight.site_distances,
     flight.boundary,
+    flight.shadow,
     flight.burn_size,
     flight.limit_angles,
     flight.spacecraft,

@@ -173,6 +173,19 @@ def test_frame_and_epoch_stand_by_the_burns(
     )
 
 
+def test_boundary_states_are_told_without_axes(default_run: CommandLine) -> None:
+    """In the Sun-North frame X leads to the Sun."""
+    boundary = read_solution(default_run.folder).scenario.boundary
+    position, velocity = np.array(boundary.initial_position_m), boundary.initial_velocity_m_s
+    distance = np.linalg.norm(position)
+    off_sun = np.rad2deg(np.arccos(position[0] / distance))
+    assert (
+        f"boundary  at 0 s {distance:.0f} m from the centre, {off_sun:.1f} deg off the Sun, "
+        f"{np.linalg.norm(velocity):.4f} m/s of which {position @ velocity / distance:+.4f} upwards; "
+        "at 34842 s 1138 m"
+    ) in default_run.output
+
+
 @pytest.mark.parametrize("words", [[], ["fly"], ["--version"]])
 def test_a_command_that_there_is_not_is_named(
     words: Sequence[str], capsys: pytest.CaptureFixture[str]

@@ -113,6 +113,16 @@ WARNED = [
     ({"body.gm_m3_s2": 0.5}, "body.gm_m3_s2", "73.3 kg/m^3"),
     ({"boundary.initial_velocity_m_s": SLOW}, "boundary.initial_velocity_m_s", "escape"),
     ({"boundary.final_position_m": [0.0, 1e5, 0.0]}, "boundary.final_position_m", "100 radii"),
+    (
+        {"boundary.final_position_m": [-1128.7, 19.9, -140.9]},
+        "boundary.final_position_m",
+        "m off its axis",
+    ),
+    (
+        {"boundary.initial_position_m": [-1096.3, 70.2, 200.0]},
+        "boundary.initial_position_m",
+        "in the body's shadow",
+    ),
     ({"burns.dv_max_m_s": 200.0}, "burns.dv_max_m_s", "200 m/s"),
     ({"battery.delta_v_cone_deg": 0.4067}, "battery.delta_v_cone_deg", "0.4067 deg"),
     ({"observation.site_distance_min_m": 0.5}, "observation.site_distance_min_m", "0.5 m"),
