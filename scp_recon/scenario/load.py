@@ -95,6 +95,11 @@ def packaged(name: str) -> dict[str, Any]:
 
 def _read(path: Path) -> dict[str, Any]:
     text = read_text(path, f"scenario {path}", "scenario file in TOML", BYTES_MAX)
+    if text.lstrip().startswith("{"):  # TOML never does: likely a solution
+        allowed = (
+            "must be a scenario file in TOML; solve plans a solution's scenario again with --init"
+        )
+        raise InputError(f"scenario {path}", "JSON", allowed)
     if any(line.count(".") > DOTS_MAX for line in text.splitlines()):
         raise InputError(f"scenario {path}", "a line of many dots", f"must have at most {DOTS_MAX}")
     try:

@@ -155,6 +155,14 @@ def test_an_incomplete_file_without_a_base_names_what_is_missing(tmp_path: Path)
     assert "base" in error.allowed
 
 
+def test_a_solution_in_the_place_of_a_scenario_is_told_where_it_goes(tmp_path: Path) -> None:
+    file = tmp_path / "solution.json"
+    file.write_text('{"schema": "scp_recon.solution/2",\n"nodes": [[' + "0.5, " * 300 + "1.0]]}")
+    error = file_refused(file)
+    assert (error.entry, error.given) == (f"scenario {file}", "JSON")
+    assert "--init" in error.allowed
+
+
 def test_a_later_override_wins_over_an_earlier_one_and_the_file(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text('base = "recon_b"\n[risk]\np_chance = 0.8\n', "utf-8")
