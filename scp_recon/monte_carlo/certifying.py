@@ -29,7 +29,7 @@ def flights_needed(asked: float, otherwise: str = "--certify no") -> int:
     if flights > FLIGHTS_MAX:
         raise InputError(
             "risk.p_chance",
-            f"{asked:g}",
+            f"{asked:.12g}",
             f"takes {flights} flights to certify, more than {FLIGHTS_MAX}: at most "
             f"{1.0 - FAILURES / FLIGHTS_MAX:g}, or {otherwise}",
         )

@@ -252,7 +252,8 @@ def test_flights_are_enough_for_a_few_hundred_failures(asked: float) -> None:
 
 def test_a_probability_that_takes_too_many_flights_is_refused() -> None:
     with pytest.raises(InputError) as error:
-        flights_needed(1.0 - 1e-6)
+        flights_needed(1.0 - 1e-7)
     assert error.value.entry == "risk.p_chance"
+    assert error.value.given == "0.9999999"
     assert "at most 0.9997, or --certify no" in error.value.allowed
     assert flights_needed(0.9997) == 1_000_000
