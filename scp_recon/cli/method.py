@@ -36,7 +36,8 @@ def planning(options: argparse.Namespace) -> Planning:
         _check_starts(options)
         return _by_scp(options)
     for option in ("algorithm", "solver", "facet_rounds", "starts", "seed", "workers"):
-        if (given := getattr(options, option)) not in (None, "", 0):
+        given = getattr(options, option)
+        if given is not None and (option, given) != ("facet_rounds", 0):  # which is its default
             raise InputError(
                 f"--{option.replace('_', '-')}", str(given), "goes with --method scp only"
             )
@@ -168,6 +169,13 @@ def check_risk(options: argparse.Namespace, scenario: Scenario) -> None:
     if options.dv_budget is not None and options.objective != "probability":
         raise InputError(
             "--dv-budget", f"{options.dv_budget:g}", "goes with --objective probability"
+        )
+    most = len(scenario.burn_times_s) * scenario.burns.dv_max_m_s
+    if options.dv_budget is not None and options.dv_budget > most:
+        raise InputError(
+            "--dv-budget",
+            f"{options.dv_budget:g} m/s",
+            f"must be at most {most:g} m/s, all burns at burns.dv_max_m_s, or any",
         )
     if scenario.risk.allocation != "exact":
         for option, given in (("certify", options.certify), ("objective", options.objective)):

@@ -37,11 +37,16 @@ def test_algorithm_and_solver_are_recorded(tmp_path: Path, algorithm: str, solve
         (("--method", "ipopt", "--solver", "ECOS"), "--solver: got ECOS; goes with --method scp"),
         (("--method", "ipopt", "--algorithm", "ptr"), "--algorithm: got ptr; goes with"),
         (("--method", "ipopt", "--starts", "2"), "--starts: got 2; goes with --method scp only"),
+        (("--method", "ipopt", "--seed", "0"), "--seed: got 0; goes with --method scp only"),
         (("--seed", "0"), "--seed: got 0; goes with --starts of 2 or more"),
         (("--starts", "1", "--workers", "2"), "--workers: got 2; goes with --starts of 2 or more"),
         (
             ("--starts", "2", "--objective", "probability", "--set", "risk.allocation=exact"),
             "--starts: got 2; goes with --objective delta-v",
+        ),
+        (
+            ("--objective", "probability", "--dv-budget", "115", "--set", "risk.allocation=exact"),
+            "--dv-budget: got 115 m/s; must be at most 0.8 m/s, all burns at burns.dv_max_m_s",
         ),
         (("--certify", "yes"), "--certify: got yes; goes with risk.allocation = exact only"),
         ((*P3_EXACT, "--certify", "yes"), "--certify: got yes; goes with --problem P2"),
