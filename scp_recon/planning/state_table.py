@@ -32,6 +32,9 @@ COLUMNS = {
 
 UNITS_RATIO_MAX = 30.0
 """Kilometres are a thousand metres; trajectories of one flight differ by far less than its root."""
+TURN_MAX, MOTION_OFF_MAX = 0.3, 0.5
+"""Of the velocity: how much it changes between neighbours that are close enough to tell how positions
+move, and how far it may be from that."""
 
 
 def from_table(mission: Mission, path: Path, entry: str = "init") -> Iterate:
@@ -107,7 +110,8 @@ def _interpolated(pieces: Sequence[Array], times: Array) -> Array:
 def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> None:
     """Refuse a table whose magnitudes cannot be those of the flight in metres and seconds.
 
-    Its distances are held against the flight's, and its velocities against its own positions.
+    Its distances are held against the flight's, and its velocities against its own positions, in
+    size and in direction.
     """
     distance = np.median(np.linalg.norm(states[:, :3], axis=1))
     ends = np.linalg.norm([mission.initial_state[:3], mission.final_state[:3]], axis=1)
@@ -118,16 +122,29 @@ def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> No
             f"must be in metres: the flight is {ends.min():.3g} to {ends.max():.3g} m from it",
         )
     took = np.diff(time)
-    path_speed = (
-        np.linalg.norm(np.diff(states[:, :3], axis=0), axis=1)[took > 0.0] / took[took > 0.0]
-    )
-    speed, moved = np.median(np.linalg.norm(states[:, 3:], axis=1)), np.median(path_speed)
-    if not moved / UNITS_RATIO_MAX <= speed <= moved * UNITS_RATIO_MAX:
+    moved = (np.diff(states[:, :3], axis=0).T[:, took > 0.0] / took[took > 0.0]).T
+    mean = 0.5 * (states[:-1, 3:] + states[1:, 3:])[took > 0.0]
+    speed, path_speed = np.median(_lengths(states[:, 3:])), np.median(_lengths(moved))
+    if not path_speed / UNITS_RATIO_MAX <= speed <= path_speed * UNITS_RATIO_MAX:
         raise InputError(
             entry,
             f"velocities about {speed:.3g}",
-            f"must be in metres per second: the positions move at {moved:.3g} m/s",
+            f"must be in metres per second: the positions move at {path_speed:.3g} m/s",
         )
+    turned = np.diff(states[:, 3:], axis=0)[took > 0.0]
+    close = _lengths(turned) <= TURN_MAX * _lengths(mean)
+    off, pace = _lengths(moved - mean)[close], _lengths(moved)[close]
+    if close.any() and not np.median(off) <= MOTION_OFF_MAX * np.median(pace):
+        raise InputError(
+            entry,
+            f"velocities {np.median(off):.3g} m/s from how the positions move",
+            "must be the positions' own, along the same axes, which are inertial",
+        )
+
+
+def _lengths(vectors: Array) -> Array:
+    """Of vectors of shape (n, 3)."""
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def read_table(path: Path, entry: str) -> Array:

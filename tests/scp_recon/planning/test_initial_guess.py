@@ -265,6 +265,18 @@ def test_a_table_in_other_units_is_refused(
     assert named in error.allowed
 
 
+def test_velocities_of_other_axes_are_refused(
+    mission: Mission, ballistic: Iterate, tmp_path: Path
+) -> None:
+    states = states_of(mission, ballistic)
+    backwards = states * [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]
+    turning = np.array([mission.rotation.body_to_j2000(t).T for t in mission.times_s])
+    body_fixed = np.einsum("nij,nkj->nki", turning, states.reshape(-1, 2, 3)).reshape(-1, 6)
+    for wrong in (backwards, body_fixed, states[:, [0, 1, 2, 4, 5, 3]]):
+        error = refused(mission, write(tmp_path / "t.csv", mission.times_s, wrong))
+        assert "how the positions move" in error.given
+
+
 @pytest.mark.parametrize("rows", [2, 3, 10])
 def test_a_sparse_table_in_metres_is_read(
     mission: Mission, ballistic: Iterate, tmp_path: Path, rows: int
