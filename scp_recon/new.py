@@ -33,6 +33,7 @@ from scp_recon.draft.flown import start_csv, start_table
 from scp_recon.draft.text import draft_text
 from scp_recon.environment.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
 from scp_recon.errors import InputError
+from scp_recon.exchange.track_doubts import pull_doubts, step_doubts
 from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, state_table
@@ -170,11 +171,16 @@ def _from_track(
     path, start = files
     flown, track = track_draft(options, source, lambda: _first(options))
     mission = Mission.from_scenario(flown.scenario)
+    doubts = (*track.doubts, *step_doubts(track), *pull_doubts(mission, track))
+    mission = replace(mission, warnings=(*mission.warnings, *doubts))
     check_writable(path.parent, path.name, "NAME")
     guess = state_table.from_states(mission, start_table(track), track.source)
     solution = make_solution(plan(mission, guess, init=start.name))
     planned = Planned(flown.draft, mission, solution, verify(mission, solution))
-    outcome = _outcome(planned, f" --init {start.name}")
+    outcome = [
+        *_outcome(planned, f" --init {start.name}"),
+        *(f"warning: {doubt}" for doubt in doubts),
+    ]
     _write(start, start_csv(track, list(state_table.COLUMNS.values())))
     _write(path, draft_text(replace(flown.draft, outcome=outcome), flown.tables))
     return _shown(planned, [path, start], console)

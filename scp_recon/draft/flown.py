@@ -26,6 +26,7 @@ from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import Window
 from scp_recon.scenario.load import validate_scenario
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.warning import ScenarioWarning
 
 Array = npt.NDArray[np.float64]
 Tables = Mapping[str, Sequence[Entry]]
@@ -44,12 +45,14 @@ class Track:
         times_s: past it, ascending from 0; twice the same at a burn, shape (n,).
         states: shape (n, 6).
         source: what it was read from, for comments.
+        doubts: what is strange about it.
     """
 
     epoch: datetime
     times_s: Array
     states: Array
     source: str
+    doubts: tuple[ScenarioWarning, ...] = ()
 
     @property
     def duration_s(self) -> float:

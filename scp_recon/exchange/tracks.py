@@ -26,6 +26,7 @@ from scp_recon.environment.kernels import (
 )
 from scp_recon.errors import InputError, needing
 from scp_recon.exchange.ccsds import plain_name
+from scp_recon.exchange.track_doubts import jump_doubts, late_doubts
 from scp_recon.physics.frames import DAY_S, J2000_TDB
 from scp_recon.planning.state_table import read_table
 
@@ -56,7 +57,8 @@ def spice_track(meta: Path, spacecraft: int, body: int, span: tuple[datetime, da
         )
     times = np.linspace(0.0, duration, count)
     states = read_states([meta], spacecraft, body, _et(begin) + times, SPICE)
-    return Track(begin, times, states, f"from {meta.name}, spacecraft {spacecraft}")
+    doubts = tuple(jump_doubts(meta, spacecraft, body, (_et(begin), _et(end)), SPICE))
+    return Track(begin, times, states, f"from {meta.name}, spacecraft {spacecraft}", doubts)
 
 
 def spice_body(
@@ -178,8 +180,9 @@ def cut(track: Track, begin: datetime | None, end: datetime | None) -> Track:
             f"{low:g} to {high:g} s of {track.duration_s:g} s",
             "must have two states of the trajectory between them",
         )
-    epoch = track.epoch + timedelta(seconds=float(times[0]))
-    return Track(epoch, times - times[0], track.states[inside], track.source)
+    first, last = (track.epoch + timedelta(seconds=float(time)) for time in times[[0, -1]])
+    doubts = (*track.doubts, *late_doubts(begin, end, (first, last)))
+    return Track(first, times - times[0], track.states[inside], track.source, doubts)
 
 
 def _et(when: datetime) -> float:
@@ -189,4 +192,4 @@ def _et(when: datetime) -> float:
 
 def _one_of(entry: str, key: str, given: str, known: Sequence[str]) -> None:
     if given.strip().upper() not in known:
-        raise InputError(f"{entry}: {key}", given, f"must be {' or '.join(known)}")
+        raise InputError(f"{entry}: {key}", given, f"must be {' or '.join(dict.fromkeys(known))}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 
 from scp_recon import new
+from scp_recon.draft.flown import Track
 from scp_recon.errors import InputError
 from scp_recon.exchange.ccsds import oem_text
 from scp_recon.exchange.heading import Export, Ids
 from scp_recon.exchange.path import fly_path
 from scp_recon.exchange.table import csv_text
+from scp_recon.exchange.track_doubts import pull_doubts, step_doubts
 from scp_recon.exchange.tracks import csv_track, cut, oem_track
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.time_scales import tdb_of_utc
@@ -240,6 +243,69 @@ def test_what_is_too_short_for_its_burns_says_so(
     words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
     assert run("mine", *words, "--from", FROM, "--to", "2020-01-22T02:00:00") == 2
     assert "begin earlier or end later" in capsys.readouterr().err
+
+
+def test_a_burn_just_outside_of_the_ends_is_told(
+    meta: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At a burn's epoch kernels answer with the state after it."""
+    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
+    ends = ("--from", "2020-01-21T20:32:07.999497", "--to", "2020-01-22T06:12:49.9994")
+    assert run("mine", *words, *ends) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "warning: --from: got a time with a jump of 0.0495 m/s" in said
+    assert "warning: --to: got a time with a jump of 0.0387 m/s" in said
+    assert "# warning: --from: " in Path("mine.toml").read_text("utf-8")
+    inside = ("--from", "2020-01-21T20:32:07.999", "--to", "2020-01-22T06:12:50.000")
+    assert run("other", *words, *inside) == 0
+    assert "warning: --" not in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def track(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Track:
+    path = tmp_path_factory.mktemp("track") / "plan.csv"
+    path.write_text(csv_text(export), encoding="utf-8")
+    return csv_track(path, export.mission.scenario.epoch.tdb)
+
+
+def test_a_trajectory_of_the_model_raises_no_doubt(export: Export, track: Track) -> None:
+    assert not list(step_doubts(track))
+    assert not list(pull_doubts(export.mission, track))
+
+
+def test_what_bends_otherwise_than_the_body_pulls_is_told(export: Export, track: Track) -> None:
+    """Another body's; metres that are kilometres; axes that turn, with their own velocities."""
+    rotation = export.mission.rotation
+    to_body = np.array([rotation.body_to_j2000(time).T for time in track.times_s])
+    turned = np.einsum("nij,nkj->nki", to_body, track.states.reshape(-1, 2, 3))
+    turned[:, 1] -= np.cross([0.0, 0.0, rotation.rate], turned[:, 0])
+    slower = replace(
+        track, times_s=2.0 * track.times_s, states=track.states * ([1.0] * 3 + [0.5] * 3)
+    )
+    for wrong in (
+        slower,
+        replace(track, states=1e3 * track.states),
+        replace(track, states=turned.reshape(-1, 6)),
+    ):
+        (doubt,) = pull_doubts(export.mission, wrong)
+        assert "otherwise than Bennu and sunlight" in str(doubt)
+
+
+def test_gaps_and_states_that_are_elsewhere_are_told(track: Track) -> None:
+    kept = (track.times_s < 12_000.0) | (track.times_s > 14_000.0)
+    gap = replace(track, times_s=track.times_s[kept], states=track.states[kept])
+    assert "without a state from" in str(next(step_doubts(gap)))
+    states = track.states.copy()
+    states[0, 0] += 100.0
+    assert "positions jump" in str(next(step_doubts(replace(track, states=states))))
+
+
+def test_ends_that_are_not_those_asked_for_are_told(track: Track) -> None:
+    begin = track.epoch + timedelta(seconds=float(track.times_s[3]) - 30.0)
+    told = cut(track, begin, track.epoch + timedelta(seconds=1e6)).doubts
+    assert [doubt.entry for doubt in told] == ["--from", "--to"]
+    assert "a time 30.000 s before" in told[0].given
+    assert not cut(track, track.epoch, None).doubts
 
 
 def test_the_extra_is_named_where_it_is_missing(
