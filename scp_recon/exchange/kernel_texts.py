@@ -33,8 +33,8 @@ CLOCK_STARTS_S = -86_400.0
 STRING_MAX = 70
 """Characters of a string in a kernel: 80 at most."""
 MONTHS = {1: "JAN", 7: "JUL"}
-PUBLIC_FRAMES = 1_400_000
-"""From here on frame numbers are free for anyone."""
+PUBLIC_FRAMES, PUBLIC_COUNT = 1_400_000, 600_000
+"""From here on so many frame numbers are free for anyone."""
 
 
 def frame_names(export: Export) -> tuple[str, str]:
@@ -86,7 +86,7 @@ def frames(export: Export) -> str:
     ids, number, body_frame = (
         export.ids,
         attitude_id(export),
-        PUBLIC_FRAMES + export.ids.body % 10**6,
+        PUBLIC_FRAMES + export.ids.body % PUBLIC_COUNT,
     )
     entries: dict[str, Value] = {
         f"FRAME_{craft}": number,

@@ -3,7 +3,8 @@
 SPK type 13, cubic Hermite, one segment a coast: at a burn's epoch SPICE answers with the state after
 it, just before it with one that leads there. CK type 3, one segment a mode: within a mode SPICE turns
 evenly between attitudes, and nothing spans the slew from one mode's attitude to the next one's, which
-is the controller's. Needs the extra [spice].
+is the controller's; a mode begins a microsecond early, so that its first instant is its own. Needs
+the extra [spice].
 """
 
 from __future__ import annotations
@@ -87,8 +88,10 @@ def write_ck(export: Export, flight: FlightPlan, path: Path) -> None:
     def fill(handle: int) -> None:
         for leg in flight.legs:
             times = command_times(flight, leg)
+            times = np.append(times[0], times)
             to_axes = np.ascontiguousarray(commanded(flight, leg, times).inv().as_matrix())
             clock = ticks(times)
+            clock[0] -= 1.0  # so that its first instant, however it is rounded, has this mode
             if leg is flight.legs[-1]:  # whose end no next one takes over
                 clock[-1] += 1.0
             spice.ckw03(

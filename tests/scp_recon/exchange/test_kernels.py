@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -11,14 +12,15 @@ import numpy as np
 import pytest
 
 from scp_recon.environment.catalogue import packaged_body
-from scp_recon.exchange import kernels
+from scp_recon.exchange import kernel_texts, kernels
 from scp_recon.exchange.files import write_export
-from scp_recon.exchange.heading import Export
+from scp_recon.exchange.heading import UNNAMED_BODY_ID, Export, Ids
 from scp_recon.exchange.kernels import command_times, commanded
 from scp_recon.physics.time_scales import iso_utc
 from scp_recon.spacecraft.guidance import FlightPlan
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
+BENNU = 2101955
 SPACECRAFT, BODY, AXES = "-999", "BENNU", "SC999_AXES"
 
 
@@ -94,7 +96,7 @@ def test_attitudes_are_within_a_billionth_of_a_radian(
 ) -> None:
     flight = FlightPlan.of(export.solution, export.mission, vehicle)
     for leg in flight.legs:
-        times = command_times(flight, leg)[1:-1]
+        times = command_times(flight, leg)[:-1]  # with the first instant of a mode
         expected = commanded(flight, leg, times).as_matrix()
         for et, matrix in zip(export.et(times), expected, strict=True):
             off = spice.pxform(AXES, "J2000", et) @ matrix.T
@@ -123,7 +125,7 @@ def test_the_camera_sees_the_site_in_the_window(
     """Site, body-fixed axes, spacecraft and its axes, all from the kernels."""
     first, last = export.mission.schedule.window_s
     site = np.array(export.mission.scenario.site.position_body_m) / 1e3
-    for et in export.et(np.linspace(first, last, 9)):
+    for et in export.et(np.linspace(first, last - 1e-3, 9)):
         at_site = spice.pxform("B2101955_FIXED", "J2000", et) @ site
         craft = spice.spkpos(SPACECRAFT, et, "J2000", "NONE", BODY)[0]
         camera = spice.pxform(AXES, "J2000", et) @ np.array(vehicle.sensors.camera)
@@ -153,6 +155,14 @@ def test_the_body_turns_and_moves_as_the_planner_has_it(spice: ModuleType, expor
     known = packaged_body("Bennu")
     assert known is not None
     assert spice.bodvrd(BODY, "RADII", 3)[1] * 1e3 == pytest.approx(known.entries["radii_m"])
+
+
+@pytest.mark.parametrize("body", [BENNU, UNNAMED_BODY_ID, 20_600_001, 433])
+def test_frame_numbers_are_those_that_are_free(export: Export, body: int) -> None:
+    given = Export(export.solution, export.mission, export.path, Ids(-999, body))
+    found = re.search(rf"FRAME_B{body}_FIXED = (\d+)\n", kernel_texts.frames(given))
+    assert found is not None
+    assert 1_400_000 <= int(found[1]) <= 2_000_000
 
 
 def test_utc_is_that_of_the_headings(spice: ModuleType, export: Export) -> None:
