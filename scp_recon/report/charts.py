@@ -70,15 +70,16 @@ def ground_chart(shown: Sequence[Shown]) -> dict[str, Any]:
     alone = len(shown) == 1
     for number, one in enumerate(shown):
         track = one.ground
-        first, last = one.subject.mission.schedule.window_s
+        first, last = one.subject.window_s
         seen = (track.times_s >= first) & (track.times_s <= last)
         jumps = np.abs(np.diff(track.longitude_deg, append=track.longitude_deg[-1])) > 180.0
         longitude = np.where(jumps, np.nan, track.longitude_deg)
         name = "below the spacecraft" if alone else one.subject.name
         data.append(curve(longitude, track.latitude_deg, name, number))
-        within = curve(longitude[seen], track.latitude_deg[seen], f"{name}, window", number)
-        data.append(within | {"line": {"color": palette.PLANS[number], "width": 6}})
-        data += _outlines(one, number, alone=alone)
+        if seen.any():
+            within = curve(longitude[seen], track.latitude_deg[seen], f"{name}, window", number)
+            data.append(within | {"line": {"color": palette.PLANS[number], "width": 6}})
+            data += _outlines(one, number, alone=alone)
     marker = {"symbol": "star", "size": 14, "color": palette.SITE, "line": {"width": 1}}
     sites = {site_degrees(one.subject): one.subject.mission.scenario.site.name for one in shown}
     data += [_points([x], [y], f"site {name}", marker) for (x, y), name in sites.items()]

@@ -108,15 +108,17 @@ def _charts(
     subjects = [one.subject for one in shown]
     window = subjects[0].mission.schedule.window_s
     names = [subject.name for subject in subjects]
+    observes = any(len(one.flown.window) for one in shown)  # none does after the window
 
     def named(of: Callable[[Shown], Any]) -> list[tuple[str, Any]]:
         return [(one.subject.name, of(one)) for one in shown]
 
-    yield history_chart(
-        "observation",
-        "Constraints of the observation, in the window",
-        named(lambda one: observation_histories(one.subject, one.flown)),
-    )
+    if observes:
+        yield history_chart(
+            "observation",
+            "Constraints of the observation, in the window",
+            named(lambda one: observation_histories(one.subject, one.flown)),
+        )
     yield charts.probability_chart(list(zip(subjects, found, strict=True)))
     yield history_chart(
         "ranges",
@@ -131,11 +133,12 @@ def _charts(
         window,
     )
     yield charts.ground_chart(shown)
-    yield history_chart(
-        "resolution",
-        "Resolution at the site, in the window",
-        named(lambda one: resolution_history(one.subject, one.flown, camera)),
-    )
+    if observes:
+        yield history_chart(
+            "resolution",
+            "Resolution at the site, in the window",
+            named(lambda one: resolution_history(one.subject, one.flown, camera)),
+        )
     yield charts.timeline_chart(subjects)
     yield charts.budget_chart(list(zip(names, budgets, strict=True)))
     simulated = craft_chart(subjects)

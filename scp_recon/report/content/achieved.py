@@ -40,7 +40,8 @@ class Achieved:
 def achieved(subject: Subject, flown: Flown) -> list[Achieved]:
     """Of every joint constraint at each time, and of all of them from the start so far."""
     mission = subject.mission
-    joint = joint_margins(mission, flown.window_s, flown.positions[flown.window])
+    seen = flown.window
+    joint = joint_margins(mission, flown.window_s, flown.positions[seen]) if len(seen) else {}
     radius = np.linalg.norm(flown.positions, axis=2) - mission.scenario.safety.radius_min_m
     kept: dict[str, tuple[Array, Bools]] = {SAFETY: (flown.times_s, holds(radius, "m"))}
     for name, margin in joint.items():

@@ -22,7 +22,7 @@ class Flown:
 
     Attributes:
         times_s: nodes, and even times in the window, shape (n,).
-        window: which of them are in the window, shape (w,).
+        window: which of them are in what is left of the window, shape (w,).
         positions: J2000, m, shape (n, flights, 3).
         executed_m_s: sizes of the burns as executed, shape (flights, m).
     """
@@ -52,8 +52,8 @@ def fly(subject: Subject, samples: int = SAMPLES, seed: int = SEED) -> Flown:
         seed: of all draws.
     """
     mission, burns = subject.mission, subject.solution.burns_m_s
-    first, last = mission.schedule.window_s
-    times = np.union1d(mission.times_s, np.linspace(first, last, LOOKS_IN_WINDOW))
+    first, last = subject.window_s
+    times = np.union1d(mission.times_s, subject.looks_s(LOOKS_IN_WINDOW))
     positions, executed = [], []
     for number in range(-(-samples // BLOCK)):
         flights = min(BLOCK, samples - number * BLOCK)

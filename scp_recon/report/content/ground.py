@@ -32,7 +32,7 @@ class GroundTrack:
         times_s: shape (n,).
         longitude_deg: east, -180 to 180, of the point below the spacecraft, shape (n,).
         latitude_deg: planetocentric, shape (n,).
-        looks_s: times in the window, shape (w,).
+        looks_s: times in what is left of the window, shape (w,).
         outlines_m: edge of the field of view on the ground, NaN where a ray misses the body, shape
             (w, rays, 3).
     """
@@ -45,11 +45,11 @@ class GroundTrack:
 
 
 def ground_track(subject: Subject, shape: Shape, camera: Camera) -> GroundTrack:
-    """Of the planned mean, with the camera pointed to the site throughout the window."""
+    """Of the planned mean, with the camera at the site throughout what is left of the window."""
     mission, times = subject.mission, subject.fine_s
-    first, last = mission.schedule.window_s
-    looks = np.linspace(first, last, LOOKS)
-    below = degrees_of(_fixed(subject, times))
+    looks, below = subject.looks_s(LOOKS), degrees_of(_fixed(subject, times))
+    if not len(looks):
+        return GroundTrack(times, below[0], below[1], looks, np.empty((0, RAYS, 3)))
     here = _fixed(subject, looks)
     boresight = unit(mission.site.position_body - here)
     rays = around(boresight, camera.half_angle_rad)

@@ -17,7 +17,8 @@ window.report = (() => {
     toImageButtonOptions: { filename: `${data.file}-${name}`, scale: 2 },
   });
   const [start, end] = motion.ends_s;
-  let time = (motion.plans[0].window_s[0] + motion.plans[0].window_s[1]) / 2;
+  const { t_s: ticks, window_s: observed } = motion.plans[0];
+  let time = Math.max((observed[0] + observed[1]) / 2, ticks[0]);
   let playing = false, printing = false;
 
   // ---- theme --------------------------------------------------------------------------------

@@ -60,7 +60,9 @@ def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
 
 
 def _ends(plans: Sequence[Shown]) -> tuple[float, float]:
-    return 0.0, max(float(one.subject.nodes_s[-1]) for one in plans)
+    """From the first plan's begin to the last one's end, s."""
+    nodes = [one.subject.nodes_s for one in plans]
+    return float(min(each[0] for each in nodes)), float(max(each[-1] for each in nodes))
 
 
 def _rotation(frame: Frame, mission: Mission) -> dict[str, Any]:
@@ -86,7 +88,7 @@ def _moving(frame: Frame, one: Shown) -> dict[str, Any]:
         "t_s": compact(times, 3),
         "position": compact(frame.seen(subject.positions(times)).T, 2),
         "nodes_s": compact(subject.nodes_s, 3),
-        "window_s": list(subject.mission.schedule.window_s),
+        "window_s": list(subject.window_s),
         "legs": legs,
         "site": compact(subject.mission.site.position_body, 3),
         "looks_s": compact(ground.looks_s, 2),

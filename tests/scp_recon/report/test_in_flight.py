@@ -1,0 +1,78 @@
+"""Reports of plans that are made in flight: nothing of them is before they begin."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+
+from scp_recon.in_flight.delivery import Delivery
+from scp_recon.in_flight.parent import FlownPlan
+from scp_recon.in_flight.prediction import predict
+from scp_recon.in_flight.replanning import mission_left, replan
+from scp_recon.planning.plan import Plan
+from scp_recon.report import write
+from scp_recon.report.content.camera import Camera
+from scp_recon.report.content.flown import fly
+from scp_recon.report.content.subject import subjects_of
+from scp_recon.report.page import Page, render
+from scp_recon.report.write import page_of
+from scp_recon.solution.file import Solution
+from scp_recon.solution.from_plan import make_solution
+
+from .conftest import MADE
+
+IN_THE_WINDOW, AFTER_IT = 15_000.0, 17_000.0
+OF_THE_WINDOW = {"observation", "resolution"}
+
+
+@pytest.fixture(autouse=True)
+def _few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(write, "fly", partial(fly, samples=100))
+
+
+@pytest.fixture(scope="module")
+def left(default_plan: Plan) -> dict[float, Solution]:
+    flown = FlownPlan.of(default_plan)
+
+    def from_time(at_s: float) -> Solution:
+        delivery = Delivery(at_s, predict(flown, at_s, {}).state)
+        return make_solution(replan(flown, mission_left(flown, delivery, ()), certified=False))
+
+    return {at_s: from_time(at_s) for at_s in (IN_THE_WINDOW, AFTER_IT)}
+
+
+def earliest(page: Page, keys: set[str]) -> float:
+    """Of all times on the horizontal axes of some charts."""
+    charts = [chart for chart in page.charts if chart["key"] in keys]
+    given = [trace["x"] for chart in charts for trace in chart["data"]]
+    return float(min(np.nanmin(np.array(x, dtype=float)) for x in given if len(x)))
+
+
+@pytest.mark.parametrize("at_s", [IN_THE_WINDOW, AFTER_IT])
+def test_nothing_is_shown_of_a_time_before_the_plan(
+    left: dict[float, Solution], at_s: float
+) -> None:
+    (subject,) = subjects_of([left[at_s]])
+    assert fly(subject, samples=10).times_s[0] == at_s
+    page = page_of([subject], Camera(), MADE)
+    assert earliest(page, {"ranges", "probability", *OF_THE_WINDOW}) == pytest.approx(at_s)
+    moving = page.scene["motion"]
+    assert moving["ends_s"][0] == at_s
+    assert all(look >= at_s for look in moving["plans"][0]["looks_s"])
+    shown = {chart["key"] for chart in page.charts}
+    assert (shown >= OF_THE_WINDOW) == (at_s < subject.mission.schedule.window_s[1])
+    assert "<html" in render(page)
+
+
+def test_beside_a_whole_flight_the_window_is_the_whole_ones(
+    left: dict[float, Solution], verified: Solution
+) -> None:
+    for given in ([verified, left[AFTER_IT]], [left[AFTER_IT], verified]):
+        page = page_of(subjects_of(given), Camera(), MADE)
+        assert {chart["key"] for chart in page.charts} >= OF_THE_WINDOW
+        assert page.scene["motion"]["ends_s"][0] == 0.0
+        text = json.dumps(page.charts, default=float)
+        assert "Infinity" not in text
