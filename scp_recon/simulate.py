@@ -11,6 +11,7 @@ from scp_recon.cli.command import (
     run_command,
     show_written,
 )
+from scp_recon.cli.tables import plain_table
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -23,7 +24,6 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemainingColumn
-from rich.table import Table
 
 from scp_recon.cli.keeping import check_holds
 from scp_recon.cli.options import SEED
@@ -107,9 +107,7 @@ def _flight(
 
 def show(console: Console, summary: FlightSummary) -> None:
     """The figures that matter."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in ("mode", "from s", "for s", "at least s", "steady after s"):
-        table.add_column(heading, justify="left" if heading == "mode" else "right")
+    table = plain_table("mode", "from s", "for s", "at least s", "steady after s")
     for leg in summary.legs:
         mark = "" if leg.ok else " too short"
         mark += "" if leg.settled_in_time else " not steady in time"
@@ -117,9 +115,8 @@ def show(console: Console, summary: FlightSummary) -> None:
         numbers = (leg.start_s, leg.duration_s, leg.required_s)
         table.add_row(leg.mode + mark, *(f"{x:.0f}" for x in numbers), settled)
     console.print(table)
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in ("burn at s", "planned m/s", "executed m/s", "off at start deg", "executed deg"):
-        table.add_column(heading, justify="right")
+    headings = ("burn at s", "planned m/s", "executed m/s", "off at start deg", "executed deg")
+    table = plain_table(*headings, names=0)
     for burn in summary.burns:
         sizes = (math.hypot(*velocity) for velocity in (burn.planned_m_s, burn.executed_m_s))
         angles = (burn.pointing_deg, burn.executed_pointing_deg)

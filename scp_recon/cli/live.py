@@ -11,6 +11,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from scp_recon.cli.tables import plain_table
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.loop import Record
@@ -85,9 +86,7 @@ class Progress:
 @contextmanager
 def live_progress(console: Console, mission: Mission) -> Iterator[Progress]:
     """Show what planning is at, until it ends."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in HEADINGS:
-        table.add_column(heading, justify="left" if heading == "stage" else "right", no_wrap=True)
+    table = plain_table(*HEADINGS, no_wrap=True)
     # Redrawn on every row and never from a thread, so that a captured log holds the table once.
     with Live(table, console=console, auto_refresh=False) as live:
         yield Progress(mission, live, table)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 from rich.table import Table
 
+from scp_recon.cli.tables import plain_table
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.summary import Interval, Spread, Summary, Terminal
 
@@ -40,7 +41,7 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
 
 
 def _times_held(summary: Summary) -> Table:
-    table = _table(
+    table = plain_table(
         "time held, s", "mean", "worst 1 sigma", "worst 2 sigma", "probability of\nthroughout"
     )
     for name, held in summary.held_s.items():
@@ -53,20 +54,12 @@ def _times_held(summary: Summary) -> Table:
 
 
 def _probabilities(summary: Summary, asked: float | None) -> Table:
-    table = _table("joint constraint", "lowest probability", "at s", "asked")
+    table = plain_table("joint constraint", "lowest probability", "at s", "asked")
     for name, lowest in summary.probability.items():
         limit = "" if asked is None or name == ALL else f"{asked:g}"
         table.add_row(_label(name), _shown(lowest, 4), f"{lowest.worst_t_s:.0f}", limit)
     if summary.whole_flight is not None:
         table.add_row("all limits, whole flight", _shown(summary.whole_flight, 4), "", "")
-    return table
-
-
-def _table(first: str, *others: str) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column(first)
-    for heading in others:
-        table.add_column(heading, justify="right")
     return table
 
 

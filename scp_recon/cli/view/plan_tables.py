@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from scp_recon.cli.tables import plain_table
 from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.errors import InputError
 from scp_recon.mission.constraints import observation_limits
@@ -103,14 +104,7 @@ def show_solution(console: Console, solution: Solution) -> None:
         Text(f"\n{solution.problem}: ", style=f"bold {colour}")
         + Text(solution.message, style="not bold")
     )
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for heading in ("burn", "time s", "x m/s", "y m/s", "z m/s", "size m/s"):
-        table.add_column(heading, justify="right")
-    for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown):
-        size = float(np.linalg.norm(burn.dv_m_s))
-        cells = [f"{component:+.6f}" for component in burn.dv_m_s]
-        table.add_row(str(number), f"{burn.t_s:g}", *cells, f"{size:.6f}")
-    console.print(table)
+    console.print(_burns(solution))
     console.print(
         f"{frame_and_time(solution.scenario)}", style="dim", highlight=False, soft_wrap=True
     )
@@ -122,34 +116,39 @@ def show_solution(console: Console, solution: Solution) -> None:
             f"{solution.timing_s.conic_solver:.2f} s in the conic solver\n",
         )
     )
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    chance = solution.problem == "P2"
-    table.add_column("constraint")
-    for heading in (
-        "worst chance margin" if chance else "worst margin",
-        "at s",
-        "facets",
-        "violated by",
-    ):
-        table.add_column(heading, justify="right")
+    console.print(_constraints(solution))
+    _show_risk(console, solution.risk)
+    _show_starts(console, solution.starts)
+
+
+def _burns(solution: Solution) -> Table:
+    table = plain_table("burn", "time s", "x m/s", "y m/s", "z m/s", "size m/s", names=0)
+    for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown):
+        size = float(np.linalg.norm(burn.dv_m_s))
+        cells = [f"{component:+.6f}" for component in burn.dv_m_s]
+        table.add_row(str(number), f"{burn.t_s:g}", *cells, f"{size:.6f}")
+    return table
+
+
+def _constraints(solution: Solution) -> Table:
+    """Worst margins; and what is violated without having one, as the final state is."""
+    margin = "worst chance margin" if solution.problem == "P2" else "worst margin"
+    table = plain_table("constraint", margin, "at s", "facets", "violated by")
+    violated = {
+        name: Text(f"{amount.max:.4g} {amount.unit}", style="red")
+        for name, amount in solution.violation.by_constraint.items()
+    }
     for c in solution.constraints:
-        amount = solution.violation.by_constraint.get(c.name)
         table.add_row(
             Text(c.name),
             f"{round(c.worst_margin, 4) + 0.0:+.4f} {c.unit}",
             f"{c.worst_t_s:.0f}",
             str(c.facets or ""),
-            Text(f"{amount.max:.4g} {amount.unit}", style="red") if amount else "",
+            violated.pop(c.name, ""),
         )
-    listed = {c.name for c in solution.constraints}
-    for name, amount in solution.violation.by_constraint.items():
-        if name not in listed:
-            table.add_row(
-                Text(name), "", "", "", Text(f"{amount.max:.4g} {amount.unit}", style="red")
-            )
-    console.print(table)
-    _show_risk(console, solution.risk)
-    _show_starts(console, solution.starts)
+    for name, amount in violated.items():
+        table.add_row(Text(name), "", "", "", amount)
+    return table
 
 
 def frame_and_time(scenario: Scenario) -> str:
@@ -183,10 +182,8 @@ def _show_starts(console: Console, starts: StartsSummary | None) -> None:
     """The distinct local optima of several starts."""
     if starts is None:
         return
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column(f"local optima of {starts.number} starts, seed {starts.seed}")
-    for heading in ("delta-v m/s", "starts", "which"):
-        table.add_column(heading, justify="right")
+    found = f"local optima of {starts.number} starts, seed {starts.seed}"
+    table = plain_table(found, "delta-v m/s", "starts", "which")
     for optimum in starts.optima:
         which = ", ".join(map(str, optimum.starts[:6])) + (
             ", ..." if len(optimum.starts) > 6 else ""
@@ -210,10 +207,19 @@ def show_verification(
     """Re-integration, mean margins between the nodes, joint probabilities, warnings and the verdict."""
     v = verification
     console.print()
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("re-integrated")
-    for heading in ("off by", "allowed"):
-        table.add_column(heading, justify="right")
+    console.print(_reintegrated(v))
+    console.print(_mean_margins(mission, v))
+    console.print(_probabilities(mission, v))
+    show_warnings(console, warnings)
+    show_verdict(console, "verified", v.failed)
+    if v.missed is not None:
+        console.print(str(v.missed), highlight=False, soft_wrap=True)
+    if v.failed and "status" not in v.failed and _between_nodes(mission, v):
+        console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
+
+
+def _reintegrated(v: Verification) -> Table:
+    table = plain_table("re-integrated", "off by", "allowed")
     for name, off, most, unit in (
         ("final position", v.terminal_position_error_m, POSITION_LIMIT_M, " m"),
         ("final velocity", v.terminal_velocity_error_m_s, VELOCITY_LIMIT_M_S, " m/s"),
@@ -222,12 +228,13 @@ def show_verification(
         ("covariance, relative", v.covariance_error, COVARIANCE_LIMIT, ""),
     ):
         table.add_row(name, f"{off:.1e}{unit}", f"{most:.1e}{unit}")
-    console.print(table)
+    return table
+
+
+def _mean_margins(mission: Mission, v: Verification) -> Table:
+    """Of the original constraints, each beside its limit."""
     asked = _asked(mission)
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("original constraint on the mean")
-    for heading in ("asked", "worst margin", "at s"):
-        table.add_column(heading, justify="right")
+    table = plain_table("original constraint on the mean", "asked", "worst margin", "at s")
     for m in v.mean_margins:
         margin = {
             "m": f"{m.worst_margin:+.1f} m",
@@ -235,26 +242,18 @@ def show_verification(
             "rad": f"{np.rad2deg(m.worst_margin):+.2f} deg",
         }[m.unit]
         table.add_row(m.name, asked.get(m.name, ""), margin, f"{m.worst_t_s:.0f}")
-    console.print(table)
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column(f"Monte Carlo, {v.samples} flights")
-    for heading in ("lowest probability", f"{100 * v.confidence:.0f} % interval", "at s", "asked"):
-        table.add_column(heading, justify="right")
+    return table
+
+
+def _probabilities(mission: Mission, v: Verification) -> Table:
+    """Of the joint constraints, each beside what was asked."""
+    flights, interval = f"Monte Carlo, {v.samples} flights", f"{100 * v.confidence:.0f} % interval"
+    table = plain_table(flights, "lowest probability", interval, "at s", "asked")
+    asked = f"{mission.scenario.risk.p_chance:g}"
     for p in v.probabilities:
-        table.add_row(
-            p.name,
-            f"{p.estimate:.4f}",
-            f"{p.low:.4f} to {p.high:.4f}",
-            f"{p.worst_t_s:.0f}",
-            f"{mission.scenario.risk.p_chance:g}",
-        )
-    console.print(table)
-    show_warnings(console, warnings)
-    show_verdict(console, "verified", v.failed)
-    if v.missed is not None:
-        console.print(str(v.missed), highlight=False, soft_wrap=True)
-    if v.failed and "status" not in v.failed and _between_nodes(mission, v):
-        console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
+        bounds = f"{p.low:.4f} to {p.high:.4f}"
+        table.add_row(p.name, f"{p.estimate:.4f}", bounds, f"{p.worst_t_s:.0f}", asked)
+    return table
 
 
 def _asked(mission: Mission) -> dict[str, str]:

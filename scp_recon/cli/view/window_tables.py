@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from scp_recon.cli.tables import plain_table
 from scp_recon.mission.legal_burns import Interval
 from scp_recon.mission.survey import LitWindow, Survey
 from scp_recon.physics.frames import DAY_S
@@ -63,7 +64,7 @@ def show_survey(console: Console, scenario: Scenario, survey: Survey) -> None:
 
 
 def _windows(scenario: Scenario, survey: Survey) -> Table:
-    table = _table(
+    table = plain_table(
         "window",
         "opens, TDB",
         "opens\ns",
@@ -71,6 +72,7 @@ def _windows(scenario: Scenario, survey: Survey) -> Table:
         "lasts\ns",
         "least inci-\ndence deg",
         "local solar\ntime h",
+        no_wrap=True,
     )
     for number, w in enumerate(survey.windows, start=1):
         (first, last), (early, late) = w.edges_s, w.local_solar_time_h
@@ -87,7 +89,7 @@ def _windows(scenario: Scenario, survey: Survey) -> Table:
 def _legal(scenario: Scenario, survey: Survey) -> Table:
     count = len(scenario.burns.times_s)
     headings = ["burn 1\n= epoch", *(f"burn {i}\n" for i in range(2, count + 1))]
-    table = _table("window", "moved\n", *headings)
+    table = plain_table("window", "moved\n", *headings, no_wrap=True)
     for number, w in enumerate(survey.windows, start=1):
         table.add_row(str(number), _moved(w), *map(_interval, w.burns_s))
     return table
@@ -100,14 +102,6 @@ def _moved(window: LitWindow) -> str:
 def _interval(interval: Interval) -> str:
     early, late = interval
     return f"{early:.0f} to {late:.0f}" if early <= late else "nowhere"
-
-
-def _table(first: str, *others: str) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column(first)
-    for heading in others:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
 
 
 def as_csv(scenario: Scenario, survey: Survey) -> str:
