@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from scp_recon.campaign.engine.columns import OWN
 from scp_recon.campaign.rows.case import solution_path
 from scp_recon.campaign.study.axes import EPOCH
 from scp_recon.campaign.view.charts import charts_of
@@ -33,6 +34,7 @@ class Line:
         end: how it ended.
         cells: entries, measures and the limit that stopped it.
         message: what it said.
+        found: what its flights, simulation, certificate or design came to, by column.
         report: of its plan, relative to the campaign's folder, if there is one.
         solution: its folder there, if it was kept.
         commands: that make it again.
@@ -42,6 +44,7 @@ class Line:
     end: str
     cells: tuple[Cell, ...]
     message: str
+    found: str
     report: str | None
     solution: str | None
     commands: str
@@ -99,6 +102,11 @@ def line_of(results: CampaignResults, place: int) -> Line:
         cells=tuple(cells),
         message=" ".join(
             filter(None, (row.get(column) for column in ("message", *SHORTFALLS, "warnings")))
+        ),
+        found="; ".join(
+            f"{column} {cell(row[column]).text}"
+            for column in OWN[results.campaign.do]
+            if column not in SHORTFALLS and row.get(column) is not None
         ),
         report=report.as_posix() if (results.folder / report).is_file() else None,
         solution=folder.as_posix() if kept else None,

@@ -245,6 +245,13 @@ def test_the_page_says_it_all_and_escapes(mapped: tuple[Study, CampaignResults])
     assert len(costs) == results.feasible
 
 
+def test_a_case_opens_with_what_its_flights_came_to(errors: CampaignResults) -> None:
+    flown = errors.table.assign(flights=3000, flown_lowest=0.985, flown_lowest_of="emission")
+    campaign = errors.campaign.model_copy(update={"do": "fly"})
+    page = render(replace(errors, table=flown, campaign=campaign), MADE)
+    assert "<p>flights 3000; flown_lowest 0.985; flown_lowest_of emission</p>" in page
+
+
 def test_a_plan_that_was_kept_is_linked(mapped: tuple[Study, CampaignResults]) -> None:
     folder = mapped[1].folder
     kept = folder / "solutions" / "case-0000003"
