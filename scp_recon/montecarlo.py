@@ -42,7 +42,7 @@ from scp_recon.monte_carlo.flights import (
 )
 from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME
-from scp_recon.monte_carlo.verdict import probability_asked, shortfalls
+from scp_recon.monte_carlo.verdict import probability_asked, shortfalls, too_wide
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution, read_solution
 from scp_recon.solution.runs import folder_of, only_run_in, resolve_run
@@ -141,7 +141,10 @@ def _fly(options: argparse.Namespace, console: Console) -> Answer:
             raise unwritable(folder, "folder", error) from None
     show_summary(console, summary, probability_asked(solution))
     show_warnings(console, [*solution.warnings, *mission.warnings])
-    failed = shortfalls(summary, solution)
+    failed = [
+        *shortfalls(summary, solution),
+        *too_wide(flown.widest_interval(), options.until),
+    ]
     show_verdict(console, "as asked", failed)
     show_written(console, path)
     document = {"failed": failed, "files": [str(path)], **summary.model_dump(mode="json")}

@@ -37,6 +37,20 @@ def shortfalls(summary: Summary, solution: Solution) -> list[str]:
     return found
 
 
+def too_wide(width: float, until: float | None) -> list[str]:
+    """An interval wider than flights were to go on until, where they came to an end before.
+
+    Args:
+        width: of the widest confidence interval.
+        until: width that was asked for, if one was.
+    """
+    if until is None or width <= until:
+        return []
+    return [
+        f"widest interval {100.0 * width:.3g} %, asked {100.0 * until:g} %: needs more --samples"
+    ]
+
+
 def _judged(found: Interval, solution: Solution) -> float:
     """The estimate; of an exact plan, which spends what was asked, what flights do not refute."""
     exact = solution.scenario.risk.allocation == "exact"

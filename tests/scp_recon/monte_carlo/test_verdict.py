@@ -31,6 +31,17 @@ def test_what_was_asked_is_met(summary: Summary, solution: Solution) -> None:
     assert shortfalls(summary, solution) == []
 
 
+@pytest.mark.parametrize(("until", "status"), [("30%", 0), ("5%", 4)])
+def test_an_interval_that_stays_too_wide_is_not_what_was_asked(
+    until: str, status: int, solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the flights allowed are too few to narrow it."""
+    solution.write(tmp_path)
+    assert montecarlo.main([str(tmp_path), "--samples", "300", "--until", until]) == status
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("%, asked 5 %: needs more --samples" in said) == bool(status)
+
+
 def test_what_is_not_met_stands_beside_what_was_asked(summary: Summary, solution: Solution) -> None:
     found = shortfalls(summary, asking(solution, 0.99))
     short = {n for n, p in summary.probability.items() if p.estimate.value < 0.99} - {ALL}
