@@ -58,7 +58,7 @@ def run_study(
 
 
 def limits_of(study: Study) -> Limits:
-    """Of each of its cases."""
+    """The limits of each case of a study."""
     return Limits(study.campaign.limit_s, study.campaign.memory_mb)
 
 

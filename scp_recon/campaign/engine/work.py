@@ -74,7 +74,7 @@ class StudyWork:
 
     @property
     def columns(self) -> Mapping[str, type]:
-        """Of its rows."""
+        """Columns of its rows."""
         return FIXED | OWN[self.do]
 
     def __call__(self, case: Case, /) -> Found:

@@ -44,7 +44,7 @@ class Found(NamedTuple):
 class Done(NamedTuple):
     """A case that is over: what it came to, its wall and processor time in s, how often it was tried.
 
-    What it took of a process that has died nobody knows.
+    The processor time is None where its process died, which takes that knowledge with it.
     """
 
     case: Case
@@ -83,7 +83,7 @@ class Stopwatch:
     cpu: float = field(default_factory=process_time)
 
     def read(self) -> tuple[float, float]:
-        """Both."""
+        """Wall and processor time so far, s."""
         return perf_counter() - self.wall, process_time() - self.cpu
 
 
@@ -106,15 +106,15 @@ def attempt(work: Work, case: Case) -> Done:
 
 
 def trouble(status: str, message: str) -> Found:
-    """What is left to say of a case that came to nothing."""
+    """What a case without a result came to: how it ended, and why."""
     return Found({"status": status, "message": printable(message)})
 
 
 def solution_path(folder: Path, number: int) -> Path:
-    """Where the solution of a case is, if it is kept."""
+    """File of a case's solution in a campaign's folder, there if solutions are kept."""
     return folder / solution_name(number)
 
 
 def solution_name(number: int) -> str:
-    """Its path in the campaign's folder; a folder of its own, as every command takes."""
+    """Path of a case's solution in the campaign's folder; it has its own, which every command takes."""
     return f"{SOLUTIONS}/case-{number:07d}/solution.json"

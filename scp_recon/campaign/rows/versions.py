@@ -1,4 +1,4 @@
-"""Of the packages on which the last bits of a result depend."""
+"""Versions of the packages on which the last bits of a result depend."""
 
 from __future__ import annotations
 

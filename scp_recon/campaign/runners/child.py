@@ -31,11 +31,11 @@ from scp_recon.campaign.rows.case import (
 SERVE = "scp_recon.campaign.runners.serve"
 READY = "ready"
 TRIES = 3
-"""Of a case that kills its process."""
+"""How often a case is tried that kills its process."""
 GRACE_S = 5.0
-"""After its limit until the parent ends a child that its alarm has not ended."""
+"""Seconds past a case's limit after which the parent ends a child that its alarm has not ended."""
 START_S = 600.0
-"""For which a process may read its modules, which on a busy file server takes its time."""
+"""Seconds that a process may take to read its modules: a busy file server is slow."""
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1"
 )
@@ -44,7 +44,7 @@ ONE_THREAD = dict.fromkeys(
 
 @dataclass(frozen=True)
 class Limits:
-    """Of a case: wall time in s, memory beyond the process's own in megabytes."""
+    """Limits of a case: wall time in s, memory beyond the process's own in megabytes."""
 
     seconds: float = 600.0
     memory_mb: int = 4096

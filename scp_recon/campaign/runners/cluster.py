@@ -25,12 +25,13 @@ from scp_recon.errors import InputError, needing
 AHEAD = 4
 """Cases sent for each thread of the cluster; more would wait in the scheduler's memory."""
 LEAST_AHEAD = 32
+"""Cases sent at least, however small the cluster."""
 LOOK_S = 1.0
-"""Between looks whether the scheduler is there, and how many workers it has."""
+"""Seconds between looks whether the scheduler is there, and how many workers it has."""
 GATHER_S = 60.0
-"""For which results may be on their way."""
+"""Seconds for which results may be on their way."""
 GONE_S = 120.0
-"""For which a scheduler may be away before the campaign gives up."""
+"""Seconds for which a scheduler may be away before the campaign gives up."""
 
 
 @dataclass(frozen=True)

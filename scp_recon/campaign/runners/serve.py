@@ -20,7 +20,7 @@ from scp_recon.campaign.rows.case import attempt
 from scp_recon.campaign.runners.child import READY, Limits, read_message, write_message
 
 LOOK_S = 1.0
-"""Between looks whether the parent is there."""
+"""Seconds between looks whether the parent is there."""
 
 
 def main() -> int:

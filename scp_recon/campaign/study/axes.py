@@ -24,7 +24,8 @@ Real = Annotated[float, Field(ge=-1e15, le=1e15)]
 LATITUDE, LONGITUDE = "site.latitude_deg", "site.longitude_deg"
 EPOCH = "epoch.tdb"
 DAYS_MAX = 440.0
-"""Of a search for windows, and from the epoch: two-body motion is off by 0.02 deg there, at Bennu."""
+"""Longest search for windows, and farthest from the epoch: two-body motion is off by 0.02 deg there, at
+Bennu."""
 
 
 class Axis(Section):

@@ -16,7 +16,7 @@ from scp_recon.errors import InputError
 from scp_recon.scenario.schema import Scenario
 
 ROWS_MAX = 1_000_000
-"""Of one axis."""
+"""Most rows of one axis."""
 CHECKED = 100
 """Rows of an axis whose scenarios are made before the work, spread evenly from first to last."""
 SHOWN = 5

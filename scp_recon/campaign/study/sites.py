@@ -13,9 +13,9 @@ from scp_recon.errors import InputError
 from scp_recon.scenario.schema import Scenario
 
 PARTS = 50
-"""Of the surface for each site, in which its area is summed."""
+"""Parts of the surface for each site, over which its area is summed."""
 ROUNDS = 40
-"""Of Lloyd's algorithm; after 20 the areas of 324 sites on Bennu hardly change."""
+"""Rounds of Lloyd's algorithm; after 20 the areas of 324 sites on Bennu hardly change."""
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 

@@ -92,7 +92,7 @@ class Study:
         unknown = set(tables) - {"campaign", "axis"}
         if unknown:
             raise InputError(
-                ", ".join(sorted(unknown)), "an unknown entry", "must be campaign or axis"
+                ", ".join(sorted(map(str, unknown))), "an unknown entry", "must be campaign or axis"
             )
         campaign = _model(Campaign, tables.get("campaign", {}), "campaign")
         kinds = _axes(tables.get("axis", []))

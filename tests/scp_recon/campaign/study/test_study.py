@@ -294,6 +294,12 @@ def test_the_hash_is_of_what_decides_the_rows(tmp_path: Path) -> None:
         assert hashed(other) != hashed(one)
 
 
+def test_keys_that_are_no_text_are_told_as_unknown() -> None:
+    """As only Python's own tables can have them."""
+    with pytest.raises(InputError, match="3: got an unknown entry"):
+        Study.validated({3: []})  # type: ignore[dict-item]
+
+
 @pytest.mark.parametrize("text", ["[campaign", "[campaign]\n[[axes]]\n", "axis = 3"])
 def test_a_file_that_is_no_study_is_refused(text: str, tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
