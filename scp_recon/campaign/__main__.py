@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from scp_recon.campaign.engine.run import run_study
-from scp_recon.campaign.report import show_campaign
+from scp_recon.campaign.report import show_campaign, summary_of
 from scp_recon.campaign.rows.table import status_counts
 from scp_recon.campaign.studies import WORKERS_MAX, runner_of
 from scp_recon.campaign.study.study import ASK_FROM, read_study
@@ -81,11 +81,15 @@ def _campaign(options: argparse.Namespace, console: Console) -> Answer:
     for status, count in counts.items():
         show_line(console, f"{count:10,}  {status}")
     show_written(console, path)
-    shown = show_campaign(options.out, console)
-    files = [str(file) for file in (path, *shown)]
-    return Answer(
-        0, {"cases": len(study.cases), "hash": study.hash, "statuses": counts, "files": files}
-    )
+    results, shown = show_campaign(options.out, console)
+    document = {
+        "cases": len(study.cases),
+        "hash": study.hash,
+        "statuses": counts,
+        **summary_of(results),
+        "files": [str(file) for file in (path, *shown)],
+    }
+    return Answer(0, document)
 
 
 @contextmanager

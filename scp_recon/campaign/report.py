@@ -25,6 +25,7 @@ from datetime import UTC, datetime
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
@@ -55,11 +56,20 @@ def _show(folder: Path, console: Console) -> Answer:
     results = read_campaign(folder)
     written = write_pictures(results)
     _tell(results, written, console)
-    return Answer(0, {"feasible": results.feasible, "files": [str(path) for path in written]})
+    return Answer(0, summary_of(results) | {"files": [str(path) for path in written]})
 
 
-def show_campaign(folder: Path, console: Console) -> list[Path]:
-    """Tell of a finished campaign, and write what the extra [report] allows of it.
+def summary_of(results: CampaignResults) -> dict[str, Any]:
+    """What the terminal says of a campaign, for `--json`."""
+    return {
+        "feasible": results.feasible,
+        "ends": results.counts(),
+        "remarks": remarks(results),
+    }
+
+
+def show_campaign(folder: Path, console: Console) -> tuple[CampaignResults, list[Path]]:
+    """Tell of a finished campaign, and write what the extra [report] allows of it: those files.
 
     Raises:
         InputError: if the folder cannot be written, or pandas is missing.
@@ -70,7 +80,7 @@ def show_campaign(folder: Path, console: Console) -> list[Path]:
     _tell(results, written, console)
     if lacking:
         show_line(console, f"no {PAGE}: pip install 'scp_recon[report]' for the page and pictures")
-    return written
+    return results, written
 
 
 def _tell(results: CampaignResults, written: Sequence[Path], console: Console) -> None:

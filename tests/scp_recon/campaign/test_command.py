@@ -47,6 +47,9 @@ def test_a_study_ends_with_its_table_and_its_solutions(
     document = json.loads(said.out)
     assert document["command"] == "campaign"
     assert document["statuses"] == {"converged": 1, "refused": 1}
+    assert document["ends"] == {"feasible": 1, "no mission": 1}
+    assert document["remarks"][-1].startswith("No mission: boundary.final_position_m: got ")
+    assert document["remarks"][-1] in said.err
     rows = read_results(out)
     assert list(rows.status) == ["refused", "converged"]
     assert "boundary.final_position_m" in rows.message[0]

@@ -280,7 +280,7 @@ def test_what_is_not_verified_is_told_without_the_extra_for_pages(
     monkeypatch.setattr(report, "find_spec", lambda _: None)
     monkeypatch.setattr(report, "read_campaign", lambda _: told)
     console = Console(file=StringIO(), width=200)
-    assert report.show_campaign(tmp_path, console) == []
+    assert report.show_campaign(tmp_path, console) == (told, [])
     said = console.file.getvalue()  # type: ignore[attr-defined]
     assert "0 feasible of 8 cases\nEnds: 8 not verified.\nNot borne out: P(x) (8)." in said
     assert "no campaign.html" in said
