@@ -47,4 +47,8 @@ def runner_of(
         from scp_recon.campaign.runners.cluster import Cluster
 
         return Cluster(scheduler, limits_of(study), say)
-    return Processes(workers, limits_of(study)) if workers else here
+    if workers:
+        return Processes(workers, limits_of(study))
+    if asked := sorted(study.campaign.model_fields_set & {"limit_s", "memory_mb"}):
+        say(f"{' and '.join(asked)}: not kept with --workers 0, where no case can be ended")
+    return here

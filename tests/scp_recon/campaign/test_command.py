@@ -14,6 +14,10 @@ import pytest
 
 from scp_recon.campaign import __main__ as command
 from scp_recon.campaign.rows.table import JOURNAL, ROWS, read_results
+from scp_recon.campaign.runners.here import here
+from scp_recon.campaign.runners.processes import Processes
+from scp_recon.campaign.studies import runner_of
+from scp_recon.campaign.study.study import Study
 from scp_recon.solution.file import read_solution
 from tests.scp_recon.campaign.support import computed
 
@@ -83,6 +87,23 @@ def test_bad_input_is_one_message(
     assert command.main([study, "--out", str(tmp_path / "out")]) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ({}, []),
+        ({"limit_s": 5.0}, ["limit_s: not kept with --workers 0, where no case can be ended"]),
+    ],
+)
+def test_limits_that_are_asked_for_and_not_kept_are_told(
+    limits: dict[str, float], said: list[str]
+) -> None:
+    study, heard = Study.validated({"campaign": limits}), list[str]()
+    assert runner_of(study, 0, None, heard.append) is here
+    assert heard == said
+    assert isinstance(runner_of(study, 1, None, heard.append), Processes)
+    assert heard == said
 
 
 def test_another_study_is_refused_in_the_same_folder(
