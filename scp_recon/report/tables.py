@@ -12,12 +12,7 @@ from scp_recon.report.content.subject import Subject
 from scp_recon.report.flight_tables import flights_table, simulation_tables
 from scp_recon.report.table import Cell, Row, Table, cell, table
 from scp_recon.solution.comparison import compare
-from scp_recon.verification.reintegration import (
-    COVARIANCE_LIMIT,
-    DEFECT_LIMIT_M,
-    POSITION_LIMIT_M,
-    VELOCITY_LIMIT_M_S,
-)
+from scp_recon.verification.reintegration import FIGURES, limits_of
 
 
 def tables_of(subject: Subject, budget: Budget) -> list[Table]:
@@ -140,19 +135,22 @@ def _mean_margins(subject: Subject) -> Table:
 
 
 def _reintegration(subject: Subject) -> Table:
-    v = subject.solution.verification
-    rows: list[tuple[str, float, float, str]] = [] if v is None else [
-        ("final position", v.terminal_position_error_m, POSITION_LIMIT_M, "m"),
-        ("final velocity", v.terminal_velocity_error_m_s, VELOCITY_LIMIT_M_S, "m/s"),
-        ("nodes", v.max_defect, DEFECT_LIMIT_M, "m"),
-        ("sampled flights", v.sample_error_m, DEFECT_LIMIT_M, "m"),
-        ("covariance, relative", v.covariance_error, COVARIANCE_LIMIT, "1"),
-    ]  # fmt: skip
+    """Figures beside what is allowed; no limit where one is not judged."""
+    v, limits = subject.solution.verification, limits_of(subject.mission)
+    rows: list[Row] = [
+        [
+            name,
+            cell(getattr(v, figure), ".1e"),
+            cell(limits[figure], ".1e") if np.isfinite(limits[figure]) else "",
+            unit or "1",
+        ]
+        for figure, (name, unit) in (FIGURES.items() if v else ())
+    ]
     return table(
         "reintegration",
         "Integrated again without the solver",
         ("what", "off by", "allowed", "unit"),
-        [[name, cell(off, ".1e"), cell(most, ".1e"), unit] for name, off, most, unit in rows],
+        rows,
     )
 
 

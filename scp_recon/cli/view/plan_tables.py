@@ -24,12 +24,7 @@ from scp_recon.scp.status import Status
 from scp_recon.solution.file import Solution, StartsSummary
 from scp_recon.solution.risk import Risk
 from scp_recon.solution.verdict import Verification
-from scp_recon.verification.reintegration import (
-    COVARIANCE_LIMIT,
-    DEFECT_LIMIT_M,
-    POSITION_LIMIT_M,
-    VELOCITY_LIMIT_M_S,
-)
+from scp_recon.verification.reintegration import FIGURES, limits_of
 
 Array = npt.NDArray[np.float64]
 
@@ -207,7 +202,7 @@ def show_verification(
     """Re-integration, mean margins between the nodes, joint probabilities, warnings and the verdict."""
     v = verification
     console.print()
-    console.print(_reintegrated(v))
+    console.print(_reintegrated(mission, v))
     console.print(_mean_margins(mission, v))
     console.print(_probabilities(mission, v))
     show_warnings(console, warnings)
@@ -218,16 +213,13 @@ def show_verification(
         console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
 
 
-def _reintegrated(v: Verification) -> Table:
+def _reintegrated(mission: Mission, v: Verification) -> Table:
+    """What a flight by another integrator differs by; no limit where it is not judged."""
     table = plain_table("re-integrated", "off by", "allowed")
-    for name, off, most, unit in (
-        ("final position", v.terminal_position_error_m, POSITION_LIMIT_M, " m"),
-        ("final velocity", v.terminal_velocity_error_m_s, VELOCITY_LIMIT_M_S, " m/s"),
-        ("nodes", v.max_defect, DEFECT_LIMIT_M, " m"),
-        ("sampled flights", v.sample_error_m, DEFECT_LIMIT_M, " m"),
-        ("covariance, relative", v.covariance_error, COVARIANCE_LIMIT, ""),
-    ):
-        table.add_row(name, f"{off:.1e}{unit}", f"{most:.1e}{unit}")
+    limits = limits_of(mission)
+    for figure, (name, unit) in FIGURES.items():
+        off, most = (f"{x:.1e} {unit}".rstrip() for x in (getattr(v, figure), limits[figure]))
+        table.add_row(name, off, most if np.isfinite(limits[figure]) else "")
     return table
 
 

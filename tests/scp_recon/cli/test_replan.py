@@ -103,7 +103,12 @@ def test_the_verdict_says_what_one_burn_misses(
     assert found.verification.missed.position_m == pytest.approx(58.8, abs=0.1)
     assert found.violation.by_constraint == {}
     assert verify.main([str(out)]) == 0
-    assert "the final state is missed by 58.8" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "the final state is missed by 58.8" in said
+    # What is not judged stands beside no limit.
+    rows = {line[:20].strip(): line[20:].split() for line in said.splitlines()}
+    assert rows["final position"] == ["5.9e+01", "m"]
+    assert rows["nodes"][-2:] == ["1.0e-02", "m"]
 
 
 def test_a_covariance_comes_from_a_file_in_axes_of_its_own(

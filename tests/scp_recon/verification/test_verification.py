@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
+from scp_recon.cli.command import WIDE
+from scp_recon.cli.plan_tables import show_verification
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics.forces import acceleration, gravity_gradient
@@ -21,7 +26,7 @@ from scp_recon.solution.from_plan import make_solution
 from scp_recon.solution.verdict import Verification
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import MARGIN_LIMIT, holds
-from scp_recon.verification.reintegration import variational_rate, verify
+from scp_recon.verification.reintegration import FIGURES, limits_of, variational_rate, verify
 from tests.scp_recon.support import Array, mission_of
 
 Change = Callable[[dict[str, Any]], None]
@@ -37,6 +42,20 @@ def test_default_solution_is_confirmed(verification: Verification) -> None:
     assert v.terminal_velocity_error_m_s < 1e-4
     assert v.covariance_error < 1e-6
     assert v.max_defect < 1e-2
+
+
+def test_what_is_shown_as_allowed_is_what_is_judged(verification: Verification) -> None:
+    """About a body so large that the integrators differ by more than a centimetre."""
+    mission = mission_of()
+    limits = limits_of(mission)
+    assert limits["sample_error_m"] == 0.01
+    large = replace(mission, units=replace(mission.units, length_m=50_000.0))
+    assert limits_of(large) == {**limits, "sample_error_m": pytest.approx(0.05)}
+    assert limits.keys() == FIGURES.keys()
+    shown = io.StringIO()
+    show_verification(Console(file=shown, width=WIDE), large, verification)
+    row = next(line for line in shown.getvalue().splitlines() if line.startswith("sampled flights"))
+    assert row.split()[-2:] == ["5.0e-02", "m"]
 
 
 def test_every_joint_probability_reaches_what_was_asked(verification: Verification) -> None:
