@@ -43,7 +43,7 @@ above what is needed in the mean and 1.3 in 95 of 100, after 2.6 rounds; if the 
 BINDING = 0.01
 """Standard deviations between aim and law, up to which a constraint binds."""
 
-Planning = Callable[[Mission, Iterate, float], Plan]
+AimedPlanning = Callable[[Mission, Iterate, float], Plan]
 """A plan of a mission from a start, aiming at a probability."""
 
 
@@ -56,7 +56,7 @@ class Watch(Protocol):
 
 
 def certify(
-    mission: Mission, start: Iterate, make_plan: Planning, watch: Watch | None = None
+    mission: Mission, start: Iterate, make_plan: AimedPlanning, watch: Watch | None = None
 ) -> Plan:
     """Plan so that the lower limit of the probability reached is at least what was asked.
 
@@ -101,7 +101,7 @@ class _Rounds:
     flown: list[tuple[Plan, bool]] = field(default_factory=list)
 
     def run(
-        self, mission: Mission, start: Iterate, make_plan: Planning, watch: Watch | None
+        self, mission: Mission, start: Iterate, make_plan: AimedPlanning, watch: Watch | None
     ) -> Plan:
         samples = self.aiming.samples
         for number in range(1, ROUNDS_MAX + 1):

@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import (
     ROUNDS_MAX,
-    Planning,
+    AimedPlanning,
     Watch,
     are_close,
     certificate_from,
@@ -61,7 +61,7 @@ class Search:
         close: standard deviations between what has a plan and what has none.
     """
 
-    make_plan: Planning
+    make_plan: AimedPlanning
     budget_m_s: float = float("inf")
     close: float = CLOSE
 
@@ -112,7 +112,7 @@ def with_warning(best: Plan, undecided: Plan) -> Plan:
 def largest_probability(
     mission: Mission,
     start: Iterate,
-    make_plan: Planning,
+    make_plan: AimedPlanning,
     budget_m_s: float = float("inf"),
     close: float = CLOSE,
 ) -> Plan:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.certify import certify
+from scp_recon.certification.certify import AimedPlanning, certify
 from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.cli.live import Progress
 from scp_recon.errors import InputError, one_of
@@ -66,7 +66,6 @@ def _by_scp(options: argparse.Namespace) -> Planning:
         options.solver or SOLVER,
         prefix="--",
     )
-
     make_plan = partial(
         plan,
         problem=options.problem,
@@ -75,21 +74,46 @@ def _by_scp(options: argparse.Namespace) -> Planning:
         solver=method.solver,
         facet_rounds=options.facet_rounds,
     )
+    return ByScp(options, make_plan)
 
-    def once(
-        mission: Mission,
-        start: Iterate,
-        observe: Observer,
-        aim: float | None,
-        init: str = options.init,
-    ) -> Plan:
-        return make_plan(mission, start, aim=aim, init=init, observe=observe)
 
-    def several(mission: Mission, start: Iterate, observe: Progress) -> Plan:
+@dataclass(frozen=True)
+class ByScp:
+    """Planning by SCP as options ask for it: once, certified, from several starts, or for the most.
+
+    Attributes:
+        options: of the command line.
+        make_plan: `planner.plan` with the method that they name.
+    """
+
+    options: argparse.Namespace
+    make_plan: Callable[..., Plan]
+
+    def __call__(self, mission: Mission, start: Iterate, observe: Progress) -> Plan:
+        """The plan of a mission from a start."""
+        if self.options.objective == "probability":
+            return self._largest(mission, start, observe)
+        if (self.options.starts or 1) > 1:
+            return self._from_several(mission, start, observe)
+        if not is_certified(self.options, mission.scenario):
+            return self.make_plan(mission, start, init=self.options.init, observe=observe)
+        return certify(mission, start, self._aiming(observe, self.options.init), observe.round)
+
+    def _aiming(self, observe: Progress, init: str) -> AimedPlanning:
+        """Plans that aim at a probability, as rounds of flights and searches ask for them."""
+
+        def once(mission: Mission, start: Iterate, aim: float) -> Plan:
+            return self.make_plan(mission, start, aim=aim, init=init, observe=observe)
+
+        return once
+
+    def _from_several(self, mission: Mission, start: Iterate, observe: Progress) -> Plan:
+        """The best of several starts; where flights have to stand behind it, certified from there."""
+        options = self.options
         best = plan_from_several(
             mission,
             start,
-            make_plan,
+            self.make_plan,
             starts=options.starts,
             seed=options.seed or 0,
             workers=options.workers or 1,
@@ -98,18 +122,22 @@ def _by_scp(options: argparse.Namespace) -> Planning:
         )
         if not is_certified(options, mission.scenario) or best.status is not Status.CONVERGED:
             return best
-        start, init = from_burns(mission, best.burns_m_s), best.provenance.init
-        found = certify(
-            mission, start, lambda m, s, aim: once(m, s, observe, aim, init), observe.round
-        )
-        return replace(found, starts=best.starts)
+        start = from_burns(mission, best.burns_m_s)
+        once = self._aiming(observe, best.provenance.init)
+        return replace(certify(mission, start, once, observe.round), starts=best.starts)
 
-    def largest(mission: Mission, start: Iterate, observe: Progress) -> Plan:
+    def _largest(self, mission: Mission, start: Iterate, observe: Progress) -> Plan:
+        """The largest probability within the budget.
+
+        Raises:
+            InputError: if the budget has no plan for the least that is looked for.
+        """
+        options = self.options
         budget = float("inf") if options.dv_budget is None else options.dv_budget
         best = largest_promise(
             mission,
             start,
-            Search(lambda m, s, aim: once(m, s, observe, aim), budget),
+            Search(self._aiming(observe, options.init), budget),
             certified=is_certified(options, mission.scenario),
             watch=observe.round,
         )
@@ -120,17 +148,6 @@ def _by_scp(options: argparse.Namespace) -> Planning:
                 f"must be at least {best.total_dv_m_s:.6f} m/s, which {LEAST} costs",
             )
         return best
-
-    def by_scp(mission: Mission, start: Iterate, observe: Progress) -> Plan:
-        if options.objective == "probability":
-            return largest(mission, start, observe)
-        if (options.starts or 1) > 1:
-            return several(mission, start, observe)
-        if not is_certified(options, mission.scenario):
-            return once(mission, start, observe, None)
-        return certify(mission, start, lambda m, s, aim: once(m, s, observe, aim), observe.round)
-
-    return by_scp
 
 
 def _show_start(observe: Observer, number: int, found: Plan) -> None:

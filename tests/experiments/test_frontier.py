@@ -22,7 +22,7 @@ from experiments.frontier import (
 from experiments.kept import Kept
 from experiments.studies import Cell
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.certify import Planning
+from scp_recon.certification.certify import AimedPlanning
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.provenance import Certificate
@@ -33,7 +33,7 @@ from tests.scenarios import COARSE
 Row = dict[str, Cell]
 
 
-def aiming_higher(mission: Mission, start: Iterate, make_plan: Planning) -> Plan:
+def aiming_higher(mission: Mission, start: Iterate, make_plan: AimedPlanning) -> Plan:
     """What certifying comes to: two plans, the second with a higher aim."""
     make_plan(mission, start, 0.9)
     return make_plan(mission, start, 0.91)

@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 from formulations.problem.flyby import Iterate
 from scp_recon import solve
 from scp_recon.certification import way_out as module
-from scp_recon.certification.certify import Planning
+from scp_recon.certification.certify import AimedPlanning
 from scp_recon.certification.way_out import (
     LIMITS,
     SIZE,
@@ -217,7 +217,7 @@ def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
     assert out.largest is not None
     made: list[float] = []
 
-    def certify(mission: Mission, start: Iterate, make: Planning) -> Plan:
+    def certify(mission: Mission, start: Iterate, make: AimedPlanning) -> Plan:
         made.append(mission.scenario.risk.p_chance)
         of = make(mission, start, float(ndtr(ndtri(made[-1]) + 0.05)))
         return dataclasses.replace(of, certificate=REACHED)
