@@ -26,7 +26,7 @@ from rich.console import Console
 from formulations.problem.flyby import Iterate
 from formulations.registry import FORMULATIONS
 from scp_recon.cli.documents import plan_document
-from scp_recon.cli.keeping import UNVERIFIED, point_latest, run_folder, written
+from scp_recon.cli.keeping import UNVERIFIED, point_latest, run_folder, write_plan
 from scp_recon.cli.live import Progress, live_progress
 from scp_recon.cli.method import check_risk, planning
 from scp_recon.cli.options import (
@@ -242,7 +242,7 @@ def plan_into(
             "the units of body, boundary and burns must fit together",
         ) from None
     # Written before it is verified, so that an interrupt from here on loses nothing.
-    path, aside = written(solution, folder)
+    path, aside = write_plan(solution, folder)
     plan_tables.show_solution(console, solution)
     status = Status.named(solution.status)
     if status is Status.INTERRUPTED:
@@ -252,7 +252,7 @@ def plan_into(
     mission = result.mission  # certifying may have added nodes
     verification = verify(mission, solution)
     checked = solution.model_copy(update={"verification": verification})
-    path, more = written(checked, folder)
+    path, more = write_plan(checked, folder)
     plan_tables.show_verification(console, mission, verification, mission.warnings)
     for old in [*aside, *more]:
         show_line(console, f"set aside, as it is of another plan: {old}")

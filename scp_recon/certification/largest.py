@@ -66,10 +66,17 @@ class Search:
     close: float = CLOSE
 
     def run(self, mission: Mission, start: Iterate) -> Plan:
-        """The plan of the largest probability, which is its `aim`; the try for `LEAST` if none is kept.
+        """The plan of the largest probability by the normal law.
 
-        Where the try above it came to no verdict the plan has a warning that says so. Ctrl-C ends with
-        the best so far, marked as interrupted.
+        Ctrl-C ends with the best so far, marked as interrupted.
+
+        Args:
+            mission: to plan; its scenario's allocation is exact.
+            start: of the first try.
+
+        Returns:
+            A plan whose `aim` is that probability; the try for `LEAST` where none is kept. Where the
+            try above it came to no verdict it has a warning that says so.
         """
         best = self.make_plan(mission, start, LEAST)
         if not is_kept(best, self.budget_m_s):
@@ -107,17 +114,6 @@ def with_warning(best: Plan, undecided: Plan) -> Plan:
     )
     warnings = (*best.mission.warnings, word)
     return replace(best, mission=replace(best.mission, warnings=warnings))
-
-
-def largest_probability(
-    mission: Mission,
-    start: Iterate,
-    make_plan: AimedPlanning,
-    budget_m_s: float = float("inf"),
-    close: float = CLOSE,
-) -> Plan:
-    """The plan of the largest probability by the normal law: see `Search`."""
-    return Search(make_plan, budget_m_s, close).run(mission, start)
 
 
 def largest_promise(

@@ -126,7 +126,7 @@ def exact_plan(mission: Mission, start: Iterate, aim: float) -> Plan:
     """Exact risk's plan, from one start only; its mission asks for what it aims at."""
     changes = {"risk.allocation": "exact", "risk.p_chance": aim}
     exact = Mission.from_scenario(mission.scenario.replace(changes))
-    return _told(Planner(exact).plan(start, once=True))
+    return _uninterrupted(Planner(exact).plan(start, once=True))
 
 
 def largest_feasible(low: Plan, most: float) -> Plan:
@@ -152,7 +152,9 @@ def _without_uncertainty(failed: Plan) -> Plan:
     """P3's plan: of those on the way to the infeasible plan one that has converged, or a new one."""
     own = [s for s in failed.stages if s.problem == "P3" and not s.name.endswith(OPENING)]
     if not own:
-        return _told(Planner(failed.mission).plan(failed.final.result.lin.iterate, problem="P3"))
+        return _uninterrupted(
+            Planner(failed.mission).plan(failed.final.result.lin.iterate, problem="P3")
+        )
     order = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED, Status.SOLVER_FAILED)
     ranked = {status: rank for rank, status in enumerate(order)}
     # What is infeasible from every start comes last: one that did not end shows nothing.
@@ -163,9 +165,10 @@ def _without_uncertainty(failed: Plan) -> Plan:
 def _freed(failed: Plan, name: str) -> Plan | None:
     """The plan where one thing gives way, if there is one."""
     mission = replace(failed.mission)
+    # No scenario asks for such a problem: it takes the place of the one that this copy would cache.
     vars(mission)["problem"] = FREED[name](failed.mission.problem)
     start, problem = failed.final.result.lin.iterate, failed.final.problem
-    found = _told(Planner(mission, aim=failed.aim).plan(start, problem=problem, once=True))
+    found = _uninterrupted(Planner(mission, aim=failed.aim).plan(start, problem=problem, once=True))
     return found if _has_converged(found) else None
 
 
@@ -176,7 +179,7 @@ def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan
 
     def planned(mission: Mission, start: Iterate, aim: float) -> Plan:
         planner = Planner(mission, algorithm=names.algorithm, solver=names.solver, aim=aim)
-        return _told(planner.plan(start))
+        return _uninterrupted(planner.plan(start))
 
     most = min(asked, largest.aim)
     for certified, less in TRIES:
@@ -186,7 +189,9 @@ def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan
         mission = Mission.from_scenario(largest.mission.scenario.replace({"risk.p_chance": p}))
         try:
             found = (
-                _told(certify(mission, start, planned)) if certified else planned(mission, start, p)
+                _uninterrupted(certify(mission, start, planned))
+                if certified
+                else planned(mission, start, p)
             )
         except InputError:  # no flights certify so much
             continue
@@ -195,7 +200,7 @@ def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan
     return None
 
 
-def _told(plan: Plan) -> Plan:
+def _uninterrupted(plan: Plan) -> Plan:
     """A plan that was not interrupted.
 
     Raises:

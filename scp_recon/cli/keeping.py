@@ -86,6 +86,18 @@ def keep_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
     return path, _set_aside(solution, folder)
 
 
+def write_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
+    """`keep_plan` for a command, whose --out the folder is.
+
+    Raises:
+        InputError: if the folder cannot be written.
+    """
+    try:
+        return keep_plan(solution, folder)
+    except OSError as error:
+        raise unwritable(folder, "--out", error) from None
+
+
 def check_holds(folder: Path, solution: Solution, entry: str) -> None:
     """Refuse to put what is made of a plan beside another plan.
 
@@ -127,15 +139,3 @@ def _set_aside(solution: Solution, folder: Path) -> list[Path]:
         if not same:
             moved.append(path.replace(folder / f"{OLD}{name}"))
     return moved
-
-
-def written(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
-    """`keep_plan` for a command.
-
-    Raises:
-        InputError: if the folder cannot be written.
-    """
-    try:
-        return keep_plan(solution, folder)
-    except OSError as error:
-        raise unwritable(folder, "--out", error) from None

@@ -13,7 +13,6 @@ from scp_recon.certification.largest import (
     LEAST,
     MOST,
     Search,
-    largest_probability,
     largest_promise,
     rounded_down,
 )
@@ -171,7 +170,7 @@ def test_the_budget_buys_so_much_and_no_more() -> None:
     def make_plan(mission: Mission, start: Iterate, aim: float) -> Plan:
         return plan(mission, start, aim=aim)
 
-    best = largest_probability(mission, start, make_plan, budget, close)
+    best = Search(make_plan, budget, close).run(mission, start)
     assert best.aim is not None
     assert best.total_dv_m_s <= budget
     more = plan(mission, start, aim=float(ndtr(ndtri(best.aim) + close)))
