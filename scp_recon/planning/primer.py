@@ -48,18 +48,6 @@ class PrimerHistory:
     legal: npt.NDArray[np.bool_]
     residual: float
 
-    @property
-    def best(self) -> int | None:
-        """The node of the largest allowed part at a legal time; None if no time is legal."""
-        if not self.legal.any():
-            return None
-        return int(np.argmax(np.where(self.legal, self.allowed, -np.inf)))
-
-    @property
-    def wants_another(self) -> bool:
-        """Whether another burn promises to help."""
-        return self.best is not None and bool(self.allowed[self.best] > 1.0 + WORTH)
-
 
 def primer_of(plan: Plan) -> PrimerHistory | None:
     """The history of a plan; None where `primer_history` has none, and where nothing was optimised."""

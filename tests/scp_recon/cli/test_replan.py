@@ -164,9 +164,9 @@ def test_an_edited_or_unverified_plan_is_told_in_every_verdict(
     file.write_text(text.replace('"execution_error": 0.08', '"execution_error": 0.05'), "utf-8")
     words = [str(plan_folder), "--at", "17000", "--state", *state_at(17_000.0)]
     assert replan.main([*words, "--out", str(out)]) == 0
-    assert "which is not verified: covariance_error" in capsys.readouterr().out
+    assert "which is not verified: plan_hash, covariance_error" in capsys.readouterr().out
     assert verify.main([str(out)]) == 0
-    assert "which is not verified: covariance_error" in capsys.readouterr().out
+    assert "which is not verified: plan_hash, covariance_error" in capsys.readouterr().out
 
 
 def test_files_of_before_there_were_replans_are_read(plan_folder: Path, tmp_path: Path) -> None:
