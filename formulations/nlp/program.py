@@ -44,7 +44,7 @@ class NlpRows:
     """Rows of one constraint: value >= 0, or value == 0 if `equality`.
 
     Attributes:
-        name: as in `Subproblem.violations`, or of the transcription's own.
+        name: as in `MeritFunction.violations`, or of the transcription's own.
         value: shape (m,).
         weight: of a unit of violation against the penalty; 0 keeps the rows hard.
         equality: whether the rows are defects instead of margins.

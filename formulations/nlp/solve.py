@@ -189,7 +189,7 @@ def solve_nlp(
         facets: of P2; None for P3.
         start: initial guess.
         variant: how to write it down and solve it.
-        penalty: of the exact L1 penalty on violations as `Subproblem.merit` weighs them, the arcs
+        penalty: of the exact L1 penalty on violations as `MeritFunction` weighs them, the arcs
             alone staying hard; None for hard constraints.
 
     Raises:

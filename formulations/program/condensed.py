@@ -171,7 +171,7 @@ class CondensedSubproblem(ConvexSubproblem):
             while self._reserve * free < len(candidates):
                 free += self._slots[block]
                 self._slots[block] *= 2
-                self._solver = FallbackSolver(self._name)
+                self._solver = FallbackSolver(self._name)  # the kept one has another sparsity
             self._active[candidates[np.argsort(slack[candidates])[:free]]] = True
 
     def _solve_with_slots(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
@@ -195,6 +195,6 @@ class CondensedSubproblem(ConvexSubproblem):
         """Room that the model leaves in every row, >= 0 where it is satisfied, shape (rows,)."""
         slack = np.empty(self.rows.count)
         for cones in self._cones:
-            y = cones.values @ burns.ravel()[: cones.values.shape[2]] + cones.constants
+            y = cones.at(burns)
             slack[cones.rows] = y[:, 0] - np.linalg.norm(y[:, 1:], axis=1)
         return slack

@@ -78,8 +78,7 @@ def _excess_slopes(
     limits = problem.burn_margins(burns)["dv_max"], *(-c.inside(burns) for c in problem.burn_cones)
     slopes, slack = np.zeros((rows.count, burns.size)), np.empty(rows.count)
     for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.with_factor)):
-        p = cones.values.shape[2]
-        y = cones.values @ burns.ravel()[:p] + cones.constants
+        p, y = cones.values.shape[2], cones.at(burns)
         size = np.linalg.norm(y[:, 1:], axis=1)
         tail = y[:, 1:] / np.maximum(size, 1e-300)[:, None]
         slack[cones.rows] = y[:, 0] - size

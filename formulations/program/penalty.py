@@ -1,6 +1,6 @@
 """What a subproblem charges for violations and steps.
 
-Violations v >= 0 are the buffers in the order of `Subproblem.violations`, the miss m of the final
+Violations v >= 0 are the buffers in the order of `MeritFunction.violations`, the miss m of the final
 state is signed, the step s is that of the burns. The charges are
 
     exact      w (10 ||m||_1 + sum v)

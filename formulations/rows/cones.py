@@ -42,6 +42,10 @@ class Cones(NamedTuple):
     constants: Array
     triangular: bool = False
 
+    def at(self, burns: Array) -> Array:
+        """The y of burns (m, 3), shape (n, d)."""
+        return self.values @ burns.ravel()[: self.values.shape[2]] + self.constants
+
 
 class Pulled(NamedTuple):
     """How weighed violations change with the positions of a flight.
