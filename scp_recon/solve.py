@@ -228,6 +228,12 @@ def plan_into(
         console: where to show it.
         start: where the plan begins, if it is known; and so one that is proposed instead.
         instead: options that the command needs besides to plan what is proposed.
+
+    Returns:
+        The exit status of the plan, and its document.
+
+    Raises:
+        InputError: if its figures are not finite, or the folder cannot be written.
     """
     plan_tables.show_mission(console, mission)
     console.print()

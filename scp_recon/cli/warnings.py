@@ -31,7 +31,7 @@ def show_verdict(console: Console, word: str, failed: Sequence[str]) -> None:
     Args:
         console: to print to.
         word: of what is well, such as "verified".
-        failed: what is not, each beside what was asked; if empty all is well.
+        failed: names of what is not, or sentences that say what was asked; if empty all is well.
     """
     if failed:
         text = Text(f"not {word}", style="bold red") + Text(

@@ -45,6 +45,8 @@ def check_plausible(scenario: Scenario) -> None:
         "boundary.initial_position_m": scenario.boundary.initial_position_m,
         "boundary.final_position_m": scenario.boundary.final_position_m,
     }
+    if scenario.boundary.home is not None:  # both are on its circle
+        positions = {"boundary.home.radius_m": scenario.boundary.initial_position_m}
     flown = "in_flight.position_m"
     if scenario.in_flight is not None:
         positions[flown] = scenario.in_flight.position_m

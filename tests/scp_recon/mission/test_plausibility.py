@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.plausibility import check_plausible
+from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
 from tests.scp_recon.support import mission_of
@@ -55,3 +58,14 @@ def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario: Scenario) -> N
     with pytest.raises(InputError, match=expected):
         check_plausible(heavy)
     check_plausible(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]}))
+
+
+def test_a_home_orbit_inside_the_body_is_refused_by_its_radius(tmp_path: Path) -> None:
+    home = tmp_path / "home.toml"
+    home.write_text(
+        'base = "recon_b"\n[boundary.home]\nradius_m = 250.0\nnormal = [1, 0, 0]\n'
+        "departure_deg = [160, 160]\narrival_deg = [0, 0]\n",
+        "utf-8",
+    )
+    with pytest.raises(InputError, match=r"^boundary\.home\.radius_m: got 250 m from the centre"):
+        Mission.from_scenario(load_scenario(home))
