@@ -34,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _verify(path: Path, console: Console) -> Answer:
     solution = read_solution(path)
     mission = Mission.from_scenario(solution.scenario)
+    plan_tables.show_mission(console, mission)
     plan_tables.show_solution(console, solution)
     verification = verify(mission, solution)
     plan_tables.show_verification(

@@ -446,6 +446,7 @@ def test_verify_confirms_the_default_solution(
     for path in (default_run.folder, default_run.folder / "solution.json"):
         run = run_verify(capsys, path)
         assert (run.exit_code, run.errors) == (0, "")
+        assert run.output.startswith("recon_b: Bennu, site Nightingale")
         assert "verified" in run.output
 
 
