@@ -23,6 +23,7 @@ from formulations.rows.exact import ExactRows, FlightRows, NodeRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.final_limits import WEIGHT, has_final_limit, require_no_final_limit
+from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
 from scp_recon.planning.opening import RESOLUTION, opened
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.provenance import Provenance
@@ -53,9 +54,9 @@ def plan(
     guess: Iterate,
     *,
     problem: Literal["P3", "P2"] = "P2",
-    formulation: str = "condensed",
-    algorithm: str = "scvx",
-    solver: str = "CLARABEL",
+    formulation: str = FORMULATION,
+    algorithm: str = ALGORITHM,
+    solver: str = SOLVER,
     aim: float | None = None,
     p3_resolution: float = 0.0,
     facet_rounds: int = 0,
@@ -105,9 +106,9 @@ class Planner:
         self,
         mission: Mission,
         *,
-        formulation: str = "condensed",
-        algorithm: str = "scvx",
-        solver: str = "CLARABEL",
+        formulation: str = FORMULATION,
+        algorithm: str = ALGORITHM,
+        solver: str = SOLVER,
         aim: float | None = None,
         p3_resolution: float = 0.0,
     ) -> None:
