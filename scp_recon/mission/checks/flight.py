@@ -1,6 +1,6 @@
 """Whether flight, limits and spacecraft are those that were meant, and in the units of their keys.
 
-Physics cannot tell a probability or an error, and the axes of the boundary states only where wrong ones
+Physics cannot tell a probability, and the axes of the boundary states only where wrong ones
 lead into the body's shadow.
 """
 

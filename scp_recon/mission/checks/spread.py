@@ -18,6 +18,8 @@ SPREAD = (1e-4, 0.0999)
 factor of 1000 apart, so that nothing between them is there in kilometres, or millimetres, too."""
 SHARE_MAX = 0.3
 """Of a burn that errs, 1 sigma: beyond it a per cent was meant, or there is nothing to plan with."""
+ERROR_MIN = 1e-3
+"""Of every component of a burn, pointing included: no thruster is known to a tenth of a degree."""
 
 
 def burn_errors(given: Given) -> Iterator[ScenarioWarning]:
@@ -34,6 +36,12 @@ def burn_errors(given: Given) -> Iterator[ScenarioWarning]:
                 f"{share:g} of a burn",
                 f"at most {SHARE_MAX:g} would be no surprise: it is a share, not in per cent",
             )
+    if 0.0 < (error := uncertainty.execution_error or 0.0) < ERROR_MIN:
+        yield ScenarioWarning.of(
+            "uncertainty.execution_error",
+            f"{error:g} of a burn",
+            f"0, or {ERROR_MIN:g} and more, would be no surprise: divided by a hundred once too often?",
+        )
 
 
 def check_spread(scenario: Scenario, state: Array, sigma: Array) -> Iterator[ScenarioWarning]:

@@ -124,6 +124,7 @@ WARNED = [
         "in the body's shadow",
     ),
     ({"burns.dv_max_m_s": 200.0}, "burns.dv_max_m_s", "200 m/s"),
+    ({"uncertainty.execution_error": 0.0008}, "uncertainty.execution_error", "0.0008 of a burn"),
     ({"battery.delta_v_cone_deg": 0.4067}, "battery.delta_v_cone_deg", "0.4067 deg"),
     ({"observation.site_distance_min_m": 0.5}, "observation.site_distance_min_m", "0.5 m"),
     ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "0.178 kg"),
