@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
-from scp_recon.cli.plan_tables import show_verification
 
 from scp_recon.cli.command import WIDE
+from scp_recon.cli.view.plan_tables import show_verification
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics.forces import acceleration, gravity_gradient
