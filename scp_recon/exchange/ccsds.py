@@ -56,7 +56,7 @@ def opm_text(export: Export) -> str:
             f"C{name}_{other} = {x:.15e} [{_unit(name, other)}]"
             for other, x in zip(AXES[: row + 1], entries, strict=True)
         ]
-    for number, burn in enumerate(export.solution.burns, start=1):
+    for number, burn in enumerate(export.solution.burns, start=1 + export.burns_flown):
         lines += [
             f"COMMENT burn {number}; the mass is not modelled",
             f"MAN_EPOCH_IGNITION = {iso_tdb(export.instant(burn.t_s))}",
@@ -89,9 +89,9 @@ def _object(export: Export) -> list[str]:
 
 def _segment(export: Export, number: int, coast: Coast) -> list[str]:
     epochs = [iso_tdb(export.instant(time)) for time in coast.times_s.tolist()]
-    last = len(export.path.coasts) - 1
-    ends = [f"begins after burn {number}"] if number else []
-    ends += [f"ends before burn {number + 1}"] if number < last else []
+    last, burn = len(export.path.coasts) - 1, export.burns_flown + number
+    ends = [f"begins after burn {burn}"] if number else []
+    ends += [f"ends before burn {burn + 1}"] if number < last else []
     return [
         "META_START",
         f"COMMENT {' and '.join(ends)}",

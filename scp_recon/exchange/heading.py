@@ -46,6 +46,11 @@ class Export:
     ids: Ids
 
     @property
+    def burns_flown(self) -> int:
+        """Before a plan that is made in flight."""
+        return self.mission.scenario.burns_flown
+
+    @property
     def shortfalls(self) -> list[str]:
         """Why the plan is not verified; empty where it is."""
         checked = self.solution.verification
@@ -102,11 +107,12 @@ def heading(export: Export) -> list[str]:
 
 
 def burn_line(export: Export, number: int) -> str:
-    """When and how much a burn is, counted from 1."""
+    """When and how much a burn of the plan is, counted from 1; its own number is the flight's."""
     burn = export.solution.burns[number - 1]
     when = export.instant(burn.t_s)
     x, y, z = burn.dv_m_s
+    named = f"burn {export.burns_flown + number}"
     return (
-        f"burn {number}: t_s = {burn.t_s:g}, {iso_tdb(when)} TDB, {iso_utc(when)} UTC, "
+        f"{named}: t_s = {burn.t_s:g}, {iso_tdb(when)} TDB, {iso_utc(when)} UTC, "
         f"{x:+.9f} {y:+.9f} {z:+.9f} m/s along J2000 x, y, z"
     )

@@ -44,10 +44,10 @@ def write_spk(export: Export, path: Path) -> None:
 
     def fill(handle: int) -> None:
         for number, coast in enumerate(export.path.coasts):
-            et = export.et(coast.times_s)
+            et, burn = export.et(coast.times_s), export.burns_flown + number
             spice.spkw13(
                 handle, export.ids.spacecraft, export.ids.body, "J2000",
-                et[0], et[-1], f"AFTER BURN {number}" if number else "BEFORE BURN 1",
+                et[0], et[-1], f"AFTER BURN {burn}" if number else f"BEFORE BURN {burn + 1}",
                 CUBIC, len(et), np.ascontiguousarray(coast.states / 1e3), et,
             )  # fmt: skip
 

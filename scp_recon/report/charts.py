@@ -154,7 +154,7 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
 
 def _burn_marks(subject: Subject, row: int) -> list[Trace]:
     burns, sizes = subject.solution.burns, np.linalg.norm(subject.solution.burns_m_s, axis=1)
-    end = float(subject.nodes_s[-1])
+    end, first = float(subject.nodes_s[-1]), 1 + subject.solution.scenario.burns_flown
     reach: list[float | None] = []
     for low, high in subject.mission.schedule.firing_intervals_s:
         reach += [low, min(high, end), None]
@@ -178,7 +178,7 @@ def _burn_marks(subject: Subject, row: int) -> list[Trace]:
         "x": times,
         # Neighbours stand at different heights, so that on a phone too none lies on another.
         "y": [row + 0.42 + 0.15 * (i % LEVELS) for i in range(len(burns))],
-        "text": [f"{i}: {1000.0 * size:.1f} mm/s" for i, size in enumerate(sizes, start=1)],
+        "text": [f"{i}: {1000.0 * size:.1f} mm/s" for i, size in enumerate(sizes, start=first)],
         "textposition": [
             "middle right" if t < 0.1 * end else "middle left" if t > 0.9 * end else "middle center"
             for t in times
@@ -202,9 +202,11 @@ def budget_chart(named: Sequence[tuple[str, Budget]]) -> dict[str, Any]:
     """Every burn as planned, and what 99 % of its executions stay below."""
     layout = stacked(["delta-v (mm/s)"], "burn", panel_px=260)
     layout["barmode"] = "group"
+    last = max(budget.first + len(budget.planned_m_s) for _, budget in named)
+    layout["xaxis"] |= {"categoryarray": [f"burn {i}" for i in range(1, last)]}
     data: list[Trace] = []
     for number, (name, budget) in enumerate(named):
-        labels = [f"burn {i}" for i in range(1, len(budget.planned_m_s) + 1)]
+        labels = [f"burn {budget.first + i}" for i in range(len(budget.planned_m_s))]
         over = 1000.0 * (budget.high_m_s - budget.planned_m_s)
         data.append(
             {

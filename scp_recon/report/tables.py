@@ -36,7 +36,7 @@ def _burns(subject: Subject) -> Table:
     solution = subject.solution
     start = solution.scenario.epoch.tdb
     rows: list[Row] = []
-    for number, burn in enumerate(solution.burns, start=1):
+    for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown):
         components = [cell(component, "+.6f") for component in burn.dv_m_s]
         size = float(np.linalg.norm(burn.dv_m_s))
         when = shown_utc(instant(start, burn.t_s))
@@ -50,7 +50,7 @@ def _budget(budget: Budget) -> Table:
     each = zip(budget.planned_m_s, budget.mean_m_s, budget.high_m_s, strict=True)
     rows: list[Row] = [
         [str(number), *(cell(float(figure), ".6f") for figure in figures)]
-        for number, figures in enumerate(each, start=1)
+        for number, figures in enumerate(each, start=budget.first)
     ]
     total = (float(budget.planned_m_s.sum()), budget.total_mean_m_s, budget.total_high_m_s)
     rows.append(["whole flight", *(cell(figure, ".6f") for figure in total)])

@@ -21,6 +21,7 @@ class Budget:
     """Sizes of burns, m/s.
 
     Attributes:
+        first: number of the first burn, more than 1 in flight.
         planned_m_s: shape (m,).
         mean_m_s: of the executions, shape (m,).
         high_m_s: what `SHARE` of the executions of each burn stay below, shape (m,).
@@ -29,6 +30,7 @@ class Budget:
         interval_m_s: 95 % confidence interval of that.
     """
 
+    first: int
     planned_m_s: Array
     mean_m_s: Array
     high_m_s: Array
@@ -44,6 +46,7 @@ def budget_of(subject: Subject, flown: Flown) -> Budget:
     ranks = np.clip(binom.ppf([0.025, 0.975], len(totals), SHARE), 0, len(totals) - 1)
     low, high = totals[ranks.astype(int)]
     return Budget(
+        1 + subject.solution.scenario.burns_flown,
         np.linalg.norm(subject.solution.burns_m_s, axis=1),
         executed.mean(axis=0),
         np.quantile(executed, SHARE, axis=0),

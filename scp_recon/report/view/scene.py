@@ -30,6 +30,7 @@ PATHS = 40
 """Sampled flights whose paths are drawn, of all plans together."""
 SUN_FROM, SUN_TO = 1.15, 1.75
 """Ends of the line to the Sun, in radii of the body."""
+X_NAME, Z_NAME = "X, to the Sun (m)", "Z, north (m)"
 
 
 def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
@@ -227,17 +228,23 @@ def _words(frame: Frame, subject: Subject, shape: Shape) -> list[dict[str, Any]]
     north = 1.5 * size * frame.seen(mission.rotation.pole)
     sun = SUN_TO * size * frame.seen(mission.sun_direction(0.0))
     named = [
-        ((middle[0], low[1], low[2]), "X, to the Sun (m)"),
+        ((middle[0], low[1], low[2]), X_NAME),
         ((high[0], middle[1], low[2]), "Y (m)"),
-        ((low[0], low[1], middle[2]), "Z, north (m)"),
+        ((low[0], low[1], middle[2]), Z_NAME),
         (sun, "Sun"),
         (north, "N"),
     ]
     sizes = np.linalg.norm(subject.solution.burns_m_s, axis=1)
-    for number, (at, size) in enumerate(zip(arrows_of(frame, subject)[1], sizes, strict=True), 1):
+    first = 1 + mission.scenario.burns_flown
+    for number, (at, size) in enumerate(
+        zip(arrows_of(frame, subject)[1], sizes, strict=True), first
+    ):
         named.append((at, f"{number}: {1000.0 * size:.1f} mm/s"))
     found = []
     for at, text in named:
         where = dict(zip("xyz", compact(np.array(at), 1), strict=True))
-        found.append(where | {"text": text, "showarrow": False, "yshift": 10, "font": {"size": 12}})
+        # The first two are at the view's left: to their right there is room.
+        anchor = "left" if text in (X_NAME, Z_NAME) else "center"
+        style = {"showarrow": False, "yshift": 10, "xanchor": anchor, "font": {"size": 12}}
+        found.append(where | {"text": text} | style)
     return found

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from scp_recon.exchange.ccsds import oem_text, opm_text, plain_name
-from scp_recon.exchange.heading import Export
+from scp_recon.exchange.heading import Export, Ids
+from scp_recon.exchange.path import fly_path
+from scp_recon.in_flight.delivery import Delivery
+from scp_recon.in_flight.parent import FlownPlan
+from scp_recon.in_flight.prediction import predict
+from scp_recon.in_flight.replanning import mission_left, replan
+from scp_recon.planning.plan import Plan
+from scp_recon.solution.from_plan import make_solution
 from tests.scp_recon.support import integrate
 
 LINE_MAX = 254
@@ -82,6 +89,18 @@ def test_burns_plan_and_verdict_stand_in_the_comments(export: Export) -> None:
     assert "\nCOMMENT verified\n" in text
     assert "2020-01-21T22:45:27.999494078 UTC" in text  # burn 2
     assert all(f"COMMENT burn {i}: " in text for i in (1, 2, 3, 4))
+
+
+def test_a_plan_in_flight_numbers_its_burns_as_the_flight_does(default_plan: Plan) -> None:
+    flown = FlownPlan.of(default_plan)
+    delivery = Delivery(17_000.0, predict(flown, 17_000.0, {}).state)
+    plan = replan(flown, mission_left(flown, delivery, ()), certified=False)
+    solution, ids = make_solution(plan), Ids(-999, 2101955)
+    left = Export(solution, plan.mission, fly_path(plan.mission, solution), ids)
+    text = oem_text(left) + opm_text(left)
+    for said in ("burn 3: t_s = 25000", "ends before burn 3", "begins after burn 4", "burn 4; the"):
+        assert f"COMMENT {said}" in text
+    assert "burn 1" not in text
 
 
 def test_what_is_not_verified_says_so(export: Export) -> None:

@@ -67,6 +67,18 @@ def test_nothing_is_shown_of_a_time_before_the_plan(
     assert "<html" in render(page)
 
 
+def test_burns_have_the_numbers_that_they_have_in_the_flight(left: dict[float, Solution]) -> None:
+    page = page_of(subjects_of([left[AFTER_IT]]), Camera(), MADE)
+    charts = {chart["key"]: chart["data"] for chart in page.charts}
+    assert charts["budget"][0]["x"] == ["burn 3", "burn 4"]
+    words = [word["text"] for word in page.scene["layout"]["scene"]["annotations"]]
+    words += [text for trace in charts["timeline"] for text in trace.get("text", ())]
+    assert [word[0] for word in words if word.endswith("mm/s")] == ["3", "4"] * 2
+    tables = {table.key: table for table in page.tables[0]}
+    assert [row[0].text for row in tables["burns"].rows[:2]] == ["3", "4"]
+    assert [row[0].text for row in tables["budget"].rows[:2]] == ["3", "4"]
+
+
 def test_beside_a_whole_flight_the_window_is_the_whole_ones(
     left: dict[float, Solution], verified: Solution
 ) -> None:
