@@ -11,7 +11,7 @@ from scp_recon.report.content.budget import SHARE, Budget
 from scp_recon.report.content.subject import Subject
 from scp_recon.report.flight_tables import flights_table, simulation_tables
 from scp_recon.report.table import Cell, Row, Table, cell, table
-from scp_recon.solution.comparison import compare
+from scp_recon.solution.comparison import compare, shown
 from scp_recon.verification.reintegration import FIGURES, limits_of
 
 
@@ -195,11 +195,16 @@ def _iterations(subject: Subject) -> Table:
     )
 
 
+def _compared(figure: float | str | None) -> Cell:
+    """As the terminal shows it, rounding as zero."""
+    return Cell(shown(figure), figure) if isinstance(figure, float) else cell(figure)
+
+
 def comparison_table(subjects: Sequence[Subject]) -> Table:
     """Plans side by side."""
     found = compare([s.name for s in subjects], [s.solution for s in subjects])
     rows: list[Row] = [
-        [f"{name} ({unit})" if unit else name, *(cell(figure) for figure in figures)]
+        [f"{name} ({unit})" if unit else name, *map(_compared, figures)]
         for name, unit, figures in found.rows
     ]
     return table("comparison", "Plans side by side", ("", *found.names), rows)

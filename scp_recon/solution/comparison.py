@@ -47,7 +47,7 @@ class Comparison:
 
     def cells(self) -> list[list[str]]:
         """As text, with a heading."""
-        body = [[f"{name} {unit}".strip(), *map(_shown, row)] for name, unit, row in self.rows]
+        body = [[f"{name} {unit}".strip(), *map(shown, row)] for name, unit, row in self.rows]
         return [["", *self.names], *body]
 
     def __str__(self) -> str:
@@ -142,7 +142,7 @@ def _item(values: Array, i: int) -> float | None:
     return float(values[i]) if i < len(values) else None
 
 
-def _shown(figure: float | str | None) -> str:
+def shown(figure: float | str | None) -> str:
     """Six digits, of a margin that is rounding zero."""
     if isinstance(figure, float):
         return f"{round(figure, 9) + 0.0:.6g}"

@@ -27,6 +27,8 @@ from scp_recon.report.content.numbers import compact, packed, script, significan
 from scp_recon.report.content.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.report.offline import plotly_script
 from scp_recon.report.page import Page, render
+from scp_recon.report.table import Cell
+from scp_recon.report.tables import comparison_table
 from scp_recon.report.view.scene import PATHS
 from scp_recon.report.write import page_of, write_report
 from scp_recon.scenario.load import load_scenario
@@ -292,6 +294,16 @@ def test_plans_at_other_epochs_are_refused_as_one_view_shows_one_body(verified: 
     later = verified.scenario.epoch.tdb + timedelta(seconds=10)
     with pytest.raises(InputError, match=r"t = 0 at 2020-01-21T20:33:27.184\d* TDB"):
         subjects_of([verified, elsewhere(verified, epoch={"tdb": later})])
+
+
+def test_a_figure_that_is_rounding_is_compared_as_zero(verified: Solution) -> None:
+    burns = (
+        verified.burns[0].model_copy(update={"dv_m_s": (0.0, 3e-12, 0.0)}),
+        *verified.burns[1:],
+    )
+    other = verified.model_copy(update={"burns": burns})
+    rows = {row[0].text: row for row in comparison_table(subjects_of([verified, other])).rows}
+    assert rows["burn 1 (m/s)"][2] == Cell("0", 3e-12)
 
 
 @pytest.mark.usefixtures("few_flights")
