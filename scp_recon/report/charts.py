@@ -118,6 +118,9 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
     """Attitude modes, the burns above them, and where each burn may be moved."""
     data: list[Trace] = []
     layout = stacked(["attitude modes and burns"], panel_px=max(170, 140 * len(subjects)))
+    told: set[str] = (
+        set()
+    )  # in the legend, by the first plan that has it: what is empty is not there
     for row, subject in enumerate(reversed(subjects)):
         schedule = subject.mission.schedule
         for mode, colour in palette.MODES.items():
@@ -128,7 +131,7 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
                     "orientation": "h",
                     "name": mode,
                     "legendgroup": mode,
-                    "showlegend": row == 0,
+                    "showlegend": bool(legs) and mode not in told,
                     "y": [row] * len(legs),
                     "base": [leg.start_s for leg in legs],
                     "x": [leg.end_s - leg.start_s for leg in legs],
@@ -137,6 +140,7 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
                     "hovertemplate": f"{mode}: %{{base:.0f}} s for %{{x:.0f}} s<extra></extra>",
                 }
             )
+            told |= {mode for _ in legs}
         data += _burn_marks(subject, row)
     names = [subject.name for subject in reversed(subjects)]
     layout["yaxis"] |= {

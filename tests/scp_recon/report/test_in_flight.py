@@ -88,3 +88,7 @@ def test_beside_a_whole_flight_the_window_is_the_whole_ones(
         assert page.scene["motion"]["ends_s"][0] == 0.0
         text = json.dumps(page.charts, default=float)
         assert "Infinity" not in text
+        (timeline,) = (chart for chart in page.charts if chart["key"] == "timeline")
+        bars = [trace for trace in timeline["data"] if trace["type"] == "bar" and trace["x"]]
+        told = [bar["name"] for bar in bars if bar["showlegend"]]  # Plotly tells of none without
+        assert sorted(told) == ["delta-V", "observation", "sun-pointing"]
