@@ -31,8 +31,9 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
 from scp_recon.solution.parent import require_whole_flight
+from scp_recon.solution.read import read_solution
 
 Array = npt.NDArray[np.float64]
 

@@ -14,7 +14,8 @@ from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
 from scp_recon.monte_carlo.summary import Summary, read_summary
 from scp_recon.solution.evaluated import ballistic_arc
 from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import folder_of, resolve_run
 
 PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"

@@ -20,7 +20,7 @@ from scp_recon.cli.documents import comparison_document
 from scp_recon.cli.warnings import show_warnings
 from scp_recon.errors import printable
 from scp_recon.solution.comparison import compare
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -42,7 +42,8 @@ from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.write import scenario_text
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import FILE_NAME, read_solution
+from scp_recon.solution.file import FILE_NAME
+from scp_recon.solution.read import read_solution
 from scp_recon.solve import plan_into
 
 Array = npt.NDArray[np.float64]

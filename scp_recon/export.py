@@ -35,7 +35,7 @@ from scp_recon.exchange.path import WITHIN_M, fly_path
 from scp_recon.files import check_writable, unwritable
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.time_scales import iso_tdb, iso_utc
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import folder_of, resolve_run
 from scp_recon.spacecraft.vehicle import load_vehicle
 

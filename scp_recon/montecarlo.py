@@ -44,7 +44,8 @@ from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME
 from scp_recon.monte_carlo.verdict import probability_asked, shortfalls, too_wide
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import folder_of, only_run_in, resolve_run
 
 

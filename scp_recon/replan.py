@@ -21,7 +21,7 @@ from scp_recon.errors import InputError
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.replanning import mission_left, replan
 from scp_recon.monte_carlo.certifying import flights_needed
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import resolve_run
 from scp_recon.solve import plan_into
 

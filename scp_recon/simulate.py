@@ -29,8 +29,9 @@ from scp_recon.cli.keeping import check_holds
 from scp_recon.cli.options import SEED
 from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.files import check_writable, unwritable
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
 from scp_recon.solution.parent import require_whole_flight
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import folder_of, only_run_in, resolve_run
 from scp_recon.spacecraft.basilisk.optional import needing_basilisk
 from scp_recon.spacecraft.flight import Flight

@@ -56,8 +56,9 @@ from scp_recon.scenario.load import base_names, load_scenario, override
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import FILE_NAME, Solution, read_solution
+from scp_recon.solution.file import FILE_NAME, Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.start import is_solution, start_from
 from scp_recon.verification.reintegration import verify
 

@@ -17,7 +17,7 @@ from rich.console import Console
 from scp_recon.cli.documents import plan_document
 from scp_recon.cli.view import plan_tables
 from scp_recon.mission.mission import Mission
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.verification.reintegration import verify
 
 

@@ -30,7 +30,7 @@ from scp_recon import export, solve
 from scp_recon.campaign.study.study import Study
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from tests.experiments.support import write_kernel
 from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
 from tests.scp_recon.support import fly_few, mission_of

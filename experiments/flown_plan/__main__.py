@@ -31,7 +31,8 @@ from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.spacecraft.basilisk.optional import needing_basilisk
 from scp_recon.spacecraft.record import (
     Record,

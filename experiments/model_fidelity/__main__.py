@@ -33,7 +33,7 @@ from experiments.studies import add_out, run, to_csv
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
 
 Array = npt.NDArray[np.float64]

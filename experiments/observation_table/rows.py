@@ -18,8 +18,9 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.solution.evaluated import ballistic_arc, evaluated
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.read import read_solution
 
 Array = npt.NDArray[np.float64]
 Guess = Callable[[Mission], Iterate]

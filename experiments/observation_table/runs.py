@@ -19,8 +19,9 @@ from scp_recon.monte_carlo.summarise import ONE_SIGMA, summarise
 from scp_recon.monte_carlo.summary import FILE_NAME, Summary, read_summary_as
 from scp_recon.solution.evaluated import NOT_OPTIMISED
 from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
 from scp_recon.solution.part import Part
+from scp_recon.solution.read import read_solution
 from scp_recon.verification.reintegration import verify
 
 Array = npt.NDArray[np.float64]

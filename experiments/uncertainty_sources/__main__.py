@@ -46,7 +46,8 @@ from scp_recon.cli.options import int_between
 from scp_recon.files import write_atomically
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.spacecraft.vehicle import load_vehicle
 
 NAME = "uncertainty_sources"

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from paper_figs.inputs import check_same_plan
 from scp_recon.errors import InputError
 from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.spacecraft.record import FILE_NAME, Record, read_record
 
 Array = npt.NDArray[np.float64]

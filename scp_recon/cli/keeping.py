@@ -13,7 +13,8 @@ from scp_recon.errors import InputError
 from scp_recon.files import check_writable, unwritable
 from scp_recon.monte_carlo import summary
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import FILE_NAME, Solution, read_solution
+from scp_recon.solution.file import FILE_NAME, Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import is_pointer, new_run, only_run_in, point_to
 from scp_recon.spacecraft import record
 

@@ -13,8 +13,9 @@ from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import Summary
 from scp_recon.planning.plan import Plan
 from scp_recon.solution.comparison import Comparison, compare
-from scp_recon.solution.file import FILE_NAME, Solution, read_solution
+from scp_recon.solution.file import FILE_NAME, Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.verdict import Verification
 from scp_recon.verification.reintegration import verify
 

@@ -20,8 +20,9 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.provenance import Provenance
 from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution, plan_hash, read_solution
+from scp_recon.solution.file import Solution, plan_hash
 from scp_recon.solution.from_plan import burns_of
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import resolve_run
 from scp_recon.solution.times import strange_times
 

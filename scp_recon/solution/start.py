@@ -12,7 +12,7 @@ from scp_recon.errors import InputError, shortened
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, state_table
 from scp_recon.planning.plan import Plan
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import resolve_run
 
 Array = npt.NDArray[np.float64]

@@ -22,7 +22,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning import initial_guess, ipopt, state_table
 from scp_recon.scenario.sections import Epoch
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 
 from .support import QUICK, table_of, write_kernel
 

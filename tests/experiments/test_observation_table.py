@@ -18,7 +18,8 @@ from experiments.observation_table.report import to_csv, to_markdown
 from experiments.observation_table.rows import PRINTED_WINDOW_S, rows
 from experiments.observation_table.runs import Failed, Measured, run_row
 from scp_recon.mission.mission import Mission
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 
 from .support import QUICK, SAMPLES, table_of
 

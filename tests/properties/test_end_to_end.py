@@ -16,8 +16,9 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.planner import plan
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.verification.reintegration import verify
 from tests import reliability
 from tests.helpers import share_of_examples

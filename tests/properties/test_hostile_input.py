@@ -31,8 +31,8 @@ from scp_recon.planning import initial_guess, planner, state_table
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.scvx import SCvx
-from scp_recon.solution.file import read_solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.read import read_solution
 from tests import reliability
 from tests.helpers import share_of_examples
 from tests.scenarios import COARSE

@@ -23,7 +23,8 @@ from scp_recon.errors import InputError
 from scp_recon.front_door import planning, results
 from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.verdict import Verification
 
 door: Any = sr

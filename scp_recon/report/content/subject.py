@@ -16,7 +16,8 @@ from scp_recon.monte_carlo import summary as summary_file
 from scp_recon.monte_carlo.summary import Summary, read_summary
 from scp_recon.physics.time_scales import instant, iso_tdb
 from scp_recon.solution.comparison import path_of
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import folder_of, resolve_run
 from scp_recon.spacecraft import record as record_file
 from scp_recon.spacecraft.record import Record, read_record

@@ -18,7 +18,7 @@ from scp_recon.campaign.runners.here import here
 from scp_recon.campaign.runners.processes import Processes
 from scp_recon.campaign.studies import runner_of
 from scp_recon.campaign.study.study import Study
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from tests.scp_recon.campaign.support import computed
 
 PROJECT = Path(__file__).parents[3]

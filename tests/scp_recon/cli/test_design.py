@@ -13,8 +13,8 @@ from scp_recon.cli.view.design_tables import primer_says
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.write import scenario_text
-from scp_recon.solution.file import read_solution
 from scp_recon.solution.primer import Primer
+from scp_recon.solution.read import read_solution
 from tests.scp_recon.pass_design.support import home_scenario
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from scp_recon import export
 from scp_recon.exchange.files import FORMATS
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from tests.scp_recon.support import CommandLine
 
 

@@ -31,7 +31,8 @@ from scp_recon.planning.planner import Plan, plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from scp_recon.solution import file as solution_module
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.verdict import Verification
 from tests import reliability
 from tests.scenarios import COARSE

@@ -31,7 +31,7 @@ from scp_recon.planning.planner import Plan, plan
 from scp_recon.planning.provenance import Certificate
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, mission_of, run_solve
 

@@ -12,7 +12,8 @@ from scp_recon.cli import method
 from scp_recon.cli.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
 from scp_recon.errors import InputError
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import only_run_in
 from scp_recon.solution.verdict import Verification
 from tests.scp_recon.support import run_solve

@@ -17,7 +17,8 @@ from scp_recon.cli.delivery import joined
 from scp_recon.in_flight.parent import FlownPlan
 from scp_recon.in_flight.prediction import predict
 from scp_recon.planning.plan import Plan
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.verdict import Verification
 
 pytestmark = pytest.mark.usefixtures("few_flights")

@@ -18,7 +18,8 @@ from scp_recon.cli import method
 from scp_recon.planning import stages
 from scp_recon.scp.loop import Record, State
 from scp_recon.scp.scvx import SCvx
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 from tests import reference, reliability
 from tests.scp_recon.support import CommandLine, run_solve
 

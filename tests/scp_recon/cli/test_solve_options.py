@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from formulations.program import solvers
-from scp_recon.solution.file import read_solution
+from scp_recon.solution.read import read_solution
 from tests.scp_recon.support import run_solve
 
 pytestmark = pytest.mark.usefixtures("few_flights")

@@ -17,8 +17,9 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import validate_scenario
 from scp_recon.solution import file as solution_module
-from scp_recon.solution.file import SCHEMA, Solution, read_solution
+from scp_recon.solution.file import SCHEMA, Solution
 from scp_recon.solution.from_plan import make_solution
+from scp_recon.solution.read import read_solution
 from scp_recon.verification.reintegration import verify
 from tests import reliability
 from tests.scenarios import COARSE

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.solution.file import Solution, read_solution
+from scp_recon.solution.file import Solution
+from scp_recon.solution.read import read_solution
 
 
 def changed(solution: Solution, folder: Path, primer: Any) -> Path:

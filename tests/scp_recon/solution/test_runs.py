@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from scp_recon.errors import InputError
-from scp_recon.solution.file import FILE_NAME, Solution, read_solution
+from scp_recon.solution.file import FILE_NAME, Solution
+from scp_recon.solution.read import read_solution
 from scp_recon.solution.runs import LOCK, folder_of, is_pointer, new_run, only_run_in, point_to
 from scp_recon.solution.start import is_solution
 
