@@ -11,7 +11,6 @@ from scp_recon.cli.command import (
     run_command,
     show_written,
 )
-from scp_recon.cli.tables import plain_table
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -27,6 +26,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TimeRemaining
 
 from scp_recon.cli.keeping import check_holds
 from scp_recon.cli.options import SEED
+from scp_recon.cli.tables import plain_table
 from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.files import check_writable, unwritable
 from scp_recon.solution.file import Solution

@@ -436,10 +436,10 @@ def test_running_out_of_memory_ends_with_a_message(
 KILLED = """
     import json, os, signal, sys, time
     from pathlib import Path
-    from scp_recon.solution import file as module
+    from scp_recon.solution.read import read_solution
 
     folder = Path(sys.argv[1])
-    solution = module.read_solution(folder)
+    solution = read_solution(folder)
     new = solution.model_copy(update={"message": "the new one"})
 
     def die(*_, **__):
@@ -475,7 +475,7 @@ KILLED = """
             while True:
                 new.write(folder)
         _, status = os.waitpid(child, 0)
-        found = module.read_solution(folder).message
+        found = read_solution(folder).message
         print(json.dumps([point, os.WTERMSIG(status), found]), flush=True)
         solution.write(folder)
 """
