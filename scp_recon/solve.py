@@ -24,19 +24,17 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from formulations.problem.flyby import Iterate
-from formulations.registry import FORMULATIONS
 from scp_recon.cli.documents import plan_document
 from scp_recon.cli.keeping import UNVERIFIED, point_latest, run_folder, write_plan
 from scp_recon.cli.live import Progress, live_progress
 from scp_recon.cli.method import check_risk, planning
 from scp_recon.cli.options import (
-    SEED,
     add_certify,
     add_overrides,
     int_between,
     named_folder,
-    number_between,
 )
+from scp_recon.cli.plan_options import add_method, add_objective, add_starts
 from scp_recon.cli.view import plan_tables
 from scp_recon.cli.view.infeasible import show_what_would_do, undoing
 from scp_recon.cli.warnings import show_warnings
@@ -44,17 +42,12 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.method import (
-    ALGORITHM,
     FACET_ROUNDS_MAX,
-    FORMULATION,
     PROBLEMS,
-    SOLVER,
 )
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.starts import STARTS_MAX, WORKERS_MAX
 from scp_recon.scenario.load import base_names, load_scenario, override
 from scp_recon.scenario.schema import Scenario
-from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
 from scp_recon.solution.file import FILE_NAME, Solution
 from scp_recon.solution.from_plan import make_solution
@@ -88,8 +81,8 @@ def parser() -> argparse.ArgumentParser:
         default="P2",
         help="with uncertainty, or without it (default: P2)",
     )
-    _add_starts(p)
-    _add_method(p)
+    add_starts(p)
+    add_method(p)
     p.add_argument(
         "--report",
         action="store_true",
@@ -103,19 +96,7 @@ def parser() -> argparse.ArgumentParser:
         help="choose the facets again at the solution and solve again, up to N times (default: 0; what "
         "is infeasible is tried again without being asked)",
     )
-    p.add_argument(
-        "--objective",
-        choices=("delta-v", "probability"),
-        default="delta-v",
-        help="with risk.allocation = exact, probability asks for the largest there is, whatever "
-        "p_chance says (default: delta-v)",
-    )
-    p.add_argument(
-        "--dv-budget",
-        type=_budget,
-        metavar="M_S",
-        help="with --objective probability, most delta-v that the plan may cost, m/s (default: any)",
-    )
+    add_objective(p)
     add_certify(p)
     p.add_argument(
         "--out",
@@ -127,59 +108,10 @@ def parser() -> argparse.ArgumentParser:
     return p
 
 
-def _add_starts(p: argparse.ArgumentParser) -> None:
-    """From how many places to plan."""
-    p.add_argument(
-        "--starts",
-        type=int_between(1, STARTS_MAX),
-        metavar="K",
-        help="plan from --init and from K - 1 random flights, list the distinct local optima and keep "
-        "the best (default: 1)",
-    )
-    p.add_argument("--seed", type=SEED, metavar="S", help="of the random flights (default: 0)")
-    p.add_argument(
-        "--workers",
-        type=int_between(1, WORKERS_MAX),
-        metavar="N",
-        help="processes for the starts; the plan does not depend on their number (default: 1)",
-    )
-
-
-def _add_method(p: argparse.ArgumentParser) -> None:
-    """How to plan."""
-    p.add_argument(
-        "--method",
-        choices=("scp", "ipopt"),
-        default="scp",
-        help="sequential convex programming, or the nonlinear programs by IPOPT (default: scp)",
-    )
-    p.add_argument(
-        "--formulation",
-        metavar="NAME",
-        help=f"with scp {', '.join(FORMULATIONS)} (default: {FORMULATION}); with ipopt printed, tuned, "
-        "shooting (default: tuned)",
-    )
-    p.add_argument(
-        "--algorithm",
-        metavar="NAME",
-        help=f"with scp {', '.join(ALGORITHMS)} (default: {ALGORITHM})",
-    )
-    p.add_argument(
-        "--solver",
-        metavar="NAME",
-        help="with scp a conic solver that CVXPY finds: CLARABEL and SCS; ECOS and QOCO with the extra "
-        f"[compare] (default: {SOLVER})",
-    )
-
-
 def _start(text: str) -> str:
     if not text:
         raise argparse.ArgumentTypeError("got ''; must be cold, warm or a file")
     return text
-
-
-def _budget(text: str) -> float | None:
-    return None if text == "any" else number_between(1e-9, 1e6)(text)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -205,6 +137,8 @@ def _solve(options: argparse.Namespace, console: Console) -> Answer:
             start=start,
             instead=undoing(options),
         )
+        if options.objective == "probability" and answer.status == 0:
+            _tell_largest(options.dv_budget, answer, console)
         if options.report and answer.status != Status.INTERRUPTED.value.exit_code:
             _report(folder, console)
     point_latest(options.out, folder, answer.status)
@@ -270,6 +204,14 @@ def plan_into(
         show_what_would_do(console, result, start, instead)
     code = status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
     return Answer(code, plan_document(checked, [path]))
+
+
+def _tell_largest(budget_m_s: float | None, answer: Answer, console: Console) -> None:
+    """What was found beside what it was allowed to cost."""
+    plan = answer.document["plan"]
+    most = "any delta-v" if budget_m_s is None else f"at most {budget_m_s:g} m/s"
+    found = f"{plan['risk']['asked']:.5g}, for {plan['total_dv_m_s']:.6f} m/s"
+    show_line(console, f"largest probability found for {most}: {found}")
 
 
 def _report(folder: Path, console: Console) -> None:

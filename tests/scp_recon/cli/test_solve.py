@@ -171,6 +171,18 @@ def test_warm_start(tmp_path: Path) -> None:
     assert read_solution(tmp_path).total_dv_m_s == pytest.approx(0.1078, rel=0.01)
 
 
+def test_the_largest_probability_is_told_beside_its_budget(tmp_path: Path) -> None:
+    words = ("--set", 'risk.allocation="exact"', "--set", "grid.step_max_s=3000.0")
+    budget = ("--objective", "probability", "--dv-budget", "0.115", "--certify", "no")
+    run = run_solve(tmp_path, *words, *budget)
+    assert run.exit_code == 0
+    found = read_solution(tmp_path)
+    assert found.risk is not None
+    said = f"at most 0.115 m/s: {found.risk.asked:.5g}, for {found.total_dv_m_s:.6f} m/s"
+    assert f"largest probability found for {said}" in run.output
+    assert 0.114 < found.total_dv_m_s <= 0.115
+
+
 def test_a_table_of_states_is_a_start(tmp_path: Path) -> None:
     table = reference.write_arc(tmp_path / "arc.csv")
     run = run_solve(tmp_path, "--init", str(table), "--problem", "P3")
