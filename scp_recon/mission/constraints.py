@@ -77,6 +77,20 @@ def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
     return tuple(limits)
 
 
+def limits_in_words(scenario: Scenario) -> dict[str, str]:
+    """What is asked of each margin of the mean, e.g. "at least 500 m", by its constraint."""
+    found = {
+        "safety_radius": f"at least {scenario.safety.radius_min_m:g} m",
+        "dv_max": f"at most {scenario.burns.dv_max_m_s:g} m/s",
+        "dv_battery": f"at least {scenario.battery.delta_v_cone_deg:g} deg",
+    }
+    for limit in observation_limits(scenario):
+        value = limit.value if limit.unit == "m" else float(np.rad2deg(limit.value))
+        sense = "at least" if limit.sense == "min" else "at most"
+        found[limit.name] = f"{sense} {value:g} {'m' if limit.unit == 'm' else 'deg'}"
+    return found
+
+
 def state_constraints(
     scenario: Scenario, length_m: float, n_nodes: int, window: Nodes, track: SiteTrack, sun: Array
 ) -> tuple[StateConstraint, ...]:

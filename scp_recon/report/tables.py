@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from scp_recon.mission.constraints import limits_in_words
 from scp_recon.physics.time_scales import instant, shown_utc
 from scp_recon.report.content.budget import SHARE, Budget
 from scp_recon.report.content.subject import Subject
@@ -120,16 +121,17 @@ def _constraints(subject: Subject) -> Table:
 
 
 def _mean_margins(subject: Subject) -> Table:
-    found = subject.solution.verification
+    found, asked = subject.solution.verification, limits_in_words(subject.mission.scenario)
     rows: list[Row] = []
     for margin in found.mean_margins if found else ():
         scale, unit = (np.rad2deg(1.0), "deg") if margin.unit == "rad" else (1.0, margin.unit)
         shown = Cell(f"{scale * margin.worst_margin:+.4f}", margin.worst_margin)
-        rows.append([margin.name, shown, unit, cell(margin.worst_t_s, ".0f")])
+        limit = asked.get(margin.name, "")
+        rows.append([margin.name, limit, shown, unit, cell(margin.worst_t_s, ".0f")])
     return table(
         "mean_margins",
         "Margins of the mean, between the nodes too",
-        ("original constraint", "worst margin", "unit", "at (s)"),
+        ("original constraint", "asked", "worst margin", "unit", "at (s)"),
         rows,
     )
 

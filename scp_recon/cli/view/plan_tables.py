@@ -14,7 +14,7 @@ from rich.text import Text
 from scp_recon.cli.tables import plain_table
 from scp_recon.cli.warnings import show_verdict, show_warnings
 from scp_recon.errors import InputError
-from scp_recon.mission.constraints import observation_limits
+from scp_recon.mission.constraints import limits_in_words
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.geometry import angle
 from scp_recon.physics.time_scales import instant, iso_utc
@@ -225,7 +225,7 @@ def _reintegrated(mission: Mission, v: Verification) -> Table:
 
 def _mean_margins(mission: Mission, v: Verification) -> Table:
     """Of the original constraints, each beside its limit."""
-    asked = _asked(mission)
+    asked = limits_in_words(mission.scenario)
     table = plain_table("original constraint on the mean", "asked", "worst margin", "at s")
     for m in v.mean_margins:
         margin = {
@@ -246,21 +246,6 @@ def _probabilities(mission: Mission, v: Verification) -> Table:
         bounds = f"{p.low:.4f} to {p.high:.4f}"
         table.add_row(p.name, f"{p.estimate:.4f}", bounds, f"{p.worst_t_s:.0f}", asked)
     return table
-
-
-def _asked(mission: Mission) -> dict[str, str]:
-    """The limit behind every margin."""
-    scenario = mission.scenario
-    found = {
-        "safety_radius": f"at least {scenario.safety.radius_min_m:g} m",
-        "dv_max": f"at most {scenario.burns.dv_max_m_s:g} m/s",
-        "dv_battery": f"at least {scenario.battery.delta_v_cone_deg:g} deg",
-    }
-    for limit in observation_limits(scenario):
-        value = limit.value if limit.unit == "m" else float(np.rad2deg(limit.value))
-        sense = "at least" if limit.sense == "min" else "at most"
-        found[limit.name] = f"{sense} {value:g} {'m' if limit.unit == 'm' else 'deg'}"
-    return found
 
 
 def _between_nodes(mission: Mission, v: Verification) -> bool:

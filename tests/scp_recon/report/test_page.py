@@ -146,6 +146,9 @@ def test_tables_equal_the_solution_file(read: Reader, verified: Solution) -> Non
     assert [row[0] for row in numbers(read.tables["mean_margins"])] == [
         m.worst_margin for m in checked.mean_margins
     ]
+    asked = {row[0][0]: row[1][0] for row in read.tables["mean_margins"][1:]}
+    assert asked["site_distance_max"] == "at most 740 m"
+    assert all(asked.values())
     assert numbers(read.tables["stages"]) == [
         [s.iterations, s.total_dv_m_s] for s in verified.stages
     ]
