@@ -118,9 +118,8 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
     """Attitude modes, the burns above them, and where each burn may be moved."""
     data: list[Trace] = []
     layout = stacked(["attitude modes and burns"], panel_px=max(170, 140 * len(subjects)))
-    told: set[str] = (
-        set()
-    )  # in the legend, by the first plan that has it: what is empty is not there
+    # Modes in the legend, each by the first plan that has it: an empty bar would not be there.
+    told: set[str] = set()
     for row, subject in enumerate(reversed(subjects)):
         schedule = subject.mission.schedule
         for mode, colour in palette.MODES.items():
@@ -140,7 +139,8 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
                     "hovertemplate": f"{mode}: %{{base:.0f}} s for %{{x:.0f}} s<extra></extra>",
                 }
             )
-            told |= {mode for _ in legs}
+            if legs:
+                told.add(mode)
         data += _burn_marks(subject, row)
     names = [subject.name for subject in reversed(subjects)]
     layout["yaxis"] |= {

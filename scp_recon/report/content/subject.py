@@ -68,13 +68,12 @@ class Subject:
     @property
     def window_s(self) -> tuple[float, float]:
         """What is left of the observation window where the plan begins; its end first if nothing is."""
-        first, last = self.mission.schedule.window_s
-        return max(first, float(self.nodes_s[0])), last
+        over = float(self.nodes_s[0]), self.mission.schedule.window_s[1]
+        return self.mission.observed_s or over
 
     def looks_s(self, count: int) -> Array:
         """Even times in what is left of the window, shape (count,); none if nothing is."""
-        first, last = self.window_s
-        return np.linspace(first, last, count if first < last else 0)
+        return np.linspace(*self.window_s, count if self.mission.observed_s else 0)
 
     def positions(self, times_s: Array) -> Array:
         """The planned mean, J2000, m, shape (n, 3): a cubic of the nodes' states between them."""
