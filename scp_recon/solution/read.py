@@ -46,7 +46,7 @@ def read_solution(path: Path) -> Solution:
         raise InputError(
             f"solution {file}: {strange[0]}", "what contradicts its scenario", "must be of one plan"
         )
-    if data.get(HASH, solution.plan_hash) != solution.plan_hash:  # older files have none
+    if HASH in data and data[HASH] != solution.plan_hash:  # older files have none
         return _changed(solution, file)
     return solution
 
