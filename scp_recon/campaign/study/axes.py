@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -31,10 +32,11 @@ Bennu."""
 class Axis(Section):
     """What a table `[[axis]]` says; each kind has these two."""
 
+    @abstractmethod
     def count(self, base: Scenario, /) -> int:
         """How many rows it has, without making a billion of them."""
-        raise NotImplementedError
 
+    @abstractmethod
     def rows(self, base: Scenario, seed: tuple[int, ...], folder: Path, /) -> list[Row]:
         """Its rows in order.
 
@@ -46,7 +48,6 @@ class Axis(Section):
         Raises:
             InputError: if it has none, or names what is unusable.
         """
-        raise NotImplementedError
 
 
 class Values(Axis):
