@@ -72,7 +72,7 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
             _print_document(p.prog, BAD_INPUT, {"error": {"message": message}})
         usual(message)
 
-    p.error = error  # type: ignore[method-assign]
+    p.error = error  # type: ignore[method-assign]  # errors go into the document too
     found = p.parse_args(arguments)
     found.prog = p.prog
     return found

@@ -149,7 +149,7 @@ def _numbers(column: Any) -> Any:
 def _ticks(axes: Axes, results: CampaignResults, entry: str) -> None:
     """A logarithmic axis where its values are at even ratios, with ticks at some of them."""
     if entry == EPOCH:
-        axes.xaxis.set_major_formatter(DateFormatter("%Y-%m"))  # type: ignore[no-untyped-call]
+        axes.xaxis.set_major_formatter(DateFormatter("%Y-%m"))  # type: ignore[no-untyped-call]  # Matplotlib's
         return
     values = np.sort(results.table[entry].unique())
     if len(values) < 3 or values[0] <= 0.0:
