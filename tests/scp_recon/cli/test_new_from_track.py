@@ -33,6 +33,11 @@ SUN_STATE = np.array([1.5e8, -5e6, -3.4e6, -4.3, 26.8, 15.2])
 """Of Stone about the Sun at --from, km and km/s."""
 
 
+def about_bennu(meta: Path) -> tuple[str, ...]:
+    """Options for what the kernels' craft flew about Bennu."""
+    return ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
+
+
 @pytest.fixture(autouse=True)
 def _elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
@@ -137,7 +142,7 @@ def test_a_kernels_way_about_the_sun_is_held_to_what_is_known(
     meta: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of a packaged body the kernel has to have the same Sun within 0.1 deg: here a week off."""
-    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
+    words = about_bennu(meta)
     late = ("--from", "2020-01-29T20:32:08", "--to", "2020-01-30T06:12:49")
     assert run("mine", *words, *late) == 2
     assert "--from-spice" in capsys.readouterr().err
@@ -240,7 +245,7 @@ def test_a_body_that_no_kernel_names_is_refused(
 def test_what_is_too_short_for_its_burns_says_so(
     meta: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
+    words = about_bennu(meta)
     assert run("mine", *words, "--from", FROM, "--to", "2020-01-22T02:00:00") == 2
     assert "begin earlier or end later" in capsys.readouterr().err
 
@@ -249,7 +254,7 @@ def test_a_burn_just_outside_of_the_ends_is_told(
     meta: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """At a burn's epoch kernels answer with the state after it."""
-    words = ("--from-spice", str(meta), f"--spacecraft={CRAFT}", "--body", "Bennu", *SITE)
+    words = about_bennu(meta)
     ends = ("--from", "2020-01-21T20:32:07.999497", "--to", "2020-01-22T06:12:49.9994")
     assert run("mine", *words, *ends) == 0
     said = " ".join(capsys.readouterr().out.split())
