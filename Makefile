@@ -48,7 +48,7 @@ check: lint types test  ## everything that a change has to pass
 
 figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and the README's picture
 	$(BIN)/python -m paper_figs --all
-	$(BIN)/python -m paper_figs.flyby runs/paper/scp_cold docs/flyby.png
+	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
 
 clean:  ## remove the environment and what it produced
 	rm -rf $(VENV) runs mutants .coverage .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info

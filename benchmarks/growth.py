@@ -26,16 +26,9 @@ class Study:
 
 @dataclass(frozen=True)
 class Fit:
-    """Plans by size.
+    """Seconds, iterations and status of a whole plan by size, the fastest of a few.
 
-    Attributes:
-        name: of the study.
-        sizes: of what grows.
-        seconds: of a whole plan, the fastest of a few.
-        iterations: in it.
-        statuses: how it ended.
-        exponent: of the power law through all sizes.
-        last: between the last two sizes.
+    The exponents are of the power law through all sizes, and between the last two.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What is timed, each in a process of its own: `python -m benchmarks.methods NAME REPEATS`."""
+"""Time one method in a process of its own: `python -m benchmarks.methods NAME REPEATS`."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from scp_recon.monte_carlo.sampling import BLOCK
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
+from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify
 
 REPLANS = 100

@@ -9,7 +9,7 @@ import pytest
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation
 from formulations.registry import make_subproblem
-from formulations.rows.chance import ChanceRows
+from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, run_block
 from scp_recon.physics.flow import differentiate

@@ -4,28 +4,35 @@ from __future__ import annotations
 
 from benchmarks.growth import Fit
 from benchmarks.methods import REPLANS, Timed
+from scp_recon.results.table import Column, Table
 
 PARTS = ("setup", "linearise", "canonicalise", "conic_solver", "other")
 
 
 def pair_table(figures: dict[str, Timed]) -> str:
     """Planning: a row a method."""
-    lines = [
-        "| method | delta-v m/s, off the first by | status | first s | later s | set-up | linearise "
-        "| canonicalise | solver | other | peak MiB |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
     reference = next(iter(figures.values())).total_dv_m_s
-    for name, f in figures.items():
-        if f.split:
-            parts = " | ".join(f"{1e3 * max(f.split[part], 0.0):.1f} ms" for part in PARTS)
-            off = abs(f.total_dv_m_s / reference - 1.0)
-            status = f.status + (", verified" if f.verified else ", not verified")
-            lines.append(
-                f"| {name} | {f.total_dv_m_s:.6f}, {off:.0e} | {status} | {f.first:.3f} | {f.best:.3f} "
-                f"| {parts} | {f.peak_mib:.0f} |"
-            )
-    return "\n".join(lines)
+    rows = [
+        (
+            name,
+            f"{f.total_dv_m_s:.6f}, {abs(f.total_dv_m_s / reference - 1.0):.0e}",
+            f.status + (", verified" if f.verified else ", not verified"),
+            f.first,
+            f.best,
+            *(f"{1e3 * max(f.split[part], 0.0):.1f} ms" for part in PARTS),
+            f.peak_mib,
+        )
+        for name, f in figures.items()
+        if f.split
+    ]
+    columns = (
+        Column("method"),
+        *(Column("delta-v m/s, off the first by"), Column("status")),
+        *(Column("first s", form=".3f"), Column("later s", form=".3f")),
+        *map(Column, ("set-up", "linearise", "canonicalise", "solver", "other")),
+        Column("peak MiB", form=".0f"),
+    )
+    return Table.of("", columns, rows).markdown()
 
 
 def ratio_lines(figures: dict[str, Timed], commands: dict[str, float]) -> list[str]:
@@ -66,16 +73,19 @@ def without_setup(figures: Timed) -> float:
 
 def growth_table(fits: list[Fit]) -> str:
     """Growth: a row a study."""
-    lines = [
-        "| growth with | sizes | seconds of a plan (iterations) | exponent | of the last doubling |",
-        "|---|---|---|---|---|",
-    ]
+    rows = []
     for fit in fits:
-        sizes = ", ".join(str(size) for size in fit.sizes)
         points = zip(fit.seconds, fit.iterations, fit.statuses, strict=True)
         seconds = ", ".join(
             f"{s:.3f} ({n}{'' if status == 'converged' else ', ' + status})"
             for s, n, status in points
         )
-        lines.append(f"| {fit.name} | {sizes} | {seconds} | {fit.exponent:.2f} | {fit.last:.2f} |")
-    return "\n".join(lines)
+        rows.append((fit.name, ", ".join(map(str, fit.sizes)), seconds, fit.exponent, fit.last))
+    columns = (
+        "growth with",
+        "sizes",
+        "seconds of a plan (iterations)",
+        Column("exponent", form=".2f"),
+        Column("of the last doubling", form=".2f"),
+    )
+    return Table.of("", columns, rows).markdown()

@@ -18,10 +18,10 @@ flights = sr.fly(plan, samples=2_000, seed=0)
 emission = flights.probability["emission"]
 print(f"P(emission) {emission.value:.4f}, 95 % interval {emission.low:.4f} to {emission.high:.4f}")
 
-print("verified:", sr.check(plan).ok)
+print("verified:", sr.verify(plan).ok)
 
 other = sr.plan(scenario.replace({"polytopes.ball": "tangent"}), init="warm")
-print(sr.side_by_side(plan, other))
+print(sr.compare(plan, other))
 
 with tempfile.TemporaryDirectory() as folder:
     print("written:", sr.save(plan, Path(folder) / "mine").name)

@@ -1,4 +1,4 @@
-"""Where the panels cannot carry the load: `python -m experiments.battery_cones`.
+"""Where the panels cannot carry the load.
 
 Random positions on a sphere about the asteroid, the bottom face to nadir, the best rotation about it.
 Generation falls below a mode's load in two opposite cones about the Sun line; their half-angles, with
@@ -7,35 +7,31 @@ and without calibration, go to OUT/battery_cones.csv and .md, the samples to bat
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, parse
-from scp_recon.cli.options import int_between
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
-from experiments.studies import Cell, add_out, markdown, run, to_csv
-from scp_recon.files import write_atomically
+from experiments.harness import (
+    SEED,
+    VEHICLE,
+    Claim,
+    Findings,
+    Record,
+    Session,
+    Study,
+    number,
+    records,
+)
+from formulations.arrays import Array
 from scp_recon.monte_carlo.estimates import Estimate, proportion
+from scp_recon.results.table import Column, Table
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
-from scp_recon.spacecraft.panels import SolarArray, irradiance
-from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
+from scp_recon.simulation.panels import SolarArray, irradiance
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
-Array = npt.NDArray[np.float64]
-
-NAME = "battery_cones"
-SAMPLES_FILE = f"{NAME}_samples.csv"
-DEFAULT_OUT = Path("runs") / NAME
 SAMPLES, RADIUS_M = 10_000, 1000.0
 TOLERANCE_DEG, ROUNDING_DEG = 0.2, 0.05
 BOTTOM = np.array([0.0, 0.0, -1.0])
@@ -133,7 +129,7 @@ def find_cone(panels: SolarArray, samples: Samples, load: Load, housekeeping_w: 
     )
 
 
-def study(
+def find_cones(
     panels: SolarArray, samples: Samples, loads: Sequence[Load], extra_w: float
 ) -> list[Cone]:
     """Every mode's cone, first as the panels give it and then calibrated by `extra_w`."""
@@ -148,7 +144,7 @@ def mode_loads(vehicle: Vehicle, scenario: Scenario) -> tuple[Load, Load]:
     )
 
 
-def record(cone: Cone) -> dict[str, Cell]:
+def record(cone: Cone) -> Record:
     """A row of the CSV."""
     return {
         "mode": cone.load.mode,
@@ -167,118 +163,79 @@ def record(cone: Cone) -> dict[str, Cell]:
     }
 
 
-def to_markdown(cones: Sequence[Cone], samples: Samples, extra_w: float) -> str:
-    """The table with what it means."""
-    header = (
+def table(cones: Sequence[Cone], samples: Samples, extra_w: float) -> Table:
+    """The cones for people."""
+    columns = (
         "mode",
-        "load (W)",
+        Column("load", "W", ".0f"),
         "housekeeping taken off",
-        "half-angle (deg)",
-        "between the samples at (deg)",
-        "paper (deg)",
-        "difference (deg)",
-        "share of positions below (%)",
+        Column("half-angle", "deg", ".2f"),
+        Column("between the samples at", "deg"),
+        Column("paper", "deg", ".1f"),
+        Column("difference", "deg", "+.2f"),
+        Column("share of positions below", "%"),
     )
-    lines = [
+    rows = [
         (
             cone.load.mode,
-            f"{cone.load.power_w:.0f}",
+            cone.load.power_w,
             f"{extra_w:g} W" if cone.calibrated else "none",
-            f"{cone.half_angle_deg:.2f}",
+            cone.half_angle_deg,
             f"{cone.inside_deg:.2f}, {cone.outside_deg:.2f}",
-            f"{cone.load.paper_deg:.1f}",
-            f"{cone.error_deg:+.2f}",
+            cone.load.paper_deg,
+            cone.error_deg,
             f"{100 * cone.fraction.value:.2f} ({100 * cone.fraction.low:.2f} to "
             f"{100 * cone.fraction.high:.2f})",
         )
         for cone in cones
     ]
-    return (
-        "\n\n".join(
-            [
-                "# Battery cones",
-                markdown(header, lines),
-                f"{len(samples.power_w)} positions, 95 % intervals.",
-                *verdicts(cones, extra_w),
-            ]
-        )
-        + "\n"
-    )
+    note = f"{len(samples.power_w)} positions, 95 % intervals."
+    return Table.of("", columns, rows, note=note)
 
 
-def verdicts(cones: Sequence[Cone], extra_w: float) -> list[str]:
-    """Which half-angles agree with the paper's, and what that is worth."""
-    words = []
-    for calibrated in (False, True):
+def claims(cones: Sequence[Cone], extra_w: float) -> list[Claim]:
+    """Which half-angles agree with the paper's, and whether the planner's are wide enough for both."""
+    found = []
+    for calibrated, kind in (
+        (False, "uncalibrated half-angles are the paper's"),
+        (True, f"half-angles calibrated by {extra_w:g} W of housekeeping are the paper's"),
+    ):
         chosen = [cone for cone in cones if cone.calibrated == calibrated]
-        agree = all(abs(cone.error_deg) <= TOLERANCE_DEG for cone in chosen)
         angles = " and ".join(f"{cone.half_angle_deg:.2f}" for cone in chosen)
-        kind = f"Calibrated by {extra_w:g} W of housekeeping" if calibrated else "Uncalibrated"
-        words.append(
-            f"{kind}: {angles} deg, {'' if agree else 'not '}within {TOLERANCE_DEG} deg of the paper's."
-        )
-    planned = max(cone.error_deg for cone in cones) <= ROUNDING_DEG
-    words.append(
-        "The housekeeping is one number chosen to meet the paper's two; only the uncalibrated angles "
-        f"are a prediction. The planner's cones are {'' if planned else 'not '}wide enough for both."
-    )
-    return words
+        agree = all(abs(cone.error_deg) <= TOLERANCE_DEG for cone in chosen)
+        found.append(Claim(kind, f"within {TOLERANCE_DEG:g} deg", f"{angles} deg", agree))
+    short = max(cone.error_deg for cone in cones)
+    words = "the planner's cones are wide enough for both"
+    threshold = f"at most {ROUNDING_DEG:g} deg too narrow"
+    return [*found, Claim(words, threshold, f"{short:+.2f} deg", short <= ROUNDING_DEG)]
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    p = argparse.ArgumentParser(prog=f"python -m experiments.{NAME}", description=__doc__)
-    add_out(p, DEFAULT_OUT)
-    p.add_argument(
-        "--samples",
-        type=int_between(100, 10_000_000),
-        default=SAMPLES,
-        metavar="N",
-        help=f"positions (default: {SAMPLES})",
-    )
-    p.add_argument(
-        "--seed",
-        type=int_between(0, 2**32 - 1),
-        default=0,
-        metavar="N",
-        help="of the positions (default: 0)",
-    )
-    p.add_argument(
-        "--vehicle", type=Path, metavar="FILE", help="vehicle file (default: the packaged DARE)"
-    )
-    return p
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; 0 if everything was written, 2 for bad input."""
-    return run(_run, parse(parser(), arguments))
-
-
-def _run(options: argparse.Namespace) -> int:
-    scenario, vehicle = load_scenario(), load_vehicle(options.vehicle)
+def run(session: Session) -> Findings:
+    """Sample positions, and find every mode's cone."""
+    options, scenario = session.options, load_scenario()
+    vehicle = load_vehicle(options.vehicle)
     panels = SolarArray.of(vehicle, irradiance(scenario))
     samples = sample(panels, options.samples, options.seed, scenario.body.reference_radius_m)
     extra_w = vehicle.loads.housekeeping_w
-    cones = study(panels, samples, mode_loads(vehicle, scenario), extra_w)
-    options.out.mkdir(parents=True, exist_ok=True)
-    files = {
-        f"{NAME}.csv": to_csv([record(cone) for cone in cones]),
-        f"{NAME}.md": to_markdown(cones, samples, extra_w),
-        SAMPLES_FILE: _samples_csv(samples),
-    }
-    written = [write_atomically(options.out / name, text) for name, text in files.items()]
-    for line in verdicts(cones, extra_w):
-        print(line)
-    for path in written:
-        print(f"written: {path}")
-    return 0
+    cones = find_cones(panels, samples, mode_loads(vehicle, scenario), extra_w)
+    points = np.column_stack([samples.direction, samples.power_w]).tolist()
+    return Findings(
+        [
+            table(cones, samples, extra_w),
+            "The housekeeping is one number chosen to meet the paper's two; only the uncalibrated "
+            "angles are a prediction.",
+        ],
+        {
+            "battery_cones.csv": records([record(cone) for cone in cones]),
+            "battery_cones_samples.csv": Table.of("", ("x", "y", "z", "power_w"), points),
+        },
+        claims(cones, extra_w),
+    )
 
 
-def _samples_csv(samples: Samples) -> str:
-    names = ("x", "y", "z", "power_w")
-    rows = np.column_stack([samples.direction, samples.power_w])
-    return to_csv([dict(zip(names, row, strict=True)) for row in rows.tolist()])
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+STUDY = Study(
+    "Battery cones",
+    __doc__,
+    run,
+    (number("--samples", SAMPLES, 100, 10_000_000, "positions"), SEED, VEHICLE),
+)

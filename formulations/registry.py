@@ -1,41 +1,27 @@
-"""Which subproblem serves a formulation and a conic solver."""
+"""Make the subproblem of a formulation for a conic solver."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 from formulations.linearisation.condensation import CONDENSATIONS
 from formulations.problem.flyby import FlybyProblem
-from formulations.program.penalty import Penalty
-from formulations.program.subproblem import Subproblem
+from formulations.program.subproblem import Penalty, Subproblem
 from formulations.rows.cones import Rows
 
 FORMULATIONS = ("condensed", "lifted", "frozen-stm", "frozen-covariance")
 
 
-class SubproblemMaker(Protocol):
-    """Makes subproblems of one formulation."""
-
-    def __call__(
-        self, problem: FlybyProblem, rows: Rows, penalty: Penalty, solver: str
-    ) -> Subproblem:
-        """A subproblem.
-
-        Args:
-            problem: the flyby problem.
-            rows: its state constraints, those of P3 or of P2.
-            penalty: how violations and steps are charged.
-            solver: one of `formulations.program.solvers.installed()`.
-        """
-        ...
+SubproblemMaker = Callable[[FlybyProblem, Rows, Penalty, str], Subproblem]
+"""Makes a subproblem of one formulation from the problem, its state constraints (of P3 or P2), the
+penalty for violations and steps, and a solver: one of `formulations.program.solvers.installed()`."""
 
 
 def subproblem_maker(formulation: str) -> SubproblemMaker:
-    """What makes a formulation's subproblems. CVXPY takes a second to import, so it is imported here.
+    """The maker of subproblems of one of `FORMULATIONS`.
 
-    Args:
-        formulation: one of `FORMULATIONS`.
+    CVXPY takes a second to import, so it is imported here.
     """
     if formulation == "lifted":
         from formulations.program.lifted import LiftedSubproblem

@@ -1,8 +1,8 @@
-"""Every table and figure of the paper that the project can make: `python -m paper_figs`.
+"""The paper's tables and figures, or those that are named: `python -m paper_figs [NAME ...]`.
 
-They are made from what `python -m experiments.observation_table` wrote: figures as PNG and PDF,
-tables as Markdown and CSV, and `captions.md` that explains them. The studies of the spacecraft are
-drawn where their folders are found.
+Without names everything of the paper goes to a folder: figures as PNG and PDF, tables as Markdown and
+CSV, and `captions.md`, with the figures of every study whose folder is found. They are made from what
+`python -m experiments observation_table` wrote. A single one may be written to a file of any format.
 """
 
 from __future__ import annotations
@@ -21,151 +21,94 @@ if __name__ == "__main__":
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
-from itertools import chain
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from matplotlib.figure import Figure
 from rich.console import Console
 
-from paper_figs.drawing import PICTURES, plan_hash_of, save
-from paper_figs.first import run_first
-from paper_figs.inputs import TABLE, Runs, read_runs
-from paper_figs.paper import (
-    cone_polytopes,
-    control_history,
-    observation_geometry,
-    observation_histories,
-    observation_table,
-    observation_times,
-    parameters,
-    terminal_normality,
-    trajectories,
-)
-from paper_figs.studies import (
-    attitude_and_actuators,
-    battery_cones,
-    flown_plan,
-    frontier,
-    model_fidelity,
-    power_history,
-    timing_rules,
-    uncertainty_quantiles,
-    uncertainty_sources,
-)
+from paper_figs.drawing import save, write
+from paper_figs.inputs import TABLE, Runs, read_runs, run_missing
+from paper_figs.registry import EVERYTHING, FIGURES, PAPER, STUDIES, TABLES, Item
+from scp_recon.errors import one_of
 from scp_recon.files import unwritable, write_atomically
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.record import Record
+
+PICTURES = (".png", ".pdf")
 
 
-class Drawn(Protocol):
-    """A module of one figure."""
-
-    def draw(self, runs: Runs) -> Figure:
-        """The figure; nothing is written."""
-        ...
-
-    def caption(self, runs: Runs) -> str:
-        """What it shows."""
-        ...
-
-
-class Tabulated(Protocol):
-    """A module of one table."""
-
-    def table(self, runs: Runs) -> str:
-        """Markdown; nothing is written."""
-        ...
-
-
-class Study(Protocol):
-    """A module of a figure that is drawn from a study's folder."""
-
-    FOLDER: str
-    COMMAND: str
-
-    def read(self, folder: Path) -> Any:
-        """What the study left in its folder."""
-        ...
-
-    def draw(self, found: Any) -> Figure:
-        """The figure; nothing is written."""
-        ...
-
-    def caption(self, found: Any) -> str:
-        """What it shows."""
-        ...
-
-
-FIGURES: dict[str, Drawn] = {
-    "observation_geometry": observation_geometry,
-    "cone_polytopes": cone_polytopes,
-    "trajectories": trajectories,
-    "control_history": control_history,
-    "observation_histories": observation_histories,
-    "observation_times": observation_times,
-    "terminal_normality": terminal_normality,
-}
-STUDIES: dict[str, Study] = {
-    "frontier": frontier,
-    "battery_cones": battery_cones,
-    "model_fidelity": model_fidelity,
-    "uncertainty_sources": uncertainty_sources,
-    "uncertainty_quantiles": uncertainty_quantiles,
-    "attitude_and_actuators": attitude_and_actuators,
-    "power_history": power_history,
-    "flown_plan": flown_plan,
-    "timing_rules": timing_rules,
-}
-TABLES: dict[str, Tabulated] = {"parameters": parameters, "observation_table": observation_table}
+def plan_hash_of(source: object) -> str | None:
+    """Of the one plan of which a figure is drawn from this; none where that is not known."""
+    match source:
+        case Runs(plan=flown):
+            return flown.solution.plan_hash
+        case (Solution() | Record()) as one:
+            return one.plan_hash
+        case [Record() as record, *_]:
+            return record.plan_hash
+    return None
 
 
 def make_all(runs: Runs, source: Path, out: Path, studies: Path | None = None) -> Iterator[Path]:
-    """Write everything into a folder, yielding each file as it is done.
+    """Write everything of the paper into `out`, yielding each file as it is done.
 
-    Args:
-        runs: what the figures are drawn from.
-        source: folder of the table to copy.
-        out: folder to write into.
-        studies: folder in which the studies' folders are looked for.
+    The table is copied from the folder `source`; `studies` is where studies' folders are looked for.
 
     Raises:
         InputError: if a study's folder is unusable.
         OSError: if the folder cannot be written.
     """
     out.mkdir(parents=True, exist_ok=True)
-    yield write_atomically(out / "parameters.md", parameters.table(runs))
+    yield from _write(TABLES["parameters"], "parameters", runs, out)
     if runs.table:
-        yield write_atomically(out / "observation_table.md", observation_table.table(runs))
+        yield from _write(TABLES["observation_table"], "observation_table", runs, out)
         yield write_atomically(out / TABLE, (source / TABLE).read_bytes())
     captions = ["# Captions"]
-    paper = ((name, drawn, runs) for name, drawn in FIGURES.items())
-    for name, drawn, found in chain(paper, _read_studies(studies)):
-        figure, caption = drawn.draw(found), drawn.caption(found)
-        for ending in PICTURES:
-            yield save(figure, out / f"{name}{ending}", plan_hash=plan_hash_of(found))
-        captions.append(f"## {name}\n\n{caption}")
+    drawn: list[tuple[str, Item, Any]] = [(name, item, runs) for name, item in FIGURES.items()]
+    for name, item, found in (*drawn, *_read_studies(studies)):
+        yield from _write(item, name, found, out)
+        if item.caption:
+            captions.append(f"## {name}\n\n{item.caption(found)}")
     yield write_atomically(out / "captions.md", "\n\n".join(captions) + "\n")
 
 
-def _read_studies(folder: Path | None) -> Iterator[tuple[str, Study, Any]]:
-    """Name and module of every study that is there, and what it left."""
-    if folder is None:
+def _read_studies(folder: Path | None) -> Iterator[tuple[str, Item, Any]]:
+    """Every study that is there, and what it left."""
+    for name, item in STUDIES.items():
+        if folder and (place := folder / item.source.folder).is_dir():
+            yield name, item, item.read(place)
+
+
+def _write(item: Item, name: str, found: Any, out: Path) -> Iterator[Path]:
+    """Write one into a folder, or to `out` where that is a file's name."""
+    made, alone = item.make(found), out.suffix != "" and not out.is_dir()
+    plan = plan_hash_of(found)
+    if isinstance(made, str):
+        yield write(out if alone else out / f"{name}.md", made)
         return
-    for name, study in STUDIES.items():
-        place = folder / study.FOLDER
-        if place.is_dir():
-            yield name, study, study.read(place)
+    figures: Mapping[str, Figure] = {name: made} if isinstance(made, Figure) else made
+    for own, figure in figures.items():
+        for path in [out] if alone else [out / f"{own}{ending}" for ending in PICTURES]:
+            yield save(figure, path, item.dpi, plan)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; 0 if everything was written, 2 for missing input."""
-    p = argparse.ArgumentParser(prog="python -m paper_figs", description=__doc__)
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    names = ", ".join(EVERYTHING)
+    p = argparse.ArgumentParser(
+        prog="python -m paper_figs", description=__doc__, epilog=f"Names: {names}."
+    )
+    p.add_argument(
+        "names", nargs="*", metavar="NAME", help="a figure or table (default: the paper's)"
+    )
     p.add_argument(
         "--runs",
         type=Path,
-        default=Path("runs") / "paper",
         metavar="DIR",
-        help="what experiments.observation_table wrote, or a plan of one's own (default: runs/paper)",
+        help="what experiments observation_table wrote, or a plan of one's own (default: runs/paper); "
+        "of a single study's figure, the study's folder",
     )
     p.add_argument(
         "--studies",
@@ -179,37 +122,61 @@ def main(arguments: Sequence[str] | None = None) -> int:
         type=Path,
         default=Path("runs") / "figures",
         metavar="DIR",
-        help="folder for all of it (default: runs/figures)",
+        help="folder for all of it (default: runs/figures), or for a single one a file, e.g. x.svg",
     )
     p.add_argument(
         "--all",
         action="store_true",
         help="run first whatever study has left nothing in its folder; hours, with all extras",
     )
-    options = parse(p, arguments)
+    return p
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; 0 if everything was written, 2 for missing input."""
+    options = parse(parser(), arguments)
     return run_command(lambda console: _make(options, console), options)
 
 
 def _make(options: argparse.Namespace, console: Console) -> Answer:
+    names = [one_of("NAME", name, EVERYTHING) for name in options.names]
+    items = {name: EVERYTHING[name] for name in names}
+    runs = options.runs or Path("runs") / PAPER.folder
     if options.all:
-        wanted = [(study.FOLDER, study.COMMAND) for study in STUDIES.values()]
-        run_first(options.runs, options.studies, wanted, lambda line: show_line(console, line))
-    runs = read_runs(options.runs)
+        sources = [item.source for item in (items or STUDIES).values() if item.source is not PAPER]
+        run_missing(runs, options.studies, sources, lambda line: show_line(console, line))
     files: list[str] = []
+    written = (
+        _make_named(items, options)
+        if items
+        else make_all(read_runs(runs), runs, options.out, options.studies)
+    )
     try:
-        for path in make_all(runs, options.runs, options.out, options.studies):
+        for path in written:
             show_written(console, path)
             files.append(str(path))
     except OSError as error:
         raise unwritable(options.out, "--out", error) from None
     wanting = {
-        name: study.COMMAND
-        for name, study in STUDIES.items()
-        if not (options.studies / study.FOLDER).is_dir()
+        name: item.source.command
+        for name, item in ({} if items else STUDIES).items()
+        if not (options.studies / item.source.folder).is_dir()
     }
     for name, line in wanting.items():
-        console.print(f"not drawn: {name}, for want of `{line}`", soft_wrap=True)
+        show_line(console, f"not drawn: {name}, for want of `{line}`")
     return Answer(0, {"files": files, "not_drawn": wanting})
+
+
+def _make_named(items: Mapping[str, Item], options: argparse.Namespace) -> Iterator[Path]:
+    """Those that are named, each from its own input."""
+    single, out = len(items) == 1, options.out
+    if not (single and out.suffix):
+        out.mkdir(parents=True, exist_ok=True)
+    for name, item in items.items():
+        of_paper = item.source is PAPER
+        home = Path("runs") / PAPER.folder if of_paper else options.studies / item.source.folder
+        place = options.runs if options.runs and (single or of_paper) else home
+        yield from _write(item, name, item.read(place), out)
 
 
 if __name__ == "__main__":

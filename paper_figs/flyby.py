@@ -1,4 +1,4 @@
-"""The flyby at a glance: `python -m paper_figs.flyby runs/latest docs/flyby.png`.
+"""The flyby at a glance.
 
 Left the path seen from the Sun with sampled flights, right what the instruments see in the
 observation window, with the spread of the samples about the plan.
@@ -6,47 +6,47 @@ observation window, with the spread of the samples about the plan.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import Answer, exit_on_sigint, parse, run_command
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import argparse
-import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from rich.console import Console
 
-from paper_figs.drawing import BANDS, STYLE, plain, save, wrote
+from formulations.arrays import Array
+from paper_figs.drawing import page, shade_bands
 from paper_figs.labels import place_labels
 from paper_figs.paper.observed import SEED, observed
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000
-from scp_recon.solution.file import Solution
-from scp_recon.solution.parent import require_whole_flight
-from scp_recon.solution.read import read_solution
-
-Array = npt.NDArray[np.float64]
+from scp_recon.results.pictures import plain
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution, require_whole_flight
 
 PATHS_SHOWN = 150
 ARROW, SHORT = 0.2, 1e-3
 """Arrow of the largest burn over the extent of the path, and km below which there is no arrow."""
 
 
+def read(folder: Path) -> Solution:
+    """The solution in a folder, of a whole flight.
+
+    Raises:
+        InputError: if there is none, or it is a replan's.
+    """
+    solution = read_solution(folder)
+    require_whole_flight(solution.scenario, "solution")
+    return solution
+
+
 def draw(solution: Solution) -> Figure:
     """The figure of a solution; nothing is written."""
-    mission = Mission.from_scenario(solution.scenario)
-    with style.context(STYLE):
-        figure = Figure(figsize=(10, 4.4), layout="constrained")
+    mission = solution.mission
+    with page(4.4, 10.0) as figure:
         grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1.0))
         path = figure.add_subplot(grid[:, 0])
         histories = [figure.add_subplot(grid[row, 1]) for row in range(3)]
@@ -88,10 +88,7 @@ def _tips(mission: Mission, solution: Solution) -> Array:
 
 
 def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
-    def seen(position: Array) -> Array:
-        return seen_from_sun(mission, position)
-
-    times = mission.times_s
+    seen, times = partial(seen_from_sun, mission), mission.times_s
     samples = seen(sample_positions(mission, solution.burns_m_s, times, PATHS_SHOWN, SEED))
     axes.plot(samples[..., 0], samples[..., 1], color="0.75", lw=0.4, alpha=0.5, zorder=1)
     axes.plot([], [], color="0.6", lw=1, label=f"{PATHS_SHOWN} sampled flights")
@@ -124,9 +121,7 @@ def _draw_histories(panels: Sequence[Axes], mission: Mission, solution: Solution
     times = np.linspace(first, last, 61)
     quantities = observed(mission, solution.burns_m_s, times)
     for axes, quantity in zip(panels, quantities, strict=True):
-        for low, high, shade, name in BANDS:
-            edges = np.percentile(quantity.sampled, (low, high), axis=1)
-            axes.fill_between(times, *edges, color=shade, lw=0, label=name)
+        shade_bands(axes, times, quantity.sampled)
         axes.plot(times, quantity.plan, color="k", lw=1.2, label="plan")
         for bound in quantity.limits:
             if bound is not None:
@@ -138,23 +133,3 @@ def _draw_histories(panels: Sequence[Axes], mission: Mission, solution: Solution
     panels[-1].set_xlabel("time (s)")
     panels[0].plot([], [], color="C3", ls="--", lw=1, label="limit")
     panels[0].legend(ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw a solution's picture to a file whose ending chooses the format."""
-    p = argparse.ArgumentParser(prog="python -m paper_figs.flyby", description=__doc__)
-    p.add_argument("solution", type=Path, metavar="DIR", help="folder with a solution.json")
-    p.add_argument("picture", type=Path, metavar="FILE", help="e.g. flyby.png or flyby.svg")
-    options = parse(p, arguments)
-
-    def work(console: Console) -> Answer:
-        solution = read_solution(options.solution)
-        require_whole_flight(solution.scenario, "solution")
-        path = save(draw(solution), options.picture, dpi=140, plan_hash=solution.plan_hash)
-        return wrote(console, path)
-
-    return run_command(work, options)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,39 +1,22 @@
-"""The frames of `docs/frames.md`: `python -m paper_figs.frames docs/frames.png`."""
+"""The frames of `docs/frames.md`."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, parse, run_command
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import argparse
-import sys
-from collections.abc import Sequence
-from pathlib import Path
-
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import HALO, STYLE, WIDTH_IN, save, wrote
-from scp_recon.environment.surface import direction_of
+from formulations.arrays import Array
+from paper_figs.drawing import HALO, page
+from scp_recon.bodies.surface import direction_of
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
 
-Array = npt.NDArray[np.float64]
 X, Y, Z = np.eye(3)
 GREY, BODY, SUN = "0.55", "C0", "C1"
 
 
 class Drawing:
-    """Arrows and arcs in space, seen from a direction without perspective.
-
-    Args:
-        axes: to draw in.
-        latitude_deg, longitude_deg: from where they are seen.
-    """
+    """Arrows and arcs in space, seen from a latitude and longitude without perspective."""
 
     def __init__(self, axes: Axes, latitude_deg: float, longitude_deg: float) -> None:
         self.axes = axes
@@ -86,8 +69,7 @@ class Drawing:
 
 def draw() -> Figure:
     """The figure; nothing is written."""
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 6.2), layout="constrained")
+    with page(6.2) as figure:
         panels = figure.subplots(2, 2).ravel()
         for panel, content in zip(panels, (_fixed, _sun_north, _site, _rtn), strict=True):
             content(panel)
@@ -172,17 +154,3 @@ def _rtn(axes: Axes) -> None:
     for to, name in ((radial, "R"), (np.cross(normal, radial), "T"), (normal, "N")):
         drawing.arrow(0.6 * to, name, "C3", at)
     drawing.text(drawing.screen @ (0.5 * at) + [0.0, 0.13], "r", "0.3")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw the frames to a file whose ending chooses the format."""
-    p = argparse.ArgumentParser(prog="python -m paper_figs.frames", description=__doc__)
-    p.add_argument("picture", type=Path, metavar="FILE", help="e.g. frames.png or frames.svg")
-    options = parse(p, arguments)
-    return run_command(
-        lambda console: wrote(console, save(draw(), options.picture, dpi=120)), options
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,42 +1,89 @@
-"""What the figures are drawn from: rows of the observation-time table, as experiments left them."""
+"""Input of the figures: a plan with its flights, tables of studies, and what writes them."""
 
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
+from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import FILE_NAME as SUMMARY_FILE
-from scp_recon.monte_carlo.summary import Summary, read_summary
-from scp_recon.solution.evaluated import ballistic_arc
-from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
-from scp_recon.solution.file import Solution
-from scp_recon.solution.read import read_solution
-from scp_recon.solution.runs import folder_of, resolve_run
+from scp_recon.monte_carlo.summary import Summary, read_summary, summarise
+from scp_recon.results.read import read_solution
+from scp_recon.results.runs import folder_of, resolve_run
+from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE
+from scp_recon.results.solution import Solution, ballistic_arc
 
 PLAN, SURROGATE, AS_FLOWN = "scp_cold", "ballistic", "as_flown"
 TABLE = "observation_table.csv"
-COMMAND = "python -m experiments.observation_table"
+COMMAND = "python -m experiments observation_table"
 FLIGHTS = 10_000
 """Of a plan that was not flown before."""
 SHOWN = 16
 """Digits of a plan's hash in messages."""
 
+SOLUTION = "SOLUTION"
+"""In a study's command, what stands for the plan."""
+EMPTY_HANDED = 2
+"""Exit status of a command that could not begin."""
+
+Row = dict[str, str]
+"""Of a table, as it stands in the file."""
+Tables = Sequence[list[Row]]
+"""Of a study, in its source's order."""
+
+
+def numbers(rows: Iterable[Row], column: str) -> Array:
+    """A column's figures, shape (rows,)."""
+    return np.array([float(row[column]) for row in rows])
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a command leaves for a figure.
+
+    Attributes:
+        folder: name of its folder among those of the studies.
+        command: that writes it.
+        tables: its CSV files by name, with a column that each must have.
+    """
+
+    folder: str
+    command: str
+    tables: Mapping[str, str] = field(default_factory=dict)
+
+    def read(self, place: Path) -> list[list[Row]]:
+        """All tables in a folder, a dictionary for each row.
+
+        Raises:
+            InputError: if a file is missing or lacks its column, naming the command that writes it.
+        """
+        found = []
+        for name, column in self.tables.items():
+            path = _require(place / name, place, self.command)
+            with path.open(encoding="utf-8", newline="") as file:
+                rows = list(csv.DictReader(file))
+            if not rows or column not in rows[0]:
+                raise _unusable(path, place, self.command)
+            found.append(rows)
+        return found
+
+    def rows(self, place: Path) -> list[Row]:
+        """Those of the first table; see `read`."""
+        return self.read(place)[0]
+
 
 @dataclass(frozen=True)
 class Flown:
-    """Burns and what many flights of them showed.
-
-    Attributes:
-        label: for legends.
-        solution: burns and nodes.
-        mission: the solution's scenario resolved.
-        summary: of the flights, which are of this very plan.
-    """
+    """A plan with its name for legends, its scenario resolved, and what many flights of it showed."""
 
     label: str
     solution: Solution
@@ -56,11 +103,11 @@ class Runs:
 
     plan: Flown
     reference: Flown
-    table: list[dict[str, str]]
+    table: list[Row]
 
 
 def read_runs(folder: Path) -> Runs:
-    """Read what `experiments.observation_table` left in a folder; or a plan, and fly what is wanting.
+    """Read what `experiments observation_table` left in a folder; or a plan, and fly what is wanting.
 
     Raises:
         InputError: if a file is missing or unusable, naming the command that writes it.
@@ -74,7 +121,9 @@ def read_runs(folder: Path) -> Runs:
         if flown
         else _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
     )
-    return Runs(_flown(folder, PLAN, "plan"), reference, _table(folder))
+    _require(folder / TABLE, folder)
+    table = Source("paper", f"{COMMAND} --fresh", {TABLE: "mean_s"}).rows(folder)
+    return Runs(_flown(folder, PLAN, "plan"), reference, table)
 
 
 def own_plan(home: Path) -> Runs:
@@ -83,7 +132,7 @@ def own_plan(home: Path) -> Runs:
     Flights that lie beside it are taken if they are of this plan; others are flown.
     """
     solution = read_solution(home)
-    mission = Mission.from_scenario(solution.scenario)
+    mission = solution.mission
     file = folder_of(home) / SUMMARY_FILE
     summary = read_summary(file) if file.is_file() else None
     if summary is None or not summary.is_of(solution):
@@ -111,20 +160,15 @@ def _flown(folder: Path, key: str, label: str) -> Flown:
     check_same_plan(
         summary.plan_hash, summary_file, solution, plan_file, f"{COMMAND} --out {folder}"
     )
-    return Flown(label, solution, Mission.from_scenario(solution.scenario), summary)
+    return Flown(label, solution, solution.mission, summary)
 
 
 def check_same_plan(
     plan_hash: str | None, file: Path, solution: Solution, plan_file: Path, command: str
 ) -> None:
-    """Hold what was flown against the solution that stands beside it.
+    """Hold the plan that was flown against the solution that stands beside the flights' file.
 
-    Args:
-        plan_hash: of the plan flown; none in files of earlier versions.
-        file: of the flights.
-        solution: beside it.
-        plan_file: from which it was read.
-        command: that flies it again.
+    Files of earlier versions have no hash; the command is the one that flies it again.
 
     Raises:
         InputError: if another plan was flown, or an unknown one.
@@ -137,25 +181,6 @@ def check_same_plan(
         raise InputError(str(file), flown, f"must be of {beside}: run `{command}`")
 
 
-def _table(folder: Path) -> list[dict[str, str]]:
-    _require(folder / TABLE, folder)
-    return read_csv(folder, TABLE, "mean_s", f"{COMMAND} --fresh")
-
-
-def read_csv(folder: Path, name: str, column: str, command: str) -> list[dict[str, str]]:
-    """A table that a command of `experiments` left in a folder, a dictionary per row.
-
-    Raises:
-        InputError: if the file is missing or lacks a column, naming the command that writes it.
-    """
-    path = _require(folder / name, folder, command)
-    with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    if not rows or column not in rows[0]:
-        raise _unusable(path, folder, command)
-    return rows
-
-
 def _require(path: Path, folder: Path, command: str = COMMAND) -> Path:
     if not path.is_file():
         raise InputError(str(path), "no such file", f"written by `{command} --out {folder}`")
@@ -165,3 +190,29 @@ def _require(path: Path, folder: Path, command: str = COMMAND) -> Path:
 def _unusable(path: Path, folder: Path, command: str = f"{COMMAND} --fresh") -> InputError:
     written = f"written anew by `{command} --out {folder}`"
     return InputError(str(path), "an unusable file", written)
+
+
+def run_missing(
+    runs: Path,
+    studies: Path,
+    wanted: Iterable[Source],
+    tell: Callable[[str], None],
+    run: Callable[[list[str]], int] = lambda words: subprocess.run(words, check=False).returncode,
+) -> None:
+    """Run the studies that have left nothing yet; one that lacks an extra says so and is passed over.
+
+    `runs` is the folder of the observation-time table, or a plan; `studies` has the studies' folders.
+    """
+    own = runs.is_file() or (runs / SOLUTION_FILE).exists()
+    plan = runs if own else runs / PLAN
+    lines = [] if own or (runs / TABLE).exists() else [(COMMAND, runs)]
+    places = {source.folder: source.command for source in wanted}
+    lines += [
+        (line, studies / name) for name, line in places.items() if not (studies / name).is_dir()
+    ]
+    for line, out in lines:
+        words = [str(plan) if word == SOLUTION else word for word in line.split()]
+        tell(" ".join([*words, "--out", str(out)]))
+        status = run([sys.executable, *words[1:], "--out", str(out)])
+        if status == EMPTY_HANDED:
+            tell(f"exit status {status}: left out")

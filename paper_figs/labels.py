@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 
-Array = npt.NDArray[np.float64]
+from formulations.arrays import Array
 
 AWAY_PT = (9.0, 16.0, 26.0, 38.0, 52.0, 70.0)
 """Distances from a point at which words are tried, the nearest first."""

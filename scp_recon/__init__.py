@@ -15,41 +15,58 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scp_recon.front_door import (
-        check,
-        fly,
-        load_scenario,
-        plan,
-        plan_again,
-        run_campaign,
-        save,
-        side_by_side,
-        write_report,
-    )
+    from scp_recon.api.campaigns import campaign
+    from scp_recon.api.designing import design
+    from scp_recon.api.drafts import new
+    from scp_recon.api.files import compare, export, load, report, save, verify
+    from scp_recon.api.flights import fly, simulate
+    from scp_recon.api.planning import plan
+    from scp_recon.api.replans import replan
+    from scp_recon.api.survey import windows
+    from scp_recon.scenario.load import load_scenario
 
 __all__ = [
-    "check",
+    "campaign",
+    "compare",
+    "design",
+    "export",
     "fly",
+    "load",
     "load_scenario",
+    "new",
     "plan",
-    "plan_again",
-    "run_campaign",
+    "replan",
+    "report",
     "save",
-    "side_by_side",
-    "write_report",
+    "simulate",
+    "verify",
+    "windows",
 ]
+_ELSEWHERE = {
+    "campaign": "api.campaigns",
+    "design": "api.designing",
+    "fly": "api.flights",
+    "load_scenario": "scenario.load",
+    "new": "api.drafts",
+    "plan": "api.planning",
+    "replan": "api.replans",
+    "simulate": "api.flights",
+    "windows": "api.survey",
+}
+"""Modules of those that `api.files` does not have."""
 
 
 def __getattr__(name: str) -> Any:
-    """A name of the front door, which is imported when it is first asked for."""
+    """A public name, which is imported when it is first asked for."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from scp_recon import front_door
+    from importlib import import_module
 
-    return getattr(front_door, name)
+    module = import_module(f"{__name__}.{_ELSEWHERE.get(name, 'api.files')}")
+    return getattr(module, name)
 
 
 def __dir__() -> list[str]:
-    """For completion: the front door, and the modules that are imported."""
+    """For completion: the public names, and the modules that are imported."""
     modules = [name for name, value in globals().items() if isinstance(value, ModuleType)]
     return sorted({*modules, *__all__})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scp_recon.cli.command import BAD_INPUT, exit_on_sigint
+from scp_recon.cli.command import BAD_INPUT, Command, exit_on_sigint
 
 if __name__ == "__main__":
     exit_on_sigint()
@@ -10,28 +10,28 @@ if __name__ == "__main__":
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from types import ModuleType
 
 COMMANDS = {
-    "solve": "plan a flyby",
-    "design": "choose departure, arrival and burn times from a home orbit",
-    "replan": "plan again what is left of a flight",
-    "verify": "verify a solution again",
-    "montecarlo": "fly a plan many times",
-    "simulate": "fly a plan with the spacecraft in the loop",
-    "campaign": "run many cases of a study",
-    "compare": "plans side by side",
-    "report": "plans on one page to look at",
-    "export": "write a plan for other tools",
-    "new": "draft a scenario",
-    "windows": "lighting windows and legal burn times",
-    "schema": "write the JSON schema of scenario files",
+    "solve": ("planning", "plan a flyby"),
+    "design": ("passes", "choose departure, arrival and burn times from a home orbit"),
+    "replan": ("replanning", "plan again what is left of a flight"),
+    "verify": ("plans", "verify a solution again"),
+    "montecarlo": ("flights", "fly a plan many times"),
+    "simulate": ("flights", "fly a plan with the spacecraft in the loop"),
+    "campaign": ("campaigns", "run many cases of a study"),
+    "compare": ("plans", "plans side by side"),
+    "report": ("plans", "plans, or a campaign, on one page to look at"),
+    "export": ("plans", "write a plan for other tools"),
+    "new": ("scenarios", "draft a scenario"),
+    "windows": ("scenarios", "lighting windows and legal burn times"),
+    "schema": ("scenarios", "write the JSON schema of scenario files"),
 }
+"""Each with the module of `cli.commands` that has it, and what it does."""
 HELP = "\n".join(
     [
         "usage: scp-recon COMMAND ...    (scp-recon COMMAND --help says more)",
         "",
-        *(f"  {name:11} {words}" for name, words in COMMANDS.items()),
+        *(f"  {name:11} {words}" for name, (_, words) in COMMANDS.items()),
     ]
 )
 
@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; its exit status, or 2 where there is none of that name."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words and words[0] in COMMANDS:
-        return int(_module_of(words[0]).main(words[1:]))
+        return int(command(words[0]).main(words[1:]))
     if words and words[0] in ("-h", "--help"):
         sys.stdout.write(f"{HELP}\n")
         return 0
@@ -49,10 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return BAD_INPUT
 
 
-def _module_of(command: str) -> ModuleType:
-    """The module of a command, which may be a package's."""
-    module = import_module(f"scp_recon.{command}")
-    return module if hasattr(module, "main") else import_module(f"{module.__name__}.__main__")
+def command(name: str) -> Command:
+    """A command by its name; what it needs is imported with it."""
+    module = import_module(f"scp_recon.cli.commands.{COMMANDS[name][0]}")
+    found: Command = getattr(module, name)
+    return found
 
 
 def script() -> int:

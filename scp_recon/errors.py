@@ -1,24 +1,74 @@
-"""What can go wrong with what the user gave, and checks that say so."""
+"""Errors of what the user gave, and the checks that raise them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import re
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
 from numbers import Integral
+from pathlib import Path
+from typing import Any
+
+OPTION = re.compile(r"\0(\w+)(?:=([^\0]*))?\0")
+"""An option in a message, its name and a value's `repr`, between characters that no file's name has."""
+ON_COMMAND_LINE = {"True": "yes", "False": "no"}
+
+
+def option(name: str, value: object = None) -> str:
+    """An option in a message: each caller is told it as it knows it.
+
+    Args:
+        name: of the parameter in Python, such as `facet_rounds`; --facet-rounds to who uses the command
+            line, whose parser knows.
+        value: that is spoken of, if any: `method='scp'`, or --method scp.
+    """
+    return f"\0{name}\0" if value is None else f"\0{name}={value!r}\0"
 
 
 class InputError(ValueError):
     """An entry of the input is unusable; the message names it, what was given and what is allowed.
 
     Args:
-        entry: dotted path of the entry, or the file or option.
+        entry: dotted path of the entry, or the file or `option`.
         given: what was found there.
         allowed: what would have been accepted.
     """
 
     def __init__(self, entry: str, given: str, allowed: str) -> None:
+        self._said = entry, given, allowed
+        entry, allowed = (OPTION.sub(_in_python, text) for text in (entry, allowed))
         self.entry, self.given, self.allowed = map(printable, (entry, given, allowed))
         super().__init__(f"{self.entry}: got {self.given}; {self.allowed}")
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """Pickle it by its parts, so that it comes back whole from another process."""
+        return type(self), self._said
+
+    def for_command(self, flags: Mapping[str, str]) -> InputError:
+        """The same with options as a command line has them.
+
+        Args:
+            flags: by the parameters' names, such as --facet-rounds.
+        """
+        entry, given, allowed = self._said
+
+        def flag(match: re.Match[str]) -> str:
+            name, value = match.groups()
+            word = "" if value is None else " " + ON_COMMAND_LINE.get(value, value.strip("'"))
+            return flags.get(name, name) + word
+
+        of_option = OPTION.match(entry) is not None
+        return InputError(
+            OPTION.sub(flag, entry),
+            ON_COMMAND_LINE.get(given, given) if of_option else given,
+            OPTION.sub(flag, allowed),
+        )
+
+
+def _in_python(match: re.Match[str]) -> str:
+    name, value = match.groups()
+    return name if value is None else f"{name}={value}"
 
 
 def printable(text: str) -> str:
@@ -35,6 +85,17 @@ def one_of(entry: str, given: object, known: Collection[str]) -> str:
     if not isinstance(given, str) or given not in known:
         raise InputError(entry, shortened(given), f"must be one of {', '.join(known)}")
     return given
+
+
+def path_of(entry: str, given: object) -> Path:
+    """A path, or a text that names one.
+
+    Raises:
+        InputError: if it is neither.
+    """
+    if not isinstance(given, str | Path):
+        raise InputError(entry, shortened(given), "must be a path")
+    return Path(given)
 
 
 def whole_number(entry: str, given: object, low: int, high: int) -> int:
@@ -72,7 +133,39 @@ def needing(entry: str, extra: str, *packages: str) -> Iterator[None]:
         ) from None
 
 
+def imported(entry: str, extra: str, *modules: str) -> Any:
+    """Import modules that need an extra, and return the first.
+
+    Raises:
+        InputError: if one is not installed.
+    """
+    with needing(entry, extra, *(name.partition(".")[0] for name in modules)):
+        first, *_ = (import_module(name) for name in modules)
+    return first
+
+
 def shortened(given: object) -> str:
     """What was given, on a part of a line."""
     text = repr(given)
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def number_between(entry: str, given: object, low: float, high: float) -> float:
+    """A number within bounds.
+
+    Raises:
+        InputError: if it is none, or beyond them.
+    """
+    if isinstance(given, int | float) and not isinstance(given, bool) and low <= given <= high:
+        return float(given)
+    raise InputError(entry, shortened(given), f"must be a number from {low:g} to {high:g}")
+
+
+def version_of(package: str) -> str:
+    """Version of an installed package; unknown where it only lies on the path."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"

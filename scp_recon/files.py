@@ -1,15 +1,18 @@
-"""Reading what the user names, text of a sane size or a message; and writing it whole or not at all."""
+"""Read a text file or say why not; write whole or not at all; keep a folder for one run at a time."""
 
 from __future__ import annotations
 
 import codecs
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryFile
 from uuid import uuid4
 
 from scp_recon.errors import InputError
 
+LOCK = ".lock"
 BYTES_MAX = 100_000_000
 """Thirty times the solution of the largest grid; /dev/zero ends here and not in the memory."""
 
@@ -80,3 +83,33 @@ def write_atomically(path: Path, content: str | bytes) -> Path:
         beside.unlink(missing_ok=True)
         raise
     return path
+
+
+@contextmanager
+def only_run_in(folder: Path, entry: str, name: str = LOCK) -> Iterator[None]:
+    """Keep other runs out of a folder that exists; a lock left by a dead process does not count.
+
+    Args:
+        folder: to keep.
+        entry: what to name in a message.
+        name: of the lock's file, where not the whole folder is meant.
+
+    Raises:
+        InputError: if another process is at work in it.
+    """
+    from filelock import SoftFileLock, Timeout
+
+    lock = SoftFileLock(folder / name, timeout=0.0)
+    try:
+        lock.acquire()
+    except Timeout:
+        who = f"process {lock.pid}" if lock.pid else "another process"
+        raise InputError(
+            entry, f"{folder}, in which {who} is at work", "must be a folder of one run at a time"
+        ) from None
+    except OSError as error:
+        raise unwritable(folder, entry, error) from None
+    try:
+        yield
+    finally:
+        lock.release()

@@ -7,19 +7,17 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.execution_errors import ComponentwiseErrors
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball, Cone
-from formulations.rows.chance import ChanceRows
-from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.uniform import ChanceRows, DeterministicRows
 
-Array = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.special import ndtr
 from scipy.stats import ncx2
 
+from formulations.arrays import Array
 from formulations.problem.regions import Ball, Cone, perpendicular
-from tests.helpers import Array
 
 OUTER, INNER, TAIL = 800, 320, 9.0
 """Gauss-Legendre points over the slices and within each, over so many standard deviations either way:

@@ -26,13 +26,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scp_recon import export, solve
-from scp_recon.campaign.study.study import Study
+from scp_recon.campaigns.study import Study
+from scp_recon.cli.commands.planning import solve
+from scp_recon.cli.commands.plans import export
 from scp_recon.mission.mission import Mission
+from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.read import read_solution
 from tests.experiments.support import write_kernel
-from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
+from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import fly_few, mission_of
 
 PROJECT = Path(__file__).parents[1]
@@ -111,7 +112,7 @@ class Quick:
 
 def one_cell(patch: pytest.MonkeyPatch) -> None:
     """The first cell of the quick comparison, whichever is asked for."""
-    study = importlib.import_module("experiments.compare_solvers.__main__")
+    study = importlib.import_module("experiments.compare_solvers.study")
     cells = study.quick_design()[:1]
     for name in ("quick_design", "full_design"):
         assert callable(getattr(study, name))
@@ -122,18 +123,18 @@ def one_cell(patch: pytest.MonkeyPatch) -> None:
 
 def one_trick(patch: pytest.MonkeyPatch) -> None:
     study = importlib.import_module("experiments.nlp_tricks")
-    chosen = study.tricks()[-1:]
+    chosen = dict(list(study.tricks().items())[-1:])
     patch.setattr(study, "tricks", lambda: chosen)
 
 
 def one_case(patch: pytest.MonkeyPatch) -> None:
-    study = importlib.import_module("experiments.openscvx_peer.__main__")
+    study = importlib.import_module("experiments.openscvx_peer")
     patch.setattr(study, "CASES", study.CASES[:1])
 
 
 def roughly(patch: pytest.MonkeyPatch) -> None:
-    method = importlib.import_module("scp_recon.cli.method")
-    patch.setattr(method, "Search", partial(method.Search, close=1.0))
+    planning = importlib.import_module("scp_recon.api.planning")
+    patch.setattr(planning, "Search", partial(planning.Search, close=1.0))
 
 
 def two_kinds(patch: pytest.MonkeyPatch) -> None:
@@ -145,14 +146,14 @@ def two_kinds(patch: pytest.MonkeyPatch) -> None:
 
 
 def the_plan_alone(patch: pytest.MonkeyPatch) -> None:
-    study = importlib.import_module("experiments.model_fidelity.__main__")
+    study = importlib.import_module("experiments.model_fidelity.study")
     flights = study.flights
     patch.setattr(study, "flights", lambda *arguments: flights(*arguments)[1:])
 
 
 def short_slews(patch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("Basilisk", reason="needs the extra [sim]")
-    flights = importlib.import_module("experiments.timing_rules.flights")
+    flights = importlib.import_module("experiments.timing_rules")
     for name in ("SLEW_S", "RECHARGE_S"):
         assert getattr(flights, name) > 100.0
         patch.setattr(flights, name, 100.0)
@@ -170,7 +171,7 @@ FLOWN: dict[str, object] = {}
 def one_flight(patch: pytest.MonkeyPatch) -> None:
     """Whatever is to be simulated, the short plan is, and only once."""
     pytest.importorskip("Basilisk", reason="needs the extra [sim]")
-    simulation = importlib.import_module("scp_recon.spacecraft.basilisk.simulation")
+    simulation = importlib.import_module("scp_recon.simulation.basilisk.simulation")
     simulate = simulation.simulate
 
     def once(*arguments: object, **options: object) -> object:
@@ -179,24 +180,24 @@ def one_flight(patch: pytest.MonkeyPatch) -> None:
         return FLOWN["flight"]
 
     patch.setattr(simulation, "simulate", once)
-    patch.setattr(importlib.import_module("experiments.flown_plan.__main__"), "SAMPLES", 500)
+    patch.setattr(importlib.import_module("experiments.flown_plan"), "SAMPLES", 500)
 
 
-def simulated(arguments: str, command: str = "scp_recon.simulate") -> Quick:
+def simulated(arguments: str, command: str = "scp_recon simulate") -> Quick:
     return Quick(f"python -m {command} {arguments}", needs="Basilisk", cut=one_flight)
 
 
-TABLE = "python -m experiments.observation_table"
-COMPARISON = "python -m experiments.compare_solvers --quick"
+TABLE = "python -m experiments observation_table"
+COMPARISON = "python -m experiments compare_solvers --quick"
 FEW = "--quick --skip-ipopt --samples 100"
-CONES = "python -m experiments.battery_cones"
-DRAW = "python -m paper_figs.studies.solver_comparison"
+CONES = "python -m experiments battery_cones"
+DRAW = "python -m paper_figs solver_comparison"
 
 STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
-IN_FLIGHT = f"python -m scp_recon.replan runs/latest --at 17000 --state {STATE} --out runs/again"
+IN_FLIGHT = f"python -m scp_recon replan runs/latest --at 17000 --state {STATE} --out runs/again"
 EXACT = "python -m scp_recon.solve --set 'risk.allocation=\"exact\"'"
 
-CAMPAIGN = "python -m scp_recon.campaign STUDY.toml --out DIR"
+CAMPAIGN = "python -m scp_recon campaign STUDY.toml --out DIR"
 NEVER_LIT = """
 [[axis]]
 entry = "observation.incidence_max_deg"
@@ -244,93 +245,93 @@ QUICK = {
         "python -m scp_recon.solve --out runs/dir --problem P3"
     ),
     # where it may go
-    "python -m scp_recon.new mission --body Bennu --site 20,150 --epoch 2020-01-21T20:33:17": Quick(),
-    "python -m scp_recon.new flown --from-spice all.tm --spacecraft=-64 --body Bennu --site 55.9,41.8 "
+    "python -m scp_recon new mission --body Bennu --site 20,150 --epoch 2020-01-21T20:33:17": Quick(),
+    "python -m scp_recon new flown --from-spice all.tm --spacecraft=-64 --body Bennu --site 55.9,41.8 "
     "--from 2020-01-21T20:32:08 --to 2020-01-22T06:12:49": Quick(
-        "python -m scp_recon.new flown --from-spice all.tm --spacecraft=-999 --body Bennu "
+        "python -m scp_recon new flown --from-spice all.tm --spacecraft=-999 --body Bennu "
         "--site 55.9,41.8 --from 2020-01-21T20:32:08 --to 2020-01-22T06:12:49",
         needs="spiceypy",
     ),
     "python -m scp_recon.solve --scenario flown.toml --init flown_start.csv": Quick(
         "python -m scp_recon.solve --scenario mine.toml --init start.csv --problem P3"
     ),
-    "python -m scp_recon.windows recon_b": Quick(),
-    "python -m scp_recon.design nightingale": Quick(
-        f"python -m scp_recon.design nightingale {NARROW}", needs="matplotlib"
+    "python -m scp_recon windows recon_b": Quick(),
+    "python -m scp_recon design nightingale": Quick(
+        f"python -m scp_recon design nightingale {NARROW}", needs="matplotlib"
     ),
     "python -m scp_recon.solve --scenario runs/latest/scenario.toml": Quick(
         "python -m scp_recon.solve --scenario recon_b --problem P3"
     ),
-    "python -m scp_recon.windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
+    "python -m scp_recon windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
     "--chart windows.png": Quick(needs="matplotlib"),
     # its result
-    "python -m scp_recon.verify runs/mine": Quick(),
-    "python -m scp_recon.compare runs/latest runs/mine": Quick(),
-    "python -m scp_recon.report runs/latest runs/mine": Quick(needs="plotly"),
-    "python -m scp_recon.montecarlo": Quick(
-        "python -m scp_recon.montecarlo runs/mine --samples 500"
+    "python -m scp_recon verify runs/mine": Quick(),
+    "python -m scp_recon compare runs/latest runs/mine": Quick(),
+    "python -m scp_recon report runs/latest runs/mine": Quick(needs="plotly"),
+    "python -m scp_recon montecarlo": Quick(
+        "python -m scp_recon montecarlo runs/mine --samples 500"
     ),
-    "python -m scp_recon.montecarlo runs/mine --until 0.5% --samples 100000": Quick(
-        "python -m scp_recon.montecarlo runs/mine --until 5% --samples 2000"
+    "python -m scp_recon montecarlo runs/mine --until 0.5% --samples 100000": Quick(
+        "python -m scp_recon montecarlo runs/mine --until 5% --samples 2000"
     ),
-    "python -m scp_recon.montecarlo runs/latest": Quick(
-        "python -m scp_recon.montecarlo runs/latest --samples 500"
+    "python -m scp_recon montecarlo runs/latest": Quick(
+        "python -m scp_recon montecarlo runs/latest --samples 500"
     ),
-    "python -m paper_figs.flyby runs/mine flyby.svg": Quick(needs="matplotlib"),
-    "python -m paper_figs.frames docs/frames.png": Quick(
-        "python -m paper_figs.frames frames.png", needs="matplotlib"
+    "python -m paper_figs flyby --runs runs/mine --out flyby.svg": Quick(needs="matplotlib"),
+    "python -m paper_figs frames --out docs/frames.png": Quick(
+        "python -m paper_figs frames --out frames.png", needs="matplotlib"
     ),
-    "python -m scp_recon.schema docs/scenario.schema.json": Quick(),
+    "python -m scp_recon schema docs/scenario.schema.json": Quick(),
     # many of them
-    CAMPAIGN: Quick("python -m scp_recon.campaign study.toml --out runs/campaign --workers 0"),
+    CAMPAIGN: Quick("python -m scp_recon campaign study.toml --out runs/campaign --workers 0"),
     f"{CAMPAIGN} --workers 2": Quick(
-        "python -m scp_recon.campaign study.toml --out runs/campaign --workers 1"
+        "python -m scp_recon campaign study.toml --out runs/campaign --workers 1"
     ),
     **{
-        f"python -m scp_recon.campaign examples/studies/{name}.toml --out runs/{name}": Quick(
-            f"python -m scp_recon.campaign study.toml --out runs/{name} --workers 0"
+        f"python -m scp_recon campaign examples/studies/{name}.toml --out runs/{name}": Quick(
+            f"python -m scp_recon campaign study.toml --out runs/{name} --workers 0"
         )
         for name in ("reconnaissance_map", "errors", "asteroid_year", "sizes")
     },
-    "python -m scp_recon.campaign.report runs/reconnaissance_map": Quick(
-        "python -m scp_recon.campaign.report runs/campaign", after=(CAMPAIGN,), needs="plotly"
+    "python -m scp_recon report runs/reconnaissance_map": Quick(
+        "python -m scp_recon report runs/campaign", after=(CAMPAIGN,), needs="plotly"
     ),
     # in flight
     IN_FLIGHT: Quick(),
-    "python -m scp_recon.replan runs/mine --at 17000 --state state.txt": Quick(
-        f"python -m scp_recon.replan runs/mine --at 17000 --state {STATE}"
+    "python -m scp_recon replan runs/mine --at 17000 --state state.txt": Quick(
+        f"python -m scp_recon replan runs/mine --at 17000 --state {STATE}"
     ),
-    "python -m scp_recon.export runs/mine --format oem": Quick(),
+    "python -m scp_recon export runs/mine --format oem": Quick(),
     "python -m scp_recon.solve --init runs/mine/export/FILE.csv": Quick(
         "python -m scp_recon.solve --init start.csv --problem P3"
     ),
     # the spacecraft
-    "python -m scp_recon.simulate runs/mine": simulated("runs/short"),
-    "python -m scp_recon.simulate runs/latest": simulated("runs/short --seed 1"),
-    "python -m scp_recon.simulate SOLUTION": simulated("runs/short/solution.json"),
-    "python -m scp_recon.simulate SOLUTION --out DIR": simulated("runs/short --out runs/flight"),
+    "python -m scp_recon simulate runs/mine": simulated("runs/short"),
+    "python -m scp_recon simulate runs/latest": simulated("runs/short --seed 1"),
+    "python -m scp_recon simulate SOLUTION": simulated("runs/short/solution.json"),
+    "python -m scp_recon simulate SOLUTION --out DIR": simulated("runs/short --out runs/flight"),
     # the studies
     TABLE: Quick(f"{TABLE} {FEW}"),
     f"{TABLE} --as-flown FILE": Quick(f"{TABLE} --as-flown flight.bsp {FEW}", needs="spiceypy"),
     COMPARISON: Quick(cut=one_cell),
-    "python -m experiments.compare_solvers --full": Quick(cut=one_cell),
-    "python -m experiments.compare_solvers --exact": Quick(cut=one_cell),
-    "python -m experiments.nlp_tricks": Quick(cut=one_trick),
-    "python -m experiments.frontier": Quick(cut=two_kinds),
-    "python -m experiments.openscvx_peer": Quick(cut=one_case, needs="openscvx"),
-    "python -m experiments.flown_plan runs/latest": simulated(
-        "runs/short --seeds 1 --out runs/flown_plan", "experiments.flown_plan"
+    "python -m experiments compare_solvers --full": Quick(cut=one_cell),
+    "python -m experiments compare_solvers --exact": Quick(cut=one_cell),
+    "python -m experiments nlp_tricks": Quick(cut=one_trick),
+    "python -m experiments frontier": Quick(cut=two_kinds),
+    "python -m experiments openscvx_peer": Quick(cut=one_case, needs="openscvx"),
+    "python -m experiments flown_plan runs/latest": simulated(
+        "runs/short --seeds 1 --out runs/flown_plan", "experiments flown_plan"
     ),
-    "python -m experiments.timing_rules": Quick(
-        "python -m experiments.timing_rules --slews 3", needs="Basilisk", cut=short_slews
+    "python -m experiments timing_rules": Quick(
+        "python -m experiments timing_rules --slews 3", needs="Basilisk", cut=short_slews
     ),
-    "python -m experiments.model_fidelity": Quick(
-        "python -m experiments.model_fidelity --solution runs/short", cut=the_plan_alone
+    "python -m experiments model_fidelity": Quick(
+        "python -m experiments model_fidelity --solution runs/short", cut=the_plan_alone
     ),
     CONES: Quick(f"{CONES} --samples 500"),
-    "python -m experiments.X": Quick(f"{CONES} --samples 100 --seed 1"),
-    "python -m experiments.uncertainty_sources --flights 4": Quick(
-        "python -m experiments.uncertainty_sources --flights 0 --paths 100 --solution runs/short"
+    "python -m experiments NAME": Quick(f"{CONES} --samples 100 --seed 1"),
+    "python -m experiments uncertainty_sources --flights 4": Quick(
+        "python -m experiments uncertainty_sources --flights 0 --paths 100 --solution runs/short"
     ),
     # the figures
     "python -m paper_figs": Quick(after=(TABLE, CONES), cut=one_figure, needs="matplotlib"),
@@ -338,13 +339,13 @@ QUICK = {
     "python -m paper_figs --all": Quick(
         "python -m paper_figs", after=(TABLE, CONES), cut=one_figure, needs="matplotlib"
     ),
-    "python -m paper_figs.studies.NAME runs/NAME FILE": Quick(
-        "python -m paper_figs.studies.battery_cones runs/battery_cones cones.svg",
+    "python -m paper_figs NAME --out FILE": Quick(
+        "python -m paper_figs battery_cones --out cones.svg",
         after=(CONES,),
         needs="matplotlib",
     ),
-    f"{DRAW} runs/comparison/comparison.csv runs/comparison": Quick(
-        f"{DRAW} runs/comparison_quick/comparison.csv runs/comparison_quick",
+    f"{DRAW} --out runs/comparison": Quick(
+        f"{DRAW} --runs runs/comparison_quick --out runs/comparison_quick",
         after=(COMPARISON,),
         needs="matplotlib",
     ),
@@ -353,6 +354,7 @@ QUICK = {
 APART = {
     "python -m pip install --constraint constraints.txt --editable '.[compare]'",
     "python -m benchmarks --readme",  # takes minutes, and writes the README
+    "python -m benchmarks.campaign_scale",
 }
 """What sets up or times the project: only its modules and options are looked for."""
 
@@ -461,10 +463,12 @@ def test_modules_and_options_that_are_shown_exist(
         return
     options = [word for word in arguments if word.startswith("--")]
     if not options:  # what is run is this very module, or one of those that it stands for
-        assert re.sub(r"\b(NAME|X)$", "battery_cones", module) in (QUICK[line].line or line)
+        run = QUICK.get(line, Quick()).line or line
+        assert re.sub(r"\b(NAME|X)$", "battery_cones", module) in run
         return
     monkeypatch.setenv("COLUMNS", "200")
-    assert call([module, "--help"]) == 0
+    named = [module, *arguments[:1]] if module in ("scp_recon", "experiments") else [module]
+    assert call([*named, "--help"]) == 0
     said = capsys.readouterr().out
     for option in options:
         assert re.search(rf"{option}\b", said), f"{module} has no option {option}"

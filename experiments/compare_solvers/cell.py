@@ -7,79 +7,177 @@ import resource
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from time import process_time
+from typing import ClassVar, Self
 
 import numpy as np
 
-from experiments.compare_solvers.cases import IPOPT, UNGUARDED, Cell, Method, start_of
-from experiments.compare_solvers.row import Row, empty_row
-from experiments.compare_solvers.unguarded import Unguarded
+from experiments.compare_solvers.cases import IPOPT, REFERENCE, UNGUARDED, Cell, Method, start_of
+from experiments.compare_solvers.exact.check import check, rolled_out
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import choose_facets
-from formulations.problem.flyby import Iterate
-from formulations.program.merit import MeritFunction
-from formulations.rows.chance import ChanceRows
+from formulations.problem.flyby import FlybyProblem
+from formulations.program.subproblem import MeritFunction, Penalty, PenaltyParameters, Subproblem
+from formulations.rows.uniform import ChanceRows
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import plan_mission
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.planning.plan import Plan
+from scp_recon.physics.dynamics import Dynamics
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan, Provenance
 from scp_recon.planning.planner import (
     CLEARANCE_M,
     PROGRAM_NODES_MAX,
     Planner,
     ScpStages,
-    plan,
+    screened,
 )
-from scp_recon.planning.provenance import Provenance
-from scp_recon.planning.screening import screened
 from scp_recon.planning.stages import RowsSolver, StageRunner
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.algorithms import SCvx
+from scp_recon.scp.loop import Record, State, Timing, record_of_trial, trial_step
 from scp_recon.scp.status import Status
 
+FAILED = "failed"
+"""Status of a cell that did not come to an end of its own."""
 
-def solve_cell(cell: Cell, flights: int) -> Row:
-    """Solve a cell in this process.
 
-    Args:
-        cell: what to solve.
-        flights: of the Monte Carlo estimate of the observation time.
+@dataclass(frozen=True)
+class Row:
+    """A cell and what came of it; empty figures are NaN.
+
+    Attributes:
+        key, group, scenario, start, seed, formulation, algorithm, solver: the cell.
+        status: a `Status` by name, or `FAILED`.
+        detail: why it failed.
+        problem: "P2", or "P3" where that was not solved.
+        total_dv_m_s: sum of the burns.
+        merit_m_s: with the exact penalty of SCvx, first weight; IPOPT's burns are flown first, because
+            gaps between its arcs cost next to nothing there.
+        heavy_merit_m_s: with its second weight, which infeasible cases end with.
+        violation_m: largest violation; velocities count as metres per unit of time. With exact risk it
+            is of the final state and of the limits on the burns alone.
+        iterations_p3, iterations_p2: the latter over all facet restorations; evaluations of the
+            references of exact risk.
+        first_status: of the first try, where another was made.
+        from_arc: whether the answer is that of a later try, from the ballistic arc or a turn.
+        total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
+            nothing is imported.
+        cpu_s: of the processor in that time, which other work on the machine does not lengthen.
+        solver_s: in the conic solver, or in IPOPT without its evaluations.
+        peak_mib: resident memory of the process, imports included.
+        observed_s: mean observation time of many flights.
+        burns_m_s: all components.
+        asked: probability, of exact risk.
+        reached: what the check finds of it, at the worst node or of whole flights.
+        reached_error: its standard error.
+        limit_s: seconds of the processor that it was allowed.
+        version: of the sources that solved it.
     """
-    mission = Mission.from_scenario(load_scenario(None, cell.overrides))
-    for name in _needs(cell.method):
-        importlib.import_module(name)
-    found = _from_p3(mission, cell) if cell.start == "p3" else _whole(mission, cell)
-    speed, length = mission.units.speed_m_s, mission.units.length_m
-    lin = found.lin if found.lin.is_dynamically_feasible else _flown(mission, found.lin)
-    burns = lin.iterate.burns * speed
-    weights = SCvx()
-    config, peak = FlightConfig(mission, burns), _peak_mib()
-    observed = fly_many(config, samples=flights).held[ALL].mean().value if flights else np.nan
-    return replace(
-        empty_row(cell),
-        status=found.status.value.name,
-        problem="P2" if isinstance(found.merit.rows, ChanceRows) else "P3",
-        total_dv_m_s=lin.iterate.total_dv * speed,
-        merit_m_s=found.merit(lin, weights.weight) * speed,
-        heavy_merit_m_s=found.merit(lin, weights.weight_max) * speed,
-        violation_m=found.merit.worst_violation(lin) * length,
-        iterations_p3=found.iterations_p3,
-        iterations_p2=found.iterations_p2,
-        first_status=found.first_status,
-        from_arc=found.from_arc,
-        total_s=found.total_s,
-        cpu_s=found.cpu_s,
-        solver_s=found.solver_s,
-        peak_mib=peak,
-        observed_s=observed,
-        burns_m_s=tuple(burns.ravel().tolist()),
+
+    key: str
+    group: str
+    scenario: str
+    start: str
+    seed: int
+    formulation: str
+    algorithm: str
+    solver: str
+    status: str
+    detail: str = ""
+    problem: str = ""
+    total_dv_m_s: float = np.nan
+    merit_m_s: float = np.nan
+    heavy_merit_m_s: float = np.nan
+    violation_m: float = np.nan
+    iterations_p3: int = 0
+    iterations_p2: int = 0
+    first_status: str = ""
+    from_arc: bool = False
+    total_s: float = np.nan
+    cpu_s: float = np.nan
+    solver_s: float = np.nan
+    peak_mib: float = np.nan
+    observed_s: float = np.nan
+    burns_m_s: tuple[float, ...] = ()
+    asked: float = np.nan
+    reached: float = np.nan
+    reached_error: float = np.nan
+    limit_s: float = np.nan
+    version: str = ""
+
+    @property
+    def method(self) -> str:
+        """Name of the method."""
+        return Method(self.formulation, self.algorithm, self.solver).name
+
+    @property
+    def solved_at_once(self) -> bool:
+        """Whether it was solved at the first try."""
+        return self.solved and not self.first_status
+
+    @property
+    def solved(self) -> bool:
+        """Whether P2 converged and every constraint holds."""
+        return self.problem == "P2" and self.status == Status.CONVERGED.value.name
+
+
+def failed_row(cell: Cell, reason: str, cpu_s: float = np.nan) -> Row:
+    """The row of a cell that did not come to an end of its own."""
+    return replace(empty_row(cell), detail=reason, cpu_s=cpu_s)
+
+
+def empty_row(cell: Cell) -> Row:
+    """A row without figures."""
+    method = cell.method
+    return Row(
+        key=cell.key,
+        group=cell.group,
+        scenario=cell.scenario,
+        start=cell.start,
+        seed=cell.seed,
+        formulation=method.formulation,
+        algorithm=method.algorithm,
+        solver=method.solver,
+        status=FAILED,
     )
 
 
-def _flown(mission: Mission, lin: Linearisation) -> Linearisation:
-    """The burns flown: a nonlinear program may end with gaps between its arcs, which no flight has."""
-    burns, problem = lin.iterate.burns, mission.problem
-    mean = mission.dynamics.rollout(problem.initial_state, burns)
-    return mission.dynamics.linearise(problem, Iterate(burns, mean))
+def solve_cell(cell: Cell, flights: int) -> Row:
+    """Solve a cell in this process; so many `flights` estimate the observation time, or none."""
+    mission = Mission.from_scenario(load_scenario(None, cell.overrides))
+    for name in _needs(cell.method):
+        importlib.import_module(name)
+    done, cpu_s = (_from_p3 if cell.start == "p3" else _whole)(mission, cell)
+    peak_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # on Linux, so far
+    row = replace(_of_plan(cell, done, cpu_s), peak_mib=peak_kib / 1024.0)
+    lin, merit = done.final.result.lin, done.final.merit
+    if not lin.is_dynamically_feasible:
+        # A nonlinear program may end with gaps between its arcs, which no flight has.
+        lin = rolled_out(mission, lin.iterate.burns)
+    return judged(row, mission, lin, merit, flights)
+
+
+def judged(
+    row: Row, mission: Mission, lin: Linearisation, merit: MeritFunction, flights: int
+) -> Row:
+    """A row with what its flight costs, violates and, by so many samples if any, observes."""
+    speed, weights, observed = mission.units.speed_m_s, SCvx(), np.nan
+    burns = lin.iterate.burns * speed
+    if flights:
+        flown = fly_many(FlightConfig(mission, burns), samples=flights)
+        observed = flown.held[ALL].mean().value
+    return replace(
+        row,
+        problem="P2" if isinstance(merit.rows, ChanceRows) else "P3",
+        total_dv_m_s=lin.iterate.total_dv * speed,
+        merit_m_s=merit(lin, weights.weight) * speed,
+        heavy_merit_m_s=merit(lin, weights.weight_max) * speed,
+        violation_m=merit.worst_violation(lin) * mission.units.length_m,
+        observed_s=observed,
+        burns_m_s=_components(burns),
+    )
 
 
 def _needs(method: Method) -> tuple[str, ...]:
@@ -90,29 +188,8 @@ def _needs(method: Method) -> tuple[str, ...]:
     return (f"formulations.program.{form}", method.solver.lower())
 
 
-def _peak_mib() -> float:
-    """Largest resident set of this process so far; Linux counts in KiB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-
-
-@dataclass(frozen=True)
-class _Found:
-    """Where a method ended, and what it took."""
-
-    status: Status
-    lin: Linearisation
-    merit: MeritFunction
-    iterations_p3: int
-    iterations_p2: int
-    first_status: str
-    from_arc: bool
-    total_s: float
-    cpu_s: float
-    solver_s: float
-
-
-def _whole(mission: Mission, cell: Cell) -> _Found:
-    """P3, facets and P2 by one method."""
+def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:
+    """P3, facets and P2 by one method, and seconds of the processor."""
     start, method = start_of(mission, cell), cell.method
     begin = process_time()
     if method.solver == IPOPT:
@@ -121,27 +198,21 @@ def _whole(mission: Mission, cell: Cell) -> _Found:
         elastic = method.algorithm == "elastic"
         done = ipopt.plan(mission, start, variant=method.formulation, elastic=elastic)
     else:
-        done = plan(
-            mission,
-            start,
-            formulation=method.formulation,
-            algorithm=method.algorithm,
-            solver=method.solver,
-        )
-    return _of_plan(done, process_time() - begin)
+        names = (method.formulation, method.algorithm, method.solver)
+        done = plan_mission(mission, start, PlanOptions("P2", "scp", *names))
+    return done, process_time() - begin
 
 
-def _of_plan(done: Plan, cpu_s: float) -> _Found:
-    counts = {stage.name: 0 for stage in done.stages}
-    for stage in done.stages:
-        counts[stage.name] += len(stage.result.records)
-    return _Found(
-        status=done.final.result.status,
-        lin=done.final.result.lin,
-        merit=done.final.merit,
-        iterations_p3=sum(n for name, n in counts.items() if name.startswith("P3")),
-        iterations_p2=sum(n for name, n in counts.items() if name.startswith("P2")),
-        first_status=_first_status(done),
+def _of_plan(cell: Cell, done: Plan, cpu_s: float) -> Row:
+    """What a plan took and how it ended; its burns are still to be judged."""
+    names = [stage.name for stage in done.stages for _ in stage.result.records]
+    tries = ((a.result.status.value.name, b.begun_again) for a, b in pairwise(done.stages))
+    return replace(
+        empty_row(cell),
+        status=done.status.value.name,
+        iterations_p3=sum(name.startswith("P3") for name in names),
+        iterations_p2=sum(name.startswith("P2") for name in names),
+        first_status=next((first for first, again in tries if again), ""),
         from_arc=done.final.begun_again,
         total_s=done.total_s,
         cpu_s=cpu_s,
@@ -149,17 +220,10 @@ def _of_plan(done: Plan, cpu_s: float) -> _Found:
     )
 
 
-def _first_status(done: Plan) -> str:
-    """How the first try ended, where there was a second."""
-    for before, stage in pairwise(done.stages):
-        if stage.begun_again:
-            return before.result.status.value.name
-    return ""
-
-
-def _from_p3(mission: Mission, cell: Cell) -> _Found:
+def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     """P2 from SCP's P3 solution and the facets there, restoring facets that should not be left out."""
-    p3 = plan(mission, start_of(mission, cell), problem="P3").final.result.lin
+    start = start_of(mission, cell)
+    p3 = plan_mission(mission, start, PlanOptions(problem="P3")).final.result.lin
     problem = mission.problem
     facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
     included = screened(mission, facets, p3, CLEARANCE_M, PROGRAM_NODES_MAX)
@@ -169,7 +233,7 @@ def _from_p3(mission: Mission, cell: Cell) -> _Found:
     )
     rows, cpu_begin = ChanceRows(problem, facets, included), process_time()
     done = runner.run(lambda: runner.restore("P2", rows, p3), provenance)
-    return _of_plan(done, process_time() - cpu_begin)
+    return done, process_time() - cpu_begin
 
 
 def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
@@ -184,3 +248,119 @@ def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
     name = "scvx" if unguarded else method.algorithm  # of the same penalty
     planner = Planner(mission, formulation=method.formulation, algorithm=name, solver=method.solver)
     return ScpStages(planner, mission, unguarded or planner.algorithm)
+
+
+# --- without a safeguard ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Unguarded:
+    """An `Algorithm` that linearises, solves and flies, without a safeguard: every answer is taken.
+
+    A frozen covariance is known from this scheme: Rizza, Topputo et al. propagate the covariance with
+    the solution before, so that the convex program may have no feasible point where the problem has
+    one; Echigo et al. call that artificially infeasible. The ratio tests of `scp_recon` keep their runs
+    from getting there.
+    """
+
+    problem: FlybyProblem
+
+    penalty: ClassVar[Penalty] = "exact"
+    feasible: ClassVar[float] = 1e-6
+    max_iterations: ClassVar[int] = 20
+    WEIGHT, STEP = 1e4, 1e-5
+
+    def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
+        """Start from the guess, with a trust region that no burn reaches."""
+        merit = subproblem.merit(lin, self.WEIGHT)
+        return State(lin, merit, 2.0 * self.problem.dv_max, PenaltyParameters(self.WEIGHT))
+
+    def resolving(self, resolution: float) -> Self:  # noqa: ARG002 -- of the protocol
+        """It knows no stationarity."""
+        return self
+
+    def step(
+        self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
+    ) -> tuple[State, Record]:
+        """Linearise, solve, fly."""
+        trial = trial_step(subproblem, dynamics, state, state.radius, timing, float("inf"))
+        new = State(trial.lin, trial.merit, state.radius, state.charge)
+        return new, record_of_trial(subproblem, state, new, k, trial)
+
+    def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:  # noqa: ARG002 -- of the protocol
+        """Stop where the convex program has no feasible point, or the burns stand still.
+
+        A feasible point costs its delta-v and no more, and no burn is larger than dv_max: where the
+        best that the elastic program finds costs more than that there is none.
+        """
+        promised = record.merit + record.actual - record.predicted
+        if promised > self.problem.n_burns * self.problem.dv_max:
+            return Status.INFEASIBLE
+        if record.step > self.STEP:
+            return None
+        return Status.CONVERGED if record.violated <= self.feasible else Status.STALLED
+
+
+# --- exact risk ------------------------------------------------------------------------------------
+
+SEARCH_S = 60.0
+"""Seconds of the processor that a reference may search, its start not counted."""
+
+
+def solve_exact(cell: Cell, flights: int) -> Row:
+    """Solve a cell in this process; what it is worth is checked by the law it was made for."""
+    del flights
+    mission = Mission.from_scenario(load_scenario(None, cell.overrides))
+    found = _planned(mission, cell) if cell.method == REFERENCE else _searched(mission, cell)
+    checked = check(mission, np.reshape(found.burns_m_s, (-1, 3)))
+    return replace(
+        found,
+        problem="P2",
+        total_dv_m_s=checked.total_dv_m_s,
+        violation_m=checked.violation_m,
+        asked=mission.scenario.risk.p_chance,
+        reached=checked.probability,
+        reached_error=checked.error,
+    )
+
+
+def _planned(mission: Mission, cell: Cell) -> Row:
+    """By the planner, as `solve --certify no` does it."""
+    begin = process_time()
+    done = plan_mission(mission, initial_guess.cold(mission), PlanOptions(certify=False))
+    row = _of_plan(cell, done, process_time() - begin)
+    return replace(row, burns_m_s=_components(done.burns_m_s))
+
+
+def _searched(mission: Mission, cell: Cell) -> Row:
+    """By a reference."""
+    from experiments.compare_solvers.exact.search import search  # by CasADi
+
+    starts = _starts(mission)
+    begin = process_time()
+    found = search(mission, starts, cell.method.solver, SEARCH_S)
+    status = Status.CONVERGED if found.holds else Status.INFEASIBLE
+    if found.out_of_time:
+        status = Status.MAX_ITERATIONS
+    return replace(
+        empty_row(cell),
+        status=status.value.name,
+        detail=found.ended,
+        iterations_p2=found.evaluations,
+        cpu_s=process_time() - begin,
+        burns_m_s=_components(found.burns * mission.units.speed_m_s),
+    )
+
+
+def _starts(mission: Mission) -> dict[str, Linearisation]:
+    """SCP's solution of P3, where its P2 begins, and its plan with uniform risk, feasible or not."""
+    guess = initial_guess.cold(mission)
+    uniform = {"risk.allocation": "uniform", "risk.scope": "node"}
+    even = Mission.from_scenario(mission.scenario.replace(uniform))
+    found = plan_mission(even, guess, PlanOptions())
+    p3 = next(stage for stage in found.stages if stage.name.startswith("P3"))
+    return {"P3": p3.result.lin, "uniform": found.final.result.lin}
+
+
+def _components(burns_m_s: np.ndarray) -> tuple[float, ...]:
+    return tuple(burns_m_s.ravel().tolist())

@@ -1,4 +1,4 @@
-"""What the comparison is to show, and whether its rows show it."""
+"""Claims of the comparison, each held against its rows."""
 
 from __future__ import annotations
 
@@ -6,16 +6,19 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtri
 
 from experiments.compare_solvers.cases import (
     ELASTIC,
+    EXACT,
     REFERENCE,
     TUNED,
     UNGUARDED,
     Method,
     scenarios,
 )
-from experiments.compare_solvers.row import Row
+from experiments.compare_solvers.cell import Row
+from experiments.harness import Claim
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
 
@@ -24,13 +27,6 @@ AGREE = 1e-4
 
 FORMS = ("condensed", "frozen-covariance")
 FROZEN = (Method("frozen-stm", "scvx", "CLARABEL"), Method("frozen-covariance", "scvx", "CLARABEL"))
-
-
-class Claim(NamedTuple):
-    """Something that the comparison is to show, and whether it does; None where no row can tell."""
-
-    words: str
-    holds: bool | None
 
 
 def of_group(rows: Iterable[Row], group: str) -> list[Row]:
@@ -44,13 +40,9 @@ def best_of(rows: Iterable[Row]) -> float:
 
 
 class Agreement(NamedTuple):
-    """Two methods' P2 from the same P3 solution and facets.
+    """SCP's P2 and IPOPT's from the same P3 solution and facets, elastic where SCP did not converge.
 
-    Attributes:
-        scenario: its name.
-        ours, theirs: SCP's row and IPOPT's, hard where SCP converged and elastic where not.
-        difference: theirs over ours less one, of the delta-v or, where infeasible, of the merit.
-        verdict: in words.
+    The difference is theirs over ours less one, of the delta-v or, where infeasible, of the merit.
     """
 
     scenario: str
@@ -90,32 +82,28 @@ def _agreement(scenario: str, ours: Row, theirs: Row) -> Agreement:
 
 
 def claims(rows: Sequence[Row]) -> list[Claim]:
-    """What the comparison is to show."""
+    """What the comparison is to show of uniform risk, and of exact risk."""
     return [
         *_agreement_claims(rows),
         *_frozen_claims(rows),
         *_algorithm_claims(rows),
         _guess_claim(rows),
+        *exact_claims(rows),
     ]
 
 
 def _agreement_claims(rows: Sequence[Row]) -> list[Claim]:
     ended = [a for a in agreements(rows) if np.isfinite(a.difference)]
-    for_dv = [abs(a.difference) for a in ended if a.ours.solved]
-    for_merit = [abs(a.difference) for a in ended if not a.ours.solved]
-    return [
-        Claim(
-            f"SCP and IPOPT agree on {what} within {AGREE:g} in {sum(d <= AGREE for d in found)} of "
-            f"{len(found)} scenarios in which both end (largest difference {max(found):.1e})",
-            max(found) <= AGREE,
-        )
-        if found
-        else Claim(f"SCP and IPOPT agree on {what} within {AGREE:g}", None)
-        for what, found in (
-            ("P2's total delta-v", for_dv),
-            ("the merit of infeasible cases", for_merit),
-        )
-    ]
+    found = []
+    for what, solved in (("P2's total delta-v", True), ("the merit of infeasible cases", False)):
+        off = [abs(a.difference) for a in ended if a.ours.solved == solved]
+        measured, holds = "no scenario in which both end", None
+        if off:
+            agree = sum(d <= AGREE for d in off)
+            measured = f"largest {max(off):.1e}; {agree} of {len(off)} scenarios in which both end"
+            holds = max(off) <= AGREE
+        found.append(Claim(f"SCP and IPOPT agree on {what}", f"within {AGREE:g}", measured, holds))
+    return found
 
 
 def _frozen_claims(rows: Sequence[Row]) -> list[Claim]:
@@ -127,16 +115,15 @@ def _frozen_claims(rows: Sequence[Row]) -> list[Claim]:
             for (scenario, name), row in found.items()
             if name == REFERENCE.name and row.solved and (scenario, method.name) in found
         ]
+        measured, holds = "no scenario", None
+        if pairs:
+            dearer = [b.total_dv_m_s / a.total_dv_m_s - 1.0 for a, b in pairs if b.solved]
+            lost = [a.scenario for a, b in pairs if not b.solved]
+            more = f"delta-v up to {max(dearer):.1e} higher; " if dearer else ""
+            measured = f"{more}not solved where the full one is: {_listed(lost)}"
+            holds = bool(lost) or max(dearer) > AGREE
         words = f"{method.formulation} differs from the full linearisation"
-        if not pairs:
-            result.append(Claim(words, None))
-            continue
-        dearer = [b.total_dv_m_s / a.total_dv_m_s - 1.0 for a, b in pairs if b.solved]
-        lost = [a.scenario for a, b in pairs if not b.solved]
-        if dearer:
-            words += f", its delta-v is higher by up to {max(dearer):.1e} (relative)"
-        words += f", not solved where the full one is: {', '.join(lost) or 'never'}"
-        result.append(Claim(words, bool(lost) or max(dearer) > AGREE))
+        result.append(Claim(words, f"by more than {AGREE:g}, or unsolved", measured, holds))
     return [*result, _artificial_claim(found)]
 
 
@@ -154,10 +141,13 @@ def _artificial_claim(found: dict[tuple[str, str], Row]) -> Claim:
         for first, second, third in tried
         if first.solved and second.solved and third.status == Status.INFEASIBLE.value.name
     ]
-    words = "without a safeguard frozen-covariance reports infeasible what the full method solves"
-    if infeasible:
-        return Claim(f"{words}, with a safeguard or without, in: {', '.join(infeasible)}", True)
-    return Claim(words, None if len(tried) < len(scenarios()) else False)
+    return Claim(
+        "without a safeguard frozen-covariance reports infeasible what the full method solves, with "
+        "a safeguard or without",
+        "in one scenario",
+        f"in {_listed(infeasible)}",
+        True if infeasible else None if len(tried) < len(scenarios()) else False,
+    )
 
 
 def _algorithm_claims(rows: Sequence[Row]) -> list[Claim]:
@@ -170,19 +160,20 @@ def _algorithm_claims(rows: Sequence[Row]) -> list[Claim]:
 
 
 def _algorithm_claim(rows: Sequence[Row], where: str) -> Claim:
-    words = f"SCvx, PTR and SCvx* {where} reach the same optimum within {AGREE:g}"
+    words, threshold = f"SCvx, PTR and SCvx* {where} reach the same optimum", f"within {AGREE:g}"
     cases = [case for case in _cases(rows).values() if len(case) == len(ALGORITHMS)]
     solved = [case for case in cases if all(row.solved for row in case)]
     partly = [case for case in cases if len({row.solved for row in case}) > 1]
     none = [case for case in cases if not any(row.solved for row in case)]
     if not (solved or partly):
-        return Claim(words, None)
+        return Claim(words, threshold, "no case", None)
     costs = [[row.total_dv_m_s for row in case] for case in solved]
     worst = max((max(found) / min(found) - 1.0 for found in costs), default=0.0)
-    words += f" in {len(solved)} of {len(cases)} cases (largest difference {worst:.1e})"
-    words += f"; only some solve: {', '.join(map(_unsolved, partly)) or 'none'}"
-    words += f"; none solves: {', '.join(map(_unsolved, none)) or 'none'}"
-    return Claim(words, worst <= AGREE and not partly)
+    measured = (
+        f"largest {worst:.1e}, in {len(solved)} of {len(cases)} cases; only some solve: "
+        f"{_listed(map(_unsolved, partly))}; none solves: {_listed(map(_unsolved, none))}"
+    )
+    return Claim(words, threshold, measured, worst <= AGREE and not partly)
 
 
 def _cases(rows: Sequence[Row]) -> dict[tuple[str, str, int], list[Row]]:
@@ -205,13 +196,105 @@ def _unsolved(case: Sequence[Row]) -> str:
     return f"{name} ({', '.join(ends)})"
 
 
+def _listed(words: Iterable[str]) -> str:
+    return ", ".join(words) or "none"
+
+
 def _guess_claim(rows: Sequence[Row]) -> Claim:
     guesses = of_group(rows, "guesses")
     ours = [row for row in guesses if row.method == REFERENCE.name]
     theirs = [row for row in guesses if row.method == TUNED.name]
     best, rival = best_of(ours), best_of(theirs)
-    words = f"over the random guesses SCP's best is no worse than IPOPT's best, within {AGREE:g}"
-    if not (np.isfinite(best) and np.isfinite(rival)):
-        return Claim(words, None)
-    words += f" ({best:.6f} of {len(ours)} and {rival:.6f} m/s of {len(theirs)})"
-    return Claim(words, best <= rival * (1.0 + AGREE))
+    measured = f"{best:.6f} of {len(ours)} and {rival:.6f} m/s of {len(theirs)}"
+    known = bool(np.isfinite(best) and np.isfinite(rival))
+    words = "over the random guesses SCP's best is no worse than IPOPT's best"
+    holds = best <= rival * (1.0 + AGREE) if known else None
+    return Claim(words, f"within {AGREE:g}", measured if known else "no such rows", holds)
+
+
+# --- exact risk -----------------------------------------------------------------------------------
+
+WITHIN = 3e-3
+"""Relative excess of total delta-v that counts as the same."""
+
+SHORT_SIGMA, MISS_M = 0.02, 0.01
+"""What the check may find short of the probability, in standard deviations, and of the rest in m: what
+quadratures, sets of directions and the check itself err by."""
+
+SOLVERS = ("SLSQP", "IPOPT")
+
+
+def holds(row: Row) -> bool:
+    """Whether the check finds that a row's burns keep what was asked."""
+    if not np.isfinite(row.reached):
+        return False
+    short = float(ndtri(row.asked) - ndtri(min(max(row.reached, 1e-9), 1.0 - 1e-9)))
+    return short <= SHORT_SIGMA and row.violation_m <= MISS_M
+
+
+class Verdict(NamedTuple):
+    """The planner's row of a scenario, and the cheapest row that holds, whoever has found it.
+
+    The excess is the planner's delta-v over the best one less one; infinite where others alone solve
+    it, NaN where nobody does.
+    """
+
+    scenario: str
+    ours: Row | None
+    best: Row | None
+    excess: float
+
+    @property
+    def words(self) -> str:
+        """Who has solved it."""
+        if self.best is None:
+            return "no method solves it"
+        if self.excess == np.inf:
+            return "the planner does not solve it"
+        return "same" if self.excess <= WITHIN else "another has a cheaper one"
+
+
+def verdicts(rows: Sequence[Row]) -> list[Verdict]:
+    """The planner against the best of all, for each scenario."""
+    group, found = of_group(rows, EXACT), []
+    for scenario in dict.fromkeys(row.scenario for row in group):
+        own = [row for row in group if row.scenario == scenario]
+        ours = next((row for row in own if row.method == REFERENCE.name), None)
+        best = min(filter(holds, own), key=lambda row: row.total_dv_m_s, default=None)
+        excess = np.nan if best is None else np.inf
+        if best is not None and ours is not None and ours.solved and holds(ours):
+            excess = ours.total_dv_m_s / best.total_dv_m_s - 1.0
+        found.append(Verdict(scenario, ours, best, excess))
+    return found
+
+
+def exact_claims(rows: Sequence[Row]) -> list[Claim]:
+    """Plans are as good as the best that anybody finds, and what has converged keeps its word."""
+    found = [v for v in verdicts(rows) if v.ours is not None]
+    solved = [v for v in found if v.best is not None]
+    words = "exact plans cost no more than the best that the planner, SLSQP and IPOPT find"
+    threshold = f"{100 * WITHIN:g} %"
+    if not solved:
+        return [Claim(words, threshold, "no scenario", None)]
+    same = [v for v in solved if v.excess <= WITHIN]
+    apart = [f"{v.scenario} ({excess(v)})" for v in solved if v.excess > WITHIN]
+    none = [v.scenario for v in found if v.best is None]
+    worst = max((v.excess for v in same), default=np.nan)
+    measured = (
+        f"at most {100 * worst:.2g} % in {len(same)} of {len(solved)} scenarios that any of them "
+        f"solves; not in: {_listed(apart)}; nobody solves: {_listed(none)}"
+    )
+    return [Claim(words, threshold, measured, not apart), _converged_claim(found)]
+
+
+def _converged_claim(found: Sequence[Verdict]) -> Claim:
+    plans = [v.ours for v in found if v.ours is not None and v.ours.solved]
+    short = [row.scenario for row in plans if not holds(row)]
+    measured = f"{len(plans) - len(short)} of {len(plans)} scenarios; not in: {_listed(short)}"
+    words = "what the planner calls converged holds by the check"
+    return Claim(words, "in every scenario", measured, not short if plans else None)
+
+
+def excess(verdict: Verdict) -> str:
+    """What the planner's plan costs more than the best."""
+    return "not solved" if verdict.excess == np.inf else f"{100 * verdict.excess:+.2f} %"

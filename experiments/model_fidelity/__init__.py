@@ -1,1 +1,1 @@
-"""What the planner's model leaves out, measured: `python -m experiments.model_fidelity`."""
+"""The effects that the planner's model leaves out, measured: `python -m experiments model_fidelity`."""

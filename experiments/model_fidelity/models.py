@@ -1,4 +1,4 @@
-"""The models that the fidelity study compares: for each effect, from the crudest to the truth."""
+"""Models of each effect for the fidelity study, from the crudest to the truth, and flights in them."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
+from scipy.integrate import solve_ivp
 
-from experiments.model_fidelity.arcs import Firing, Model
+from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import HARMONICS_DEGREE
 from scp_recon.mission.schedule import Mode
-from scp_recon.mission.truth import HARMONICS_DEGREE
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
+from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.guidance import FlightPlan
-from scp_recon.spacecraft.panels import irradiance
-from scp_recon.spacecraft.plates import Plates
-from scp_recon.spacecraft.vehicle import Vehicle
-
-Array = npt.NDArray[np.float64]
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.guidance import FlightPlan
+from scp_recon.simulation.panels import irradiance
+from scp_recon.simulation.vehicle import Vehicle
 
 SRP, GRAVITY, BURNS = "solar radiation pressure", "gravity", "burns"
 PLANNER = {SRP: "cannonball", GRAVITY: "J2", BURNS: "impulsive"}
@@ -33,12 +31,7 @@ ATTITUDE_STEP_S = 60.0
 
 @dataclass(frozen=True)
 class Flight:
-    """What is flown.
-
-    Attributes:
-        name: of the case.
-        plan: burns, and the attitude commanded along them.
-    """
+    """A case by name: burns, and the attitude commanded along them."""
 
     name: str
     plan: FlightPlan
@@ -62,6 +55,102 @@ class Flight:
     def breaks_s(self) -> tuple[float, ...]:
         """Where the attitude jumps."""
         return tuple(leg.start_s for leg in self.plan.legs)
+
+
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-11, 1e-9
+"""Of the integrator; together they are worth less than 0.1 mm at the end of the flight."""
+
+
+@dataclass(frozen=True)
+class Firing:
+    """How a burn is modelled.
+
+    Attributes:
+        finite: whether the thrust lasts, from the firing time on, or is an impulse.
+        late: of an impulse, by what part of the firing's length it follows the firing time.
+    """
+
+    finite: bool
+    late: float = 0.0
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model of the flight; `srp` is the light's acceleration in J2000, m/s^2, of the time in s."""
+
+    gravity: HarmonicField
+    srp: Callable[[float], Array]
+    firing: Firing
+
+
+def fly(
+    mission: Mission,
+    burns_m_s: Array,
+    model: Model,
+    times_s: Array,
+    *,
+    thrust_acceleration_m_s2: float,
+    breaks_s: tuple[float, ...] = (),
+) -> Array:
+    """States before any burn at the same time, J2000, m and m/s, shape (n, 6).
+
+    Args:
+        mission: initial state, rotation and firing times.
+        burns_m_s: planned burns, shape (m, 3); none of them sets a flight off course if it is zero.
+        model: what is flown.
+        times_s: ascending times to look at, from 0 on.
+        thrust_acceleration_m_s2: while firing; it is constant, the propellant being a ten-thousandth.
+        breaks_s: times at which `model.srp` may jump.
+    """
+    lengths = np.linalg.norm(burns_m_s, axis=1) / thrust_acceleration_m_s2
+    starts = np.array(mission.scenario.burns.times_s)
+    impulses: dict[float, Array] = {}
+    thrusts: list[tuple[float, float, Array]] = []
+    for start, length, burn in zip(starts.tolist(), lengths.tolist(), burns_m_s, strict=True):
+        if model.firing.finite:
+            thrusts.append((start, start + length, burn / length if length else burn))
+        else:
+            impulses[start + model.firing.late * length] = burn
+    end = float(times_s[-1])
+    edges = {0.0, end, *impulses, *breaks_s}
+    edges |= {edge for start, stop, _ in thrusts for edge in (start, stop)}
+    stops = sorted(edge for edge in edges if edge <= end)
+
+    state = mission.initial_state.copy()
+    seen = [state[None].copy()] if times_s[0] == 0.0 else []
+    for before, after in itertools.pairwise(stops):
+        state[3:] += impulses.get(before, np.zeros(3))
+        middle = 0.5 * (before + after)
+        thrust = sum((a for start, stop, a in thrusts if start < middle < stop), np.zeros(3))
+        looks = times_s[(times_s > before) & (times_s <= after)]
+        states = _arc(mission, model, state, np.union1d(looks, after), before, thrust)
+        seen.append(states[: len(looks)])
+        state = states[-1].copy()
+    return np.concatenate(seen)
+
+
+def _arc(
+    mission: Mission, model: Model, state: Array, looks: Array, start: float, thrust: Array
+) -> Array:
+    """States at some times of an arc in which no force jumps, its end the last of them."""
+    stop = float(looks[-1])
+    inside = np.nextafter(stop, start)  # an arc belongs to what holds before its end
+
+    def rate(time: float, y: Array) -> Array:
+        to_j2000 = mission.rotation.body_to_j2000(time)
+        gravity = np.array(model.gravity.acceleration(*(to_j2000.T @ y[:3])))
+        return np.concatenate([y[3:], to_j2000 @ gravity + model.srp(min(time, inside)) + thrust])
+
+    found = solve_ivp(
+        rate,
+        (start, stop),
+        state,
+        method="DOP853",
+        t_eval=looks,
+        rtol=RELATIVE_TOLERANCE,
+        atol=ABSOLUTE_TOLERANCE,
+    )
+    return found.y.T
 
 
 @dataclass(frozen=True)
@@ -143,6 +232,51 @@ def _plate_srp(plan: FlightPlan) -> Callable[[float], Array]:
         return np.array([np.interp(time, times[leg], values[leg][:, i]) for i in range(3)])
 
     return acceleration
+
+
+@dataclass(frozen=True)
+class Plates:
+    """The N-plate model of a rigid body; plates do not shade each other.
+
+    Attributes:
+        normals: outward unit vectors, body frame, shape (n, 3).
+        areas_m2: shape (n,).
+        specular, diffuse: fractions of the light that are reflected like that, shape (n,).
+    """
+
+    normals: Array
+    areas_m2: Array
+    specular: Array
+    diffuse: Array
+
+    @classmethod
+    def of(cls, vehicle: Vehicle) -> Plates:
+        """A vehicle's faces and the cells of its panels."""
+        plates = vehicle.plates
+        return cls(
+            unit([plate.normal for plate in plates]),
+            np.array([plate.area_m2 for plate in plates]),
+            np.array([plate.specular for plate in plates]),
+            np.array([plate.diffuse for plate in plates]),
+        )
+
+    def force_per_pressure(self, sun_body: Array) -> Array:
+        """Force over the pressure of sunlight, body frame, m^2.
+
+        -sum_i A_i cos_i ((1 - rho_s) s + 2 (rho_s cos_i + rho_d / 3) n_i) over the plates with
+        cos_i = n_i . s > 0: Montenbruck & Gill, Satellite Orbits, eq. 3.73, with Lambert's law.
+
+        Args:
+            sun_body: unit vectors to the Sun, body frame, shape (..., 3).
+
+        Returns:
+            Shape (..., 3).
+        """
+        cosine = np.maximum(0.0, sun_body @ self.normals.T)
+        lit = self.areas_m2 * cosine
+        along_sun = (lit * (1.0 - self.specular)).sum(axis=-1, keepdims=True) * sun_body
+        reflected = 2.0 * lit * (self.specular * cosine + self.diffuse / 3.0)
+        return -along_sun - reflected @ self.normals
 
 
 def passing(names: list[str], displacement: dict[str, float], limit: float) -> str:

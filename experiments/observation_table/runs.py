@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from experiments.observation_table.rows import Row
 from scp_recon.errors import InputError
@@ -15,16 +14,12 @@ from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import sample_positions
-from scp_recon.monte_carlo.summarise import ONE_SIGMA, summarise
-from scp_recon.monte_carlo.summary import FILE_NAME, Summary, read_summary_as
-from scp_recon.solution.evaluated import NOT_OPTIMISED
-from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
-from scp_recon.solution.file import Solution
-from scp_recon.solution.part import Part
-from scp_recon.solution.read import read_solution
+from scp_recon.monte_carlo.summary import FILE_NAME, ONE_SIGMA, Summary, read_summary_as, summarise
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE
+from scp_recon.results.solution import NOT_OPTIMISED, Solution
+from scp_recon.scenario.fields import Section
 from scp_recon.verification.reintegration import verify
-
-Array = npt.NDArray[np.float64]
 
 UNIFORM_STEP_S = 232.0
 """The paper's time step, on a grid that need not contain the window's edges."""
@@ -33,7 +28,7 @@ COUNTED_MAX = 10_000
 """Flights counted there; more would not fit memory and the difference is clear from these."""
 
 
-class Counted(Part):
+class Counted(Section):
     """Observation times of flights looked at only at the nodes of the paper's uniform grid, s."""
 
     nodes: int
@@ -51,13 +46,8 @@ class RowSummary(Summary):
 class Measured:
     """A row with what its flights showed.
 
-    Attributes:
-        row: which.
-        solution: its burns and nodes.
-        summary: of its flights.
-        window_s: length of the window.
-        without_uncertainty_s: observation time of the plan itself.
-        reused: whether nothing had to be computed.
+    The window is its length, the time without uncertainty that of the plan itself; it is `reused` where
+    nothing had to be computed.
     """
 
     row: Row
@@ -122,13 +112,8 @@ def run_row(
 ) -> Measured:
     """Design the row's burns and fly them, as far as the folder does not hold that already.
 
-    Args:
-        row: what to fly.
-        mission: in which.
-        folder: of the row's solution.json and montecarlo.json.
-        samples: flights.
-        check: whether to verify a plan independently of its solver.
-        fresh: forget what is there.
+    It gets the row's solution.json and montecarlo.json. With `check` a plan is verified independently
+    of its solver; `fresh` forgets what is there.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if fresh:  # a row that then fails leaves nothing that looks like its result
@@ -140,7 +125,7 @@ def run_row(
         solution = row.design(mission)
         if check and solution.algorithm != NOT_OPTIMISED:
             found = verify(mission, solution)
-            solution = solution.model_copy(update={"verification": found})
+            solution = solution.with_verification(found)
         solution.write(folder)
     summary = _stored_summary(folder, solution, samples)
     flown = summary is None

@@ -1,1 +1,1 @@
-"""What each source of error contributes: `python -m experiments.uncertainty_sources`."""
+"""The part that each source of error has in the spread: `python -m experiments uncertainty_sources`."""

@@ -1,29 +1,25 @@
-"""Flights with chosen sources of uncertainty: many of the path alone, some of the whole spacecraft."""
+"""Flights with chosen sources of uncertainty, of the path or of the whole spacecraft; their spread."""
 
 from __future__ import annotations
 
-import csv
 import importlib
-import json
-import multiprocessing
-import signal
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-import numpy.typing as npt
+from scipy.stats import chi2, probplot, shapiro
 
-from scp_recon.files import write_atomically
-from scp_recon.mission.mission import Mission
-from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.basilisk.optional import needing_basilisk
-from scp_recon.spacecraft.vehicle import Vehicle
-
-Array = npt.NDArray[np.float64]
+from experiments.harness import Record
+from formulations.arrays import Array
+from scp_recon.errors import needing
+from scp_recon.jobs.job import Job, here
+from scp_recon.jobs.processes import Processes
+from scp_recon.jobs.store import Store, run
+from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.vehicle import Vehicle
 
 INITIAL, CHEMICAL = "initial_state", "chemical_thruster"
 TRANSLATION = (INITIAL, CHEMICAL)
@@ -53,7 +49,7 @@ def fly_paths(
 
     The initial state errs by component and each burn in size: a thrust error does not turn a burn.
     """
-    mission = Mission.from_scenario(solution.scenario)
+    mission = solution.mission
     errors, units, chosen = vehicle.errors, mission.units, set(sources)
     sigma = errors.initial_state * np.abs(mission.initial_state) * (INITIAL in chosen)
     beta = errors.chemical_thruster * (CHEMICAL in chosen)
@@ -68,35 +64,21 @@ def fly_paths(
     return np.concatenate(ends)
 
 
-@dataclass(frozen=True)
-class Flown:
-    """One flight of the whole spacecraft.
-
-    Attributes:
-        error_sources: key of `SETS`.
-        seed: of its errors.
-        state: at the planned end, the last burn done, J2000, m and m/s.
-        attitude_error_rad: angle between attitude and command when the last burn begins.
-    """
-
-    error_sources: str
-    seed: int
-    state: tuple[float, ...]
-    attitude_error_rad: float
-
-
 def simulator() -> ModuleType:
     """The simulation of the whole spacecraft, which takes seconds to import.
 
     Raises:
         InputError: if Basilisk is not there.
     """
-    with needing_basilisk("--flights"):
-        return importlib.import_module("scp_recon.spacecraft.basilisk.simulation")
+    with needing("--flights", "sim", "Basilisk"):
+        return importlib.import_module("scp_recon.simulation.basilisk.simulation")
 
 
-def fly_spacecraft(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Flown:
-    """Simulate one flight: (error sources, seed).
+def fly_spacecraft(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Record:
+    """Simulate one flight, (key of `SETS`, seed): a row of the flights' CSV.
+
+    It has the state at the planned end, the last burn done, J2000, and the angle between attitude and
+    command when the last burn begins.
 
     Raises:
         InputError: if Basilisk is not there.
@@ -112,89 +94,88 @@ def fly_spacecraft(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -
     )
     at = int(np.searchsorted(flight.times_s, flight.plan.firings[-1].start_s))
     off = (flight.commands[at].inv() * flight.attitudes[at]).magnitude()
-    return Flown(error_sources, seed, tuple(flight.terminal_state.tolist()), float(off))
-
-
-class Logbook:
-    """Flights of the whole spacecraft in a folder, so that a study can go on where it stopped.
-
-    Args:
-        folder: of the flights and of what they belong to; flights of another plan or vehicle, or
-            such as cannot be read, are forgotten.
-        solution: plan.
-        vehicle: that flies it.
-    """
-
-    def __init__(self, folder: Path, solution: Solution, vehicle: Vehicle) -> None:
-        self._file = folder / "uncertainty_flights.csv"
-        self._setting = json.dumps(
-            {
-                "scenario": solution.scenario.model_dump(mode="json"),
-                "burns": solution.burns_m_s.tolist(),
-                "vehicle": vehicle.model_dump(mode="json"),
-            }
-        )
-        self._belongs = folder / "uncertainty_setting.json"
-        self.flown: dict[tuple[str, int], Flown]
-        try:
-            same = self._belongs.read_text("utf-8") == self._setting
-            self.flown = dict(self._read()) if same else {}
-        except (OSError, ValueError, KeyError):  # nothing there, or nothing that can be read
-            self.flown = {}
-
-    def _read(self) -> Iterator[tuple[tuple[str, int], Flown]]:
-        with self._file.open(encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
-                job = row["error_sources"], int(row["seed"])
-                state = tuple(float(row[name]) for name in STATE)
-                yield job, Flown(*job, state, float(row["attitude_error_rad"]))
-
-    def add(self, flown: Flown) -> None:
-        """Keep a flight."""
-        if not self.flown:
-            # In this order: flights never lie beside a setting that is not theirs.
-            self._belongs.parent.mkdir(parents=True, exist_ok=True)
-            self._file.unlink(missing_ok=True)
-            write_atomically(self._belongs, self._setting)
-        self.flown[flown.error_sources, flown.seed] = flown
-        lines = [",".join(("error_sources", "seed", *STATE, "attitude_error_rad"))]
-        for one in self.flown.values():
-            figures = (*one.state, one.attitude_error_rad)
-            lines.append(",".join([one.error_sources, str(one.seed), *map(repr, figures)]))
-        write_atomically(self._file, "\n".join(lines) + "\n")
+    return {
+        "error_sources": error_sources,
+        "seed": seed,
+        **dict(zip(STATE, flight.terminal_state.tolist(), strict=True)),
+        "attitude_error_rad": float(off),
+    }
 
 
 def fly_all(
-    logbook: Logbook,
+    store: Store,
     solution: Solution,
     vehicle: Vehicle,
-    jobs: list[tuple[str, int]],
+    wanted: Sequence[tuple[str, int]],
     *,
     workers: int = 1,
     tell: Callable[[], None] = lambda: None,
-) -> list[Flown]:
-    """Fly the jobs that the logbook lacks; all flights asked for, in the order of the jobs."""
-    missing = [job for job in jobs if job not in logbook.flown]
+) -> list[Record]:
+    """The flights that are wanted, by error sources and seed; those that the store lacks are flown."""
+    jobs = [Job(f"{error_sources} {seed}", (error_sources, seed)) for error_sources, seed in wanted]
+    missing = [job for job in jobs if job.key not in store]
     for _ in range(len(jobs) - len(missing)):
         tell()
+    if missing and workers > 1:
+        simulator()  # if it is not there, that is said once, and here
     work = partial(fly_spacecraft, solution, vehicle)
-    if workers == 1 or len(missing) < 2:
-        for job in missing:
-            logbook.add(work(job))
-            tell()
-    else:
-        simulator()  # what is missing is to be said once, and here
-        # Ctrl-C reaches every process; this one alone answers it.
-        with ProcessPoolExecutor(
-            workers, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN)
-        ) as pool:
-            try:
-                for flown in pool.map(work, missing):
-                    logbook.add(flown)
-                    tell()
-            except BaseException:
-                for process in multiprocessing.active_children():
-                    process.terminate()  # or the end would wait for whole flights
-                pool.shutdown(cancel_futures=True)
-                raise
-    return [logbook.flown[job] for job in jobs]
+    executor = Processes(workers) if workers > 1 else here
+    run(work, jobs, store, executor, on_done=lambda *_: tell())
+    return [store[job.key] for job in jobs]
+
+
+TESTED_MAX = 5000
+"""Samples up to which the p-values of Shapiro and Wilk's test are accurate."""
+
+POINTS_MAX = 199
+"""Of a quantile-quantile plot."""
+
+
+def dispersion(deviation: Array) -> Estimate:
+    """Root mean square length of deviations that should be zero on average, m.
+
+    Its square, the trace of their second moments S, is taken as chi-squared with Satterthwaite's
+    degrees of freedom, n (tr S)^2 / tr S^2. For normal deviations that is exact along one axis; in
+    three, the few degrees of freedom that a small sample shows make the interval somewhat too wide.
+
+    Args:
+        deviation: shape (n, 3).
+    """
+    moments = deviation.T @ deviation / len(deviation)
+    trace = float(np.trace(moments))
+    if trace == 0.0:
+        return Estimate(0.0, 0.0, 0.0)
+    freedom = len(deviation) * trace**2 / float(np.sum(moments**2))
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    high, low = (freedom / float(chi2.ppf(p, freedom)) for p in (tail, 1.0 - tail))
+    return Estimate(np.sqrt(trace), np.sqrt(trace * low), np.sqrt(trace * high))
+
+
+@dataclass(frozen=True)
+class Normality:
+    """How normal a sample is.
+
+    Attributes:
+        p_value: of Shapiro and Wilk's test, of the first 5000.
+        correlation: of the sample's quantiles with a normal variable's; 1 on a straight line.
+        expected, observed: quantiles of a standard normal and of the standardised sample.
+    """
+
+    p_value: float
+    correlation: float
+    expected: Array
+    observed: Array
+
+
+def normality(sample: Array) -> Normality:
+    """Test a sample, shape (n,), n > 3, whose values are not all the same."""
+    standard = (sample - sample.mean()) / sample.std(ddof=1)
+    (expected, observed), (_, _, correlation) = probplot(standard)
+    # Evenly spaced along the axis, so that the tails are seen.
+    keep = np.unique(np.searchsorted(expected, np.linspace(expected[0], expected[-1], POINTS_MAX)))
+    return Normality(
+        float(shapiro(standard[:TESTED_MAX]).pvalue),
+        float(correlation),
+        expected[keep],
+        observed[keep],
+    )

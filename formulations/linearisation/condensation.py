@@ -16,9 +16,8 @@ from typing import Protocol
 
 import numpy as np
 
+from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation, require_finite
-from formulations.problem.flyby import Nodes
-from formulations.problem.regions import Array
 
 
 @dataclass(frozen=True)
@@ -36,15 +35,12 @@ class Sensitivity:
 
 
 def condense(
-    lin: Linearisation, nodes: Nodes | None = None, *, factor: bool = True, curvature: bool = True
+    lin: Linearisation, nodes: Indices | None = None, *, factor: bool = True, curvature: bool = True
 ) -> Sensitivity:
-    """Eliminate the linearised mean and factor dynamics, leaving the burns.
+    """Eliminate the linearised mean and factor dynamics, leaving the burns, at some nodes or at all.
 
-    Args:
-        lin: where to linearise; its defects are closed by the affine map.
-        nodes: where mean and factor are wanted; all nodes if not given.
-        factor: whether the factor is wanted; otherwise it has no columns.
-        curvature: keep the STMs' dependence on the mean (the T_k term).
+    The affine map closes the defects. Without `factor` that has no columns; without `curvature` the
+    STMs do not depend on the mean (the T_k term).
 
     Raises:
         LinearisationError: if they are not finite.
@@ -67,7 +63,7 @@ def condense(
     )
 
 
-def _factor_sensitivity(lin: Linearisation, nodes: Nodes, *, curvature: bool) -> Array:
+def _factor_sensitivity(lin: Linearisation, nodes: Indices, *, curvature: bool) -> Array:
     """Derivative of the factor at some nodes, shape (n, 6, c, nz + 1): the product rule by legs.
 
     With P the STM from the leg's start, d(P S) = P dS + (T . dmu) S there.
@@ -80,7 +76,7 @@ def _factor_sensitivity(lin: Linearisation, nodes: Nodes, *, curvature: bool) ->
     errors = problem.execution_errors
     shared, of_errors = errors.shared, errors.jacobian(lin.iterate.burns)
 
-    def reached(at: Nodes) -> Array:
+    def reached(at: Indices) -> Array:
         leg = legs.of[at]
         derivative = lin.affine_map_from_last_burn[at, :6, :6] @ start[leg].reshape(-1, 6, c * q)
         derivative = derivative.reshape(-1, 6, c, q)
@@ -126,7 +122,7 @@ def _composed_tensor(lin: Linearisation, last: int) -> Array:
     return composed.reshape(last + 1, 6, 6, 7)
 
 
-def condense_frozen_covariance(lin: Linearisation, nodes: Nodes, *, factor: bool) -> Sensitivity:
+def condense_frozen_covariance(lin: Linearisation, nodes: Indices, *, factor: bool) -> Sensitivity:
     """The affine map with dS = 0; arguments as for `condense`."""
     mean = condense(lin, nodes, factor=False)
     if not factor:
@@ -139,9 +135,8 @@ def condense_frozen_covariance(lin: Linearisation, nodes: Nodes, *, factor: bool
 class Condensation(Protocol):
     """Mean and factor at some nodes as affine functions of the burns."""
 
-    def __call__(self, lin: Linearisation, nodes: Nodes, *, factor: bool) -> Sensitivity:
+    def __call__(self, lin: Linearisation, nodes: Indices, *, factor: bool) -> Sensitivity:
         """See `condense`."""
-        ...
 
 
 CONDENSATIONS: dict[str, Condensation] = {

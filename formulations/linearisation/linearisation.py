@@ -18,8 +18,8 @@ from functools import cached_property
 
 import numpy as np
 
-from formulations.problem.flyby import ArcDerivatives, FlybyProblem, Iterate, Nodes
-from formulations.problem.regions import Array
+from formulations.arrays import Array, Indices
+from formulations.problem.flyby import ArcDerivatives, FlybyProblem, Iterate
 
 
 def propagate_factor(
@@ -27,10 +27,7 @@ def propagate_factor(
 ) -> Array:
     """Factor at every node, shape (n_nodes, 6, columns); columns of later burns are zero.
 
-    Args:
-        problem: for its burns and their errors.
-        affine_map_from_last_burn: STMs from the last burn before each node, shape (n_nodes, 6, 6).
-        burns: shape (m, 3).
+    Of burns (m, 3) and the STMs from the last burn before each node, shape (n_nodes, 6, 6).
     """
     legs = problem.legs
     start = np.zeros((len(problem.leg_starts), 6, problem.factor_columns))
@@ -101,11 +98,9 @@ class Linearisation:
         return self.problem.legs.compose(maps)
 
     def after_burns(self, kicks: Array, constant: Array) -> Array:
-        """Deviations at the legs' starts, (legs + 1, 7, q), after the burns there.
+        """Deviations at the legs' starts, (legs + 1, 7, q), after burns kick by (m, 3, q) there.
 
-        Args:
-            kicks: of the burns, shape (m, 3, q).
-            constant: row of the constant, shape (q,).
+        The row of the constant has shape (q,).
         """
         legs, coasts = self.problem.legs, self.problem.coasts
         start = np.zeros((len(kicks) + coasts, 7, len(constant)))
@@ -124,7 +119,7 @@ class Linearisation:
         kicks = np.eye(3 * m, 3 * m + 1).reshape(m, 3, -1)
         return self.after_burns(kicks, np.eye(3 * m + 1)[-1])
 
-    def at_nodes(self, start: Array, nodes: Nodes) -> Array:
+    def at_nodes(self, start: Array, nodes: Indices) -> Array:
         """Deviations (n, 6, q) at some nodes from those at the legs' starts."""
         problem = self.problem
         deviation = self.affine_map_from_last_burn[nodes, :6] @ start[problem.legs.of[nodes]]

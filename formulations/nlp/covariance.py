@@ -3,10 +3,10 @@
     Sigma_{k+1} = A_k Sigma_k A_k' + B C(dv_i) C(dv_i)' B'
     S_{k+1} = [A_k S_k, B C(dv_i)]
 
-with the columns C of a burn's errors. Columns that burns share are carried as columns in every form,
-beside the covariance of all else. Every form is a vector of entries per node, after the burn where one
-falls on it. An arc carries the entries; a burn appends zeros where the form grows by it, and adds its
-`kick`.
+with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Columns that
+burns share are carried as columns in every form, beside the covariance of all else. Every form is a
+vector of entries per node, after the burn where one falls on it. An arc carries the entries; a burn
+appends zeros where the form grows by it, and adds its `kick`.
 """
 
 from __future__ import annotations
@@ -16,13 +16,21 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from formulations.nlp.execution import own_columns, own_covariance, shared_columns
+from formulations.arrays import Array
+from formulations.problem.execution_errors import (
+    ComponentwiseErrors,
+    ExecutionErrors,
+    GatesErrors,
+)
 from formulations.problem.flyby import FlybyProblem
-from formulations.problem.regions import Array
 
 GUARD = 1e-16
 """Added under every root, so that its derivative exists at zero. It moves a norm x by 5e-17 / x, in
 units of the problem, and never by more than 1e-8."""
+TINY = 1e-16
+"""Added under the root of how far a burn is executed, which has a kink where the burn vanishes."""
+CERTAIN = 1e-6
+"""Largest standard deviation of a start without spread to speak of."""
 
 
 def root(square: ca.MX) -> ca.MX:
@@ -35,34 +43,25 @@ class Spread(Protocol):
 
     def size(self, burns: int) -> int:
         """Number of entries at a node, that many burns at or before it."""
-        ...
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
         """Entries at the end of an arc with that STM (6, 6)."""
-        ...
 
     def kick(self, burn: ca.MX, burns: int) -> ca.MX:
         """What a burn (3,) adds to the entries of its node, which has that many burns before it."""
-        ...
 
     def pack(self, factor: Array, burns: int) -> Array:
         """Entries from a factor (6, c) whose columns of later burns are zero."""
-        ...
 
     def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
         """Standard deviations of the position along the rows of `normal` (m, 3), shape (m,)."""
-        ...
 
 
 class Covariance:
     """Sigma by entries, the 36 that the paper writes or the 21 that are different.
 
-    Nothing but feasibility keeps an iterate of it positive semidefinite.
-
-    Args:
-        problem: gives the execution errors.
-        unique: whether the entries above the diagonal stand for those below.
-        unit: of a standard deviation.
+    In units of a standard deviation `unit`. Nothing but feasibility keeps an iterate of it positive
+    semidefinite.
     """
 
     def __init__(self, problem: FlybyProblem, *, unique: bool, unit: float = 1.0) -> None:
@@ -120,12 +119,7 @@ class Covariance:
 
 
 class Factor:
-    """Factor S by columns: initial ones, those that burns share, each burn's at or before the node.
-
-    Args:
-        problem: gives the execution errors and the initial columns.
-        unit: of the entries.
-    """
+    """Factor S by columns: initial ones, those that burns share, each burn's at or before the node."""
 
     def __init__(self, problem: FlybyProblem, *, unit: float = 1.0) -> None:
         self._errors, self._unit = problem.execution_errors, unit
@@ -157,10 +151,6 @@ class Factor:
         return root(self._unit**2 * ca.sum2((ca.DM(normal) @ position) ** 2))
 
 
-CERTAIN = 1e-6
-"""Largest standard deviation of a start without spread to speak of."""
-
-
 def initial_deviation(problem: FlybyProblem) -> float:
     """Largest standard deviation before the first burn: the natural unit of a factor's entries.
 
@@ -171,3 +161,53 @@ def initial_deviation(problem: FlybyProblem) -> float:
         return deviation
     largest = np.array([[problem.dv_max, 0.0, 0.0]])
     return max(float(np.linalg.norm(problem.execution_errors.columns(largest))), CERTAIN)
+
+
+def shared_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
+    """Columns that burns share, of a burn (3,), shape (3, shared)."""
+    if isinstance(errors, GatesErrors) and errors.shared:
+        return errors.magnitude_bias * burn
+    return ca.MX(3, 0)
+
+
+def own_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
+    """Columns of a burn (3,) alone, shape (3, own)."""
+    if isinstance(errors, GatesErrors):
+        parts = [errors.magnitude_proportional * burn, errors.pointing_proportional * ca.skew(burn)]
+        if not errors.affine:
+            executed, root = _fixed_part(errors, burn)
+            parts += [ca.sqrt(executed + TINY) * root, ca.MX(3, 1)]
+        return ca.horzcat(*parts)
+    return _componentwise(errors).fraction * ca.diag(burn)
+
+
+def own_covariance(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
+    """Covariance C C' of a burn's own columns, shape (3, 3), smooth where the burn (3,) vanishes."""
+    if isinstance(errors, GatesErrors):
+        s, p, outer = errors.magnitude_proportional, errors.pointing_proportional, burn @ burn.T
+        covariance = s**2 * outer + p**2 * (ca.dot(burn, burn) * ca.MX(np.eye(3)) - outer)
+        if not errors.affine:
+            executed, root = _fixed_part(errors, burn)
+            covariance += executed * root @ root
+        return covariance
+    return ca.diag((_componentwise(errors).fraction * burn) ** 2)
+
+
+def _fixed_part(errors: GatesErrors, burn: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """How far a burn is executed, squared, and the symmetric root of its fixed part, (3, 3)."""
+    square = ca.dot(burn, burn)
+    executed, points = errors.transitions(square)
+    m, s, p = errors.fixed_bound, errors.magnitude_fixed, errors.pointing_fixed
+    isotropic = m - points * square * (m - p)
+    return executed, isotropic * ca.MX(np.eye(3)) + points * (s - p) * (burn @ burn.T)
+
+
+def _componentwise(errors: ExecutionErrors) -> ComponentwiseErrors:
+    """The only other model.
+
+    Raises:
+        TypeError: if it is one that no nonlinear program has been written for.
+    """
+    if not isinstance(errors, ComponentwiseErrors):
+        raise TypeError(f"no nonlinear program for {type(errors).__name__}")
+    return errors

@@ -1,31 +1,30 @@
 """A nonlinear program as CasADi expressions: unknowns, rows by constraint name, what each weighs.
 
-Every row is a margin (>= 0 where satisfied) or a defect (== 0) in the units in which `Subproblem`
-counts violations, so that one L1 penalty serves both sides.
+The rows are the limits on the burns, P3's sets or P2's facets. Every row is a margin (>= 0 where
+satisfied) or a defect (== 0) in the units in which `Subproblem` counts violations, so that one L1
+penalty serves both sides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from formulations.arrays import Array
+from formulations.nlp.covariance import Spread, root
 from formulations.problem.facets import Facets
-from formulations.problem.flyby import FlybyProblem, Iterate
-from formulations.problem.regions import Array
+from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
+from formulations.problem.regions import Ball
+from formulations.program.subproblem import DYNAMICS_WEIGHT
 
 
 @dataclass(frozen=True)
 class Arcs:
-    """Flow map of the grid's arcs.
-
-    Attributes:
-        flow: CasADi function F(x, h) -> x_next that takes SX symbols; states (6,).
-        durations: h of each arc, shape (n_nodes - 1,).
-    """
+    """CasADi flow map F(x, h) -> x_next of states (6,), which takes SX symbols, and each arc's h."""
 
     flow: ca.Function
     durations: Array
@@ -62,11 +61,8 @@ class NlpRows:
 class Mapped:
     """Nonlinear part of a program's leading rows that brings its own derivatives.
 
-    Attributes:
-        value: shape (m,).
-        jacobian: sparse, shape (m, n).
-        hessian: from multipliers (m,) to the upper triangle (n, n) of the Hessian of their product
-            with the value.
+    The value has shape (m,), the sparse Jacobian (m, n); the Hessian maps multipliers (m,) to the upper
+    triangle (n, n) of that of their product with the value.
     """
 
     value: ca.MX
@@ -198,3 +194,96 @@ def _padded(matrix: ca.MX, rows: ca.MX, columns: ca.MX | None = None) -> ca.MX:
     width = matrix.shape[1] if columns is None else columns.numel()
     padded = ca.horzcat(matrix, ca.MX(matrix.shape[0], width - matrix.shape[1]))
     return ca.vertcat(padded, ca.MX(rows.numel() - matrix.shape[0], width))
+
+
+def total_dv(burns: ca.MX) -> ca.MX:
+    """Sum of the sizes of burns (3, m)."""
+    return ca.sum2(_norm(burns))
+
+
+def burn_blocks(problem: FlybyProblem, burns: ca.MX, *, printed: bool) -> list[NlpRows]:
+    """Size and battery cone of burns (3, m).
+
+    Printed angles are by the paper's ratios, not as `FlybyProblem.burn_margins` has them.
+    """
+    nappes = [
+        -_inside_cone(burns, cone.axis, cone.half_angle, printed) for cone in problem.burn_cones
+    ]
+    return [
+        NlpRows("dv_max", (problem.dv_max - _norm(burns)).T),
+        NlpRows("dv_battery", ca.horzcat(*nappes).T),
+    ]
+
+
+def final_state_block(problem: FlybyProblem, mean: ca.MX) -> NlpRows:
+    """Miss of the final state, of means (6, n_nodes)."""
+    miss = mean[:, -1] - problem.final_state
+    return NlpRows("final_state", miss, DYNAMICS_WEIGHT, equality=True, price=problem.miss_weight)
+
+
+def state_blocks(
+    problem: FlybyProblem,
+    facets: Facets | None,
+    spread: Spread | None,
+    node: Sequence[ca.MX],
+    *,
+    printed: bool,
+) -> Iterator[NlpRows]:
+    """State constraints on y = (mean, entries of the spread) of every node: P3's without facets.
+
+    There is no spread for P3 and for P2 without a single facet. Printed are P3's cones by ratios.
+    """
+    mean = ca.horzcat(*(y[:3] for y in node))
+    if facets is None:
+        yield from _set_blocks(problem, mean, printed)
+    elif spread is not None:
+        yield from _facet_blocks(problem, facets, mean, _deviations(spread, facets, node))
+
+
+def _set_blocks(problem: FlybyProblem, position: ca.MX, printed: bool) -> Iterator[NlpRows]:
+    """P3: positions (3, n_nodes) in or out of every region."""
+    for constraint in problem.constraints:
+        inside = _inside(constraint, position[:, constraint.nodes.tolist()], printed).T
+        yield NlpRows(constraint.name, inside if constraint.keep == "in" else -inside)
+
+
+def _facet_blocks(
+    problem: FlybyProblem, facets: Facets, position: ca.MX, deviation: ca.MX
+) -> Iterator[NlpRows]:
+    """P2: b - a'r - q ||S'a|| for positions (3, n_nodes) and deviations (m,)."""
+    along = ca.sum1(position[:, facets.node.tolist()] * facets.normal.T).T
+    margin: ca.MX = ca.DM(facets.offset) - along - ca.DM(facets.quantile) * deviation
+    for index, constraint in enumerate(problem.constraints):
+        rows = np.flatnonzero(facets.constraint == index)
+        if len(rows):
+            yield NlpRows(constraint.name, margin[rows.tolist()])
+
+
+def _deviations(spread: Spread, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
+    """Standard deviation along every facet's normal, (m,)."""
+    parts, order = [], []
+    for k in np.unique(facets.node):
+        rows = np.flatnonzero(facets.node == k)
+        parts.append(spread.deviation(facets.normal[rows], node[k][6:]))
+        order.append(rows)
+    return ca.vertcat(*parts)[np.argsort(np.concatenate(order)).tolist()]
+
+
+def _inside(constraint: StateConstraint, position: ca.MX, printed: bool) -> ca.MX:
+    region = constraint.region
+    if isinstance(region, Ball):
+        return region.radius - _norm(position - region.center.T)
+    return _inside_cone(position - region.apex.T, region.axis, region.half_angle, printed)
+
+
+def _inside_cone(offset: ca.MX, axis: Array, half_angle: float, printed: bool) -> ca.MX:
+    """Row (1, n) for offsets (3, n) from the apex: distance inside, or cosine less the limit's."""
+    along = ca.sum1(offset * axis.T)
+    if printed:
+        return along / _norm(offset) - np.cos(half_angle)
+    across = _norm(offset - axis.T * ca.repmat(along, 3, 1))
+    return np.sin(half_angle) * along - np.cos(half_angle) * across
+
+
+def _norm(columns: ca.MX) -> ca.MX:
+    return root(ca.sum1(columns**2))

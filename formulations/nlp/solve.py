@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from time import perf_counter
@@ -11,10 +16,8 @@ import casadi as ca
 import numpy as np
 
 from formulations.nlp.covariance import Covariance, initial_deviation
-from formulations.nlp.interrupts import noticing_interrupts
-from formulations.nlp.multiple_shooting import MultipleShooting
 from formulations.nlp.program import Arcs, Assembled, Start, Transcription, assemble
-from formulations.nlp.single_shooting import SingleShooting
+from formulations.nlp.shooting import MultipleShooting, SingleShooting
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 
@@ -23,14 +26,10 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 class Settings:
     """IPOPT's options that matter here; its defaults otherwise.
 
-    Attributes:
-        hessian: exact second derivatives, or a limited-memory BFGS approximation.
-        linear_solver: "mumps" or "spral" with CasADi's wheels. SPRAL needs the environment variables
-            OMP_CANCELLATION=TRUE and OMP_PROC_BIND=TRUE.
-        barrier: strategy for the barrier parameter.
-        tolerance: of the scaled optimality conditions.
-        max_iterations: limit.
-        max_seconds: limit, wall clock.
+    The tolerance is that of the scaled optimality conditions, seconds are of the wall clock, and an
+    inexact Hessian is a limited-memory BFGS approximation. With CasADi's wheels there is also the
+    linear solver "spral", which needs the environment variables OMP_CANCELLATION=TRUE and
+    OMP_PROC_BIND=TRUE.
     """
 
     hessian: Literal["exact", "limited-memory"] = "exact"
@@ -143,17 +142,9 @@ class NlpIteration:
 class NlpResult:
     """Where IPOPT ended, and what it took.
 
-    Attributes:
-        iterate: burns and means; single shooting's have no defects but at the end.
-        outcome: what the status means.
-        status: IPOPT's own word.
-        objective: total delta-v, plus the penalty if there is one.
-        iterations: log, the start included.
-        unknowns: their number.
-        rows: number of constraints.
-        build_s: seconds to write the program down and differentiate it.
-        solve_s: seconds in IPOPT, evaluations included.
-        evaluate_s: of which in evaluations.
+    Single shooting's iterate has no defects but at the end. The objective is total delta-v, plus the
+    penalty if there is one; the iterations begin with the start. Writing the program down and
+    differentiating it is `build_s`; evaluations, `evaluate_s`, are a part of `solve_s`.
     """
 
     iterate: Iterate
@@ -183,14 +174,8 @@ def solve_nlp(
 ) -> NlpResult:
     """Solve P2 on fixed facets, or P3 without.
 
-    Args:
-        problem: the flyby problem.
-        arcs: its dynamics.
-        facets: of P2; None for P3.
-        start: initial guess.
-        variant: how to write it down and solve it.
-        penalty: of the exact L1 penalty on violations as `MeritFunction` weighs them, the arcs
-            alone staying hard; None for hard constraints.
+    A penalty is that of the exact L1 penalty on violations as `MeritFunction` weighs them, the arcs
+    alone staying hard; without one all constraints are hard.
 
     Raises:
         ValueError: if P2 is to start without a factor.
@@ -226,7 +211,7 @@ def solve_nlp(
 
 
 def _outcome(status: str, *, interrupted: bool) -> NlpOutcome:
-    """What IPOPT's status means; Ctrl-C ends as an exception in it, as others may."""
+    """The meaning of IPOPT's status; Ctrl-C ends as an exception in it, as others may."""
     if status == "NonIpopt_Exception_Thrown" and interrupted:
         return NlpOutcome.INTERRUPTED
     return OUTCOMES.get(status, NlpOutcome.FAILED)
@@ -248,3 +233,31 @@ def _solver(nlp: Assembled, settings: Settings) -> ca.Function:
         options["hess_lag"] = ca.Function("nlp_hess_l", [x, nothing, factor, factors], [hessian])
     program = {"x": x, "p": nothing, "f": nlp.objective, "g": nlp.rows}
     return ca.nlpsol("nlp", "ipopt", program, options)
+
+
+@contextmanager
+def noticing_interrupts() -> Iterator[Callable[[], bool]]:
+    """A function that says whether SIGINT has come since; Python's own handling stays as it is.
+
+    Python hands signals to the main thread: in another one none is noticed.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    reading, writing = os.pipe()
+    os.set_blocking(reading, False)
+    os.set_blocking(writing, False)
+    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+
+    def came() -> bool:
+        try:
+            return signal.SIGINT in os.read(reading, 4096)
+        except BlockingIOError:
+            return False
+
+    try:
+        yield came
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(reading)
+        os.close(writing)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from formulations.problem.regions import Array
+from formulations.arrays import Array
 
 VANISHED = 1e-3
 """Of the larger fixed error: a burn below it counts as not executed."""
@@ -65,10 +65,9 @@ class ExecutionErrors(ABC):
 
 @dataclass(frozen=True)
 class ComponentwiseErrors(ExecutionErrors):
-    """Every component errs by a fraction of itself: C = beta diag(v) (Echigo et al., eq. 3).
+    """Every component errs by a fraction beta of itself, 1 sigma: C = beta diag(v).
 
-    Attributes:
-        fraction: beta, 1 sigma.
+    Echigo et al., eq. 3.
     """
 
     fraction: float
@@ -199,23 +198,23 @@ class GatesErrors(ExecutionErrors):
 
     def _fixed(self, burns: Array) -> Array:
         """The root and a column of zeros; of a vanished burn (m e / |v|) [[v]x, v]."""
-        found = np.zeros((len(burns), 3, self.own - 4))
+        columns = np.zeros((len(burns), 3, self.own - 4))
         if self.affine:
-            return found
+            return columns
         m, p, gone = self.fixed_bound, self.pointing_fixed, self._vanished(burns)
         square = np.einsum("mi,mi->m", burns, burns)
         _, points = self.transitions(square)
         outer = np.einsum("mi,mj->mij", burns, burns)
-        found[:, :, :3] = (m - points * square * (m - p))[:, None, None] * np.eye(3)
-        found[:, :, :3] += (points * (self.magnitude_fixed - p))[:, None, None] * outer
+        columns[:, :, :3] = (m - points * square * (m - p))[:, None, None] * np.eye(3)
+        columns[:, :, :3] += (points * (self.magnitude_fixed - p))[:, None, None] * outer
         slope, _ = self._slope(square[gone])
-        found[gone] = slope[:, None, None] * _isotropic(burns[gone])
-        return found
+        columns[gone] = slope[:, None, None] * _isotropic(burns[gone])
+        return columns
 
     def _fixed_jacobian(self, burns: Array) -> Array:
-        found = np.zeros((len(burns), 3, self.own - 4, 3))
+        jacobian = np.zeros((len(burns), 3, self.own - 4, 3))
         if self.affine:
-            return found
+            return jacobian
         m, p, s = self.fixed_bound, self.pointing_fixed, self.magnitude_fixed
         square, eye = np.einsum("mi,mi->m", burns, burns), np.eye(3)
         vanished = (VANISHED * m) ** 2
@@ -227,17 +226,17 @@ class GatesErrors(ExecutionErrors):
         pointing[square < vanished] = 0.0
         outer = np.einsum("mi,mj->mij", burns, burns)
         along = np.einsum("mi,jl->mijl", burns, eye)
-        found[:, :, :3] = (s - p) * (
+        jacobian[:, :, :3] = (s - p) * (
             2.0 * np.einsum("m,mij,ml->mijl", pointing, outer, burns)
             + points[:, None, None, None] * (along + along.swapaxes(1, 2))
         ) - 2.0 * (m - p) * np.einsum("m,ij,ml->mijl", turning, eye, burns)
         gone = self._vanished(burns)
         slope, change = self._slope(square[gone])
         unit = np.moveaxis(_isotropic(eye), 0, -1)
-        found[gone] = slope[:, None, None, None] * unit + 2.0 * np.einsum(
+        jacobian[gone] = slope[:, None, None, None] * unit + 2.0 * np.einsum(
             "m,mik,ml->mikl", change, _isotropic(burns[gone]), burns[gone]
         )
-        return found
+        return jacobian
 
     def _slope(self, square: Array) -> tuple[Array, Array]:
         """Of vanished burns: m e / |v|, and its derivative by v^2."""

@@ -1,16 +1,38 @@
-"""Facets of the chance constraints: placed at a guess, chosen by largest probability, then fixed."""
+"""Facets of the chance constraints: placed at a guess, chosen by largest probability, then fixed.
+
+Their risk is split by Boole's inequality.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+from scipy.special import ndtri
 
-from formulations.problem.flyby import FlybyProblem, Nodes, StateConstraint
+from formulations.arrays import Array, Booleans, Indices
+from formulations.problem.flyby import FlybyProblem, StateConstraint
 from formulations.problem.polytopes import BallPolytope, inner_pyramid_angle, rotations_between
-from formulations.problem.regions import Array, Ball, Cone, Halfspaces, Region
-from formulations.risk.uniform import quantile, split_risk
+from formulations.problem.regions import Ball, Cone, Halfspaces, Region
+
+
+def split_risk(probability: float, parts: int) -> float:
+    """Probability that each of `parts` events needs so that all hold together with `probability`.
+
+    P(all) >= 1 - sum P(not each), so a uniform split requires 1 - (1 - p) / n of each.
+    """
+    return 1.0 - (1.0 - probability) / parts
+
+
+def quantile(probability: float) -> float:
+    """Standard normal quantile Psi^-1: P(a'x <= b) >= p iff a'mu + Psi^-1(p) ||S'a|| <= b.
+
+    Raises:
+        ValueError: if the probability is not in [0.5, 1); below one half the condition is not convex.
+    """
+    if not 0.5 <= probability < 1.0:
+        raise ValueError(f"probability {probability} is outside [0.5, 1)")
+    return float(ndtri(probability))
 
 
 @dataclass(frozen=True)
@@ -41,13 +63,13 @@ class Facets:
         quantile: q = Psi^-1 of the facet's share of the probability, shape (m,).
     """
 
-    constraint: Nodes
-    node: Nodes
+    constraint: Indices
+    node: Indices
     normal: Array
     offset: Array
     quantile: Array
 
-    def chosen(self, which: npt.NDArray[np.bool_]) -> Facets:
+    def chosen(self, which: Booleans) -> Facets:
         """Those of a mask, shape (m,)."""
         return Facets(*(getattr(self, name)[which] for name in Facets.__annotations__))
 
@@ -66,11 +88,8 @@ def choose_facets(
 ) -> Facets:
     """All facets of keep-in polytopes, and of each keep-out polytope the most probable one.
 
-    Args:
-        problem: gives the constraints and their probabilities.
-        polytopes: what stands for balls and cones.
-        mean: node means of the guess, shape (n_nodes, 6); its lines of sight turn the polytopes.
-        factor: covariance factor of the guess, shape (n_nodes, 6, c).
+    Means (n_nodes, 6), whose lines of sight turn the polytopes, and factor (n_nodes, 6, c) are the
+    guess's.
     """
     parts = [
         _constraint_facets(index, constraint, polytopes, mean, factor)
@@ -163,9 +182,7 @@ def _most_probable(candidates: list[Halfspaces], point: Array, factor: Array) ->
     return Halfspaces(normal[best, nodes], offset[best, nodes])
 
 
-def included_rows(
-    facets: Facets, margin: Array, clearance: float, nodes_max: int
-) -> npt.NDArray[np.bool_]:
+def included_rows(facets: Facets, margin: Array, clearance: float, nodes_max: int) -> Booleans:
     """Facets that the convex program needs to know: those within `clearance` of binding.
 
     Of more than `nodes_max` nodes that have any, those nearest to binding. The others are checked

@@ -1,17 +1,17 @@
-"""The flyby problem as data, and what an iterate costs and violates."""
+"""The flyby problem as data: its arcs, burns and legs, its limits, and the iterates that fly it."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
 
+from formulations.arrays import Array, Indices
 from formulations.problem.execution_errors import ExecutionErrors
-from formulations.problem.legs import Legs
-from formulations.problem.legs import Nodes as Nodes
-from formulations.problem.regions import Array, Cone, Region
+from formulations.problem.regions import Cone, Region
 
 
 class ArcDerivatives(Protocol):
@@ -20,17 +20,14 @@ class ArcDerivatives(Protocol):
     @property
     def state(self) -> Array:
         """End states."""
-        ...
 
     @property
     def stm(self) -> Array:
         """State-transition matrices dF_i/dx_j of every arc k, shape (n - 1, 6, 6)."""
-        ...
 
     @property
     def tensor(self) -> Array:
         """Second derivatives d2F_i/dx_j dx_l of every arc k, shape (n - 1, 6, 6, 6)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +39,12 @@ class StateConstraint:
         nodes: node indices, shape (n,).
         region: one region per node.
         keep: "in" or "out".
-        probability: what P2 asks of this constraint alone, joint risk already split.
+        probability: what P2 requires of this constraint alone, joint risk already split.
         joint: chance constraint that it is one side of; itself, if not given.
     """
 
     name: str
-    nodes: Nodes
+    nodes: Indices
     region: Region
     keep: Literal["in", "out"]
     probability: float
@@ -55,13 +52,72 @@ class StateConstraint:
 
     @property
     def event(self) -> str:
-        """What has to hold with the probability that was asked."""
+        """Name of what has to hold with the required probability."""
         return self.joint or self.name
 
     def margin(self, mean: Array) -> Array:
         """Signed distance to the region's surface at each node, >= 0 where satisfied, (n,)."""
         inside = self.region.inside(mean[self.nodes, :3])
         return inside if self.keep == "in" else -inside
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Burns (m, 3) and node means (n_nodes, 6), which may have defects."""
+
+    burns: Array
+    mean: Array
+
+    @property
+    def total_dv(self) -> float:
+        """Sum of the burns' sizes: the cost."""
+        return float(np.linalg.norm(self.burns, axis=1).sum())
+
+
+class Legs:
+    """The legs of a grid: the arcs from one burn to the next, or from the start to the first burn.
+
+    What happens linearly along a leg is a product of its arcs' matrices from its start; `compose` makes
+    those products once for all nodes.
+
+    Args:
+        n_nodes: nodes of the grid.
+        starts: nodes at which legs start, and the last node, where a burn ends the last one; ascending
+            from 0 to n_nodes - 1.
+
+    Attributes:
+        of: leg in which each node is reached, shape (n_nodes,); the first node counts to leg 0.
+        ends: node at which each leg ends, shape (legs,).
+    """
+
+    def __init__(self, n_nodes: int, starts: Indices) -> None:
+        self.of = np.maximum(np.searchsorted(starts, np.arange(n_nodes)) - 1, 0)
+        self.ends = starts[1:]
+        length = round(np.sqrt(n_nodes))
+        blocks: list[Indices] = []
+        self._continued: list[int] = []
+        for first, last in itertools.pairwise(starts.tolist()):
+            for start in range(first, last, length):
+                arcs = np.arange(start, start + length)
+                if start > first:
+                    self._continued.append(len(blocks))
+                blocks.append(np.where(arcs < last, arcs, n_nodes - 1))
+        self._blocks = np.array(blocks)
+        self._arcs = self._blocks.ravel() < n_nodes - 1
+
+    def compose(self, maps: Array) -> Array:
+        """Products (n_nodes, d, d) of the arcs' matrices (n_nodes - 1, d, d) from each leg's start.
+
+        The identity at the first node. Within blocks of about sqrt(n) arcs, all blocks at a time; then
+        from block to block. Blocks that a leg does not fill end in identities.
+        """
+        one = np.eye(maps.shape[-1])[None]
+        blocks = np.concatenate([maps, one])[self._blocks]
+        for j in range(1, blocks.shape[1]):
+            blocks[:, j] = blocks[:, j] @ blocks[:, j - 1]
+        for b in self._continued:
+            blocks[b] = blocks[b] @ blocks[b - 1, -1]
+        return np.concatenate([one, blocks.reshape(-1, *one.shape[1:])[self._arcs]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +146,7 @@ class FlybyProblem:
     """
 
     n_nodes: int
-    burn_nodes: Nodes
+    burn_nodes: Indices
     initial_state: Array
     final_state: Array
     initial_factor: Array
@@ -118,7 +174,7 @@ class FlybyProblem:
         return int(self.burn_nodes[0] > 0)
 
     @cached_property
-    def leg_starts(self) -> Nodes:
+    def leg_starts(self) -> Indices:
         """Nodes at which legs start, the last node included; burn i is at the one of i + `coasts`."""
         return np.r_[np.zeros(self.coasts, dtype=np.intp), self.burn_nodes]
 
@@ -172,20 +228,7 @@ class FlybyProblem:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class Iterate:
-    """Burns (m, 3) and node means (n_nodes, 6), which may have defects."""
-
-    burns: Array
-    mean: Array
-
-    @property
-    def total_dv(self) -> float:
-        """Sum of the burns' sizes: the cost."""
-        return float(np.linalg.norm(self.burns, axis=1).sum())
-
-
-def factor_columns_used(problem: FlybyProblem, nodes: Nodes) -> int:
+def factor_columns_used(problem: FlybyProblem, nodes: Indices) -> int:
     """Factor columns that can be non-zero in the position at any of the ascending `nodes`.
 
     A burn's error shifts positions only after its node, so later burns' own columns stay zero.

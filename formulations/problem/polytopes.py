@@ -12,12 +12,10 @@ from functools import cache
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import ConvexHull
 
+from formulations.arrays import Array
 from formulations.problem.regions import perpendicular, reject, unit
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

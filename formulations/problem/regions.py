@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from formulations.arrays import Array, Booleans, Indices
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ def _roots(a: Array, b: Array, c: Array) -> Chord:
     return low, high
 
 
-def _all_along(still: npt.NDArray[np.bool_], low: Array, high: Array) -> Chord:
+def _all_along(still: Booleans, low: Array, high: Array) -> Chord:
     """A line without direction that starts inside is inside."""
     if not still.any():
         return low, high
@@ -112,7 +111,7 @@ class Ball:
     center: Array
     radius: float
 
-    def at(self, which: npt.NDArray[np.intp]) -> Ball:
+    def at(self, which: Indices) -> Ball:
         """The balls of some nodes."""
         return Ball(self.center[which], self.radius)
 
@@ -125,10 +124,6 @@ class Ball:
     def inside(self, point: Array) -> Array:
         """Signed distance to the surface, positive inside, (n,)."""
         return self.radius - np.linalg.norm(point - self.center, axis=1)
-
-    def curvature_radius(self, point: Array) -> Array:
-        """Radius of curvature of the surface, (n,)."""
-        return np.full(len(point), self.radius)
 
     def chord(self, start: Array, direction: Array) -> Chord:
         """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3)."""
@@ -162,7 +157,7 @@ class Cone:
     def _side(self) -> Array:
         return perpendicular(self.axis)
 
-    def at(self, which: npt.NDArray[np.intp]) -> Cone:
+    def at(self, which: Indices) -> Cone:
         """The cones of some nodes."""
         return Cone(self.apex[which], self.axis[which], self.half_angle)
 
@@ -186,16 +181,10 @@ class Cone:
         across = np.linalg.norm(d - along[:, None] * self.axis, axis=1)
         return np.sin(self.half_angle) * along - np.cos(self.half_angle) * across
 
-    def curvature_radius(self, point: Array) -> Array:
-        """Radius of curvature across the ray nearest to each point, (n,)."""
-        along = np.einsum("ni,ni->n", point - self.apex, self.axis)
-        height = along - self.inside(point) * np.sin(self.half_angle)
-        return np.abs(height) * np.tan(self.half_angle) / np.cos(self.half_angle)
-
     def chord(self, start: Array, direction: Array) -> Chord:
         """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3).
 
-        cos^2 |d|^2 <= (u'd)^2 holds on both nappes; u'd tells on which a root is.
+        cos^2 |d|^2 <= (u'd)^2 holds on both nappes; the sign of u'd says on which a root is.
         """
         off = start - self.apex[:, None]
         along, climb = (np.einsum("nki,ni->nk", part, self.axis) for part in (off, direction))

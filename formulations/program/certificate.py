@@ -1,4 +1,4 @@
-"""A cone program as numbers, and what proves an answer to it optimal."""
+"""A cone program as numbers, and the proof that an answer to it is optimal."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.problem.regions import Array
+from formulations.arrays import Array
 
 GAP = 1e-6
 """Largest relative error in the proof of a verdict."""

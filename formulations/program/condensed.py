@@ -17,22 +17,19 @@ from typing import NamedTuple
 
 import cvxpy as cp
 import numpy as np
-import numpy.typing as npt
 
+from formulations.arrays import Array, Booleans, Indices
 from formulations.linearisation.condensation import Condensation
 from formulations.linearisation.linearisation import (
     Linearisation,
     LinearisationError,
     final_state_map,
 )
-from formulations.problem.flyby import FlybyProblem, Nodes
-from formulations.problem.regions import Array
-from formulations.program.compiled import CompiledProgram
+from formulations.problem.flyby import FlybyProblem
 from formulations.program.convex_subproblem import ConvexSubproblem
-from formulations.program.model import StateModel, sparse_parameter, write_model
-from formulations.program.penalty import Penalty, PenaltyParameters
+from formulations.program.model import CompiledProgram, StateModel, sparse_parameter, write_model
 from formulations.program.solvers import SOLVERS, FallbackSolver
-from formulations.program.subproblem import Step, SubproblemError
+from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
 from formulations.rows.cones import Rows
 
 SLOTS = 32
@@ -46,13 +43,10 @@ MISSED = 1e-9
 
 
 class ConeSize(NamedTuple):
-    """What the compiled program has to know of one block of cones.
+    """The size of one block of cones, which a program is compiled for.
 
-    Attributes:
-        dimension: d.
-        components: p, of the burns that they feel.
-        triangular: see `Cones`.
-        slots: how many cones there can be.
+    So many slots for cones of dimension d, which feel the first p burn components; for `triangular`
+    see `Cones`.
     """
 
     dimension: int
@@ -61,7 +55,7 @@ class ConeSize(NamedTuple):
     slots: int
 
     @property
-    def entries(self) -> tuple[Nodes, Nodes]:
+    def entries(self) -> tuple[Indices, Indices]:
         """Rows and columns of the entries of one cone's values that can be non-zero."""
         full = np.ones((self.dimension, self.components), dtype=np.bool_)
         if self.triangular:
@@ -98,15 +92,7 @@ def write_states(burns: cp.Variable, sizes: Sequence[ConeSize]) -> StateModel:
 
 
 class CondensedSubproblem(ConvexSubproblem):
-    """A condensed formulation of P3 or P2 around an iterate.
-
-    Args:
-        problem: the flyby problem.
-        rows: its state constraints, those of P3 or of P2.
-        penalty: how violations and steps are charged.
-        solver: of cone programs, kept from iteration to iteration.
-        condensation: how mean and factor are eliminated.
-    """
+    """A condensed formulation of P3 or P2 around an iterate."""
 
     def __init__(
         self,
@@ -158,7 +144,7 @@ class CondensedSubproblem(ConvexSubproblem):
             self._take(missed, slack)
         return replace(step, solver_s=solver_s, canonicalise_s=perf_counter() - start - solver_s)
 
-    def _take(self, missed: npt.NDArray[np.bool_], slack: Array) -> None:
+    def _take(self, missed: Booleans, slack: Array) -> None:
         """Put missed rows into free slots, those with least slack first.
 
         Slots double until at least an eighth of the rows fit: often the others then are not missed.

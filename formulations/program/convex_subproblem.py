@@ -1,4 +1,4 @@
-"""What all formulations share: set the parameters, evaluate the compiled program, solve, read back."""
+"""The base of all formulations: set parameters, evaluate the compiled program, solve, and read back."""
 
 from __future__ import annotations
 
@@ -8,15 +8,19 @@ from time import perf_counter
 
 import numpy as np
 
+from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.flyby import FlybyProblem, Nodes
-from formulations.problem.regions import Array
-from formulations.program.compiled import CompiledProgram
-from formulations.program.merit import MeritFunction
-from formulations.program.model import Values, penalty_values
-from formulations.program.penalty import Penalty, PenaltyParameters
+from formulations.problem.flyby import FlybyProblem
+from formulations.program.model import CompiledProgram, Values, penalty_values
 from formulations.program.solvers import FallbackSolver
-from formulations.program.subproblem import Step, Subproblem, SubproblemError
+from formulations.program.subproblem import (
+    MeritFunction,
+    Penalty,
+    PenaltyParameters,
+    Step,
+    Subproblem,
+    SubproblemError,
+)
 from formulations.rows.cones import Rows
 
 SMALL_BURN = 1e-2
@@ -29,11 +33,7 @@ INSIDE = 1e-9
 class ConvexSubproblem(Subproblem):
     """A subproblem whose program is a `CompiledProgram`; `update` says where it is convexified.
 
-    Args:
-        problem: the flyby problem.
-        rows: its state constraints, those of P3 or of P2.
-        penalty: how violations and steps are charged.
-        solver: of cone programs, kept from iteration to iteration.
+    The solver is kept from iteration to iteration.
     """
 
     def __init__(
@@ -92,21 +92,9 @@ class ConvexSubproblem(Subproblem):
         charge: PenaltyParameters,
         planes: Array,
         states: Values,
-        buffers: Nodes,
+        buffers: Indices,
     ) -> Step:
-        """Solve the program with the numbers of an iteration.
-
-        Args:
-            compiled: the program.
-            radius: of the trust region.
-            charge: of the penalty.
-            planes: off the battery's cones.
-            states: values of what the formulation adds, by parameter.
-            buffers: row that each buffer belongs to, -1 for none.
-
-        Raises:
-            SubproblemError: if there is no answer.
-        """
+        """Solve with an iteration's numbers; `buffers` holds the row of each buffer, -1 for none."""
         start, burns = perf_counter(), self._at.iterate.burns
         own = {
             "centre": burns.ravel(),

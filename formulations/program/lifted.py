@@ -16,7 +16,8 @@ miss, which no flight keeps.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import itertools
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
@@ -24,33 +25,32 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.linearisation.linearisation import Linearisation, LinearisationError
-from formulations.problem.flyby import FlybyProblem, Nodes, factor_columns_used
-from formulations.problem.regions import Array
-from formulations.program.compiled import CompiledProgram
-from formulations.program.composed_arcs import compose
+from formulations.arrays import Array, Indices
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    LinearisationError,
+    require_finite,
+)
+from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint, factor_columns_used
 from formulations.program.convex_subproblem import ConvexSubproblem
-from formulations.program.lifted_errors import LiftedErrors
-from formulations.program.model import StateModel, Values, sparse_parameter, write_model
-from formulations.program.output_rows import keep_out_values, write_rows
-from formulations.program.penalty import Penalty, PenaltyParameters
+from formulations.program.model import (
+    CompiledProgram,
+    StateModel,
+    Values,
+    sparse_parameter,
+    write_model,
+)
 from formulations.program.solvers import FallbackSolver
-from formulations.program.subproblem import Step, SubproblemError
+from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
 from formulations.rows.cones import Rows
+from formulations.rows.uniform import ChanceRows, DeterministicRows
 
 SETTINGS = {"CLARABEL": {"static_regularization_constant": 1e-7}}
 """With the default 1e-8 Clarabel's factorisation breaks down short of the tolerances."""
 
 
 class LiftedSubproblem(ConvexSubproblem):
-    """The textbook form of P3 or P2 around an iterate.
-
-    Args:
-        problem: the flyby problem.
-        rows: its state constraints, those of P3 or of P2.
-        penalty: how violations and steps are charged.
-        solver: of cone programs, kept from iteration to iteration.
-    """
+    """The textbook form of P3 or P2 around an iterate."""
 
     def __init__(self, problem: FlybyProblem, rows: Rows, penalty: Penalty, solver: str) -> None:
         super().__init__(problem, rows, penalty, FallbackSolver(solver, SETTINGS))
@@ -76,20 +76,17 @@ class LiftedSubproblem(ConvexSubproblem):
 
     def _write_states(self, burns: cp.Variable) -> StateModel:
         outputs, miss, constraints, parameters = self._dynamics.write(burns)
-        rows, planes = write_rows(self.rows, outputs)
+        if isinstance(self.rows, ChanceRows):
+            return StateModel(miss, _chance_rows(self.rows, outputs), constraints, parameters)
+        assert isinstance(self.rows, DeterministicRows)
+        rows, planes = _deterministic_rows(self.rows, outputs)
         return StateModel(miss, rows, constraints, parameters | planes)
 
 
 class LiftedDynamics:
-    """The linearised dynamics of mean and factor as sparse equations.
+    """The linearised dynamics of mean and factor as sparse equations, with outputs at some nodes."""
 
-    Args:
-        problem: dimensions.
-        nodes: nodes whose outputs are wanted.
-        with_factor: whether the outputs carry the covariance factor.
-    """
-
-    def __init__(self, problem: FlybyProblem, nodes: Nodes, with_factor: bool) -> None:
+    def __init__(self, problem: FlybyProblem, nodes: Indices, with_factor: bool) -> None:
         self._problem, self._used = problem, nodes
         self._nodes = np.union1d(nodes, problem.leg_starts)
         factor = with_factor and len(nodes) > 0
@@ -130,7 +127,7 @@ class LiftedDynamics:
         outputs = cp.reshape(pick @ states, (3 * len(self._used), 1 + columns), order="C")
         return outputs, virtual, constraints, parameters
 
-    def _pattern(self) -> tuple[Nodes, Nodes]:
+    def _pattern(self) -> tuple[Indices, Indices]:
         """Rows of the dynamics and the state entries that the parameter connects to them.
 
         In this order: A_k on the mean; A_k on every factor column; T_k . S^_k from the mean.
@@ -153,7 +150,7 @@ class LiftedDynamics:
         kicks = sp.csr_array(entries, shape=(self._size, len(rows)))
         return kicks + self._errors.constant(self._problem) if self._errors.affine else kicks
 
-    def _pick(self, nodes: Nodes, size: int) -> sp.csr_array:
+    def _pick(self, nodes: Indices, size: int) -> sp.csr_array:
         """Position rows (mean, factor columns) of the used nodes among the stacked states."""
         component = np.add.outer(6 * nodes, np.arange(3))
         factor = np.add.outer(self._mean_size + component * self._columns, np.arange(self._columns))
@@ -197,3 +194,149 @@ class LiftedDynamics:
         at = np.searchsorted(self._nodes, lin.problem.burn_nodes[later]) - 1
         constant[at, 3:] -= lin.iterate.burns[later]
         return constant
+
+
+class LiftedErrors:
+    """Columns C(dv) of the burns' errors in their rows of the stacked states.
+
+    Their derivative is a constant of the program where they are linear in the burns, else a parameter.
+    Burns fall on the program's `nodes`, shape (m,). The factors begin at the state `first`, each stored
+    row by row; `last` is the node of the last one.
+    """
+
+    def __init__(
+        self, problem: FlybyProblem, nodes: Indices, first: int, columns: int, last: int, size: int
+    ) -> None:
+        shared, every = problem.shared_columns, range(problem.n_burns)
+        own = [problem.columns_of_burn(i) for i in every]
+        filled = np.array([np.r_[shared, own[i]] for i in every], dtype=np.intp)[:, None]
+        row = (6 * nodes[:, None] + 3 + np.arange(3))[..., None]
+        self._kept = np.broadcast_to(
+            (filled < columns) & (nodes <= last)[:, None, None], (len(nodes), 3, filled.shape[-1])
+        )
+        self._rows = (first + row * columns + filled)[self._kept]
+        self._size, self._burns = size, problem.n_burns
+        # Where no factor is carried, nothing is to be said of its derivative.
+        self.affine = problem.execution_errors.affine or not self._kept.any()
+
+    @property
+    def places(self) -> tuple[Indices, Indices]:
+        """Rows of the states, and burn components, that derivatives connect, in their order."""
+        by = 3 * np.arange(self._burns)[:, None, None, None] + np.arange(3)
+        by = np.broadcast_to(by, (*self._kept.shape, 3))[self._kept]
+        return np.repeat(self._rows, 3), by.ravel()
+
+    def derivative(self, problem: FlybyProblem, burns: Array) -> Array:
+        """By the burns (m, 3), at `places`."""
+        return problem.execution_errors.jacobian(burns)[self._kept].ravel()
+
+    def constant(self, problem: FlybyProblem) -> sp.csr_array:
+        """The derivative where it is the same everywhere, shape (states, 3 m)."""
+        values, (rows, columns) = self.derivative(problem, np.zeros((self._burns, 3))), self.places
+        filled = values != 0.0
+        entries = values[filled], (rows[filled], columns[filled])
+        return sp.csr_array(entries, shape=(self._size, 3 * self._burns))
+
+    def remainder(self, problem: FlybyProblem, iterate: Iterate) -> Array:
+        """Columns C less their derivative times the burns, shape (states,)."""
+        errors, burns = problem.execution_errors, iterate.burns
+        left = errors.columns(burns) - np.einsum("mikl,ml->mik", errors.jacobian(burns), burns)
+        state = np.zeros(self._size)
+        state[self._rows] = left[self._kept]
+        return state
+
+
+@dataclass(frozen=True)
+class ComposedArcs:
+    """Arcs between chosen nodes, composed from the grid's, as maps of the deviation d at their start.
+
+    Deviation of the mean at the end: stm d + shift. STM along the deviated mean:
+    stm + shift_stm + tensor . d. Shapes: (n, 6, 6), (n, 6), (n, 6, 6), (n, 6, 6, 6).
+    """
+
+    stm: Array
+    shift: Array
+    shift_stm: Array
+    tensor: Array
+
+
+def compose(lin: Linearisation, nodes: Indices) -> ComposedArcs:
+    """Compose the arcs between consecutive `nodes`, which must contain every burn's node.
+
+    With A, T, d of the next arc, D the deviation so far and P the STM so far,
+    D' = A D + d and dP' = A dP + (T . D) P: the product rule, once for the part that the starting
+    deviation causes (tensor) and once for the part that the defects cause (shift_stm).
+
+    Raises:
+        LinearisationError: if they are not finite.
+    """
+    n = len(nodes) - 1
+    composed = ComposedArcs(
+        np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((n, 6, 6)), np.empty((n, 6, 6, 6))
+    )
+    defects = lin.defects
+    for arc, (first, last) in enumerate(itertools.pairwise(nodes)):
+        stm, shift = np.eye(6), np.zeros(6)
+        shift_stm, tensor = np.zeros((6, 6)), np.zeros((6, 6, 6))
+        for k in range(first, last):
+            a, t = lin.arcs.stm[k], lin.arcs.tensor[k]
+            shift_stm = a @ shift_stm + (t @ shift) @ stm
+            # (T . stm d) stm: rows i, columns c of the STM, component l of d.
+            tensor = (a @ tensor.reshape(6, 36)).reshape(6, 6, 6) + stm.T @ (t @ stm)
+            stm, shift = a @ stm, a @ shift + defects[k]
+        composed.stm[arc], composed.shift[arc] = stm, shift
+        composed.shift_stm[arc], composed.tensor[arc] = shift_stm, tensor
+    require_finite(composed.stm, composed.shift, composed.shift_stm, composed.tensor)
+    return composed
+
+
+def keep_out_values(rows: Rows, lin: Linearisation) -> Values:
+    """The supporting planes of keep-out sets at an iterate, where the rows are deterministic."""
+    values: Values = {}
+    if isinstance(rows, DeterministicRows):
+        for c in rows.problem.constraints:
+            if c.keep == "out":
+                planes = c.region.supporting(lin.iterate.mean[c.nodes, :3])
+                values |= {f"{c.name} normal": planes.normal, f"{c.name} offset": planes.offset}
+    return values
+
+
+def _chance_rows(rows: ChanceRows, outputs: cp.Expression) -> list[cp.Expression]:
+    """All facets at once; normals, offsets and quantiles are constants."""
+    if rows.count == 0:
+        return []
+    room = rows.carried.offset - rows.pick @ outputs[:, 0]
+    weighted = sp.diags_array(rows.carried.quantile) @ rows.pick
+    return [cp.hstack([cp.reshape(room, (rows.count, 1), order="C"), weighted @ outputs[:, 1:]])]
+
+
+def _deterministic_rows(
+    rows: DeterministicRows, outputs: cp.Expression
+) -> tuple[list[cp.Expression], dict[str, cp.Parameter]]:
+    """One second-order cone per keep-in node, one linear row per keep-out node."""
+    written: list[cp.Expression] = []
+    parameters: dict[str, cp.Parameter] = {}
+    for c in rows.problem.constraints:
+        first = 3 * np.searchsorted(rows.nodes, c.nodes)
+        picked = (first[:, None] + np.arange(3)).ravel()
+        indices, shape = (np.arange(len(picked)), picked), (len(picked), outputs.shape[0])
+        pick = sp.csr_array((np.ones(len(picked)), indices), shape=shape)
+        position = cp.reshape(pick @ outputs[:, 0], (len(c.nodes), 3), order="C")
+        if c.keep == "in":
+            written.append(_keep_in(c, position))
+            continue
+        normal, offset = cp.Parameter(position.shape), cp.Parameter(len(c.nodes))
+        parameters |= {f"{c.name} normal": normal, f"{c.name} offset": offset}
+        room = cp.sum(cp.multiply(normal, position), axis=1) - offset
+        written.append(cp.reshape(room, (len(c.nodes), 1), order="C"))
+    return written, parameters
+
+
+def _keep_in(constraint: StateConstraint, position: cp.Expression) -> cp.Expression:
+    cone = constraint.region.second_order_cone
+    n = len(constraint.nodes)
+    offset = position - cone.origin
+    blocks = sp.block_diag(list(cone.matrix), format="csr")
+    across = cp.reshape(blocks @ cp.reshape(offset, (3 * n,), order="C"), (n, 3), order="C")
+    along = cp.sum(cp.multiply(cone.linear, offset), axis=1) + cone.constant
+    return cp.hstack([cp.reshape(along, (n, 1), order="C"), across])

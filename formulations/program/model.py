@@ -1,4 +1,4 @@
-"""The convex program around an iterate, in CVXPY.
+"""The convex program around an iterate: written in CVXPY, and compiled once to a cone program.
 
     min   sum t + prices'(a, v) + curvature s
     s.t.  ||z_i|| <= t_i                                 size of each burn
@@ -19,14 +19,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.problem.flyby import Nodes
-from formulations.problem.regions import Array
-from formulations.program.penalty import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
+from formulations.arrays import Array, Indices
+from formulations.program.certificate import ConeProgram
+from formulations.program.subproblem import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
 
 Values = dict[str, Array]
 """Numbers by a parameter's name."""
@@ -34,14 +35,10 @@ Values = dict[str, Array]
 
 @dataclass(frozen=True)
 class StateModel:
-    """What one formulation makes of the burns.
+    """One formulation's part of the program: what follows from the burns.
 
-    Attributes:
-        miss: of the final state, shape (6,).
-        rows: the y of the state constraints, shape (n, d) for n cones of dimension d; their buffers are
-            in this order.
-        constraints: the linearised dynamics, where they are not eliminated.
-        parameters: by name.
+    The miss has shape (6,), the y of n state constraints of dimension d (n, d), with buffers in this
+    order; the constraints are the linearised dynamics, where they are not eliminated.
     """
 
     miss: cp.Expression
@@ -116,17 +113,12 @@ def penalty_values(
     penalty: Penalty,
     charge: PenaltyParameters,
     n_burns: int,
-    rows: Nodes,
+    rows: Indices,
     miss_weight: float | None = None,
 ) -> Values:
-    """What prices and curvature are for a charge.
+    """Values of prices and curvature for a charge; `rows` holds the row of each buffer, -1 for none.
 
-    Args:
-        penalty: of the model.
-        charge: of this iteration.
-        n_burns: m.
-        rows: row of the constraints that each buffer belongs to, -1 for none; shape (buffers,).
-        miss_weight: see `FlybyProblem`; not with the penalty "augmented".
+    The miss weight is that of `FlybyProblem`; it does not go with the penalty "augmented".
     """
     limits = 6 + 3 * n_burns
     prices = np.full(limits + len(rows), charge.weight)
@@ -142,7 +134,7 @@ def penalty_values(
 
 
 def sparse_parameter(
-    shape: tuple[int, int], rows: Nodes, columns: Nodes
+    shape: tuple[int, int], rows: Indices, columns: Indices
 ) -> tuple[cp.Parameter, cp.Expression]:
     """A parameter of a matrix's entries at given places, and that matrix.
 
@@ -152,3 +144,70 @@ def sparse_parameter(
     places = (rows + shape[0] * columns, np.arange(n))
     spread = sp.csr_array((np.ones(n), places), shape=(shape[0] * shape[1], n))
     return entries, cp.reshape(spread @ entries, shape, order="F")
+
+
+class CompiledProgram:
+    """A model reduced to cones: parameters' values in, a `ConeProgram` out.
+
+    CVXPY reduces the parametrised program to cones once (DPP). From then on an iteration evaluates that
+    form, q + A x as a linear map of the parameters, with the sparsity that it was compiled with, so
+    that a solver can be updated in place. The values go in with the call, so that a compiled program
+    has no state and can be shared.
+
+    Raises:
+        ValueError: if it is not a disciplined parametrised convex program.
+    """
+
+    def __init__(self, model: Model) -> None:
+        if not model.program.is_dcp(dpp=True):
+            raise ValueError("the program is not disciplined convex in its parameters")
+        for parameter in model.parameters.values():
+            parameter.value = np.zeros(parameter.shape)
+        # Clarabel's is the form of every solver of second-order cones: zero, non-negative, then these.
+        options = {"use_quad_obj": False}
+        data, _, _ = model.program.get_problem_data(
+            cp.CLARABEL, canon_backend="COO", solver_opts=options
+        )
+        self._form: Any = data[cp.settings.PARAM_PROB]
+        self._ids = {name: parameter.id for name, parameter in model.parameters.items()}
+        first = self._form.var_id_to_col[model.burns.id]
+        self._burns = slice(first, first + model.burns.size)
+        # Maps of all parameters and 1 to the cost, and to [A b] column by column.
+        rows, columns = self._form.constr_size, self._form.x.size
+        both, cost = sp.csr_array(self._form.A), sp.csr_array(self._form.q)
+        filled = np.flatnonzero(np.diff(both.indptr))
+        entries = filled[filled < rows * columns]
+        self._cost, self._bound = cost[:columns], both[rows * columns :]
+        self._entries = both[entries]
+        starts = np.searchsorted(entries, rows * np.arange(columns + 1))
+        # QOCO takes 32-bit indices only.
+        self._row, self._starts = (entries % rows).astype(np.int32), starts.astype(np.int32)
+
+    def evaluate(self, values: Mapping[str, Array]) -> ConeProgram:
+        """The numbers of the program for every parameter's value, by name.
+
+        What `ParamConeProg.apply_parameters` gives, without laying out its sparsity again.
+        """
+        form = self._form
+        by_id = {self._ids[name]: value for name, value in values.items()}
+        parameters = np.ones(form.total_param_size + 1)
+        for number, value in by_id.items():
+            first = form.param_id_to_col[number]
+            parameters[first : first + value.size] = value.ravel(order="F")
+        shape = form.constr_size, form.x.size
+        matrix = sp.csc_array((-(self._entries @ parameters), self._row, self._starts), shape=shape)
+        dims = form.cone_dims
+        return ConeProgram(
+            self._cost @ parameters,
+            matrix,
+            self._bound @ parameters,
+            dims.zero,
+            dims.nonneg,
+            tuple(dims.soc),
+            form,
+            by_id,
+        )
+
+    def burns(self, x: Array) -> Array:
+        """The burns in an answer, shape (m, 3)."""
+        return x[self._burns].reshape(-1, 3)

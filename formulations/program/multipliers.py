@@ -1,37 +1,51 @@
-"""Multipliers of a plan by the conditions of Karush, Kuhn and Tucker: what each constraint costs."""
+"""Multipliers of a plan by the conditions of Karush, Kuhn and Tucker, and the primer that follows.
+
+The multipliers say what each constraint costs; the primer, what another burn anywhere along the flight
+would save at first order. By the multipliers of an optimum the Lagrangian L is a function of the means
+mu_k and the factors S_k. With psi_k = dL/dmu_k and Psi_k = dL/dS_k, everything later included, the
+adjoint of the dynamics reads
+
+    psi_k = A_k' psi_{k+1} + sum_ij T_k[i, j, :] (Psi_{k+1} S_k')[i, j] + dL/dmu_k at the node itself,
+    Psi_k = A_k' Psi_{k+1} + dL/dS_k at the node itself.
+
+A burn dv added at node k changes the least total delta-v by ||dv|| - p_k'dv + o(||dv||) with the primer
+
+    p_k = -B'psi_k - sum over the columns that all burns share of C'(B'Psi_k).
+
+Where p_k'u <= 1 for every direction u that is allowed, no small burn helps there. Errors that the new
+burn draws for itself count at second order, as long as they shrink with it and the position is not
+known for certain. J. Breakwell's and D. Lawden's primer (Optimal Trajectories for Space Navigation,
+1963) is the case in which nothing is uncertain and only the final state is required.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation, final_state_map
 from formulations.problem.flyby import FlybyProblem
-from formulations.problem.regions import Array
 from formulations.rows.cones import Rows
 
 BINDING = 1e-5
 """Room up to which a constraint may have a multiplier."""
 VANISHED = 1e-6
 """Size of a burn, nondimensional, below which its direction is rounding."""
+MISS = 6
+"""Multipliers of the final state's miss, which come first."""
+BURN_LIMITS = 3
+"""Limits on each burn, whose multipliers come next: its size and two cones."""
 
 
 def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
     """Multipliers m of the miss and of every violation, in the order of `MeritFunction.excess`.
 
-    The non-negative (those of the miss of either sign) that make grad(total delta-v) + J'm least, with
-    J the derivatives of the excess and the constraints with room left out. A burn that has vanished is
-    left out too, as its size has no derivative there. Nocedal & Wright, Numerical Optimization, 2006,
-    eq. (12.34).
-
-    Args:
-        problem: limits of the burns.
-        rows: state constraints.
-        lin: a solution, nondimensional.
-
-    Returns:
-        Shape (6 + 3 m + rows,).
+    The non-negative (those of the miss of either sign) that make grad(total delta-v) + J'm least at a
+    solution, with J the derivatives of the excess and the constraints with room left out; shape
+    (6 + 3 m + rows,). A burn that has vanished is left out too, as its size has no derivative there.
+    Nocedal & Wright, Numerical Optimization, 2006, eq. (12.34).
     """
     burns = lin.iterate.burns
     sizes = np.linalg.norm(burns, axis=1)
@@ -39,23 +53,16 @@ def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
     directions = burns / np.maximum(sizes, VANISHED)[:, None]
     jacobian, room = _excess_slopes(problem, rows, lin, directions)
     counts = np.concatenate([np.full(6, True), room < BINDING])
-    found = np.zeros(len(counts))
+    prices = np.zeros(len(counts))
     if there.any():
         low = np.concatenate([np.full(6, -np.inf), np.zeros(len(room))])[counts]
         matrix, goal = jacobian[counts][:, there].T, -directions.ravel()[there]
-        found[counts] = lsq_linear(matrix, goal, (low, np.inf), method="bvls").x
-    return found
+        prices[counts] = lsq_linear(matrix, goal, (low, np.inf), method="bvls").x
+    return prices
 
 
 def slope_left(problem: FlybyProblem, rows: Rows, lin: Linearisation, prices: Array) -> float:
-    """Largest component of grad(total delta-v) + J'm, of burns that are there: zero at an optimum.
-
-    Args:
-        problem: limits of the burns.
-        rows: state constraints.
-        lin: the iterate, nondimensional.
-        prices: its `multipliers` m.
-    """
+    """Largest component of grad(total delta-v) + J'm, of burns that are there: zero at an optimum."""
     burns = lin.iterate.burns
     sizes = np.linalg.norm(burns, axis=1)
     directions = burns / np.maximum(sizes, VANISHED)[:, None]
@@ -86,3 +93,35 @@ def _excess_slopes(
         slopes[cones.rows, :p] -= cones.values[:, 0]
     jacobian = np.vstack([final_state_map(lin)[1], by_burn.reshape(3 * m, 3 * m), slopes])
     return jacobian, np.concatenate([*limits, slack])
+
+
+def primer(rows: Rows, lin: Linearisation, prices: Array) -> Array:
+    """The primer at every node, (n_nodes, 3), of an optimum whose errors shrink with the burns."""
+    by_mean, by_factor = adjoint(rows, lin, prices)
+    errors = lin.problem.execution_errors
+    unit = errors.jacobian(np.zeros((1, 3)))[0, :, : errors.shared]
+    shared = by_factor[:, 3:, lin.problem.shared_columns]
+    return -by_mean[:, 3:] - np.einsum("nis,isj->nj", shared, unit)
+
+
+def adjoint(rows: Rows, lin: Linearisation, prices: Array) -> tuple[Array, Array]:
+    """Derivatives psi of the Lagrangian by the means, (n_nodes, 6), and Psi by the factors, (., 6, c).
+
+    Prices are in the order of `multipliers`.
+    """
+    problem, arcs = lin.problem, lin.arcs
+    first = MISS + BURN_LIMITS * problem.n_burns
+    here, here_factor = rows.pulled(lin, prices[first:])
+    columns = problem.factor_columns if rows.with_factor else 0
+    by_mean = np.zeros((problem.n_nodes, 6))
+    by_factor = np.zeros((problem.n_nodes, 6, columns))
+    by_mean[:, :3] = here
+    by_mean[-1] += prices[:MISS]
+    by_factor[:, : here_factor.shape[1], : here_factor.shape[2]] = here_factor
+    for k in range(problem.n_nodes - 2, -1, -1):
+        by_mean[k] += by_mean[k + 1] @ arcs.stm[k]
+        if columns:
+            bent = by_factor[k + 1] @ lin.factor[k].T
+            by_mean[k] += np.einsum("ijl,ij->l", arcs.tensor[k], bent)
+            by_factor[k] += arcs.stm[k].T @ by_factor[k + 1]
+    return by_mean, by_factor

@@ -12,25 +12,19 @@ import clarabel
 import numpy as np
 import scipy.sparse as sp
 
-from formulations.problem.regions import Array
+from formulations.arrays import Array
 from formulations.program.certificate import ConeProgram, is_optimal
 
 TOLERANCE = 1e-9
 """Tighter than Clarabel's 1e-8, so that late, small predicted reductions still mean something."""
 
 
-NO_SETTINGS: Mapping[str, Mapping[str, float]] = {}
-
-
 class Answer(NamedTuple):
-    """What a solver has to say.
+    """The answer of a solver.
 
-    Attributes:
-        x: variables.
-        status: the solver's word for them.
-        accurate: whether it vouches for its tolerances.
-        solver_s: seconds spent in it, with the set-up or update of its data.
-        multipliers: z of the constraints, by which it can be held to its word.
+    Variables x and the solver's word for them; whether it vouches for its tolerances; the seconds spent
+    in it, with the set-up or update of its data; and the multipliers z, by which it is held to its
+    word.
     """
 
     x: Array
@@ -45,15 +39,10 @@ class ConicSolver(Protocol):
 
     def solve(self, program: ConeProgram) -> Answer:
         """Solve; raises ValueError where there is no answer."""
-        ...
 
 
 class Clarabel:
-    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024.
-
-    Args:
-        settings: besides the tolerances.
-    """
+    """Goulart & Chen, "Clarabel: an interior-point solver for conic programs", 2024."""
 
     def __init__(self, settings: Mapping[str, float]) -> None:
         self._solver: Any = None
@@ -81,12 +70,12 @@ class Clarabel:
             )
         else:
             self._solver.update(q=program.cost, A=a.data, b=program.bound)
-        found = self._solver.solve()
+        result = self._solver.solve()
         seconds = perf_counter() - start
-        status = str(found.status)
+        status = str(result.status)
         if status not in ("Solved", "AlmostSolved"):
             raise ValueError(f"CLARABEL ended with status {status}")
-        x, z = np.array(found.x), np.array(found.z)
+        x, z = np.array(result.x), np.array(result.z)
         return Answer(x, status, status == "Solved", seconds, z)
 
 
@@ -94,9 +83,6 @@ class Qoco:
     """Chari & Acikmese, "QOCO: a quadratic objective conic optimizer", 2025.
 
     It has no certificate of infeasibility; the subproblems need none, as they are always feasible.
-
-    Args:
-        settings: besides the tolerances.
     """
 
     def __init__(self, settings: Mapping[str, float]) -> None:
@@ -120,13 +106,13 @@ class Qoco:
         else:
             self._solver.update_vector_data(c=q, b=b if z else None, h=h)
             self._solver.update_matrix_data(P=None, A=a.data if z else None, G=g.data)
-        found = self._solver.solve()
+        result = self._solver.solve()
         seconds = perf_counter() - start
-        if found.status not in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE"):
-            raise ValueError(f"QOCO ended with status {found.status}")
-        multipliers = np.concatenate([found.y, found.z]) if z else np.array(found.z)
-        accurate = found.status == "QOCO_SOLVED"
-        return Answer(np.array(found.x), found.status, accurate, seconds, multipliers)
+        if result.status not in ("QOCO_SOLVED", "QOCO_SOLVED_INACCURATE"):
+            raise ValueError(f"QOCO ended with status {result.status}")
+        multipliers = np.concatenate([result.y, result.z]) if z else np.array(result.z)
+        accurate = result.status == "QOCO_SOLVED"
+        return Answer(np.array(result.x), result.status, accurate, seconds, multipliers)
 
 
 HUGE = 1e30
@@ -138,12 +124,7 @@ FORMS = Lock()
 
 
 class ByCvxpy:
-    """Any other solver, by CVXPY's interface to it; it starts from its last answer if it can.
-
-    Args:
-        name: CVXPY's name of it.
-        settings: besides those that this class has.
-    """
+    """Any other solver, by CVXPY's name and interface; it starts from its last answer if it can."""
 
     SETTINGS: ClassVar[dict[str, dict[str, Any]]] = {
         "ECOS": {"abstol": TOLERANCE, "reltol": TOLERANCE, "feastol": TOLERANCE},
@@ -190,18 +171,14 @@ def installed() -> tuple[str, ...]:
     import cvxpy as cp
     from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
 
-    found = [
+    names = [
         name
         for name in cp.installed_solvers()
         if name in SOLVER_MAP_CONIC
         and cp.SOC in SOLVER_MAP_CONIC[name].SUPPORTED_CONSTRAINTS
         and name != "ECOS_BB"  # ECOS for mixed integers, of which there are none
     ]
-    return tuple(sorted(found, key=lambda name: (name != "CLARABEL", name)))
-
-
-Settings = Mapping[str, Mapping[str, float]]
-"""Settings besides the tolerances, by solver."""
+    return tuple(sorted(names, key=lambda name: (name != "CLARABEL", name)))
 
 
 class FallbackSolver:
@@ -212,17 +189,16 @@ class FallbackSolver:
     failure to answer, as is a number that is not finite, or an answer called accurate that its
     multipliers do not prove optimal. What is left after that, the algorithm answers with a smaller
     trust region. A solver that is not in `SOLVERS` stands alone: it is asked for to be compared.
-
-    Args:
-        name: CVXPY's name of a conic solver.
-        settings: of the solvers.
+    Settings are by CVXPY's name of a solver, besides its tolerances.
 
     Raises:
         ModuleNotFoundError: if that solver is not installed.
     """
 
-    def __init__(self, name: str, settings: Settings = NO_SETTINGS) -> None:
-        self._name, self._settings = name, settings
+    def __init__(
+        self, name: str, settings: Mapping[str, Mapping[str, float]] | None = None
+    ) -> None:
+        self._name, self._settings = name, settings or {}
         self._kept = self._built(name)
 
     def _built(self, name: str) -> ConicSolver:

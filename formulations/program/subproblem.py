@@ -2,20 +2,115 @@
 
     min  sum ||dv_i|| + w (sum of buffers + ||virtual control||_1)
 
-or with another charge for violations and steps, see `penalty`. What an iterate costs and violates,
-from the nonlinear dynamics, is said in `merit`; the program around it is written in `model`, and what a
-formulation adds to it in `condensed` and `lifted`.
+or with another charge for violations and steps. Violations v >= 0 are the buffers in the order of
+`MeritFunction.violations`, the miss m of the final state is signed, the step s is that of the burns:
+
+    exact      w (10 ||m||_1 + sum v)
+    proximal   w (10 ||m||_1 + sum v) + p/2 ||s||^2
+    augmented  l'(m, v) + w/2 ||(m, v)||^2.
+
+The merit of an iterate is what it costs and is charged, from the nonlinear dynamics, never from the
+model. The program is written in `model`; what a formulation adds, in `condensed` and `lifted`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
+import numpy as np
+
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.regions import Array
-from formulations.program.merit import MeritFunction
-from formulations.program.penalty import PenaltyParameters
+from formulations.problem.flyby import FlybyProblem
+from formulations.rows.cones import Margins, Rows
+
+Penalty = Literal["exact", "proximal", "augmented"]
+
+DYNAMICS_WEIGHT = 10.0
+"""Of the dynamics against a constraint, so that infeasible cases violate constraints, not physics."""
+
+
+@dataclass(frozen=True)
+class PenaltyParameters:
+    """How much an iteration charges: w of violations, p of the step, where it is proximal.
+
+    Where it is augmented, multipliers of (m, v) have shape (6 + rows,).
+    """
+
+    weight: float
+    prox: float = 0.0
+    multipliers: Array | None = None
+
+
+class MeritFunction:
+    """Cost and violations of an iterate.
+
+    Boundary states and initial covariance are those of the linearisation's own problem, so that one
+    function judges flights from any initial state. Limits on the burns and constraints are this one's.
+    Grid, burn nodes and execution error have to be the same in both.
+    """
+
+    def __init__(self, problem: FlybyProblem, rows: Rows) -> None:
+        self.problem, self.rows = problem, rows
+        self._seen: tuple[Linearisation, dict[str, Array]] | None = None
+
+    def __call__(self, lin: Linearisation, charge: float | PenaltyParameters) -> float:
+        """Total delta-v plus the charge for every violation, from the nonlinear dynamics.
+
+        Where the final state need not be met its weighed miss is a part of the cost, and no violation.
+        A number is the exact penalty's weight.
+        """
+        if isinstance(charge, PenaltyParameters) and charge.multipliers is not None:
+            excess = self.excess(lin)
+            charged = np.r_[excess[:6], np.maximum(excess[6:], 0.0)]
+            value = charge.multipliers @ charged + 0.5 * charge.weight * (charged @ charged)
+            return lin.iterate.total_dv + float(value)
+        weight = charge.weight if isinstance(charge, PenaltyParameters) else charge
+        violations = self.violations(lin)
+        defects = violations.pop("dynamics")
+        rows = np.concatenate(list(violations.values()))
+        cost = lin.iterate.total_dv + self.problem.missed(lin.defects)
+        return cost + weight * float(DYNAMICS_WEIGHT * defects.sum() + rows.sum())
+
+    def excess(self, lin: Linearisation) -> Array:
+        """Miss of the final state and every row's signed violation, shape (6 + rows,).
+
+        In the order of `violations`; a row is satisfied where it is not positive.
+        """
+        signed = dict(self._signed(lin))
+        del signed["dynamics"]
+        return np.concatenate([lin.defects[-1], *signed.values()])
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Margins of the burn limits and of the state constraints by name."""
+        burns = self.problem.burn_margins(lin.iterate.burns)
+        by_burn = {name: Margins(self.problem.burn_nodes, m) for name, m in burns.items()}
+        return by_burn | self.rows.margins(lin)
+
+    def violations(self, lin: Linearisation) -> dict[str, Array]:
+        """What the buffers would have to hold, by constraint name; the defects are `dynamics`."""
+        return {name: np.maximum(amount, 0.0) for name, amount in self._signed(lin).items()}
+
+    def worst_violation(self, lin: Linearisation) -> float:
+        """The largest of all violations and defects."""
+        return max(float(amount.max(initial=0.0)) for amount in self.violations(lin).values())
+
+    def _signed(self, lin: Linearisation) -> dict[str, Array]:
+        """Violations, negative where there is room; defects by their size."""
+        if self._seen is None or self._seen[0] is not lin:
+            burns = lin.iterate.burns
+            toward, away = (cone.inside(burns) for cone in self.problem.burn_cones)
+            defects = lin.defects if self.problem.miss_weight is None else lin.defects[:-1]
+            amounts = {
+                "dynamics": np.abs(defects).ravel(),
+                "dv_max": -self.problem.burn_margins(burns)["dv_max"],
+                "dv_battery": np.concatenate([toward, away]),
+            }
+            rows = self.rows.margins(lin).items()
+            self._seen = lin, amounts | {name: -row.margin for name, row in rows}
+        return self._seen[1]
 
 
 class SubproblemError(RuntimeError):
@@ -37,11 +132,10 @@ class Step:
 
 
 class Subproblem(ABC):
-    """A formulation of P3 or P2 around an iterate.
+    """A formulation of P3 or P2 around an iterate, which approximates `merit`.
 
-    Attributes:
-        merit: what it approximates; it says what counts of the problem of the linearisation that it
-            is updated with, and what of its own.
+    The merit says what counts of the problem of the linearisation that it is updated with, and what of
+    its own.
     """
 
     merit: MeritFunction
@@ -58,12 +152,8 @@ class Subproblem(ABC):
     def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """Solve within a trust region: no component of a burn moves by more than `radius`.
 
-        Args:
-            radius: of the trust region.
-            charge: of the penalty; a number is the exact penalty's weight.
-
-        Returns:
-            The step, whose merit leaves out what a proximal penalty charges for it.
+        A charge that is a number is the exact penalty's weight. The step's merit leaves out what a
+        proximal penalty charges for it.
 
         Raises:
             SubproblemError: if the conic solver fails or gives no finite answer.

@@ -1,1 +1,1 @@
-"""How the risk that was asked for is shared out."""
+"""Probabilities of balls, cones and their intersections under normal laws, with gradients."""

@@ -16,55 +16,27 @@ Lines through the mean in all directions, with the chi law, make the spherical-r
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from scipy.special import gammainc, gammaincc, gammaln, ndtr, xlogy
+from scipy.special import gammainc, gammaincc, gammaln, xlogy
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
+from formulations.arrays import Array, Indices
 
 
-class Law(Protocol):
-    """A symmetric law of the coordinate along a line."""
-
-    def between(self, low: Array, high: Array) -> Array:
-        """Probability of [low, high], where low <= high; accurate in both tails."""
-        ...
-
-    def density(self, s: Array) -> Array:
-        """Zero at infinity."""
-        ...
-
-
-class NormalLaw:
-    """Standard normal."""
-
-    def between(self, low: Array, high: Array) -> Array:
-        """See `Law`."""
-        # In the tail where the difference loses no digits.
-        mirrored = low > 0.0
-        low, high = np.where(mirrored, -high, low), np.where(mirrored, -low, high)
-        return np.asarray(ndtr(high) - ndtr(low))
-
-    def density(self, s: Array) -> Array:
-        """See `Law`."""
-        return np.asarray(np.exp(-0.5 * s * s) / np.sqrt(2.0 * np.pi))
+def normal_density(s: Array) -> Array:
+    """Density of the standard normal law."""
+    return np.asarray(np.exp(-0.5 * s * s) / np.sqrt(2.0 * np.pi))
 
 
 @dataclass(frozen=True)
 class TwoSidedChiLaw:
-    """Signed distance from the centre of a standard normal vector along a random line through it.
-
-    Attributes:
-        dimension: of the vector.
-    """
+    """Signed distance from the centre of a standard normal vector along a random line through it."""
 
     dimension: int
 
     def between(self, low: Array, high: Array) -> Array:
-        """See `Law`."""
+        """Probability of [low, high], where low <= high; accurate in both tails."""
         apart = (low > 0.0) | (high < 0.0)
         near = np.where(apart, np.minimum(abs(low), abs(high)), 0.0)
         far = np.maximum(abs(low), abs(high))
@@ -74,7 +46,7 @@ class TwoSidedChiLaw:
         return np.asarray(0.5 * np.where(apart, tails, both))
 
     def density(self, s: Array) -> Array:
-        """See `Law`."""
+        """Zero at infinity."""
         n = self.dimension
         size = np.abs(s)
         with np.errstate(invalid="ignore"):
@@ -84,14 +56,9 @@ class TwoSidedChiLaw:
 
 
 class Segments(NamedTuple):
-    """Where lines keep all limits, one entry a segment.
+    """Where lines keep all limits, one entry a segment; from -inf where nothing is met.
 
-    Attributes:
-        line: index of the line.
-        low: start; -inf where nothing is met.
-        high: end.
-        low_limit: index of the limit met at the start, -1 for none; keep-ins count first.
-        high_limit: the same at the end.
+    The limits met at both ends are by index, keep-ins first, -1 for none.
     """
 
     line: Indices
@@ -145,5 +112,5 @@ def _met(candidates: Array, value: Array) -> Indices:
     """Which candidate a value is, -1 for infinite ones."""
     if candidates.shape[1] == 0:
         return np.full(len(value), -1)
-    found = np.argmax(candidates == value[:, None], axis=1)
-    return np.where(np.isfinite(value), found, -1)
+    index = np.argmax(candidates == value[:, None], axis=1)
+    return np.where(np.isfinite(value), index, -1)

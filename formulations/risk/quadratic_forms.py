@@ -24,16 +24,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import wofz
 
-Array = npt.NDArray[np.float64]
+from formulations.arrays import Array
+
 ComplexArray = npt.NDArray[np.complex128]
 
 
 class Rule(NamedTuple):
     """Trapezoidal rule on one half of a contour, the other being its mirror image.
 
-    Attributes:
-        step: of the parameter x, where the contour is about t0 + i A sinh x.
-        points: how many.
+    The step is that of the parameter x, where the contour is about t0 + i A sinh x.
     """
 
     step: float

@@ -1,4 +1,4 @@
-"""What a subproblem asks of its state constraints: margins, and cones in the burns."""
+"""The state constraints of a subproblem: their margins, and their second-order cones in the burns."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from formulations.arrays import Array, Indices
 from formulations.linearisation.condensation import Sensitivity
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.flyby import FlybyProblem, Nodes
-from formulations.problem.regions import Array
+from formulations.problem.flyby import FlybyProblem
 
 Unit = Literal["length", "sigma"]
 """Units of length, or standard deviations on the normal quantile scale."""
@@ -18,10 +18,14 @@ NEAR_LENGTH = 0.002
 """Room in units of length that counts as near."""
 
 
+FINAL_POSITION, FINAL_VELOCITY = "final_position_sigma", "final_velocity_sigma"
+PARTS = ((FINAL_POSITION, slice(0, 3)), (FINAL_VELOCITY, slice(3, 6)))
+
+
 class Margins(NamedTuple):
     """Margins of one constraint's rows (>= 0 where satisfied) and the nodes they belong to."""
 
-    nodes: Nodes
+    nodes: Indices
     margin: Array
 
 
@@ -37,7 +41,7 @@ class Cones(NamedTuple):
         triangular: whether the last d - 1 rows of [values, constants] are zero below the diagonal.
     """
 
-    rows: Nodes
+    rows: Indices
     values: Array
     constants: Array
     triangular: bool = False
@@ -60,60 +64,124 @@ class Pulled(NamedTuple):
     by_factor: Array
 
 
+def triangular_cones(rows: Indices, head: Array, tail: Array) -> Cones:
+    """Cones head (z', 1) + buffer >= ||tail (z', 1)||, of which only the triangular factor is kept.
+
+    With tail = Q R, Q preserves the norm, and R has a row for each burn component and one more.
+
+    Args:
+        rows: which of the buffers each has, shape (n,).
+        head: shape (n, p + 1).
+        tail: shape (n, d, p + 1).
+    """
+    both = np.concatenate([head[:, None], np.linalg.qr(tail, mode="r")], axis=1)
+    return Cones(rows, both[..., :-1], both[..., -1], triangular=True)
+
+
+def pulled_at(problem: FlybyProblem, nodes: Indices, by_mean: Array, by_factor: Array) -> Pulled:
+    """The sums of parts at some nodes, shapes (r, 3) and (r, 3, c)."""
+    n, (_, *shape) = problem.n_nodes, by_factor.shape
+    pulled = Pulled(np.zeros((n, 3)), np.zeros((n, *shape)))
+    np.add.at(pulled.by_mean, nodes, by_mean)
+    np.add.at(pulled.by_factor, nodes, by_factor)
+    return pulled
+
+
 class Rows(Protocol):
-    """What a subproblem asks of its state constraints."""
+    """The state constraints of a subproblem."""
 
     @property
-    def nodes(self) -> Nodes:
+    def nodes(self) -> Indices:
         """Nodes that the rows look at, ascending."""
-        ...
 
     @property
     def with_factor(self) -> bool:
         """Whether they look at the covariance factor."""
-        ...
 
     @property
     def count(self) -> int:
         """Number of rows, and of buffers."""
-        ...
 
     @property
     def near(self) -> float:
         """Room up to which a row had better take part in the program from the start."""
-        ...
 
     @property
     def unit(self) -> Unit:
         """What margins count."""
-        ...
 
     @property
     def resolution(self) -> float:
-        """Relative reduction of the merit that is not told from the rows' own errors."""
-        ...
+        """Relative reduction of the merit that the rows' own errors hide."""
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins by constraint name from the nonlinear mean and factor, never from the model."""
-        ...
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """The rows, convexified at an iterate, for mean and factor at `nodes` affine in the burns."""
-        ...
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivative of the rows' violations at an iterate, each times its price; as `cones` has them.
-
-        Args:
-            lin: where.
-            prices: shape (rows,).
-        """
-        ...
+        """Derivative of the rows' violations at an iterate, by prices (rows,); as `cones` has them."""
 
 
-def burn_components_before(problem: FlybyProblem, nodes: Nodes) -> Nodes:
+def burn_components_before(problem: FlybyProblem, nodes: Indices) -> Indices:
     """How many burn components the positions at some nodes depend on: those of the burns before.
 
     At least a burn's, so that no cone is without them.
     """
     return 3 * np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)
+
+
+class FinalSpread:
+    """Limits on the covariance after the last burn, by `final_spread`: rows that come after all others.
+
+    They bound the root of the summed variances of the position, and of the velocity. With the factor S
+    affine in the burns each is one second-order cone,
+
+        ||vec(S_final)|| <= limit + buffer,
+
+    S_final the factor's rows of position or of velocity at the last node, after the last burn. `first`
+    is the number of rows before.
+    """
+
+    def __init__(self, problem: FlybyProblem, first: int) -> None:
+        limits = zip(PARTS, problem.final_spread, strict=True)
+        self._limits = [(*part, limit) for part, limit in limits if limit is not None]
+        self._first, self._last = first, problem.n_nodes - 1
+        self.count = len(self._limits)
+
+    @property
+    def nodes(self) -> Indices:
+        """The last node, if there is a limit."""
+        return np.full(min(self.count, 1), self._last, dtype=np.intp)
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Limits less the roots, in units of length and of speed."""
+        return {
+            name: Margins(self.nodes, np.array([limit - np.linalg.norm(lin.factor[-1, part])]))
+            for name, part, limit in self._limits
+        }
+
+    def cones(self, s: Sensitivity) -> list[Cones]:
+        """One each, in all burns; the last node of `s` is the problem's last."""
+        cones = []
+        for number, (_, part, limit) in enumerate(self._limits):
+            jacobian = s.factor_jacobian[-1, part]
+            jacobian = jacobian.reshape(-1, jacobian.shape[-1])
+            spread = np.column_stack([jacobian, s.factor_constant[-1, part].ravel()])
+            head = np.r_[np.zeros(jacobian.shape[1]), limit]
+            rows = np.array([self._first + number])
+            cones.append(triangular_cones(rows, head[None], spread[None]))
+        return cones
+
+    def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:
+        """What the rows before pull, and these: vec(S) / ||vec(S)|| each, at the prices of all rows."""
+        if not self.count:
+            return others
+        by_factor = np.zeros((self._last + 1, 6, lin.factor.shape[2]))
+        by_factor[:, : others.by_factor.shape[1], : others.by_factor.shape[2]] = others.by_factor
+        for number, (_, part, _limit) in enumerate(self._limits):
+            spread = lin.factor[-1, part]
+            size = max(float(np.linalg.norm(spread)), 1e-300)
+            by_factor[-1, part] += prices[self._first + number] / size * spread
+        return Pulled(others.by_mean, by_factor)

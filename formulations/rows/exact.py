@@ -1,4 +1,4 @@
-"""Rows of P2 that spend the risk that is asked for: the true probability, per node or per flight.
+"""Rows of P2 that spend the risk exactly, by the probability of the sets: per node or per flight.
 
 On the normal quantile scale, g = Phi^-1(P), a chance constraint reads g >= Phi^-1(p), and its margin
 g - Phi^-1(p) counts standard deviations. Each row has value, gradient and curvature of g at the
@@ -12,19 +12,24 @@ binding a row is left affine.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-
 import numpy as np
 from scipy.linalg import null_space
 
+from formulations.arrays import Array, Indices
 from formulations.linearisation.condensation import Sensitivity
 from formulations.linearisation.linearisation import Linearisation, final_state_map
-from formulations.problem.flyby import FlybyProblem, Nodes, factor_columns_used
-from formulations.problem.regions import Array
-from formulations.risk.uniform import quantile
-from formulations.rows.cones import Cones, Margins, Pulled, Unit, burn_components_before
-from formulations.rows.curved import curved_cones
-from formulations.rows.final_spread import FinalSpread
+from formulations.problem.facets import quantile
+from formulations.problem.flyby import FlybyProblem, factor_columns_used
+from formulations.rows.cones import (
+    Cones,
+    FinalSpread,
+    Margins,
+    Pulled,
+    Unit,
+    burn_components_before,
+    pulled_at,
+    triangular_cones,
+)
 from formulations.rows.flight_probability import (
     FlightProbability,
     FlightQuantile,
@@ -52,47 +57,42 @@ APART = 0.05
 """Change of a flight's g over which slopes are compared, in standard deviations."""
 
 
-class ExactRows(ABC):
-    """What both scopes share.
+BEND = 3.0
+"""c: standard deviations over which a row bends before it goes on straight."""
+
+
+def curved_cones(rows: Indices, margin: Array, slope: Array, hessian: Array, z: Array) -> Cones:
+    """Rows margin + slope'd + d'hessian d/2 >= 0 in d about z, their concave part as a cone.
 
     Args:
-        problem: the flyby problem.
-        probability: p, above one half.
-        resolution: see `Rows`.
+        rows: which of the buffers each has, shape (r,).
+        margin: at z, shape (r,).
+        slope: shape (r, p).
+        hessian: shape (r, p, p); its negative part counts.
+        z: burns where they are made, shape (p,).
     """
+    r, p = slope.shape
+    curvature, axes = np.linalg.eigh(-0.5 * (hessian + hessian.swapaxes(1, 2)))
+    bend = np.sqrt(BEND * np.maximum(curvature, 0.0))[:, :, None] * axes.swapaxes(1, 2)
+    curved = np.any(bend, axis=(1, 2))
+    tail = np.zeros((r, p + 1, p + 1))
+    tail[:, :p, :p], tail[:, :p, p] = bend, -bend @ z
+    tail[curved, p, p] = BEND
+    head = np.column_stack([slope, margin - slope @ z + BEND * curved])
+    return triangular_cones(rows, head, tail)
+
+
+class ExactRows:
+    """Rows that spend the risk exactly with a probability above one half: the base of both scopes."""
 
     with_factor = True
     near = BINDING
     unit: Unit = "sigma"
-    count: int
-    nodes: Nodes
 
     def __init__(self, problem: FlybyProblem, probability: float, resolution: float) -> None:
         self.problem, self.resolution = problem, resolution
         self.events = joint_events(problem.constraints)
-        self.asked = quantile(probability)
-
-    @abstractmethod
-    def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """Differences g - Phi^-1(p), never from the model."""
-
-    @abstractmethod
-    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
-        """See the module."""
-
-    @abstractmethod
-    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """See `Rows.pulled`."""
-
-    def _pulled(self, nodes: Nodes, by_mean: Array, by_factor: Array) -> Pulled:
-        """Of parts at some nodes, shapes (r, 3) and (r, 3, c)."""
-        pulled = Pulled(
-            np.zeros((self.problem.n_nodes, 3)),
-            np.zeros((self.problem.n_nodes, 3, by_factor.shape[2])),
-        )
-        np.add.at(pulled.by_mean, nodes, by_mean)
-        np.add.at(pulled.by_factor, nodes, by_factor)
-        return pulled
+        self.required = quantile(probability)
 
 
 class NodeRows(ExactRows):
@@ -109,7 +109,7 @@ class NodeRows(ExactRows):
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """By joint constraint, at its nodes."""
-        parts = np.split(self._at(lin).value - self.asked, self._first[1:-1])
+        parts = np.split(self._at(lin).value - self.required, self._first[1:-1])
         return {
             event.name: Margins(event.nodes, part)
             for event, part in zip(self.events, parts, strict=True)
@@ -123,17 +123,17 @@ class NodeRows(ExactRows):
             rows = np.flatnonzero(components == p)
             slope = self._slope(Quantiles(*(part[rows] for part in g)), rows, s, p)
             hessian = np.zeros((len(rows), p, p))
-            near = np.flatnonzero(g.value[rows] - self.asked < BINDING)
+            near = np.flatnonzero(g.value[rows] - self.required < BINDING)
             if len(near):
                 hessian[near] = self._hessian(rows[near], s, z, p)
-            blocks.append(curved_cones(rows, g.value[rows] - self.asked, slope, hessian, z[:p]))
+            blocks.append(curved_cones(rows, g.value[rows] - self.required, slope, hessian, z[:p]))
         return blocks + self.final.cones(s)
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of -g at each row's node."""
         g, own = self._at(lin), -prices[: len(self.node)]
-        pulled = self._pulled(self.node, own[:, None] * g.by_mean, own[:, None, None] * g.by_factor)
-        return self.final.pulled(pulled, lin, prices)
+        parts = own[:, None] * g.by_mean, own[:, None, None] * g.by_factor
+        return self.final.pulled(pulled_at(self.problem, self.node, *parts), lin, prices)
 
     def _at(self, lin: Linearisation) -> Quantiles:
         """The quantiles g of all rows at an iterate."""
@@ -142,7 +142,7 @@ class NodeRows(ExactRows):
             self._seen = lin, self._quantiles(np.arange(len(self.node)), mean, factor)
         return self._seen[1]
 
-    def _quantiles(self, rows: Nodes, mean: Array, factor: Array) -> Quantiles:
+    def _quantiles(self, rows: Indices, mean: Array, factor: Array) -> Quantiles:
         """The quantiles g of ascending rows, with a mean (r, 3) and factor (r, 3, c) for each."""
         cuts = np.searchsorted(rows, self._first)
         parts = []
@@ -153,14 +153,14 @@ class NodeRows(ExactRows):
             parts.append(node_quantiles(some, mean[mine], factor[mine]))
         return Quantiles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
-    def _slope(self, g: Quantiles, rows: Nodes, s: Sensitivity, p: int) -> Array:
+    def _slope(self, g: Quantiles, rows: Indices, s: Sensitivity, p: int) -> Array:
         """dg/dz of the rows that g holds, shape (r, p)."""
         at = np.searchsorted(self.nodes, self.node[rows])
         slope = np.einsum("ri,rip->rp", g.by_mean, s.mean_jacobian[at, :3, :p])
         slope += np.einsum("ric,ricp->rp", g.by_factor, s.factor_jacobian[at, :3, :, :p])
         return np.asarray(slope)
 
-    def _hessian(self, rows: Nodes, s: Sensitivity, z: Array, p: int) -> Array:
+    def _hessian(self, rows: Indices, s: Sensitivity, z: Array, p: int) -> Array:
         """d2g/dz2 of some rows by differences of slopes, shape (r, p, p).
 
         All steps of all rows are taken at once, the first of each row being none.
@@ -183,11 +183,7 @@ class NodeRows(ExactRows):
 class FlightRows(ExactRows):
     """All joint constraints hold at all nodes of the flight with a probability: one row.
 
-    Args:
-        problem: the flyby problem.
-        probability: p, above one half.
-        lines: directions that the probability is estimated from, a power of two.
-        resolution: see `Rows`.
+    The probability is estimated from so many lines, a power of two.
     """
 
     def __init__(
@@ -209,7 +205,7 @@ class FlightRows(ExactRows):
         """Of the whole flight, at the node where most flights end."""
         g = self._at(lin)
         worst = g.nodes[np.argmax(g.ends)] if len(g.nodes) else self.nodes[0]
-        own = {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.asked]))}
+        own = {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.required]))}
         return own | self.final.margins(lin)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
@@ -221,22 +217,15 @@ class FlightRows(ExactRows):
             met = g.limits.at(g.ends > ENDS_MIN)
             self._bent = z, self._hessian(met, step, free, s, z)
         hessian = self._bent[1]
-        margin = np.array([g.value - self.asked])
+        margin = np.array([g.value - self.required])
         own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)
         return [own, *self.final.cones(s)]
 
     def _hessian(self, met: Limits, step: float, free: Array, s: Sensitivity, z: Array) -> Array:
-        """d2g/dz2 along directions that keep the final state, shape (nz, nz).
+        """d2g/dz2 along the directions `free` that keep the final state, shape (nz, nz).
 
         By differences of slopes from few directions, so far apart that the kinks average out where a
         flight's end passes from one limit to another. It is kept until the burns have moved as far.
-
-        Args:
-            met: the limits that end flights.
-            step: of the differences, in units of speed.
-            free: orthonormal, shape (nz, f).
-            s: the affine model.
-            z: where, shape (nz,).
         """
         bent = np.empty((free.shape[1], free.shape[1]))
         for j, direction in enumerate(step * free.T):
@@ -249,8 +238,8 @@ class FlightRows(ExactRows):
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of -g at the nodes that it depends on."""
         g = self._at(lin)
-        own = self._pulled(g.nodes, -prices[0] * g.by_mean, -prices[0] * g.by_factor)
-        return self.final.pulled(own, lin, prices)
+        parts = -prices[0] * g.by_mean, -prices[0] * g.by_factor
+        return self.final.pulled(pulled_at(self.problem, g.nodes, *parts), lin, prices)
 
     def _at(self, lin: Linearisation) -> FlightQuantile:
         if self._seen is None or self._seen[0] is not lin:

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.special import ndtri
 
-from formulations.problem.flyby import Nodes
-from formulations.problem.regions import Array, Region
-from formulations.risk.lines import NormalLaw, TwoSidedChiLaw, kept_segments
+from formulations.arrays import Array, Booleans, Indices
+from formulations.problem.regions import Region
+from formulations.risk.lines import TwoSidedChiLaw, kept_segments, normal_density
 from formulations.rows.node_probability import Event
 
 SURE = 1e-12
@@ -39,36 +38,31 @@ class Limit(NamedTuple):
     """One region at the nodes where a flight may meet it."""
 
     region: Region
-    nodes: Nodes
+    nodes: Indices
 
-    def at(self, which: Nodes) -> Limit:
+    def at(self, which: Indices) -> Limit:
         """The same at some of its nodes."""
         return Limit(self.region.at(which), self.nodes[which])
 
 
 class Limits(NamedTuple):
-    """What flights are held to: rows are the nodes of each limit, keep-ins first.
-
-    Attributes:
-        inner: regions that a flight has to stay in.
-        outer: regions that it has to stay out of.
-    """
+    """The limits that flights are held to; rows are their nodes, those of keep-ins (`inner`) first."""
 
     inner: tuple[Limit, ...]
     outer: tuple[Limit, ...]
 
     @property
-    def first(self) -> Nodes:
+    def first(self) -> Indices:
         """First row of each limit, and the number of rows."""
         return np.cumsum([0, *(len(limit.nodes) for limit in self.inner + self.outer)])
 
     @property
-    def nodes(self) -> Nodes:
+    def nodes(self) -> Indices:
         """Node of each row."""
         parts = [limit.nodes for limit in self.inner + self.outer]
         return np.concatenate([np.zeros(0, np.intp), *parts])
 
-    def at(self, rows: npt.NDArray[np.bool_]) -> Limits:
+    def at(self, rows: Booleans) -> Limits:
         """Some of the rows only."""
         parts = np.split(rows, self.first[1:-1])
         kept = [
@@ -78,7 +72,7 @@ class Limits(NamedTuple):
         count = len(self.inner)
         return Limits(tuple(kept[:count]), tuple(kept[count:]))
 
-    def normals(self, row: Nodes, point: Array) -> Array:
+    def normals(self, row: Indices, point: Array) -> Array:
         """Normals to the surface of the region of some rows at points (m, 3) on it."""
         normal, first = np.empty_like(point), self.first
         for limit, start, stop in zip(self.inner + self.outer, first, first[1:], strict=False):
@@ -106,7 +100,7 @@ class FlightQuantile(NamedTuple):
     ends: Array
 
     @property
-    def nodes(self) -> Nodes:
+    def nodes(self) -> Indices:
         """Node of each row."""
         return self.limits.nodes
 
@@ -137,10 +131,7 @@ class FlightProbability:
     def __call__(self, mean: Array, factor: Array, limits: Limits | None = None) -> FlightQuantile:
         """The quantile g for mean positions (n, 3) and factors (n, 3, c) at all nodes.
 
-        Args:
-            mean: of the positions.
-            factor: of the positions.
-            limits: what to look at, if not all that is within reach.
+        It looks at some limits, or at all within reach.
         """
         if limits is None:
             limits = self.limits(mean, factor)
@@ -164,7 +155,7 @@ class FlightProbability:
         gather = _adding_up(row, r)
         by_factor = [gather @ ((gradient[:, axis] * s)[:, None] * u) for axis in range(3)]
         g = float(ndtri(np.clip(p, SURE, 1.0 - SURE)))
-        scale = 1.0 / NormalLaw().density(np.array(g))
+        scale = 1.0 / normal_density(np.array(g))
         by_mean, ends = gather @ gradient, gather @ density
         return FlightQuantile(g, limits, scale * by_mean, scale * np.stack(by_factor, axis=1), ends)
 
@@ -200,7 +191,7 @@ def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[Limit]:
             yield Limit(region.at(near), at[near])
 
 
-def _adding_up(rows: Nodes, count: int) -> sp.csr_array:
+def _adding_up(rows: Indices, count: int) -> sp.csr_array:
     """Map that adds entries up into the rows that they belong to, shape (count, entries)."""
     entries = len(rows)
     return sp.csr_array((np.ones(entries), (rows, np.arange(entries))), shape=(count, entries))
@@ -217,9 +208,7 @@ def _end_velocity(normal: Array, direction: Array) -> Array:
 def sphere_directions(count: int, dimension: int) -> Array:
     """Quasi-random unit vectors, shape (count, dimension): Sobol points through the normal quantile.
 
-    Args:
-        count: a power of two.
-        dimension: d.
+    The count is a power of two.
     """
     from scipy.stats import qmc  # half a second to import
 

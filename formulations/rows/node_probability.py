@@ -16,16 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri
 
-from formulations.problem.flyby import Nodes, StateConstraint
-from formulations.problem.regions import Array, Ball, Cone, Region
-from formulations.risk.lines import NormalLaw
+from formulations.arrays import Array, Indices
+from formulations.problem.flyby import StateConstraint
+from formulations.problem.regions import Ball, Cone, Region
+from formulations.risk.lines import normal_density
 from formulations.risk.quadratic_forms import NAPPE, WHOLE, Below, below, below_beyond
 
 FAR = 7.0
 """Deviations from a limit from which on it is sure to be kept or missed: but for 1e-11."""
 
 LEAST = 1e-13
-"""Probability from which on g is told by the integral; below rounding may be all that is left of it."""
+"""Least probability for which the integral gives g; below it may be nothing but rounding."""
 
 APEX = 6.0
 """Deviations along its axis from a cone's apex beyond which its other nappe holds nothing: < 1e-9."""
@@ -36,13 +37,7 @@ counts as no violation. Without it a flight that cannot err would have no gradie
 
 
 class Quantiles(NamedTuple):
-    """g of one event at its n nodes and derivatives in mean position and factor.
-
-    Attributes:
-        value: g, shape (n,).
-        by_mean: shape (n, 3).
-        by_factor: shape (n, 3, c).
-    """
+    """g at n nodes, (n,), its derivatives in mean position, (n, 3), and in factor, (n, 3, c)."""
 
     value: Array
     by_mean: Array
@@ -51,16 +46,10 @@ class Quantiles(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """A joint constraint: the limits that have to hold together at each of some nodes.
-
-    Attributes:
-        name: of the chance constraint.
-        nodes: shape (n,).
-        keep_in, keep_out: one region per node each.
-    """
+    """A joint constraint: limits, of a region per node, that have to hold together at n nodes."""
 
     name: str
-    nodes: Nodes
+    nodes: Indices
     keep_in: tuple[Region, ...]
     keep_out: tuple[Region, ...]
 
@@ -81,7 +70,7 @@ class Event:
         """All regions, in the order in which `Segments` counts them."""
         return self.keep_in + self.keep_out
 
-    def at(self, which: Nodes) -> Event:
+    def at(self, which: Indices) -> Event:
         """The event at some of its nodes only."""
         return Event(
             self.name,
@@ -91,11 +80,7 @@ class Event:
         )
 
     def facets(self, position: Array) -> tuple[Array, Array]:
-        """Facets a'r <= b that support each limit nearest to each point.
-
-        Returns:
-            Normals a (limits, n, 3) and offsets b (limits, n).
-        """
+        """Facets a'r <= b that support each limit nearest to n points; (limits, n, 3), (limits, n)."""
         planes = [region.supporting(position) for region in self.keep_in]
         planes += [region.supporting(position).complement() for region in self.keep_out]
         return np.stack([p.normal for p in planes]), np.stack([p.offset for p in planes])
@@ -130,12 +115,7 @@ def joint_events(constraints: Sequence[StateConstraint]) -> tuple[Event, ...]:
 
 
 def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
-    """The quantile g at each node and its gradient.
-
-    Args:
-        event: n nodes.
-        position: means there, shape (n, 3).
-        factor: of the positions, shape (n, 3, c).
+    """The quantile g at each node and its gradient, of mean positions (n, 3) and factors (n, 3, c).
 
     Raises:
         ValueError: if the event's limits are not nested.
@@ -158,7 +138,7 @@ def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
     unseen = near[~seen]
     sign = np.sign(g[~seen])
     value[unseen] = sign * np.maximum(sign * value[unseen], np.abs(g[~seen]))
-    scale = -1.0 / NormalLaw().density(g[seen])
+    scale = -1.0 / normal_density(g[seen])
     near = near[seen]
     value[near] = g[seen]
     by_mean[near] = scale[:, None] * missed.by_mean[seen]
@@ -166,17 +146,13 @@ def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
     return Quantiles(value, by_mean, by_factor)
 
 
-def _missed(event: Event, position: Array, covariance: Array, values: Array) -> tuple[Nodes, Below]:
+def _missed(
+    event: Event, position: Array, covariance: Array, values: Array
+) -> tuple[Indices, Below]:
     """Nodes where it is not sure whether the limits are kept, and there the probability of missing.
 
     A convex region is left with the half-space that its facet bounds, at the latest; the probability of
     leaving one is known by the facet only where the mean is outside.
-
-    Args:
-        event: n nodes.
-        position: shape (n, 3).
-        covariance: shape (n, 3, 3).
-        values: distances of the limits' facets in standard deviations, shape (limits, n).
     """
     n, count = len(position), len(event.keep_in)
     reach = FAR * np.sqrt(np.trace(covariance, axis1=1, axis2=2))
@@ -210,11 +186,11 @@ def _held(region: Region, position: Array, covariance: Array) -> Below:
     matrix = np.cos(region.half_angle) ** 2 * np.eye(3) - axis[:, :, None] * axis[:, None]
     spread = np.sqrt(np.einsum("ni,nij,nj->n", axis, covariance, axis))
     height = np.einsum("ni,ni->n", axis, d) / spread
-    found = Below(np.zeros(n), np.ones(n), np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    held = Below(np.zeros(n), np.ones(n), np.zeros((n, 3)), np.zeros((n, 3, 3)))
     ahead, astride = height > APEX, np.abs(height) <= APEX
     for some, rule in ((ahead, WHOLE), (astride & (height > 0.0), NAPPE)):
         part = below(matrix[some], d[some], np.zeros(some.sum()), covariance[some], rule)
-        for all_of, new in zip(found, part, strict=True):
+        for all_of, new in zip(held, part, strict=True):
             all_of[some] = new
     # The nappe that the mean is not on; where it is the wrong one it is seen from the other side.
     if np.any(astride):
@@ -222,8 +198,8 @@ def _held(region: Region, position: Array, covariance: Array) -> Below:
         nappe = below_beyond(
             matrix[astride], side[:, None] * d[astride], axis[astride], covariance[astride]
         )
-        found.below[astride] += side * nappe.below
-        found.above[astride] -= side * nappe.below
-        found.by_mean[astride] += nappe.by_mean
-        found.by_covariance[astride] += side[:, None, None] * nappe.by_covariance
-    return found
+        held.below[astride] += side * nappe.below
+        held.above[astride] -= side * nappe.below
+        held.by_mean[astride] += nappe.by_mean
+        held.by_covariance[astride] += side[:, None, None] * nappe.by_covariance
+    return held

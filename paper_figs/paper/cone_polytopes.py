@@ -1,30 +1,21 @@
-"""Pyramids that stand for the emission cones: `python -m paper_figs.paper.cone_polytopes`."""
+"""Pyramids that stand for the emission cones."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse, Polygon
 
+from formulations.arrays import Array
 from formulations.problem.facets import Polytopes, inner_facets, outer_facets
 from formulations.problem.regions import Cone, Halfspaces
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command
+from paper_figs.drawing import legend, page
 from paper_figs.inputs import Flown, Runs
 from scp_recon.physics import geometry
-
-Array = npt.NDArray[np.float64]
 
 MANY = 12
 """Facets of the pyramids drawn beside those of the scenario."""
@@ -107,8 +98,7 @@ def draw(runs: Runs) -> Figure:
     """Keep-in on the left and keep-out on the right, in the section above and in space below."""
     cut, limits = section(runs.plan), runs.plan.mission.scenario.observation
     facets = runs.plan.mission.polytopes.cone_facets
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 6.3), layout="constrained")
+    with page(6.3) as figure:
         grid = figure.add_gridspec(2, 2, height_ratios=(1.5, 1.0))
         panels = [figure.add_subplot(grid[0, column]) for column in range(2)]
         _keep_in(panels[0], cut, limits.emission_max_deg, facets)
@@ -126,13 +116,7 @@ def draw(runs: Runs) -> Figure:
         ):
             space = figure.add_subplot(grid[1, column], projection="3d")
             _in_space(space, cut, angle, facets, keep, reach)
-        shown = [axes.get_legend_handles_labels() for axes in panels]
-        unique = {
-            label: h for handles, labels in shown for h, label in zip(handles, labels, strict=True)
-        }
-        figure.legend(
-            unique.values(), unique.keys(), loc="outside lower center", ncols=3, fontsize=LEGEND_PT
-        )
+        legend(figure, 3, "outside lower center")
     return figure
 
 
@@ -252,7 +236,3 @@ def caption(runs: Runs) -> str:
         "site and the section. The pyramids are turned to the plan's own line of sight here; P2 uses "
         "those turned to P3's."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command(draw, __doc__))

@@ -1,26 +1,16 @@
-"""The burns over time and their angle to the Sun line: `python -m paper_figs.paper.control_history`."""
+"""The burns over time and their angle to the Sun line."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
-
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import STYLE, WIDTH_IN, command
+from formulations.arrays import Array
+from paper_figs.drawing import page
 from paper_figs.inputs import Runs
 from paper_figs.labels import place_labels
 from scp_recon.physics import geometry
-
-Array = npt.NDArray[np.float64]
 
 
 def draw(runs: Runs) -> Figure:
@@ -31,8 +21,7 @@ def draw(runs: Runs) -> Figure:
     angles = np.rad2deg(geometry.angle(burns, mission.sun_direction(times)))
     cone = mission.scenario.battery.delta_v_cone_deg
     limit = 1000.0 * mission.scenario.burns.dv_max_m_s
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 4.2), layout="constrained")
+    with page(4.2) as figure:
         top, bottom = figure.subplots(2, 1, sharex=True)
         top.vlines(times, 0.0, sizes, color="k", lw=2)
         top.plot(times, sizes, "ko", ms=5)
@@ -83,7 +72,3 @@ def caption(runs: Runs) -> str:
         f"cones of {scenario.battery.delta_v_cone_deg:g} deg about the Sun line that the battery keeps "
         f"burns out of. Lightly shaded: the observation window, {first:.0f} to {last:.0f} s."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command(draw, __doc__))

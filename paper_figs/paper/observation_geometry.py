@@ -1,33 +1,21 @@
-"""The observation constraints at mid-window, to scale.
-
-By itself: `python -m paper_figs.paper.observation_geometry`.
-"""
+"""The observation constraints at mid-window, to scale."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, Wedge
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command
+from formulations.arrays import Array
+from paper_figs.drawing import legend, page
 from paper_figs.inputs import Runs
 from paper_figs.paper.observed import planned_positions
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
-
-Array = npt.NDArray[np.float64]
 
 ARROW_M = 800.0
 """Of the directions, which have no length of their own."""
@@ -89,8 +77,7 @@ def draw(runs: Runs) -> Figure:
     """Site, normal, Sun, spacecraft, and the angles and the distance with their limits."""
     mission, burns = runs.plan.mission, runs.plan.solution.burns_m_s
     seen = sight(mission, burns, float(np.mean(mission.schedule.window_s)))
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 5.15), layout="constrained")
+    with page(5.15) as figure:
         axes = figure.subplots()
         _regions(axes, mission, seen)
         _directions(axes, seen)
@@ -104,7 +91,7 @@ def draw(runs: Runs) -> Figure:
             aspect="equal",
         )
         axes.set_axisbelow(True)
-        figure.legend(loc="outside lower center", ncols=2, fontsize=LEGEND_PT)
+        legend(figure, 2, "outside lower center")
     return figure
 
 
@@ -213,7 +200,3 @@ def caption(runs: Runs) -> str:
         "the window; the spacecraft is kept in the grey region, out of both cones about the Sun "
         "line, and everything holds around the normal, not only in this plane."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command(draw, __doc__))

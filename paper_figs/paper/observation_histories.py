@@ -1,19 +1,11 @@
-"""Emission, phase and site distance over time: `python -m paper_figs.paper.observation_histories`."""
+"""Emission, phase and site distance over time."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
-
 import numpy as np
-from matplotlib import style
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import BANDS, LEGEND_PT, STYLE, WIDTH_IN, command
+from paper_figs.drawing import legend, page, shade_bands
 from paper_figs.inputs import Runs
 from paper_figs.paper.observed import SAMPLES, observed
 
@@ -28,14 +20,11 @@ def draw(runs: Runs) -> Figure:
     times = np.linspace(first - BEFORE_AND_AFTER_S, last + BEFORE_AND_AFTER_S, 107)
     distance, emission, phase = observed(mission, runs.plan.solution.burns_m_s, times)
     others = observed(mission, runs.reference.solution.burns_m_s, times, samples=1)
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 5.6), layout="constrained")
+    with page(5.6) as figure:
         panels = figure.subplots(3, 1, sharex=True)
         order = ((emission, others[1]), (phase, others[2]), (distance, others[0]))
         for axes, (quantity, other) in zip(panels, order, strict=True):
-            for low, high, shade, name in BANDS:
-                edges = np.percentile(quantity.sampled, (low, high), axis=1)
-                axes.fill_between(times, *edges, color=shade, lw=0, label=f"worst {name}")
+            shade_bands(axes, times, quantity.sampled, "worst ")
             axes.plot(times, quantity.plan, "k-", lw=1.4, label="plan")
             axes.plot(times, other.plan, "k:", lw=1.4, label=runs.reference.label)
             for bound in quantity.limits:
@@ -51,11 +40,7 @@ def draw(runs: Runs) -> Figure:
             xycoords="axes fraction", textcoords="offset points",
         )  # fmt: skip
         panels[-1].set_xlabel("time (s)")
-        handles, labels = panels[0].get_legend_handles_labels()
-        unique = dict(zip(labels, handles, strict=True))
-        figure.legend(
-            unique.values(), unique.keys(), loc="outside upper center", ncols=5, fontsize=LEGEND_PT
-        )
+        legend(figure, 5)
     return figure
 
 
@@ -70,7 +55,3 @@ def caption(runs: Runs) -> str:
         "each time. Dashed: limits, which hold in the observation window only, "
         f"{first:.0f} to {last:.0f} s, between the vertical lines. Phase has no upper limit."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command(draw, __doc__))

@@ -1,26 +1,17 @@
-"""How long emission and site distance are held: `python -m paper_figs.paper.observation_times`."""
+"""How long emission and site distance are held."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command
+from formulations.arrays import Array
+from paper_figs.drawing import legend, page
 from paper_figs.inputs import Flown, Runs
 from scp_recon.monte_carlo.summary import Summary
-
-Array = npt.NDArray[np.float64]
 
 BINS = 34
 """Of the window's length: a hundred seconds each."""
@@ -32,8 +23,7 @@ def draw(runs: Runs) -> Figure:
     """A panel per constraint, the plan's flights filled and the reference's in outline."""
     first, last = runs.plan.mission.schedule.window_s
     edges = np.linspace(0.0, last - first, BINS + 1)
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
+    with page(4.6) as figure:
         panels = figure.subplots(2, 1, sharex=True, sharey=True)
         for axes, (name, title) in zip(panels, CONSTRAINTS, strict=True):
             _panel(axes, runs, name, edges)
@@ -42,8 +32,7 @@ def draw(runs: Runs) -> Figure:
             axes.yaxis.set_major_formatter("{x:g}")
             axes.set_axisbelow(True)
         panels[-1].set_xlabel("time held in the observation window (s)")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=LEGEND_PT)
+        legend(figure, 2)
     return figure
 
 
@@ -84,7 +73,3 @@ def caption(runs: Runs) -> str:
         f"{(last - first) / BINS:.0f} s, logarithmic scale. The last bin ends at the window's "
         f"{last - first:.0f} s and contains the flights that hold the limits throughout."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command(draw, __doc__))

@@ -1,18 +1,16 @@
-"""What the instruments see over time: of the plan, and of sampled flights."""
+"""Observation geometry over time: of the plan, and of sampled flights."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics import geometry
 from scp_recon.scenario.uncertainty import Uncertainty
-
-Array = npt.NDArray[np.float64]
 
 SAMPLES, SEED = 2000, 1
 

@@ -1,20 +1,12 @@
-"""How normal the final state is: `python -m paper_figs.paper.terminal_normality`."""
+"""How normal the final state is."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
-
 import numpy as np
-from matplotlib import style
 from matplotlib.figure import Figure
 from scipy.stats import norm
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command
+from paper_figs.drawing import label_outer, legend, page
 from paper_figs.inputs import Runs
 from scp_recon.monte_carlo.summary import COMPONENTS
 
@@ -25,8 +17,7 @@ REACH = 4.0
 def draw(runs: Runs) -> Figure:
     """A quantile-quantile panel per component of the final state, J2000."""
     normality = runs.plan.summary.terminal.normality
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 4.8), layout="constrained")
+    with page(4.8) as figure:
         panels = figure.subplots(2, 3, sharex=True, sharey=True)
         for axes, name in zip(panels.flat, COMPONENTS, strict=True):
             test = normality[name]
@@ -35,12 +26,8 @@ def draw(runs: Runs) -> Figure:
             axes.plot(expected, test.quantiles, "o", ms=2.5, color="k", label="sampled flights")
             axes.set_title(f"{name}: p-value {test.p_value:.1g}", loc="left")
             axes.set(xlim=(-REACH, REACH), ylim=(-REACH, REACH), aspect="equal")
-        for axes in panels[-1]:
-            axes.set_xlabel("normal quantile (sigma)")
-        for axes in panels[:, 0]:
-            axes.set_ylabel("sampled quantile (sigma)")
-        handles, labels = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=LEGEND_PT)
+        label_outer(panels, "normal quantile (sigma)", "sampled quantile (sigma)")
+        legend(figure, 2)
     return figure
 
 
@@ -59,7 +46,3 @@ def caption(runs: Runs) -> str:
         "p-values are those of D'Agostino and Pearson's test, which at this sample size rejects small "
         f"departures too; the largest here is {worst:.2f} sigma."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command(draw, __doc__))

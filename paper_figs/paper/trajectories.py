@@ -1,31 +1,22 @@
-"""The flight projected on the three J2000 planes: `python -m paper_figs.paper.trajectories`."""
+"""The flight projected on the three J2000 planes."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from paper_figs.drawing import HALO, LEGEND_PT, STYLE, WIDTH_IN, command
+from formulations.arrays import Array
+from paper_figs.drawing import HALO, LEGEND_PT, page
 from paper_figs.inputs import Flown, Runs
 from paper_figs.labels import place_labels
 from paper_figs.paper.observed import SEED, planned_positions
 from scp_recon.monte_carlo.sampling import sample_positions
-
-Array = npt.NDArray[np.float64]
 
 PATHS, TIMES = 60, 600
 SIGMAS = ((2.0, "0.87", "2 sigma"), (1.0, "0.7", "1 sigma"))
@@ -77,8 +68,7 @@ def draw(runs: Runs) -> Figure:
     spans = [high - low for low, high in limits]
     locator = MaxNLocator(TICKS, steps=[1, 2, 5, 10])
     step = float(np.diff(locator.tick_values(0.0, max(spans)))[0])
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 5.95), layout="constrained")
+    with page(5.95) as figure:
         panels = figure.subplots(
             2, 2, width_ratios=(spans[1], spans[0]), height_ratios=(spans[2], spans[0])
         )
@@ -227,7 +217,3 @@ def caption(runs: Runs) -> str:
         f"{np.linalg.norm(mission.site.position_body):.0f} m; the dashed circle the closest allowed "
         f"distance from the centre, {mission.scenario.safety.radius_min_m:g} m."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command(draw, __doc__))

@@ -1,31 +1,20 @@
-"""Attitude, actuators and modes: `python -m paper_figs.studies.attitude_and_actuators RUNS FILE`.
-
-Drawn from what `python -m scp_recon.simulate SOLUTION --out RUNS` wrote.
-"""
+"""Attitude, actuators and modes."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
-
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import ABOVE, STYLE, WIDTH_IN, command_from
-from paper_figs.studies.flight_record import COMMAND, FOLDER, HOUR_S, bands, mark_burns, read
-from scp_recon.spacecraft.flight import Actuators
-from scp_recon.spacecraft.record import Record
+from formulations.arrays import Array
+from paper_figs.drawing import ABOVE, page
+from paper_figs.studies.flight_record import SOURCE, bands, mark_burns, read
+from scp_recon.results.pictures import HOUR_S
+from scp_recon.simulation.flight import Actuators
+from scp_recon.simulation.record import Record
 
-__all__ = ["COMMAND", "FOLDER", "caption", "draw", "read"]
+__all__ = ["SOURCE", "caption", "draw", "read"]
 
-Array = npt.NDArray[np.float64]
 COLOURS = ("k", "tab:blue", "tab:orange", "tab:green")
 NAMES = ("scalar", "x", "y", "z")
 IN_USE = {
@@ -38,8 +27,7 @@ IN_USE = {
 def draw(record: Record) -> Figure:
     """Quaternion and command, the angle between them, actuators in use, mode."""
     time = record.arrays["t_s"] / HOUR_S
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 6.2), layout="constrained")
+    with page(6.2) as figure:
         rows = figure.subplots(4, 1, sharex=True, height_ratios=(3, 1.6, 1.1, 1.1))
         _attitude(rows[0], record, time)
         error = np.rad2deg(record.arrays["pointing_error_rad"])
@@ -97,7 +85,3 @@ def caption(record: Record) -> str:
         f"{worst:.3f} deg of the planned burn when it starts; momentum is dumped "
         f"{summary.dumps} times."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command_from(read, draw, __doc__))

@@ -1,35 +1,25 @@
-"""Where the panels cannot carry the load: `python -m paper_figs.studies.battery_cones RUNS FILE`.
-
-Drawn from what `python -m experiments.battery_cones` wrote into the folder RUNS.
-"""
+"""Where the panels cannot carry the load."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command_from
-from paper_figs.inputs import read_csv
+from formulations.arrays import Array
+from paper_figs.drawing import legend, page
+from paper_figs.inputs import Row, Source, numbers
 
-Array = npt.NDArray[np.float64]
-
-FOLDER = "battery_cones"
-TABLE, SAMPLES = "battery_cones.csv", "battery_cones_samples.csv"
-COMMAND = "python -m experiments.battery_cones"
+SOURCE = Source(
+    "battery_cones",
+    "python -m experiments battery_cones",
+    {"battery_cones.csv": "half_angle_deg", "battery_cones_samples.csv": "power_w"},
+)
 COLOURS = ("k", "tab:red")
 """Of the two loads' boundaries, as in the paper."""
 
@@ -46,15 +36,15 @@ class BatteryCones:
 
     direction: Array
     power_w: Array
-    cones: list[dict[str, str]]
+    cones: list[Row]
 
     @property
-    def calibrated(self) -> list[dict[str, str]]:
+    def calibrated(self) -> list[Row]:
         """The modes' cones with the housekeeping taken off."""
         return [cone for cone in self.cones if cone["calibrated"] == "true"]
 
     @property
-    def uncalibrated(self) -> list[dict[str, str]]:
+    def uncalibrated(self) -> list[Row]:
         """The modes' cones as the panels give them."""
         return [cone for cone in self.cones if cone["calibrated"] == "false"]
 
@@ -65,16 +55,14 @@ def read(folder: Path) -> BatteryCones:
     Raises:
         InputError: if a file is missing or unusable.
     """
-    samples = read_csv(folder, SAMPLES, "power_w", COMMAND)
-    direction = np.array([[float(row[axis]) for axis in "xyz"] for row in samples])
-    power = np.array([float(row["power_w"]) for row in samples])
-    return BatteryCones(direction, power, read_csv(folder, TABLE, "half_angle_deg", COMMAND))
+    cones, samples = SOURCE.read(folder)
+    direction = np.stack([numbers(samples, axis) for axis in "xyz"], axis=1)
+    return BatteryCones(direction, numbers(samples, "power_w"), cones)
 
 
 def draw(found: BatteryCones) -> Figure:
     """Both halves of the sphere as seen along the Sun line, and generation against the angle to it."""
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 5.9), layout="constrained")
+    with page(5.9) as figure:
         grid = figure.add_gridspec(2, 2, height_ratios=(1.5, 1.0))
         halves = [figure.add_subplot(grid[0, k]) for k in range(2)]
         titles = (
@@ -88,8 +76,7 @@ def draw(found: BatteryCones) -> Figure:
         bar = figure.colorbar(points, ax=halves, shrink=0.7)
         bar.set_label("best generation (W)")
         _profile(figure.add_subplot(grid[1, :]), found)
-        handles, labels = halves[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=2, fontsize=LEGEND_PT)
+        legend(figure, 2)
     return figure
 
 
@@ -140,7 +127,3 @@ def caption(found: BatteryCones) -> str:
         f"which generation less housekeeping is below {loads}, {fitted}; without housekeeping the "
         f"panels alone give {plain}. Dashed below: the loads."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command_from(read, draw, __doc__))

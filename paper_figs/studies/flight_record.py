@@ -1,4 +1,4 @@
-"""What the figures of a simulated flight share: the file they are drawn from, and its time axis."""
+"""Shared by the figures of a simulated flight: the file they are drawn from, and its time axis."""
 
 from __future__ import annotations
 
@@ -6,20 +6,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from paper_figs.inputs import check_same_plan
+from formulations.arrays import Array
+from paper_figs.inputs import Source, check_same_plan
 from scp_recon.errors import InputError
-from scp_recon.solution.file import FILE_NAME as SOLUTION_FILE
-from scp_recon.solution.read import read_solution
-from scp_recon.spacecraft.record import FILE_NAME, Record, read_record
+from scp_recon.results.pictures import HOUR_S
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE
+from scp_recon.simulation.record import FILE_NAME, Record, read_record
 
-Array = npt.NDArray[np.float64]
-
-FOLDER = "simulation"
-COMMAND = "python -m scp_recon.simulate SOLUTION"
-HOUR_S = 3600.0
+SOURCE = Source("simulation", "python -m scp_recon simulate SOLUTION")
 
 
 def read(folder: Path) -> Record:
@@ -29,25 +26,19 @@ def read(folder: Path) -> Record:
         InputError: if it is missing or unusable, or of another plan than a solution beside it,
             naming the command that writes it.
     """
-    file, written = folder / FILE_NAME, f"written by `{COMMAND} --out {folder}`"
+    file, written = folder / FILE_NAME, f"written by `{SOURCE.command} --out {folder}`"
     if not file.is_file():
         raise InputError(str(file), "no such file", written)
     try:
         record = read_record(file)
     except InputError:
         raise InputError(str(file), "an unusable file", written) from None
-    check_beside(record, file, folder, f"{COMMAND} --out {folder}")
+    check_beside(record, file, folder, f"{SOURCE.command} --out {folder}")
     return record
 
 
 def check_beside(record: Record, file: Path, folder: Path, command: str) -> None:
     """Hold a flight against the solution in a folder, where there is one.
-
-    Args:
-        record: the flight.
-        file: from which it was read.
-        folder: in which a solution may stand.
-        command: that flies it again.
 
     Raises:
         InputError: if the solution is unusable, or another plan was flown.

@@ -1,37 +1,25 @@
-"""How well a plan is flown: `python -m paper_figs.studies.flown_plan RUNS FILE`.
-
-Drawn from what `python -m experiments.flown_plan SOLUTION` wrote into the folder RUNS.
-"""
+"""How well a plan is flown."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import chi
 
-from paper_figs.drawing import ABOVE, STYLE, WIDTH_IN, command_from
-from paper_figs.inputs import read_csv
+from formulations.arrays import Array
+from paper_figs.drawing import ABOVE, page
+from paper_figs.inputs import Source
 from paper_figs.studies.flight_record import check_beside
 from scp_recon.errors import InputError
-from scp_recon.spacecraft.record import FILE_NAME, Record, read_record
+from scp_recon.simulation.record import FILE_NAME, Record, read_record
 
-FOLDER = "flown_plan"
-TABLE = "flown_plan.csv"
-COMMAND = "python -m experiments.flown_plan SOLUTION"
+SOURCE = Source(
+    "flown_plan", "python -m experiments flown_plan SOLUTION", {"flown_plan.csv": "seed"}
+)
 RADIUS_SIGMA = 3.0
-
-Array = npt.NDArray[np.float64]
 
 
 def read(folder: Path) -> list[Record]:
@@ -41,23 +29,21 @@ def read(folder: Path) -> list[Record]:
         InputError: if a file is missing or unusable, or flights are of different plans or of
             another than a solution beside them.
     """
-    rows = read_csv(folder, TABLE, "seed", COMMAND)
-    files = [folder / f"seed_{row['seed']}" / FILE_NAME for row in rows]
-    written = f"written anew by `{COMMAND} --out {folder}`"
+    files = [folder / f"seed_{row['seed']}" / FILE_NAME for row in SOURCE.rows(folder)]
+    written = f"written anew by `{SOURCE.command} --out {folder}`"
     try:
         records = [read_record(file) for file in files]
     except InputError as error:
         raise InputError(str(folder), f"an unusable flight ({error})", written) from None
     if len({record.plan_hash for record in records}) > 1:
         raise InputError(str(folder), "flights of different plans", f"must be of one; {written}")
-    check_beside(records[0], files[0], folder, f"{COMMAND} --out {folder}")
+    check_beside(records[0], files[0], folder, f"{SOURCE.command} --out {folder}")
     return records
 
 
 def draw(records: list[Record]) -> Figure:
     """Shares of the flights: within so many sigmas of the plan, left, and within an angle, right."""
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
+    with page(3.6) as figure:
         left, right = figure.subplots(1, 2)
         _positions(left, _distances(records))
         _angles(right, records)
@@ -114,7 +100,3 @@ def caption(records: list[Record]) -> str:
         "camera to its command in the window. The least charge "
         f"is {100.0 * charge:.1f} %."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command_from(read, draw, __doc__))

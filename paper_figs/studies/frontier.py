@@ -1,29 +1,15 @@
-"""What probability costs: `python -m paper_figs.studies.frontier RUNS FILE`.
-
-Drawn from what `python -m experiments.frontier` wrote into the folder RUNS.
-"""
+"""What probability costs."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
-from pathlib import Path
-
 import numpy as np
-from matplotlib import style
 from matplotlib.figure import Figure
 from scipy.special import ndtri
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command_from
-from paper_figs.inputs import read_csv
+from paper_figs.drawing import legend, page
+from paper_figs.inputs import Row, Source, numbers
 
-FOLDER = "frontier"
-TABLE = "frontier.csv"
-COMMAND = "python -m experiments.frontier"
+SOURCE = Source("frontier", "python -m experiments frontier", {"frontier.csv": "total_dv_m_s"})
 MARKS = {
     "uniform, paper polytopes": ("s-", "tab:red"),
     "uniform, tangent spheres": ("^-", "tab:orange"),
@@ -35,30 +21,18 @@ MARKS = {
 TICKS = (0.55, 0.7, 0.8, 0.9, 0.95, 0.99, 0.999)
 FEW_TICKS = (0.55, 0.8, 0.95, 0.99, 0.999)
 
-Row = dict[str, str]
-
-
-def read(folder: Path) -> list[Row]:
-    """Read the study's folder.
-
-    Raises:
-        InputError: if the table is missing or unusable.
-    """
-    return read_csv(folder, TABLE, "total_dv_m_s", COMMAND)
-
 
 def draw(rows: list[Row]) -> Figure:
     """Delta-v, what certifying adds to it and the time observed, on the normal quantile scale."""
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 4.2), layout="constrained")
+    with page(4.2) as figure:
         panels = figure.subplot_mosaic(
             [["dv", "more"], ["dv", "observed"]], width_ratios=(1.6, 1.0)
         )
         for kind, (mark, colour) in MARKS.items():
             chosen = [row for row in rows if row["kind"] == kind]
-            asked = ndtri([float(row["asked"]) for row in chosen])
+            asked = ndtri(numbers(chosen, "asked"))
             dv, more, observed = (
-                np.array([float(row[key]) for row in chosen])
+                numbers(chosen, key)
                 for key in ("total_dv_m_s", "certifying_dv_m_s", "observed_mean_s")
             )
             panels["dv"].plot(asked, dv, mark, color=colour, ms=4, label=kind)
@@ -70,7 +44,7 @@ def draw(rows: list[Row]) -> Figure:
         panels["dv"].set(xlabel="probability asked (-)", ylabel="delta-v (m/s)")
         panels["more"].set(ylabel="certifying adds (%)")
         panels["observed"].set(xlabel="probability asked (-)", ylabel="mean time observed (s)")
-        figure.legend(loc="outside upper center", ncols=3, fontsize=LEGEND_PT)
+        legend(figure, 3)
     return figure
 
 
@@ -86,7 +60,3 @@ def caption(rows: list[Row]) -> str:
         f"For 0.9 the paper's bookkeeping pays {paper:.4f} m/s at each node, exact risk {whole:.4f} "
         "m/s for whole flights."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command_from(read, draw, __doc__))

@@ -1,30 +1,21 @@
-"""How good a model the planner needs: `python -m paper_figs.studies.model_fidelity RUNS FILE`.
-
-Drawn from what `python -m experiments.model_fidelity` wrote into the folder RUNS.
-"""
+"""How good a model the planner needs."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
-from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, command_from
-from paper_figs.inputs import read_csv
+from paper_figs.drawing import LEGEND_PT, page
+from paper_figs.inputs import Row, Source, Tables, numbers
+from scp_recon.results.pictures import HOUR_S
 
-FOLDER = "model_fidelity"
-TABLE, HISTORY = "model_fidelity.csv", "model_fidelity_history.csv"
-COMMAND = "python -m experiments.model_fidelity"
+SOURCE = Source(
+    "model_fidelity",
+    "python -m experiments model_fidelity",
+    {"model_fidelity.csv": "terminal_m", "model_fidelity_history.csv": "distance_m"},
+)
 TOGETHER = "together"
 
 SHOWN = (
@@ -39,74 +30,36 @@ SHOWN = (
 WORDS = {"none": "no light pressure", "degree 0": "point mass"}
 """For models whose names say too little."""
 
-Row = dict[str, str]
 
-
-@dataclass(frozen=True)
-class Fidelity:
-    """The study's table, and the distances over time, a dictionary per row."""
-
-    table: list[Row]
-    history: list[Row]
-
-    @property
-    def flights(self) -> list[str]:
-        """What was flown."""
-        return list(dict.fromkeys(row["flight"] for row in self.table))
-
-    @property
-    def single(self) -> list[Row]:
-        """Models of one effect."""
-        return [row for row in self.table if row["effect"] != TOGETHER]
-
-    @property
-    def limit_m(self) -> float:
-        """Within which a model is good enough."""
-        return float(self.table[0]["limit_m"])
-
-
-def read(folder: Path) -> Fidelity:
-    """Read the study's folder.
-
-    Raises:
-        InputError: if a file is missing or unusable.
-    """
-    return Fidelity(
-        read_csv(folder, TABLE, "terminal_m", COMMAND),
-        read_csv(folder, HISTORY, "distance_m", COMMAND),
-    )
-
-
-def draw(found: Fidelity) -> Figure:
+def draw(found: Tables) -> Figure:
     """Every model's distance at the end, left, and that of some over the flight, right."""
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 4.4), layout="constrained")
+    table, history = found
+    with page(4.4) as figure:
         left, right = figure.subplots(1, 2)
-        _at_the_end(left, found)
-        _over_time(right, found)
+        _at_the_end(left, table)
+        _over_time(right, history, float(table[0]["limit_m"]))
     return figure
 
 
-def _at_the_end(axes: Axes, found: Fidelity) -> None:
-    labels: list[str] = []
-    names: list[tuple[str, str]] = []
-    for effect in dict.fromkeys(row["effect"] for row in found.single):
-        models = dict.fromkeys(row["model"] for row in found.single if row["effect"] == effect)
-        names += [(effect, model) for model in models]
-        labels += list(models)
+def _at_the_end(axes: Axes, table: list[Row]) -> None:
+    single = [row for row in table if row["effect"] != TOGETHER]
+    effects = list(dict.fromkeys(row["effect"] for row in single))
+    pairs = dict.fromkeys((row["effect"], row["model"]) for row in single)
+    names = sorted(pairs, key=lambda name: effects.index(name[0]))
     at = {name: k for k, name in enumerate(names)}
-    for flight, marker in zip(found.flights, ("o", "s"), strict=False):
-        rows = [row for row in found.single if row["flight"] == flight]
-        values = [float(row["terminal_m"]) for row in rows]
+    flights = dict.fromkeys(row["flight"] for row in single)
+    for flight, marker in zip(flights, ("o", "s"), strict=False):
+        rows = [row for row in single if row["flight"] == flight]
+        values = numbers(rows, "terminal_m")
         places = [at[row["effect"], row["model"]] for row in rows]
         fills = ["k" if row["lowest_that_passes"] == "true" else "none" for row in rows]
         axes.scatter(values, places, marker=marker, c=fills, ec="k", s=28, lw=0.9, zorder=3)
         axes.plot([], [], marker, mfc="none", mec="k", ms=5, label=flight)
-    axes.axvspan(found.limit_m, 1e6, facecolor="0.9", edgecolor="none")
+    axes.axvspan(float(table[0]["limit_m"]), 1e6, facecolor="0.9", edgecolor="none")
     edges = [k for k, (one, two) in enumerate(pairwise(names)) if one[0] != two[0]]
     for edge in edges:
         axes.axhline(edge + 0.5, color="0.6", lw=0.8)
-    words = [WORDS.get(label, label) for label in labels]
+    words = [WORDS.get(model, model) for _, model in names]
     axes.set_yticks(range(len(names)), words)
     axes.invert_yaxis()
     axes.set(xscale="log", xlabel="distance at the end (m)", xlim=(1e-5, 3e2))
@@ -116,15 +69,14 @@ def _at_the_end(axes: Axes, found: Fidelity) -> None:
     )
 
 
-def _over_time(axes: Axes, found: Fidelity) -> None:
-    flight = found.flights[0]
+def _over_time(axes: Axes, history: list[Row], limit_m: float) -> None:
+    flight = history[0]["flight"]
     for model, colour, dashes in SHOWN:
-        rows = [r for r in found.history if (r["flight"], r["model"]) == (flight, model)]
-        hours = [float(row["t_s"]) / 3600.0 for row in rows]
-        distance = [float(row["distance_m"]) for row in rows]
-        label = WORDS.get(model, model)
+        rows = [r for r in history if (r["flight"], r["model"]) == (flight, model)]
+        hours, label = numbers(rows, "t_s") / HOUR_S, WORDS.get(model, model)
+        distance = numbers(rows, "distance_m")
         axes.plot(hours, distance, color=colour, ls=dashes, lw=1.2, label=label)
-    axes.axhline(found.limit_m, color="tab:red", lw=1.0, ls="--", label=f"{found.limit_m:g} m")
+    axes.axhline(limit_m, color="tab:red", lw=1.0, ls="--", label=f"{limit_m:g} m")
     axes.set(xlabel="time (h)", ylabel="distance from the truth (m)", xlim=(0.0, None))
     axes.set(yscale="log", ylim=(1e-2, 30.0))
     axes.yaxis.set_major_formatter("{x:g}")
@@ -132,25 +84,22 @@ def _over_time(axes: Axes, found: Fidelity) -> None:
     axes.legend(loc="lower right", fontsize=LEGEND_PT)
 
 
-def caption(found: Fidelity) -> str:
+def caption(found: Tables) -> str:
     """What the figure shows."""
+    table = found[0]
     named = [
         f"{row['effect']} of the {row['flight']}: {row['model']} ({float(row['terminal_m']):.2g} m)"
-        for row in found.table
+        for row in table
         if row["lowest_that_passes"] == "true"
     ]
     together = [
         f"{row['model']} on the {row['flight']} {float(row['terminal_m']):.2g} m"
-        for row in found.table
-        if row["effect"] == "together"
+        for row in table
+        if row["effect"] == TOGETHER
     ]
     return (
         "Left: distance at the end of the flight between a truth (degree-8 field, light on the "
         "vehicle's plates, finite burns) and the same with one effect modelled more crudely; filled is "
-        f"the lowest fidelity that stays within {found.limit_m:g} m (shaded: beyond): "
+        f"the lowest fidelity that stays within {float(table[0]['limit_m']):g} m (shaded: beyond): "
         f"{'; '.join(named)}. Several at once: {'; '.join(together)}. Right: some of them over time."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command_from(read, draw, __doc__))

@@ -1,27 +1,17 @@
-"""Power and charge of a flight: `python -m paper_figs.studies.power_history RUNS FILE`.
-
-Drawn from what `python -m scp_recon.simulate SOLUTION --out RUNS` wrote.
-"""
+"""Power and charge of a flight."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import sys
-
 import numpy as np
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from paper_figs.drawing import ABOVE, LEGEND_PT, STYLE, WIDTH_IN, command_from
-from paper_figs.studies.flight_record import COMMAND, FOLDER, HOUR_S, mark_burns, read
-from scp_recon.spacecraft.record import Record
+from paper_figs.drawing import ABOVE, LEGEND_PT, page
+from paper_figs.studies.flight_record import SOURCE, mark_burns, read
+from scp_recon.results.pictures import HOUR_S
+from scp_recon.simulation.record import Record
 
-__all__ = ["COMMAND", "FOLDER", "caption", "draw", "read"]
+__all__ = ["SOURCE", "caption", "draw", "read"]
 
 COLOURS = ("k", "tab:blue", "tab:orange", "tab:green", "tab:red")
 DASHES = ("-", "-", "-", "-", "--")
@@ -31,8 +21,7 @@ DASHES = ("-", "-", "-", "-", "--")
 def draw(record: Record) -> Figure:
     """Generation and consumption, each panel with its maximum, state of charge."""
     time = record.arrays["t_s"] / HOUR_S
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 6.0), layout="constrained")
+    with page(6.0) as figure:
         top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(2, 2.4, 1.2))
         top.plot(time[1:], record.arrays["panel_w"].sum(axis=1)[1:], color="k", label="generated")
         top.plot(time, record.arrays["consumed_w"], color="tab:red", lw=1.0, label="consumed")
@@ -75,7 +64,3 @@ def caption(record: Record) -> str:
         f"{np.min(ratio):.1f} to {np.max(ratio):.1f} times consumption; the least charge is "
         f"{100.0 * record.summary.least_charge:.1f} %."
     )
-
-
-if __name__ == "__main__":
-    sys.exit(command_from(read, draw, __doc__))

@@ -1,48 +1,24 @@
-"""Solvers compared: `python -m paper_figs.studies.solver_comparison COMPARISON.CSV FOLDER`."""
+"""Solvers compared."""
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, parse, run_command
-
-if __name__ == "__main__":
-    exit_on_sigint()
-
-import argparse
-import csv
-import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
-from matplotlib import style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from paper_figs.drawing import LEGEND_PT, STYLE, WIDTH_IN, save, wrote
-from scp_recon.errors import InputError
+from paper_figs.drawing import LEGEND_PT, legend, page
+from paper_figs.inputs import Row, Source
 from scp_recon.monte_carlo.estimates import proportion
-
-Row = dict[str, str]
 
 COLOURS = {"scvx": "C0", "ptr": "C1", "scvx-star": "C2", "hard": "C3", "elastic": "C4"}
 MARKERS = {"CLARABEL": "o", "ECOS": "s", "QOCO": "^", "SCS": "D", "IPOPT": "*"}
 OTHER = "X"
-COMMAND = "python -m experiments.compare_solvers"
+SOURCE = Source("comparison", "python -m experiments compare_solvers", {"comparison.csv": "group"})
 SAME = 1e-4
 """Relative difference of total delta-v within which two ends are the same optimum."""
-
-
-def read(path: Path) -> list[Row]:
-    """Rows of `experiments.compare_solvers`."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, ValueError) as error:
-        raise InputError(f"table {path}", str(error), "must be a readable CSV file") from None
-    if not rows or not {"group", "status", "problem"} <= rows[0].keys():
-        raise InputError(f"table {path}", "other columns", f"must be what {COMMAND} wrote")
-    return rows
 
 
 def solved(row: Row) -> bool:
@@ -54,8 +30,7 @@ def draw_times(rows: Sequence[Row]) -> Figure:
     """Seconds of the processor from the straight line to the end of P2."""
     chosen = [row for row in rows if row["group"] == "matrix" and row["start"] == "cold"]
     forms = list(dict.fromkeys(row["formulation"] for row in chosen))
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 0.55 * len(forms) + 1.6), layout="constrained")
+    with page(0.55 * len(forms) + 1.6) as figure:
         axes = figure.subplots()
         for row in chosen:
             y = float(len(forms) - 1 - forms.index(row["formulation"]))
@@ -91,8 +66,7 @@ def draw_guesses(rows: Sequence[Row]) -> Figure:
     chosen = [row for row in rows if row["group"] == "guesses"]
     methods = list(dict.fromkeys(row["method"] for row in chosen))[::-1]
     best = min((float(row["total_dv_m_s"]) for row in chosen if solved(row)), default=np.nan)
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 0.42 * len(methods) + 1.5), layout="constrained")
+    with page(0.42 * len(methods) + 1.5) as figure:
         left, right = figure.subplots(1, 2, sharey=True)
         for y, method in enumerate(methods):
             tries = [row for row in chosen if row["method"] == method]
@@ -134,8 +108,7 @@ def draw_scenarios(rows: Sequence[Row]) -> Figure:
     ]
     methods = list(dict.fromkeys(row["method"] for row in chosen))
     panels = (("p_chance", 0.7, "p_chance"), ("beta", 0.08, "execution error, 1 sigma"))
-    with style.context(STYLE):
-        figure = Figure(figsize=(WIDTH_IN, 3.4), layout="constrained")
+    with page(3.4) as figure:
         both = figure.subplots(1, 2, sharey=True)
         for axes, (name, default, label) in zip(both, panels, strict=True):
             for number, method in enumerate(methods):
@@ -152,8 +125,7 @@ def draw_scenarios(rows: Sequence[Row]) -> Figure:
             axes.set_xlabel(label)
         both[0].set_ylabel("total delta-v (m/s)")
         both[0].plot([], [], "x", color="0.3", label="not solved")
-        handles, labels = both[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=LEGEND_PT)
+        legend(figure, 3)
     return figure
 
 
@@ -173,37 +145,15 @@ def _line(
     axes.plot([], [], "o", color=colour, markerfacecolor="none", label=label)
 
 
-FIGURES: dict[str, Callable[[Sequence[Row]], Figure]] = {
-    "times": draw_times,
-    "guesses": draw_guesses,
-    "scenarios": draw_scenarios,
+FIGURES: dict[str, tuple[str, Callable[[Sequence[Row]], Figure]]] = {
+    "comparison_times": ("matrix", draw_times),
+    "comparison_guesses": ("guesses", draw_guesses),
+    "comparison_scenarios": ("scenarios", draw_scenarios),
 }
+"""By name, with the group of rows that each needs."""
 
 
-def save_all(table: Path, folder: Path) -> list[Path]:
-    """All figures of a table, as PNG."""
-    rows = read(table)
+def draw(rows: Sequence[Row]) -> dict[str, Figure]:
+    """The figures of those groups that the table has."""
     groups = {row["group"] for row in rows}
-    needs = {"times": "matrix", "guesses": "guesses", "scenarios": "scenarios"}
-    return [
-        save(draw(rows), folder / f"comparison_{name}.png")
-        for name, draw in FIGURES.items()
-        if needs[name] in groups
-    ]
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line."""
-    p = argparse.ArgumentParser(
-        prog="python -m paper_figs.studies.solver_comparison", description=__doc__
-    )
-    p.add_argument("table", type=Path, help="comparison.csv of experiments.compare_solvers")
-    p.add_argument("folder", type=Path, help="for the figures")
-    options = parse(p, arguments)
-    return run_command(
-        lambda console: wrote(console, *save_all(options.table, options.folder)), options
-    )
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return {name: one(rows) for name, (group, one) in FIGURES.items() if group in groups}

@@ -5,6 +5,10 @@ dynamics propagate. What nonlinear flights reach differs a little, and an estima
 below it. So the plan aims above what is asked, on the normal quantile scale by what that takes, flies,
 and aims higher where the lower limit falls short, lower where they reach more than sampling explains.
 Where flights touch a limit between nodes, nodes are added there.
+
+On the normal quantile scale flights reach less than was aimed at by nearly the same, whatever the aim:
+the flow's curvature, and what happens between nodes, take it. Each round's flights measure that loss
+with the error of their sampling; the mean over rounds is surer than the last one's.
 """
 
 from __future__ import annotations
@@ -15,18 +19,21 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
+from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.aiming import Aiming
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.certifying import FIRST_SEED, flights_needed
-from scp_recon.monte_carlo.estimates import Estimate, proportion
+from scp_recon.monte_carlo.estimates import (
+    FIRST_SEED,
+    Estimate,
+    flights_needed,
+    proportion,
+    successes_needed,
+)
 from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.planning.plan import Plan, as_interrupted
-from scp_recon.planning.provenance import Certificate
+from scp_recon.planning.plan import Certificate, Plan, as_interrupted
 from scp_recon.scp.status import Status
 
 ROUNDS_MAX = 6
@@ -60,18 +67,13 @@ def certify(
 ) -> Plan:
     """Plan so that the lower limit of the probability reached is at least what was asked.
 
-    Ctrl-C ends with the best plan so far, marked as interrupted.
-
-    Args:
-        mission: to plan; its scenario's allocation is exact.
-        start: of the first round; the others start at the last one's burns.
-        make_plan: a round's.
-        watch: is told how it goes on.
+    The mission's allocation is exact. Rounds after the first start at the last one's burns. Ctrl-C
+    ends with the best plan so far, marked as interrupted.
 
     Returns:
         The cheapest plan that reaches what was asked, with its certificate; where none does the one
-        that comes nearest, whose certificate says so. Where an aim is infeasible before any round has
-        succeeded, or the first comes to no verdict, that round's plan, without a certificate.
+            that comes nearest, whose certificate says so. Where an aim is infeasible before any round
+            has succeeded, or the first comes to no verdict, that round's plan, without a certificate.
     """
     asked = mission.scenario.risk.p_chance
     rounds = _Rounds(asked, Aiming(asked, flights_needed(asked)))
@@ -86,14 +88,7 @@ def certify(
 
 @dataclass
 class _Rounds:
-    """State of one certification.
-
-    Attributes:
-        asked: probability.
-        aiming: what rounds have taught.
-        made: the last plan, flown or not.
-        flown: plans with certificates, and whether nodes were close enough for each.
-    """
+    """State of one certification: the last plan, flown plans, and whether nodes were close enough."""
 
     asked: float
     aiming: Aiming
@@ -105,8 +100,8 @@ class _Rounds:
     ) -> Plan:
         samples = self.aiming.samples
         for number in range(1, ROUNDS_MAX + 1):
-            aim = self.aiming.next()
-            plan = make_plan(mission, start, aim)
+            target = self.aiming.next()
+            plan = make_plan(mission, start, target)
             if plan.status is Status.INTERRUPTED and self.made is not None:
                 raise KeyboardInterrupt
             if plan.status is Status.INFEASIBLE:
@@ -139,7 +134,7 @@ class _Rounds:
         self.flown.append((plan, close))
         if reached.low < self.asked:
             self.aiming.tries += 1
-        law = float(ndtr(ndtri(_aim(plan)) + max(slack(plan), 0.0)))
+        law = float(ndtr(ndtri(_target(plan)) + max(slack(plan), 0.0)))
         if close:
             self.aiming.learn(law, reached.reached)
         else:
@@ -155,7 +150,7 @@ class _Rounds:
         best = self._cheapest(close=True)
         if best is None:
             return False
-        return slack(best) > BINDING or self.aiming.excess(_aim(best)) <= EXCESS
+        return slack(best) > BINDING or self.aiming.excess(_target(best)) <= EXCESS
 
     @property
     def certified(self) -> Plan | None:
@@ -178,9 +173,9 @@ def _low(plan: Plan) -> float:
     return plan.certificate.low
 
 
-def _aim(plan: Plan) -> float:
-    assert plan.aim is not None
-    return plan.aim
+def _target(plan: Plan) -> float:
+    assert plan.target is not None
+    return plan.target
 
 
 def slack(plan: Plan) -> float:
@@ -209,9 +204,75 @@ def are_close(reached: Certificate, asked: float) -> bool:
     return reached.at_nodes - reached.reached <= LOST_BETWEEN * (1.0 - asked)
 
 
-def with_nodes_at(mission: Mission, times_s: npt.NDArray[np.float64]) -> Mission:
+def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
     """The mission with a node in each arc in which flights touch a limit, where most of them do."""
     arcs = np.searchsorted(mission.times_s, times_s)
     new = {float(round(float(np.median(times_s[arcs == arc])))) for arc in np.unique(arcs)}
     nodes = sorted({*mission.scenario.grid.nodes_s} | (new - set(mission.times_s.tolist())))
     return Mission.from_scenario(mission.scenario.replace({"grid.nodes_s": nodes}))
+
+
+SPARE = 0.1
+"""Standard errors of the estimate by which a round aims above what it has to reach, and as much again
+for each one after the first that did not."""
+
+LEAST, MOST = 0.501, 1.0 - 1e-9
+"""Aims: the constraint is convex above one half."""
+
+
+@dataclass
+class Aiming:
+    """The aim of rounds of flights, so that the lower limit of what they reach is what is asked.
+
+    Losses are of the rounds on the present nodes, in standard deviations; tries are the rounds that
+    have not reached what was asked.
+    """
+
+    asked: float
+    samples: int
+    losses: list[float] = field(default_factory=list)
+    tries: int = 0
+
+    @property
+    def needed(self) -> float:
+        """Share of the flights whose lower limit is what was asked."""
+        return successes_needed(self.asked, self.samples) / self.samples
+
+    @property
+    def error(self) -> float:
+        """Standard error of what a round reaches."""
+        return float(np.sqrt(self.needed * (1.0 - self.needed) / self.samples))
+
+    @property
+    def loss(self) -> float:
+        """Mean of the losses; none is expected before any flight."""
+        return float(np.mean(self.losses)) if self.losses else 0.0
+
+    def learn(self, law: float, reached: float) -> None:
+        """Take in what flights reached of a probability by the normal law."""
+        self.losses.append(float(ndtri(law)) - self._quantile(reached))
+
+    def begin_again(self, law: float, at_nodes: float) -> None:
+        """Forget the rounds on other nodes, but for what the last lost at its nodes.
+
+        What it lost between them the nodes that are added give back.
+        """
+        self.losses = []
+        self.learn(law, at_nodes)
+
+    def next(self) -> float:
+        """What to aim at to reach what is needed."""
+        above = self.needed + SPARE * max(1, self.tries) * self.error
+        return float(np.clip(ndtr(self._quantile(above) + self.loss), LEAST, MOST))
+
+    def excess(self, target: float) -> float:
+        """By how much an aim spends too little, in standard errors of what the rounds have measured.
+
+        Positive where it reaches more than what is needed.
+        """
+        most, least = (ndtr(ndtri(target) - self.loss) for target in (target, self.next()))
+        return float((most - least) / self.error * np.sqrt(len(self.losses)))
+
+    def _quantile(self, probability: float) -> float:
+        half = 0.5 / self.samples
+        return float(ndtri(np.clip(probability, half, 1.0 - half)))

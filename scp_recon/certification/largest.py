@@ -8,6 +8,7 @@ that settles nothing.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -23,11 +24,11 @@ from scp_recon.certification.certify import (
     with_nodes_at,
 )
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.certifying import FAILURES, FIRST_SEED, FLIGHTS_MAX, flights_needed
+from scp_recon.monte_carlo.estimates import FAILURES, FIRST_SEED, FLIGHTS_MAX, flights_needed
 from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan, as_interrupted
-from scp_recon.scenario.warning import ScenarioWarning
+from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
 
 LEAST, MOST = 0.55, 1.0 - FAILURES / FLIGHTS_MAX
@@ -46,71 +47,84 @@ def rounded_down(probability: float) -> float:
     return math.floor(probability * 10**DIGITS) / 10**DIGITS
 
 
-def is_kept(plan: Plan, budget_m_s: float) -> bool:
-    """Whether a try has a plan within the budget."""
-    return plan.status is Status.CONVERGED and plan.total_dv_m_s <= budget_m_s
-
-
 @dataclass(frozen=True)
 class Search:
-    """How the largest probability is looked for.
-
-    Attributes:
-        make_plan: a try's.
-        budget_m_s: most delta-v that it may cost.
-        close: standard deviations between what has a plan and what has none.
-    """
+    """How the largest probability within a budget is looked for, to so many standard deviations."""
 
     make_plan: AimedPlanning
     budget_m_s: float = float("inf")
     close: float = CLOSE
 
     def run(self, mission: Mission, start: Iterate) -> Plan:
-        """The plan of the largest probability by the normal law.
+        """The plan of the largest probability by the normal law; the mission's allocation is exact.
 
         Ctrl-C ends with the best so far, marked as interrupted.
 
-        Args:
-            mission: to plan; its scenario's allocation is exact.
-            start: of the first try.
-
         Returns:
-            A plan whose `aim` is that probability; the try for `LEAST` where none is kept. Where the
-            try above it came to no verdict it has a warning that says so.
+            A plan whose `target` is that probability; the try for `LEAST` where none is kept. Where
+                the try above it came to no verdict it has a warning that says so.
         """
         best = self.make_plan(mission, start, LEAST)
-        if not is_kept(best, self.budget_m_s):
+        if not self.keeps(best):
             return best
-        low, high, open_end = float(ndtri(LEAST)), float(ndtri(MOST)), None
-        while high - low > self.close:
-            middle = 0.5 * (low + high)
-            found = self._tried(mission, best, start, float(ndtr(middle)))
-            if found is None or found.status is Status.INTERRUPTED:
-                return as_interrupted(best)
-            if is_kept(found, self.budget_m_s):
-                best, low = found, middle
-            else:
-                high, open_end = middle, None if found.status in ANSWERS else found
-        return best if open_end is None else with_warning(best, open_end)
 
-    def _tried(self, mission: Mission, best: Plan, start: Iterate, aim: float) -> Plan | None:
-        """A try, from the first start too where the best burns lead to no verdict; or Ctrl-C came."""
-        try:
-            found = self.make_plan(mission, from_burns(mission, best.burns_m_s), aim)
+        def attempt(best: Plan, target: float) -> Plan:
+            """From the first start too, where the best burns lead to no verdict."""
+            found = self.make_plan(mission, from_burns(mission, best.burns_m_s), target)
             if found.status not in ANSWERS:
-                again = self.make_plan(mission, start, aim)
+                again = self.make_plan(mission, start, target)
                 found = again if again.status in ANSWERS else found
+            return found
+
+        best, above = largest_kept(best, MOST, self.close, attempt, self.keeps)
+        if above is None or above.status in ANSWERS or best.status is Status.INTERRUPTED:
+            return best
+        return with_warning(best, above)
+
+    def keeps(self, plan: Plan) -> bool:
+        """Whether a trial has a plan within the budget."""
+        return plan.status is Status.CONVERGED and plan.total_dv_m_s <= self.budget_m_s
+
+
+def largest_kept(
+    best: Plan,
+    most: float,
+    close: float,
+    attempt: Callable[[Plan, float], Plan],
+    keeps: Callable[[Plan], bool],
+) -> tuple[Plan, Plan | None]:
+    """Bisect for the largest probability that has a plan, on the normal quantile scale.
+
+    Between that of the best plan, which is kept, and `most`, at which nothing is planned, to `close`
+    standard deviations. Each attempt begins from the best plan so far.
+
+    Returns:
+        The best plan, marked as interrupted if Ctrl-C came; and the trial of the least probability
+            that was not kept, if there was one.
+    """
+    assert best.target is not None
+    low, high, above = float(ndtri(best.target)), float(ndtri(most)), None
+    while high - low > close:
+        middle = 0.5 * (low + high)
+        try:
+            found = attempt(best, float(ndtr(middle)))
         except KeyboardInterrupt:
-            return None
-        return found
+            return as_interrupted(best), None
+        if found.status is Status.INTERRUPTED:
+            return as_interrupted(best), None
+        if keeps(found):
+            best, low = found, middle
+        else:
+            high, above = middle, found
+    return best, above
 
 
 def with_warning(best: Plan, undecided: Plan) -> Plan:
     """The plan with a word on the probability next to it, for which planning came to no verdict."""
     word = ScenarioWarning.of(
         "risk.p_chance",
-        f"no verdict for {undecided.aim:.5g}: {undecided.status.value.name}",
-        f"{best.aim:.5g} is the largest that a plan was found for; a larger one may have one too",
+        f"no verdict for {undecided.target:.5g}: {undecided.status.value.name}",
+        f"{best.target:.5g} is the largest that a plan was found for; a larger one may have one too",
     )
     warnings = (*best.mission.warnings, word)
     return replace(best, mission=replace(best.mission, warnings=warnings))
@@ -124,16 +138,10 @@ def largest_promise(
     certified: bool,
     watch: Watch | None = None,
 ) -> Plan:
-    """The plan of the largest probability with what it reaches as what its scenario asks, rounded down.
+    """The plan of the largest probability; its scenario asks what it reaches, rounded down.
 
-    Where flights touch a limit between nodes, nodes are added there and it is looked for again.
-
-    Args:
-        mission: to plan; its scenario's allocation is exact.
-        start: of the first try.
-        search: for the largest that it aims at.
-        certified: whether what flights reach is promised, or what it aims at.
-        watch: is told when flights begin, and what they reach.
+    If certified, what flights reach is promised, or else what it aims at. Where flights touch a limit
+    between nodes, nodes are added there and it is looked for again. The mission's allocation is exact.
 
     Returns:
         That plan; the try for `LEAST` where no plan is kept.
@@ -143,12 +151,12 @@ def largest_promise(
         best = search.run(mission, start)
         if best.status is Status.INTERRUPTED and found is not None:
             return as_interrupted(found)
-        if not is_kept(best, search.budget_m_s):
+        if not search.keeps(best):
             return found or best
-        assert best.aim is not None
+        assert best.target is not None
         if not certified:
-            return promising(best, best.aim)
-        samples, seed = flights_needed(best.aim), FIRST_SEED + number - 1
+            return promising(best, best.target)
+        samples, seed = flights_needed(best.target), FIRST_SEED + number - 1
         try:
             if watch:
                 watch(number, best, samples)

@@ -1,1 +1,1 @@
-"""What the commands share: how they end, their options, verdicts, and what is kept of a run."""
+"""Shared by the commands: how they end, their options, verdicts, and what is kept of a run."""

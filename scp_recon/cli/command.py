@@ -1,6 +1,6 @@
-"""What every command does with trouble: one message on standard error, and an exit status.
+"""A command, and what every one does with trouble: one message on standard error, and an exit status.
 
-A command imports for about a second before its work begins. Its module starts with
+A command imports for about a second before its work begins. What is run as a program starts with
 
     if __name__ == "__main__":
         exit_on_sigint()
@@ -21,6 +21,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from io import TextIOWrapper
 from math import isfinite
 from pathlib import Path
@@ -33,10 +34,13 @@ if TYPE_CHECKING:
     import argparse
 
     from rich.console import Console
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 BAD_INPUT, NOT_VERIFIED = 2, 4
 DOCUMENT = "scp_recon.command/1"
-MODULE, SCRIPT = "python -m scp_recon.", "scp-recon"
+SCRIPT = "scp-recon"
 WIDE = 200
 """Columns where no terminal says how many there are: wide enough for every table."""
 
@@ -48,14 +52,45 @@ class Answer(NamedTuple):
     document: Mapping[str, Any]
 
 
+@dataclass(frozen=True)
+class Command:
+    """What `scp-recon NAME` does.
+
+    Attributes:
+        name: of the command.
+        description: of --help.
+        add_options: to its parser; their names within are those of the parameters in `api`.
+        run: does it, with what the options came to; returns how it ends.
+        prepare: what is done with the words of the command line before they are read.
+    """
+
+    name: str
+    description: str
+    add_options: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[Any, Console], Answer]
+    prepare: Callable[[Sequence[str]], list[str]] = list
+
+    def parser(self) -> argparse.ArgumentParser:
+        """Of its options."""
+        import argparse
+
+        p = argparse.ArgumentParser(prog=f"{SCRIPT} {self.name}", description=self.description)
+        self.add_options(p)
+        return p
+
+    def main(self, arguments: Sequence[str] | None = None) -> int:
+        """Run the command line; returns the exit status."""
+        words = self.prepare(sys.argv[1:] if arguments is None else arguments)
+        options = parse(self.parser(), words)
+        return run_command(lambda console: self.run(options, console), options)
+
+
 def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read a command line, which may ask for --json and --quiet; `run_command` takes what comes of it.
 
     Raises:
         SystemExit: 0 after --help, 2 after what cannot be understood; with --json in the document too.
     """
-    if Path(sys.argv[0]).stem == SCRIPT:
-        p.prog = p.prog.replace(MODULE, f"{SCRIPT} ")
     p.add_argument(
         "--json",
         action="store_true",
@@ -75,7 +110,18 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
     p.error = error  # type: ignore[method-assign]  # errors go into the document too
     found = p.parse_args(arguments)
     found.prog = p.prog
+    found.flags = flags_of(p)
     return found
+
+
+def flags_of(p: argparse.ArgumentParser) -> dict[str, str]:
+    """What a command's options are called, by the names of the parameters that they stand for."""
+    return {
+        action.dest: action.option_strings[-1]
+        if action.option_strings
+        else str(action.metavar or action.dest)
+        for action in p._actions
+    }
 
 
 def exit_on_sigint() -> None:
@@ -125,7 +171,8 @@ def run_command(
             warnings.filterwarnings("ignore", category=RuntimeWarning)
             answer = action(make_console(stderr=as_json, quiet=quiet))
         return end(*answer) if isinstance(answer, Answer) else end(answer, {})
-    except InputError as error:
+    except InputError as caught:
+        error = caught.for_command(getattr(options, "flags", {}))
         return fail(str(error), entry=error.entry, given=error.given, allowed=error.allowed)
     except MemoryError:
         return fail("not enough memory: take a larger grid.step_max_s")
@@ -157,7 +204,7 @@ def progress_console(console: Console) -> Console:
 def _print_document(prog: str, status: int, document: Mapping[str, Any]) -> None:
     import json
 
-    command = prog.removeprefix(MODULE).removeprefix(f"{SCRIPT} ").removeprefix("python -m ")
+    command = prog.removeprefix(f"{SCRIPT} ").removeprefix("python -m ")
     whole = _finite({"schema": DOCUMENT, "command": command, "status": status, **document})
     try:
         sys.stdout.write(json.dumps(whole, allow_nan=False, default=str) + "\n")
@@ -181,6 +228,31 @@ def show_written(console: Console, path: Path) -> None:
     show_line(console, f"written: {path}")
 
 
-def show_line(console: Console, text: str) -> None:
+def show_line(console: Console, text: str, style: str | None = None) -> None:
     """One line, however long and whatever names are in it."""
-    console.print(printable(text), markup=False, highlight=False, soft_wrap=True)
+    console.print(printable(text), style=style, markup=False, highlight=False, soft_wrap=True)
+
+
+@contextmanager
+def asked_to_stop() -> Iterator[Callable[[], bool]]:
+    """A function that says whether Ctrl-C has come; a second one stops at once.
+
+    Where Ctrl-C is ignored, or another thread is at work, nobody asks.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    main = threading.current_thread() is threading.main_thread()
+    if not main or before is not signal.default_int_handler:
+        yield lambda: False
+        return
+    came: list[int] = []
+
+    def notice(number: int, _: object) -> None:
+        if came:
+            raise KeyboardInterrupt
+        came.append(number)
+
+    signal.signal(signal.SIGINT, notice)
+    try:
+        yield lambda: bool(came)
+    finally:
+        signal.signal(signal.SIGINT, before)

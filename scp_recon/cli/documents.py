@@ -1,4 +1,4 @@
-"""What commands say with --json: SI with the unit in each key, vectors and states along J2000."""
+"""The documents of --json: SI with the unit in each key, vectors and states along J2000."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from scp_recon.interop.export import Export
+from scp_recon.interop.path import WITHIN_M
 from scp_recon.mission.survey import Survey
+from scp_recon.physics.time_scales import iso_tdb, iso_utc
+from scp_recon.results.comparison import Comparison
+from scp_recon.results.solution import Solution
 from scp_recon.scenario.schema import Scenario
-from scp_recon.solution.comparison import Comparison
-from scp_recon.solution.file import Solution
 
 FRAME = "J2000, body-centred"
 IN_FILE = {"nodes", "facets", "iterations", "scenario", "timing_s", "units"}
@@ -22,7 +25,7 @@ def plan_document(solution: Solution, files: Iterable[Path] = ()) -> dict[str, A
         "scenario": solution.scenario.name,
         "frame": FRAME,
         "plan_hash": solution.plan_hash,
-        "plan": solution.model_dump(mode="json", exclude=IN_FILE),
+        "plan": {key: value for key, value in solution.document().items() if key not in IN_FILE},
         "files": [str(file) for file in files],
     }
 
@@ -52,4 +55,27 @@ def survey_document(scenario: Scenario, survey: Survey) -> dict[str, Any]:
             }
             for window in survey.windows
         ],
+    }
+
+
+def export_document(found: Export, files: Iterable[Path]) -> dict[str, Any]:
+    """What was exported: the path that was flown again, its burns with their dates, and the files."""
+    return {
+        "verdict": found.verdict,
+        "files": [str(file) for file in files],
+        "frame": FRAME,
+        "states": found.path.size,
+        "linear_error_m": found.path.linear_error_m,
+        "cubic_error_m": found.path.cubic_error_m,
+        "asked_error_m": WITHIN_M,
+        "burns": [
+            {
+                "t_s": burn.t_s,
+                "tdb": iso_tdb(found.instant(burn.t_s)),
+                "utc": iso_utc(found.instant(burn.t_s)),
+                "dv_m_s": burn.dv_m_s,
+            }
+            for burn in found.solution.burns
+        ],
+        "plan_hash": found.solution.plan_hash,
     }

@@ -9,16 +9,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from formulations.arrays import Array, Indices
+from formulations.problem.facets import split_risk
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball, Cone
-from formulations.risk.uniform import split_risk
 from scp_recon.physics.geometry import SiteTrack
 from scp_recon.scenario.schema import Scenario
 
-Array = npt.NDArray[np.float64]
-Nodes = npt.NDArray[np.intp]
 Measure = Literal["distance", "emission", "phase"]
 
 
@@ -26,16 +24,13 @@ Measure = Literal["distance", "emission", "phase"]
 class Limit:
     """One side of what the position relative to the site has to keep.
 
-    Attributes:
-        name: of the limit.
-        joint: chance constraint that it is a part of.
-        measure: distance from the site, or angle at it to its normal (emission) or the Sun (phase).
-        sense: whether the value is the least or the most allowed.
-        value: m or rad.
+    Of its distance from the site, or of the angle at the site to its normal (emission) or to the Sun
+    (phase), the value is the least or the most allowed.
     """
 
     name: str
     joint: str
+    """Chance constraint that it is a part of."""
     measure: Measure
     sense: Literal["min", "max"]
     value: float
@@ -53,28 +48,26 @@ class Limit:
 def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
     """All limits in the window; the battery's cone of observation is a least phase angle."""
     o, battery = scenario.observation, scenario.battery.observation_cone_deg
-
-    def angle(joint: str, sense: Literal["min", "max"], degrees: float) -> Limit:
-        measure: Measure = "emission" if joint == "emission" else "phase"
-        return Limit(f"{joint}_{sense}", joint, measure, sense, float(np.deg2rad(degrees)))
-
-    limits = [
-        Limit("site_distance_min", "site_distance", "distance", "min", o.site_distance_min_m),
-        Limit("site_distance_max", "site_distance", "distance", "max", o.site_distance_max_m),
-        angle("emission", "min", o.emission_min_deg),
-        angle("emission", "max", o.emission_max_deg),
-        angle("phase", "min", o.phase_min_deg),
+    rows: tuple[tuple[str, Measure, Literal["min", "max"], float | None], ...] = (
+        ("site_distance", "distance", "min", o.site_distance_min_m),
+        ("site_distance", "distance", "max", o.site_distance_max_m),
+        ("emission", "emission", "min", o.emission_min_deg),
+        ("emission", "emission", "max", o.emission_max_deg),
+        ("phase", "phase", "min", o.phase_min_deg),
+        ("battery_observation", "phase", "min", battery),
+        ("phase", "phase", "max", o.phase_max_deg),
+    )
+    return tuple(
         Limit(
-            "battery_observation",
-            "battery_observation",
-            "phase",
-            "min",
-            float(np.deg2rad(battery)),
-        ),
-    ]
-    if o.phase_max_deg is not None:
-        limits.append(angle("phase", "max", o.phase_max_deg))
-    return tuple(limits)
+            name=joint if joint == "battery_observation" else f"{joint}_{sense}",
+            joint=joint,
+            measure=measure,
+            sense=sense,
+            value=value if measure == "distance" else float(np.deg2rad(value)),
+        )
+        for joint, measure, sense, value in rows
+        if value is not None
+    )
 
 
 def limits_in_words(scenario: Scenario) -> dict[str, str]:
@@ -92,17 +85,12 @@ def limits_in_words(scenario: Scenario) -> dict[str, str]:
 
 
 def state_constraints(
-    scenario: Scenario, length_m: float, n_nodes: int, window: Nodes, track: SiteTrack, sun: Array
+    scenario: Scenario, length_m: float, n_nodes: int, window: Indices, track: SiteTrack, sun: Array
 ) -> tuple[StateConstraint, ...]:
     """Safety at every node and the limits throughout the window, nondimensional.
 
-    Args:
-        scenario: gives the limits and the probability.
-        length_m: unit of length.
-        n_nodes: of the grid.
-        window: its nodes in the observation window, shape (n,).
-        track: the site there, J2000, m.
-        sun: directions to the Sun there, shape (n, 3).
+    `window` has the window's nodes, shape (n,), `track` the site there, J2000, m, and `sun` the
+    directions to the Sun there, shape (n, 3).
     """
     p, limits = scenario.risk.p_chance, observation_limits(scenario)
     at, axes = track.position / length_m, {"emission": track.normal, "phase": sun}

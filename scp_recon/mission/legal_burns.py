@@ -1,12 +1,14 @@
-"""Where burns may be about a window: Echigo et al., section V.A."""
+"""Computes where burns may be about a window (Echigo et al., section V.A), in numbers and in words."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 
-from scp_recon.mission.windows import Window
-from scp_recon.scenario.sections import ScheduleRules
+import numpy as np
+
+from scp_recon.mission.windows import OfTime, Window, all_windows, whole_windows
+from scp_recon.scenario.schema import Scenario, ScheduleRules
 
 Interval = tuple[float, float]
 """Earliest and latest time, s; empty where the first is above the second."""
@@ -15,11 +17,6 @@ Interval = tuple[float, float]
 def burns_before(times_s: Sequence[float], window_s: Window) -> int:
     """Burns between the first one and a window."""
     return sum(time <= 0.5 * (window_s[0] + window_s[1]) for time in times_s[1:])
-
-
-def middle_gap(times_s: Sequence[float]) -> int:
-    """Burns between the first one and a window in the flight's middle gap: with four burns, one."""
-    return (len(times_s) - 2) // 2
 
 
 def sun_leg_s(rules: ScheduleRules) -> float:
@@ -35,18 +32,11 @@ def before_burn_s(rules: ScheduleRules) -> float:
 def legal_starts(
     window_s: Window, duration_s: float, before: int, after: int, rules: ScheduleRules
 ) -> Interval:
-    """When a flight that observes in a window may begin, with its other burns placed freely.
+    """When the first burn of a flight that observes in a window may be, the others placed freely.
 
-    Args:
-        window_s: edges.
-        duration_s: from the first burn to the last.
-        before: burns between the first one and the window.
-        after: burns after the window, at least one.
-        rules: durations.
-
-    Returns:
-        Earliest and latest time of the first burn, in the window's time. An interval is empty where its
-        first is above its second: the flight is too short.
+    From the first burn to the last it is `duration_s`; `before` burns lie between the first one and the
+    window, and `after` behind it, at least one. The interval is in the window's time, and empty, its
+    first above its second, where the flight is too short.
     """
     cycle = sun_leg_s(rules) + before_burn_s(rules)
     latest = window_s[0] - rules.attitude_s - sun_leg_s(rules) - before * cycle
@@ -64,18 +54,8 @@ def legal_burns(
     """Where each burn may be if the others give way; arguments as in `legal_starts`.
 
     A burn needs a cycle of its own after the burn or the window before it: a sun-pointing leg, then
-    delta-V mode. Before observation mode there is a sun-pointing leg alone.
-
-    Args:
-        window_s: edges.
-        duration_s: from the first burn to the last.
-        before: burns between the first one and the window.
-        after: burns after the window, at least one.
-        rules: durations.
-        starts_s: when the first burn may be; `legal_starts` if not given, (0, 0) at the epoch.
-
-    Returns:
-        An interval for each burn, the first one's included.
+    delta-V mode. Before observation mode there is a sun-pointing leg alone. The first interval is that
+    of the first burn, `starts_s`: (0, 0) at the epoch, `legal_starts` if not given.
     """
     cycle = sun_leg_s(rules) + before_burn_s(rules)
     free = legal_starts(window_s, duration_s, before, after, rules)
@@ -90,13 +70,7 @@ def legal_burns(
 def legal_additions(
     times_s: Sequence[float], window_s: Window, rules: ScheduleRules
 ) -> list[Interval]:
-    """Where one more burn may be with all others kept; those that are empty are left out.
-
-    Args:
-        times_s: of burns that keep the rules.
-        window_s: edges.
-        rules: durations.
-    """
+    """Where one more burn may be with all others kept, which keep the rules; no empty intervals."""
     cycle = sun_leg_s(rules) + before_burn_s(rules)
     gap = burns_before(times_s, window_s)
     found = []
@@ -111,11 +85,9 @@ def legal_additions(
 def legal_shifts(
     window_s: Window, times_s: Sequence[float], rules: ScheduleRules
 ) -> list[tuple[int, Interval]]:
-    """Epoch shifts by which a window falls legally into a gap between burns that stay as they are.
+    """Shortest and longest epoch shift by which a window falls legally between burns that stay.
 
-    Returns:
-        Index of the burn before the gap, and the shortest and longest shift of the epoch; gaps that are
-        too short are left out.
+    Each comes with the index of the burn before the gap; gaps that are too short are left out.
     """
     found = []
     for index, (time, following) in enumerate(itertools.pairwise(times_s)):
@@ -124,3 +96,73 @@ def legal_shifts(
         if earliest <= latest:
             found.append((index, (earliest, latest)))
     return found
+
+
+BEYOND_S, SHOWN = 2 * 86_400.0, 3
+"""How far before and after the flight to look for other windows, and how many to tell."""
+
+
+def other_windows(scenario: Scenario, slack: OfTime, incidence: OfTime, step_s: float) -> str:
+    """Windows near a flight that has none whole, and epoch shifts that would bring them into it.
+
+    `slack` (of the limits on lighting) and `incidence` (rad) are functions of times in s.
+    """
+    times, rules = scenario.burns.times_s, scenario.schedule
+    span = -BEYOND_S, scenario.duration_s + BEYOND_S
+    windows = all_windows(slack, span, step_s)
+    if windows == [span]:
+        return "the site keeps them all the time: give observation.window_s"
+    whole = whole_windows(windows, span)
+    if not whole:
+        looks = np.linspace(*span, 2000)
+        least = float(np.rad2deg(incidence(looks)).min())
+        return (
+            f"nor is there one within {BEYOND_S / 86_400:g} days of it, in which the least "
+            f"incidence is {least:.1f} deg"
+        )
+    middle = 0.5 * scenario.duration_s
+    nearest = sorted(whole, key=lambda window: abs(0.5 * sum(window) - middle))[:SHOWN]
+    lines = [f"{_edges(window)}: {_shift(window, times, rules)}" for window in sorted(nearest)]
+    return "\n".join(["windows near it, in seconds past epoch.tdb:", *lines])
+
+
+def _edges(window: Window) -> str:
+    return f"{window[0]:.1f} to {window[1]:.1f} s"
+
+
+def _shift(window: Window, times: Sequence[float], rules: ScheduleRules) -> str:
+    """The epoch shifts nearest to none that bring a window between the burns as they are."""
+    shifts = legal_shifts(window, times, rules)
+    if not shifts:
+        needed = window[1] - window[0] + rules.attitude_s + 2 * sun_leg_s(rules)
+        return (
+            f"no gap between burns is long enough for it, which has to be "
+            f"{needed + before_burn_s(rules):.0f} s"
+        )
+    index, (low, high) = min(shifts, key=lambda found: max(found[1][0], -found[1][1]))
+    return (
+        f"legal between burns.times_s.{index} and {index + 1} with epoch.tdb moved by "
+        f"{low:+.0f} to {high:+.0f} s"
+    )
+
+
+def legal_times(times_s: Sequence[float], window_s: Window, rules: ScheduleRules) -> str:
+    """The window, and where each burn of a flight may be about it if the others give way."""
+    before = burns_before(times_s, window_s)
+    after, duration = len(times_s) - 1 - before, times_s[-1]
+    earliest, latest = legal_starts(window_s, duration, before, after, rules)
+    text = f"the window is {_edges(window_s)}"
+    if latest < 0.0:
+        many = f" with {before} burns before it" if before else ""
+        opens = f"{window_s[0] - latest:.1f} s or later"
+        return f"{text}, and{many} has to open at {opens}; {_shift(window_s, times_s, rules)}"
+    if earliest > 0.0:
+        burns = f"{after} burns" if after > 1 else "a burn"
+        last = f"{duration + earliest:.1f} s on"
+        return f"{text}, and with {burns} after it the last is legal from {last}"
+    intervals = legal_burns(window_s, duration, before, after, rules, (0.0, 0.0))
+    words = [f"{i} from {a:.1f} to {b:.1f} s" for i, (a, b) in enumerate(intervals[1:-1], start=1)]
+    last = f"{len(times_s) - 1} from {duration + earliest:.1f} s on"
+    return f"{text}, and if the other burns give way, legal are burns.times_s." + ", ".join(
+        [*words, last]
+    )

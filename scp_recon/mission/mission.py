@@ -1,4 +1,4 @@
-"""From a scenario to everything the planner works with: window, schedule, grid and problem.
+"""Resolves a scenario into everything the planner works with: window, schedule, grid and problem.
 
 The border of `formulations`: SI and J2000 on this side, nondimensional on the other.
 """
@@ -6,81 +6,61 @@ The border of `formulations`: SI and J2000 on this side, nondimensional on the o
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
+from formulations.arrays import Array, Indices
 from formulations.problem.facets import Polytopes
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
+from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.errors import InputError
-from scp_recon.mission.checks.flight import in_flight
-from scp_recon.mission.checks.given import Given
-from scp_recon.mission.checks.spread import check_spread
-from scp_recon.mission.checks.table import check_given, check_window
+from scp_recon.mission.checks.checks import check_plausible, check_scene, check_state, check_window
 from scp_recon.mission.constraints import state_constraints
-from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
-from scp_recon.mission.in_flight import BURNS_TO_MEET, MISS_WEIGHT, check_in_flight, what_is_left
-from scp_recon.mission.lighting import Lighting
-from scp_recon.mission.plausibility import check_plausible
-from scp_recon.mission.schedule import Schedule, find_window, make_schedule
-from scp_recon.mission.states import (
-    boundary_state,
-    first_factor,
-    first_state,
-    state_axes,
-    sun_direction,
+from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
+from scp_recon.mission.scene import Scene, execution_errors, truth_field
+from scp_recon.mission.schedule import (
+    BURNS_TO_MEET,
+    MISS_WEIGHT,
+    Schedule,
+    check_in_flight,
+    find_window,
+    make_schedule,
+    what_is_left,
 )
-from scp_recon.mission.uncertainty import execution_errors
-from scp_recon.mission.units import Units
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import ForceModel, cannonball_srp
-from scp_recon.physics.frames import Rotation, unit
+from scp_recon.physics.frames import Rotation
+from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
-from scp_recon.scenario.warning import ScenarioWarning
-
-Array = npt.NDArray[np.float64]
-
-AU_KM = 149_597_870.7
-"""IAU 2012 resolution B2."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mission:
-    """A scenario with its geometry resolved. States J2000, body-centred, SI.
-
-    Attributes:
-        scenario: what it came from.
-        rotation: attitude of the body.
-        site: body-fixed.
-        initial_state: mean before the first burn, or in flight at the first node, shape (6,).
-        final_state: mean after the last burn, shape (6,).
-        schedule: window and attitude modes.
-        times_s: nodes of the grid, shape (n,).
-        units: of the nondimensional problem.
-        warnings: what is hardly as it was meant, and goes with every verdict.
-    """
+    """A scenario with its geometry resolved. States J2000, body-centred, SI."""
 
     scenario: Scenario
     rotation: Rotation
     site: geometry.Site
     initial_state: Array
+    """Mean before the first burn, or in flight at the first node, shape (6,)."""
     final_state: Array
+    """Mean after the last burn, shape (6,)."""
     schedule: Schedule
     times_s: Array
+    """Nodes of the grid, shape (n,)."""
     units: Units
     warnings: tuple[ScenarioWarning, ...] = ()
+    """What is hardly as it was meant, and goes with every verdict."""
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, known: Mission | None = None) -> Mission:
-        """Resolve a scenario.
-
-        Args:
-            scenario: what to resolve.
-            known: another mission: its window and all its warnings, if they differ in flight alone.
+        """Resolve a scenario; with the window and warnings of `known` if they differ in flight alone.
 
         Raises:
             InputError: if there is no window, a firing time breaks a rule of the schedule, or
@@ -91,40 +71,41 @@ class Mission:
                 "boundary.home",
                 "a home orbit that is flown, or has free phases",
                 "must be a circle with departure_deg and arrival_deg fixed here; "
-                "python -m scp_recon.design finds the rest, and writes a scenario of its own",
+                "python -m scp_recon design finds the rest, and writes a scenario of its own",
             )
-        check_plausible(scenario)
+        scene = Scene.of(scenario)
+        check_plausible(scene)
         check_in_flight(scenario)
-        rotation, site = rotation_of(scenario), site_of(scenario)
         if known is not None and known.scenario.same_but_in_flight(scenario):
             window, warnings = known.schedule.window_s, known.warnings
         else:
-            warnings = check_given(Given(scenario, rotation, site))
-            light = Lighting(site, rotation, partial(sun_direction, scenario))
-            step = scan_step_s(rotation.rate, (0.0, scenario.duration_s))
-            window = find_window(scenario, light.incidence, light.local_solar_time, step)
-            warnings += check_window(scenario, window, light.incidence, light.local_solar_time)
-        warnings += tuple(in_flight(scenario))
+            warnings = check_scene(scene)
+            step = scan_step_s(scene.rotation.rate, (0.0, scenario.duration_s))
+            window = find_window(scenario, scene.lighting, step)
+            warnings += check_window(scene, window)
         schedule = make_schedule(scenario.burns.times_s, window, scenario.schedule)
-        initial = first_state(scenario, rotation)
         execution_errors(scenario)
-        factor = first_factor(scenario, rotation, initial)
-        warnings += tuple(check_spread(scenario, initial, np.linalg.norm(factor, axis=1)))
-        start, fixed = scenario.start_s, (*window, *scenario.grid.nodes_s)
+        warnings += check_state(scene)
+        initial, start = scene.initial_state, scenario.start_s
+        fixed = start, *scenario.burn_times_s, *window, *scenario.grid.nodes_s
         return cls(
             scenario=scenario,
-            rotation=rotation,
-            site=site,
+            rotation=scene.rotation,
+            site=scene.site,
             initial_state=initial,
-            final_state=boundary_state(scenario, rotation, "final"),
+            final_state=scene.boundary_state("final"),
             schedule=what_is_left(schedule, scenario),
             times_s=make_grid(
-                (start, *scenario.burn_times_s, *(time for time in fixed if time > start)),
-                scenario.grid.step_max_s,
+                tuple(time for time in fixed if time >= start), scenario.grid.step_max_s
             ),
             units=Units.of_orbit(initial, scenario.body.gm_m3_s2),
             warnings=warnings,
         )
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Body, site and Sun, and their axes."""
+        return Scene(self.scenario, self.rotation, self.site)
 
     def with_initial_state(self, state: Array) -> Mission:
         """The same mission from another state at its first node, shape (6,), in the same units.
@@ -140,7 +121,7 @@ class Mission:
             raise ValueError(f"an initial state is outside the body, whose radius is {radius:g} m")
         flight = self.scenario.in_flight
         frame, which = (flight.frame, "") if flight else (self.scenario.boundary.frame, "initial_")
-        matrix = state_axes(self.scenario, self.rotation, frame)
+        matrix = self.scene.axes(frame)
         given: dict[str, object] = {} if flight else {"home": None}
         given |= {
             f"{which}position_m": tuple((matrix.T @ state[:3]).tolist()),
@@ -152,7 +133,7 @@ class Mission:
 
     def sun_direction(self, time_s: npt.ArrayLike) -> Array:
         """Unit vectors from the body to the Sun, J2000, shape (..., 3)."""
-        return sun_direction(self.scenario, time_s)
+        return self.scene.sun_direction(time_s)
 
     @cached_property
     def forces(self) -> ForceModel:
@@ -176,7 +157,16 @@ class Mission:
     @cached_property
     def initial_factor(self) -> Array:
         """Factor S, where S S' is the covariance of the initial state, shape (6, 6)."""
-        return first_factor(self.scenario, self.rotation, self.initial_state)
+        return self.scene.initial_factor(self.initial_state)
+
+    @cached_property
+    def truth_field(self) -> HarmonicField:
+        """Gravity that is flown where the planner's J2 is held against the truth, SI.
+
+        Raises:
+            InputError: if there is none of this body.
+        """
+        return truth_field(self.scenario)
 
     @property
     def initial_sigma(self) -> Array:
@@ -184,7 +174,7 @@ class Mission:
         return np.linalg.norm(self.initial_factor, axis=1)
 
     @property
-    def burn_nodes(self) -> npt.NDArray[np.intp]:
+    def burn_nodes(self) -> Indices:
         """Node of each burn that is to be planned."""
         return np.searchsorted(self.times_s, self.scenario.burn_times_s)
 
@@ -201,7 +191,7 @@ class Mission:
         return len(self.scenario.burn_times_s) >= BURNS_TO_MEET
 
     @property
-    def window_nodes(self) -> npt.NDArray[np.intp]:
+    def window_nodes(self) -> Indices:
         """Nodes of what is left of the observation window, its edges included; none if it is over."""
         if self.observed_s is None:
             return np.zeros(0, dtype=np.intp)
@@ -212,6 +202,9 @@ class Mission:
     def problem(self) -> FlybyProblem:
         """The nondimensional problem on this mission's grid."""
         units, scenario, window = self.units, self.scenario, self.window_nodes
+        # Limits on the sigmas after the last burn, None where there is none.
+        position = scenario.boundary.final_sigma_position_m
+        speed = scenario.boundary.final_sigma_velocity_m_s
         return FlybyProblem(
             n_nodes=len(self.times_s),
             burn_nodes=self.burn_nodes,
@@ -231,17 +224,10 @@ class Mission:
                 self.sun_direction(self.times_s[window]),
             ),
             miss_weight=None if self.must_meet else MISS_WEIGHT,
-            final_spread=self._final_spread,
-        )
-
-    @property
-    def _final_spread(self) -> tuple[float | None, float | None]:
-        """Limits on the sigmas after the last burn, nondimensional."""
-        asked = self.scenario.boundary
-        position, velocity = asked.final_sigma_position_m, asked.final_sigma_velocity_m_s
-        return (
-            None if position is None else position / self.units.length_m,
-            None if velocity is None else velocity / self.units.speed_m_s,
+            final_spread=(
+                position and position / units.length_m,
+                speed and speed / units.speed_m_s,
+            ),
         )
 
     @cached_property
@@ -266,23 +252,3 @@ class Mission:
     def arc_substeps(self) -> int:
         """Runge-Kutta steps per arc, so that none is longer than `RK4_STEP_MAX_S`."""
         return max(1, int(np.ceil(np.max(np.diff(self.times_s)) / RK4_STEP_MAX_S)))
-
-
-def rotation_of(scenario: Scenario) -> Rotation:
-    """Attitude of the scenario's body from its epoch on."""
-    body = scenario.body
-    return Rotation.from_iau(
-        body.pole_ra_deg,
-        body.pole_dec_deg,
-        (
-            body.prime_meridian_deg,
-            body.prime_meridian_rate_deg_day,
-            body.prime_meridian_acceleration_deg_day2,
-        ),
-        scenario.epoch.tdb,
-    )
-
-
-def site_of(scenario: Scenario) -> geometry.Site:
-    """The scenario's site, body-fixed."""
-    return geometry.Site(np.array(scenario.site.position_body_m), unit(scenario.site.normal_body))

@@ -1,39 +1,29 @@
-"""Observation window and attitude-mode schedule."""
+"""Lays out the observation window and the attitude modes, of a whole flight or the rest of one."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-import numpy.typing as npt
 
 from scp_recon.errors import InputError
-from scp_recon.mission.advice import legal_times, other_windows
-from scp_recon.mission.legal_burns import before_burn_s, burns_before, sun_leg_s
-from scp_recon.mission.lighting import lighting_slack
-from scp_recon.mission.windows import SCAN_STEP_S, each_window, is_whole
-from scp_recon.scenario.schema import Scenario
-from scp_recon.scenario.sections import ScheduleRules
-
-Array = npt.NDArray[np.float64]
+from scp_recon.mission.legal_burns import (
+    before_burn_s,
+    burns_before,
+    legal_times,
+    other_windows,
+    sun_leg_s,
+)
+from scp_recon.mission.windows import SCAN_STEP_S, Lighting, each_window, is_whole
+from scp_recon.scenario.schema import Scenario, ScheduleRules
 
 
 def find_window(
-    scenario: Scenario,
-    incidence: Callable[[Array], Array],
-    local_solar_time: Callable[[Array], Array],
-    step_s: float = SCAN_STEP_S,
+    scenario: Scenario, lighting: Lighting, step_s: float = SCAN_STEP_S
 ) -> tuple[float, float]:
-    """First complete interval of the flight in which the site is lit well enough; s.
-
-    Args:
-        scenario: gives the limits, or the window itself.
-        incidence: solar incidence at the site in rad, of times in s.
-        local_solar_time: at the site in h, of times in s.
-        step_s: of the scan for windows.
+    """The given window, or the first whole one of the flight in which the site is lit well enough; s.
 
     Raises:
         InputError: if the given window is not inside the flight, or there is none; it names the
@@ -50,7 +40,7 @@ def find_window(
             )
         return first, last
 
-    slack = lighting_slack(limits, incidence, local_solar_time)
+    slack = lighting.slack(limits)
     flight = 0.0, end
     windows = each_window(slack, flight, step_s)
     first_whole = next((window for window in windows if is_whole(window, flight)), None)
@@ -61,7 +51,7 @@ def find_window(
         f"incidence at most {limits.incidence_max_deg:g} deg and local solar time "
         f"{limits.local_solar_time_min_h:g} to {limits.local_solar_time_max_h:g} h",
         f"the flight of {end:g} s must contain a whole window in which both hold; "
-        + other_windows(scenario, slack, incidence, step_s),
+        + other_windows(scenario, slack, lighting.incidence, step_s),
     )
 
 
@@ -132,41 +122,92 @@ def make_schedule(
         if leg.start_s - previous.end_s < sun_leg - 1e-6:
             # The burn that ends the short leg; before the observation, the one that starts it.
             burn = index if index < observation_at else index - 1
+            broken = (
+                f"rule 'a sun-pointing leg lasts at least one slew and one recharge, {sun_leg:g} s' "
+                f"is broken: {previous.mode} mode ends at {previous.end_s:g} s and {leg.mode} mode "
+                f"must start at {leg.start_s:g} s"
+            )
             legal = legal_times(times_s, window_s, rules)
-            raise _too_short(burn, times_s, window_s, intervals, previous, leg, sun_leg, legal)
+            if burn == 0:  # which cannot move: the window has to
+                given = f"[{window_s[0]:g}, {window_s[1]:g}] s"
+                raise InputError("observation.window_s", given, f"{broken}; {legal}")
+            moved = _between(*intervals[burn])
+            raise InputError(
+                f"burns.times_s.{burn}",
+                f"{times_s[burn]:g} s",
+                f"{broken}; with the others kept this burn may be {moved}; {legal}",
+            )
         if leg.start_s > previous.end_s:
             legs.append(Leg(Mode.SUN_POINTING, previous.end_s, leg.start_s))
         legs.append(leg)
     return Schedule(window_s, tuple(legs), tuple(intervals))
 
 
-def _too_short(
-    burn: int,
-    times_s: tuple[float, ...],
-    window_s: tuple[float, float],
-    intervals: list[tuple[float, float]],
-    previous: Leg,
-    leg: Leg,
-    sun_leg: float,
-    legal: str,
-) -> InputError:
-    rule = (
-        f"rule 'a sun-pointing leg lasts at least one slew and one recharge, {sun_leg:g} s' is "
-        f"broken: {previous.mode} mode ends at {previous.end_s:g} s and {leg.mode} mode must start "
-        f"at {leg.start_s:g} s"
-    )
-    if burn == 0:  # which cannot move: the window has to
-        given = f"[{window_s[0]:g}, {window_s[1]:g}] s"
-        return InputError("observation.window_s", given, f"{rule}; {legal}")
-    early, late = intervals[burn]
+def _between(early: float, late: float) -> str:
     if early > late:
-        moved = "nowhere"
-    elif late < np.inf:
-        moved = f"between {early:g} s and {late:g} s"
-    else:
-        moved = f"from {early:g} s on"
-    return InputError(
-        f"burns.times_s.{burn}",
-        f"{times_s[burn]:g} s",
-        f"{rule}; with the others kept this burn may be {moved}; {legal}",
+        return "nowhere"
+    return f"between {early:g} s and {late:g} s" if late < np.inf else f"from {early:g} s on"
+
+
+BURNS_TO_MEET = 2
+"""Burns that meet a final state: it has six components, and a burn three."""
+
+MISS_WEIGHT = 10.0
+"""Price of each component of the final state's miss where fewer are left, in units of length and speed.
+
+A speed that is missed takes a later burn as large, and a distance one of its size over a unit of time:
+a weight of one would leave it open whether to burn or to miss. With ten the burn goes as near to the
+final state as its limits let it, whatever that costs, as the program weighs a miss in any case.
+"""
+
+
+def check_in_flight(scenario: Scenario) -> None:
+    """Refuse a state that leaves nothing to plan, or no time for it.
+
+    Raises:
+        InputError: if no burn is left, the next one is nearer than the decision lead time, or as many
+            burns are not given as have been flown.
+    """
+    flight = scenario.in_flight
+    if flight is None:
+        return
+    entry, at, times = "in_flight.at_s", flight.at_s, scenario.burns.times_s
+    lead = scenario.schedule.decision_lead_s
+    latest = f"{times[-1] - lead:g} s"
+    if not scenario.burn_times_s:
+        raise InputError(
+            entry,
+            f"{at:g} s, at or after the last burn at {times[-1]:g} s",
+            f"must leave a burn to plan: at most {latest}",
+        )
+    following = scenario.burn_times_s[0]
+    if following - at < lead:
+        number = scenario.burns_flown + 1
+        later = "" if number == len(times) else f", or {following:g} s and more, once it is flown"
+        raise InputError(
+            entry,
+            f"{at:g} s, {following - at:g} s before burn {number} at {following:g} s",
+            f"must leave the decision lead time, schedule.decision_lead_s = {lead:g} s, before the "
+            f"next burn: at most {following - lead:g} s{later}",
+        )
+    if len(flight.flown_m_s) != scenario.burns_flown:
+        raise InputError(
+            "in_flight.flown_m_s",
+            f"{len(flight.flown_m_s)} burns",
+            f"must be the {scenario.burns_flown} burns at or before in_flight.at_s, {at:g} s",
+        )
+
+
+def what_is_left(schedule: Schedule, scenario: Scenario) -> Schedule:
+    """The schedule from the state in flight on; the window stays whole, as the light has it."""
+    if scenario.in_flight is None:
+        return schedule
+    at, flown = scenario.start_s, scenario.burns_flown
+    earliest = at + scenario.schedule.decision_lead_s
+    return Schedule(
+        schedule.window_s,
+        tuple(
+            replace(leg, start_s=max(leg.start_s, at)) for leg in schedule.legs if leg.end_s > at
+        ),
+        tuple((max(low, earliest), high) for low, high in schedule.firing_intervals_s[flown:]),
     )

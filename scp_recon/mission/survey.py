@@ -1,4 +1,4 @@
-"""All lighting windows of a scenario over a span of time, and the legal burn times of each."""
+"""Finds all lighting windows of a scenario over a span of time, and the legal burn times of each."""
 
 from __future__ import annotations
 
@@ -6,25 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from scp_recon.errors import InputError
-from scp_recon.mission.legal_burns import (
-    Interval,
-    burns_before,
-    legal_burns,
-    legal_shifts,
-    middle_gap,
+from scp_recon.mission.legal_burns import Interval, burns_before, legal_burns, legal_shifts
+from scp_recon.mission.scene import Scene
+from scp_recon.mission.windows import (
+    Lighting,
+    OfTime,
+    Window,
+    all_windows,
+    scan_step_s,
+    whole_windows,
 )
-from scp_recon.mission.lighting import Lighting, OfTime, lighting_slack
-from scp_recon.mission.mission import rotation_of, site_of
-from scp_recon.mission.windows import Window, all_windows, scan_step_s, whole_windows
 from scp_recon.physics.frames import unit
-from scp_recon.physics.orbit import two_body
+from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.schema import Scenario
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -52,21 +49,21 @@ class LitWindow:
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found in a span.
-
-    Attributes:
-        lighting: of the site, the body's orbit being two-body motion.
-        span_s: searched, in seconds past the scenario's epoch.
-        windows: those that the span's ends do not cut.
-        always: whether the site keeps the limits throughout the span.
-        before: burns between the first one and the window, in `LitWindow.burns_s`.
-    """
+    """What was found in a span, in seconds past the scenario's epoch, by two-body motion."""
 
     lighting: Lighting
     span_s: Window
     windows: tuple[LitWindow, ...]
+    """Those that the span's ends do not cut."""
     always: bool
+    """Whether the site keeps the limits throughout the span."""
     before: int
+    """Burns between the first one and the window, in `LitWindow.burns_s`."""
+
+    def __repr__(self) -> str:
+        """One line."""
+        first_s, last_s = self.span_s
+        return f"<Survey: {len(self.windows)} windows from {first_s:.0f} to {last_s:.0f} s>"
 
 
 def survey(scenario: Scenario, span_s: Window) -> Survey:
@@ -74,24 +71,21 @@ def survey(scenario: Scenario, span_s: Window) -> Survey:
 
     The body moves by `orbit.two_body` from the scenario's heliocentric state, so that the span may be
     long; a mission's straight line is for one flight. Burns stand about a window as they do about the
-    flight's own, and if it has none in the middle of the flight.
-
-    Args:
-        scenario: site, body, Sun, limits, burns and rules; its flight need not be legal.
-        span_s: seconds past its epoch.
+    flight's own, and if it has none in the middle of the flight, which need not be legal.
 
     Raises:
         InputError: if the body turns too often in the span, or falls into the Sun.
     """
-    rotation, duration = rotation_of(scenario), scenario.duration_s
+    scene, duration = Scene.of(scenario), scenario.duration_s
     flight = 0.0, duration
     longest = min(span_s[0], 0.0), max(span_s[1], duration)
-    step = scan_step_s(rotation.rate, longest)
-    lighting = Lighting(site_of(scenario), rotation, _to_sun(scenario, longest))
-    slack = lighting_slack(scenario.observation, lighting.incidence, lighting.local_solar_time)
+    step = scan_step_s(scene.rotation.rate, longest)
+    lighting = Lighting(scene.site, scene.rotation, _to_sun(scenario, longest))
+    slack = lighting.slack(scenario.observation)
     times, given = scenario.burns.times_s, scenario.observation.window_s
     own = [given] if given else whole_windows(all_windows(slack, flight, step), flight)
-    before = min(burns_before(times, own[0]), len(times) - 2) if own else middle_gap(times)
+    others = len(times) - 2  # between the first burn and the last
+    before = min(burns_before(times, own[0]), others) if own else others // 2
     found = all_windows(slack, span_s, step)
     windows = [
         LitWindow(

@@ -1,20 +1,59 @@
-"""All intervals of a span of time in which a site is lit within limits."""
+"""Finds the intervals in which a site is lit within a scenario's limits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq, minimize_scalar
 
+from formulations.arrays import Array
 from scp_recon.errors import InputError
-from scp_recon.mission.lighting import OfTime
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import Rotation
+from scp_recon.scenario.schema import Observation
 
-Array = npt.NDArray[np.float64]
 Window = tuple[float, float]
 """First and last time, s."""
+
+OfTime = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """A site on a turning body in the Sun."""
+
+    site: geometry.Site
+    rotation: Rotation
+    to_sun: OfTime
+    """Unit vectors from the body to the Sun, J2000, shape (..., 3), of times in s."""
+
+    def incidence(self, time_s: Array) -> Array:
+        """Angle between the site's normal and the Sun, rad."""
+        track = geometry.track(self.site, self.rotation, time_s)
+        return geometry.incidence(track, self.to_sun(time_s))
+
+    def local_solar_time(self, time_s: Array) -> Array:
+        """At the site, in h; a rotation has 24."""
+        return geometry.local_solar_time(self.site, self.rotation, self.to_sun(time_s), time_s)
+
+    def slack(self, limits: Observation) -> OfTime:
+        """Smallest distance from a limit, hours and degrees alike, of times: only its sign matters."""
+
+        def slack(time_s: Array) -> Array:
+            hour = self.local_solar_time(time_s)
+            return np.minimum.reduce(
+                [
+                    limits.incidence_max_deg - np.rad2deg(self.incidence(time_s)),
+                    hour - limits.local_solar_time_min_h,
+                    limits.local_solar_time_max_h - hour,
+                ]
+            )
+
+        return slack
+
 
 SCAN_STEP_S = 20.0
 SCANS_PER_ROTATION = 500
@@ -30,9 +69,9 @@ def scan_step_s(rate_rad_s: float, span_s: Window) -> float:
     Raises:
         InputError: if that would be more than `SCANS_MAX` looks in the span.
     """
-    step = min(SCAN_STEP_S, 2.0 * np.pi / max(abs(rate_rad_s), 1e-12) / SCANS_PER_ROTATION)
+    period = 2.0 * np.pi / max(abs(rate_rad_s), 1e-12)
+    step = min(SCAN_STEP_S, period / SCANS_PER_ROTATION)
     if (length := span_s[1] - span_s[0]) > SCANS_MAX * step:
-        period = 2.0 * np.pi / max(abs(rate_rad_s), 1e-12)
         raise InputError(
             "body",
             f"a rotation in {period:g} s",
@@ -52,12 +91,8 @@ def each_window(slack: OfTime, span_s: Window, step_s: float) -> Iterator[Window
 
     The function is scanned; where it comes near zero between two looks its extreme is searched for, so
     that what is shorter than a step is not missed while the function is unimodal there. An interval
-    that begins with the span, or ends with it, is cut there; the others are whole.
-
-    Args:
-        slack: continuous where it is near zero, of times in s.
-        span_s: first and last time.
-        step_s: of the scan; well below the time in which the function turns.
+    that begins with the span, or ends with it, is cut there; the others are whole. The function is
+    continuous where it is near zero, and the step of the scan well below the time in which it turns.
     """
     first, last = span_s
     times = np.linspace(first, last, max(1, int(np.ceil((last - first) / step_s))) + 1)

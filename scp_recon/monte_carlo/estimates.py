@@ -1,4 +1,4 @@
-"""Estimates with confidence intervals, from tallies of bounded size."""
+"""Estimates with confidence intervals from tallies of bounded size, and how many flights they take."""
 
 from __future__ import annotations
 
@@ -9,9 +9,16 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import betaincinv, stdtrit
 
-Array = npt.NDArray[np.float64]
+from formulations.arrays import Array
+from scp_recon.errors import InputError, option
 
 CONFIDENCE = 0.95
+
+FLIGHTS_MIN, FAILURES, FLIGHTS_MAX = 10_000, 300, 1_000_000
+"""At least so many flights, and so many that 300 may break what is allowed to break; and at most."""
+
+FIRST_SEED = 1_000
+"""Of the first round's flights; no other draws of this library begin there. Each round has the next."""
 
 
 class Estimate(NamedTuple):
@@ -32,13 +39,9 @@ def proportion(successes: int, samples: int) -> Estimate:
 
 @dataclass(frozen=True)
 class Tally:
-    """A sample of one quantity, kept as a histogram and the means of equal batches.
+    """A sample of one quantity, kept as a histogram and the means of batches with their sizes.
 
-    Attributes:
-        edges: of the bins, ascending, shape (b + 1,); values beyond fall into the outer bins.
-        counts: shape (b,).
-        batch_means: means of the batches added so far.
-        batch_sizes: and how many values each had.
+    The b bins have ascending edges, shape (b + 1,); values beyond them fall into the outer bins.
     """
 
     edges: Array
@@ -103,3 +106,32 @@ class Tally:
         inside = (rank - cumulative[at - 1]) / (cumulative[at] - cumulative[at - 1])
         width = self.edges[at] - self.edges[at - 1]
         return float(self.edges[at - 1] + np.clip(inside, 0.0, 1.0) * width)
+
+
+def flights_needed(required: float) -> int:
+    """Flights whose failures tell a probability to be certified well enough.
+
+    Raises:
+        InputError: if they are too many.
+    """
+    rounding = 1e-6  # of 1 - required, in flights
+    flights = int(np.ceil(max(FLIGHTS_MIN, FAILURES / (1.0 - required) - rounding)))
+    if flights > FLIGHTS_MAX:
+        raise InputError(
+            "risk.p_chance",
+            f"{required:.12g}",
+            f"takes {flights} flights to certify, more than {FLIGHTS_MAX}: at most "
+            f"{1.0 - FAILURES / FLIGHTS_MAX:g}, or {option('certify', False)}",
+        )
+    return flights
+
+
+def successes_needed(required: float, samples: int) -> int:
+    """The least number of successes whose lower limit is at least `required`."""
+    low, high = int(required * samples), samples
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (
+            (low, middle) if proportion(middle, samples).low >= required else (middle + 1, high)
+        )
+    return low

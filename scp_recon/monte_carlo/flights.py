@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice
-from typing import get_args
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from formulations.arrays import Array
 from scp_recon.errors import InputError, one_of, whole_number
+from scp_recon.jobs.job import Executor, Job, here, in_order
+from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.store import Store, versions
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.truth import truth_field
-from scp_recon.mission.uncertainty import errors_of_kind
+from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, TruthModel, fly_block
-
-Array = npt.NDArray[np.float64]
+from scp_recon.results.solution import Solution
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
 """Least number of flights: the normality test needs as many."""
@@ -31,20 +31,23 @@ LOOK_STEP_S = 60.0
 """Longest spacing of the times at which the window is looked at; crossings are then bisected."""
 
 TIME_BIN_S, DISTANCE_BIN_M = 0.5, 0.1
+LIMITS = Limits(seconds=3600.0)
+"""Of a block, which takes a second or less: what takes longer hangs."""
 TERMINAL_KEPT = 5000
 """Final states kept for the normality test, whose distribution is tabulated up to this number."""
+
+PARTIAL, FLOWN = "montecarlo_partial.jsonl", "flights"
+COUNTS = ("samples", "whole", "full")
+SUMS = ("terminal", "terminal_sum", "terminal_outer")
+TALLIES = ("entry", "exit", "closest", "executed_dv")
+"""Of a `FlightTally`: what is kept as it is, as lists, and taken apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlightConfig:
-    """What is flown.
+    """What is flown: planned burns, shape (m, 3), and a seed of all draws.
 
-    Attributes:
-        mission: dynamics and uncertainty.
-        burns_m_s: planned burns, shape (m, 3).
-        seed: of all draws.
-        truth: dynamics flown.
-        errors: of the burns, the scenario's without it.
+    Burns are executed with the scenario's errors if no others are given.
 
     Raises:
         InputError: if seed, truth or errors are none, or cannot be flown in this scenario.
@@ -64,7 +67,7 @@ class FlightConfig:
             one_of("errors", self.errors, get_args(ErrorModel))
         errors_of_kind(self.mission.scenario, self.errors)
         if self.truth == "harmonics":
-            truth_field(self.mission.scenario)
+            _ = self.mission.truth_field
 
     @property
     def looks_s(self) -> Array:
@@ -90,14 +93,9 @@ class FlightBlock:
     terminal: Array
 
 
-Job = tuple[int, int]
-"""Of a block its number, and its flights."""
-Blocks = Callable[[FlightConfig, Iterator[Job]], Generator[FlightBlock]]
-
-
-def run_block(config: FlightConfig, job: Job) -> FlightBlock:
+def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
     """Fly a block: (its number, its flights)."""
-    number, flights = job
+    number, flights = block
     mission, looks = config.mission, config.looks_s
     times = np.append(looks, mission.times_s[-1])
     flown = fly_block(
@@ -222,27 +220,21 @@ def fly_many(
     samples: int,
     until: float | None = None,
     workers: int = 1,
-    blocks: Blocks | None = None,
+    executor: Executor | None = None,
     progress: Callable[[int], None] | None = None,
     stop: Callable[[], bool] | None = None,
     begun: FlightTally | None = None,
 ) -> FlightTally:
     """Fly `samples`, or at most that many until every probability's interval is `until` wide.
 
-    The result does not depend on the number of workers, nor on having been stopped and continued.
-
-    Args:
-        config: what is flown.
-        samples: flights in all, those begun with included.
-        until: width at which to end.
-        workers: processes.
-        blocks: flies blocks elsewhere, in their place; gives them in their order.
-        progress: is told how many are flown after each block.
-        stop: asked after each block; where it says so, what is flown by then comes back.
-        begun: whole blocks of the same configuration, which are counted on.
+    The result does not depend on where blocks are flown, nor on having been stopped and continued. One
+    worker is this process; an executor takes the workers' place. `progress` is told how many are flown
+    after each block, and `stop` asked: where it says so, what is flown by then comes back. Whole
+    blocks of the same configuration that were `begun` with are counted on.
 
     Raises:
-        InputError: if samples, until or workers are out of bounds; before any flight.
+        InputError: if samples, until or workers are out of bounds, before any flight; or if a block
+            could not be flown.
     """
     whole_number("samples", samples, SAMPLES_MIN, SAMPLES_MAX)
     whole_number("workers", workers, 1, WORKERS_MAX)
@@ -251,12 +243,14 @@ def fly_many(
     flown = FlightTally(config) if begun is None else begun
     whole_number("begun", flown.samples, 0, samples)
     first, last = flown.samples // BLOCK, -(-samples // BLOCK)
-    jobs = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(first, last))
-    with closing((blocks or partial(_blocks, workers))(config, jobs)) as coming:
-        for block in coming:
+    blocks = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(first, last))
+    jobs = (Job(number, (number, flights)) for number, flights in blocks)
+    executor = executor or (here if workers == 1 else Processes(workers, LIMITS))
+    with closing(in_order(executor, partial(run_block, config), jobs)) as coming:
+        for done in coming:
             if until is not None and flown.samples and flown.widest_interval() <= until:
                 break
-            flown.add(block)
+            flown.add(done.result("flights", "block"))
             if progress:
                 progress(flown.samples)
             if stop and stop():
@@ -264,21 +258,81 @@ def fly_many(
     return flown
 
 
-def _blocks(workers: int, config: FlightConfig, jobs: Iterator[Job]) -> Generator[FlightBlock]:
-    """On processes of this machine."""
-    work = partial(run_block, config)
-    if workers == 1:
-        yield from map(work, jobs)
-        return
-    # Ctrl-C is the parent's to handle: a worker ends its block.
-    ignoring = signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    with ProcessPoolExecutor(workers, initializer=ignoring[0], initargs=ignoring[1]) as pool:
-        # A few blocks ahead, not all of them: memory stays bounded.
-        pending = [pool.submit(work, job) for job in islice(jobs, 2 * workers)]
-        try:
-            while pending:
-                yield pending.pop(0).result()
-                pending += [pool.submit(work, job) for job in islice(jobs, 1)]
-        finally:
-            for future in pending:
-                future.cancel()
+def keep_flights(flown: FlightTally, solution: Solution, folder: Path) -> Path:
+    """Keep what is flown so far in a file, to the last bit, so that it is not flown again.
+
+    Raises:
+        InputError: if the folder cannot be written.
+    """
+    with _kept(flown.config, solution, folder) as store:
+        store.put(FLOWN, _taken_apart(flown))
+        return store.path
+
+
+def kept_flights(config: FlightConfig, solution: Solution, folder: Path) -> FlightTally | None:
+    """What was flown of this very configuration by this version, in whole blocks; None if nothing was.
+
+    A file that is damaged, or of other flights, counts as none.
+    """
+    with _kept(config, solution, folder) as store:
+        return _put_together(store[FLOWN], config) if FLOWN in store else None
+
+
+def forget_flights(folder: Path) -> None:
+    """Delete what is kept: its flights are in a summary now."""
+    (folder / PARTIAL).unlink(missing_ok=True)
+
+
+def _kept(config: FlightConfig, solution: Solution, folder: Path) -> Store:
+    """What two flights have in common that may be counted together, and where they are kept."""
+    depends_on = {
+        "plan": solution.plan_hash,
+        "seed": config.seed,
+        "truth": config.truth,
+        "errors": config.errors,
+        "block": BLOCK,
+        "versions": versions(),
+    }
+    return Store(folder / PARTIAL, depends_on, "folder")
+
+
+def _taken_apart(flown: FlightTally) -> dict[str, Any]:
+    """A tally as JSON has it, whose numbers come back as they were."""
+    return {
+        **{name: getattr(flown, name) for name in COUNTS},
+        **{name: getattr(flown, name).tolist() for name in SUMS},
+        **{name: _tally(getattr(flown, name)) for name in TALLIES},
+        "held": {name: _tally(tally) for name, tally in flown.held.items()},
+        "node_counts": {name: counts.tolist() for name, counts in flown.node_counts.items()},
+    }
+
+
+def _tally(tally: Tally) -> dict[str, Any]:
+    used = np.flatnonzero(tally.counts)
+    counts = tally.counts[used].tolist()
+    return {
+        "bins": used.tolist(),
+        "counts": counts,
+        "batch_means": tally.batch_means,
+        "batch_sizes": tally.batch_sizes,
+    }
+
+
+def _put_together(row: Mapping[str, Any], config: FlightConfig) -> FlightTally:
+    flown = FlightTally(config)
+
+    def tally(empty: Tally, parts: Mapping[str, Any]) -> Tally:
+        counts = np.zeros_like(empty.counts)
+        counts[parts["bins"]] = parts["counts"]
+        means, sizes = tuple(parts["batch_means"]), tuple(parts["batch_sizes"])
+        return replace(empty, counts=counts, batch_means=means, batch_sizes=sizes)
+
+    for name in COUNTS:
+        setattr(flown, name, row[name])
+    for name in SUMS:
+        setattr(flown, name, np.array(row[name]))
+    for name in TALLIES:
+        setattr(flown, name, tally(getattr(flown, name), row[name]))
+    flown.held = {name: tally(empty, row["held"][name]) for name, empty in flown.held.items()}
+    flown.node_counts = {name: np.array(counts) for name, counts in row["node_counts"].items()}
+    return flown

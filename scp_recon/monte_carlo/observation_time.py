@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-from scp_recon.mission.constraints import observation_limits
+from formulations.arrays import Array, Booleans, Indices
+from scp_recon.mission.constraints import Measure, observation_limits
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import interpolate
 
-Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
 Margins = dict[str, tuple[Literal["m", "rad"], Array]]
 
 SCIENCE = ("site_distance", "emission", "phase")
@@ -25,23 +23,25 @@ BISECTIONS = 12
 
 
 def observation_margins(mission: Mission, times_s: Array, position: Array) -> Margins:
-    """Margins of the original observation constraints, >= 0 where satisfied.
+    """Margins of the original observation constraints, >= 0 where satisfied, m or rad.
 
-    Args:
-        mission: site, Sun and limits.
-        times_s: shape (n,).
-        position: J2000, m, shape (n, ..., 3).
+    At times of shape (n,), of positions in J2000, m, shape (n, ..., 3).
     """
+    found = measured(mission, times_s, position)
+    limits = observation_limits(mission.scenario)
+    return {limit.name: (limit.unit, limit.margin(found[limit.measure])) for limit in limits}
+
+
+def measured(mission: Mission, times_s: Array, position: Array) -> dict[Measure, Array]:
+    """Distance from the site, m, emission and phase, rad, of positions (n, ..., 3), J2000, m."""
     track = geometry.track(mission.site, mission.rotation, times_s)
     wide = (slice(None),) + (None,) * (position.ndim - 2)
     site = geometry.SiteTrack(track.position[wide], track.normal[wide])
-    measured = {
+    return {
         "distance": geometry.distance(position, site),
         "emission": geometry.emission(position, site),
         "phase": geometry.phase(position, site, mission.sun_direction(times_s)[wide]),
     }
-    limits = observation_limits(mission.scenario)
-    return {limit.name: (limit.unit, limit.margin(measured[limit.measure])) for limit in limits}
 
 
 def joint_margins(mission: Mission, times_s: Array, position: Array) -> dict[str, Array]:
@@ -68,14 +68,10 @@ class Held:
 def time_held(mission: Mission, times_s: Array, states: Array) -> dict[str, Held]:
     """Time in which each observation constraint holds, and all of them at once.
 
-    Crossings between the given times are bisected on a cubic Hermite interpolation of the states to
+    From states in J2000, m and m/s, shape (n, flights, 6), at ascending times that span the window,
+    shape (n,). Crossings between them are bisected on a cubic Hermite interpolation of the states to
     1/4096 of the spacing. Dips and peaks that begin and end between two times are found as the vertex
     of a parabola through three margins.
-
-    Args:
-        mission: site, Sun and limits.
-        times_s: ascending, spanning the window, shape (n,).
-        states: J2000, m and m/s, shape (n, flights, 6).
     """
     margins = _counted(joint_margins(mission, times_s, states[..., :3]))
     holds = np.stack(list(margins.values())) >= 0.0
@@ -121,7 +117,7 @@ def _bisect(
     times: Array,
     states: Array,
     events: tuple[Indices, Indices, Indices],
-    holds_before: npt.NDArray[np.bool_],
+    holds_before: Booleans,
 ) -> Array:
     """Times at which margins change sign, all events at once, shape (events,).
 

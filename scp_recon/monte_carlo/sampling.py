@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from formulations.arrays import Array
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.truth import truth_field
-from scp_recon.mission.uncertainty import errors_of_kind
+from scp_recon.mission.scene import errors_of_kind
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
 
-Array = npt.NDArray[np.float64]
 TruthModel = Literal["planner", "harmonics"]
 ErrorModel = Literal["componentwise", "gates"]
 Flow = Callable[[Array, Array, float, float], tuple[Array, Array]]
@@ -53,24 +51,15 @@ def fly_block(
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
 ) -> Flights:
-    """Fly the first `flights` of a block of draws.
+    """Fly the first `flights` of a block of draws, at most `BLOCK`, with planned burns, shape (m, 3).
 
     The initial state is Gaussian about the mission's. A burn is executed with the errors that the
     scenario gives and the planner counts on: as dv (1 + beta w) by component with w standard normal
     (Echigo et al., eq. 3), or by Gates' model. Gates' stands in for the former on request, with a
-    proportional error of the magnitude, beta, and of the pointing, beta rad about each axis across: the
-    isotropic counterpart of the same size. A flight is integrated from burn to burn in steps that
-    nothing else decides, and interpolated where it is looked at.
-
-    Args:
-        mission: dynamics and uncertainty.
-        burns_m_s: planned burns, shape (m, 3).
-        times_s: ascending times within the flight at which to look.
-        block: which draws.
-        flights: at most `BLOCK`.
-        seed: of all blocks.
-        truth: point mass with J2, or the field of `truth_field` turning with the body.
-        errors: of the burns, the scenario's without it.
+    proportional error of the magnitude, beta, and of the pointing, beta rad about each axis across:
+    the isotropic counterpart of the same size. The dynamics are those of a point mass with J2, or the
+    mission's `truth_field` turning with the body. A flight is integrated from burn to burn in steps
+    that nothing else decides, and interpolated at the ascending times at which it is looked at.
 
     Raises:
         InputError: if the scenario's errors have no such counterpart.
@@ -134,7 +123,7 @@ def _flow(mission: Mission, truth: TruthModel) -> Flow:
 
     if truth == "planner":
         return planner
-    field = truth_field(mission.scenario)
+    field = mission.truth_field
     srp = forces.srp[:, None]
 
     def harmonics(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:

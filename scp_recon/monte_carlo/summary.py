@@ -1,4 +1,4 @@
-"""What many flights found: the model of `montecarlo.json`, as it is written and read. SI."""
+"""Summarise many flights: the model of `montecarlo.json`, and where it falls short of the plan. SI."""
 
 from __future__ import annotations
 
@@ -10,23 +10,27 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from scp_recon.files import write_atomically
-from scp_recon.monte_carlo.estimates import Estimate
+from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
+from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
-from scp_recon.scenario.fields import Line
-from scp_recon.solution.file import Solution
-from scp_recon.solution.part import File, Part, read_file
+from scp_recon.results.read import File, read_file
+from scp_recon.results.solution import Solution
+from scp_recon.scenario.fields import Line, Section
+from scp_recon.scp.status import Status
 
 SCHEMA = "scp_recon.montecarlo/1"
 FILE_NAME = "montecarlo.json"
 
 COMPONENTS = ("x", "y", "z", "vx", "vy", "vz")
 """Of the final state, J2000."""
+ONE_SIGMA, TWO_SIGMA, CLOSEST = 0.15866, 0.02275, 0.003
+"""Lower normal tails at one and two sigma; the paper's quantile of the closest approach."""
 
 Count = Annotated[int, Field(ge=0)]
 
 
-class Interval(Part):
+class Interval(Section):
     """A value and its confidence interval; null where JSON has no number, as of an open end."""
 
     value: float | None
@@ -49,7 +53,7 @@ class LowestProbability(Interval):
     worst_t_s: float
 
 
-class Histogram(Part):
+class Histogram(Section):
     """The bins of one width that hold anything: where they start, and how many flights each."""
 
     bin: float
@@ -63,7 +67,7 @@ class Histogram(Part):
         return self
 
 
-class Held(Part):
+class Held(Section):
     """Seconds in which a constraint holds, and the probability that it does throughout."""
 
     mean: Interval
@@ -73,7 +77,7 @@ class Held(Part):
     histogram: Histogram
 
 
-class Spread(Part):
+class Spread(Section):
     """Mean and 5 % and 95 % quantiles of the flights that have the quantity; without any, no more."""
 
     samples: Count
@@ -94,7 +98,7 @@ class ClosestApproach(Spread):
     worst: Interval
 
 
-class Normality(Part):
+class Normality(Section):
     """D'Agostino and Pearson's test, and the quantiles of the standardised component at `levels`."""
 
     samples: Count
@@ -109,7 +113,7 @@ class Normality(Part):
         return self
 
 
-class Terminal(Part):
+class Terminal(Section):
     """Final state by component, those that spread: sampled over predicted sigma, and normality."""
 
     sigma_ratio: dict[Line, Interval]
@@ -190,3 +194,155 @@ def read_summary(path: Path) -> Summary:
 def read_summary_as(kind: type[Kind], path: Path) -> Kind:
     """Read a summary to which a study has added entries of its own, as `read_summary` does."""
     return read_file(path / FILE_NAME if path.is_dir() else path, kind, [SCHEMA], "summary")
+
+
+def summarise(flown: FlightTally, solution: Solution) -> Summary:
+    """Everything the flights of a solution's plan found.
+
+    Raises:
+        ValueError: if another plan was flown.
+    """
+    config = flown.config
+    same_burns = np.array_equal(config.burns_m_s, solution.burns_m_s)
+    if not same_burns or config.mission.scenario != solution.scenario:
+        raise ValueError("the flights are of another plan than the solution's")
+    return Summary(
+        plan_hash=solution.plan_hash,
+        samples=flown.samples,
+        seed=config.seed,
+        truth=config.truth,
+        errors=config.errors or config.mission.scenario.uncertainty.errors,
+        confidence=CONFIDENCE,
+        planned_dv_m_s=solution.total_dv_m_s,
+        window_s=config.mission.observed_s,
+        held_s={name: _held(flown, name) for name in flown.held},
+        entry_s=Spread(**_spread(flown.entry)),
+        exit_s=Spread(**_spread(flown.exit)),
+        probability={name: _lowest(flown, name) for name in flown.node_counts},
+        whole_flight=_interval(proportion(flown.whole, flown.samples)),
+        closest_m=ClosestApproach(
+            **_spread(flown.closest), worst=_interval(flown.closest.quantile(CLOSEST))
+        ),
+        executed_dv_m_s=Spread(**_spread(flown.executed_dv)),
+        terminal=_terminal(flown, solution),
+    )
+
+
+def _finite(estimate: Estimate) -> dict[str, float | None]:
+    return {k: v if np.isfinite(v) else None for k, v in estimate._asdict().items()}
+
+
+def _interval(estimate: Estimate) -> Interval:
+    return Interval(**_finite(estimate))
+
+
+def _lowest(flown: FlightTally, name: str) -> LowestProbability:
+    at, estimate = flown.worst_probability(name)
+    return LowestProbability(**_finite(estimate), worst_t_s=at)
+
+
+def _held(flown: FlightTally, name: str) -> Held:
+    tally = flown.held[name]
+    used = np.flatnonzero(tally.counts)
+    return Held(
+        mean=_interval(tally.mean()),
+        worst_1_sigma=_interval(tally.quantile(ONE_SIGMA)),
+        worst_2_sigma=_interval(tally.quantile(TWO_SIGMA)),
+        throughout=_interval(proportion(flown.full[name], flown.samples)),
+        histogram=Histogram(
+            bin=float(tally.edges[1] - tally.edges[0]),
+            start=tally.edges[used].tolist(),
+            count=tally.counts[used].tolist(),
+        ),
+    )
+
+
+def _spread(tally: Tally) -> dict[str, Any]:
+    if not tally.samples:
+        return {"samples": 0}
+    return {
+        "samples": tally.samples,
+        "mean": _interval(tally.mean()),
+        "q05": _interval(tally.quantile(0.05)),
+        "q95": _interval(tally.quantile(0.95)),
+    }
+
+
+def _terminal(flown: FlightTally, solution: Solution) -> Terminal:
+    """Final state against the planner's prediction, and how normal it is.
+
+    The ratio of a sampled to the true variance is chi-squared over its degrees of freedom if the
+    state is normal, which gives the interval of the ratio of the sigmas. A component without spread
+    is left out.
+    """
+    from scipy.stats import chi2, normaltest  # half a second to import, for reports only
+
+    n, kept = flown.samples, flown.terminal
+    predicted = np.diag(np.array(solution.nodes.covariance[-1]))
+    spread = np.flatnonzero((predicted > 0.0) & (kept.std(axis=0) > 0.0))
+    ratios = np.sqrt(np.diag(flown.terminal_covariance())[spread] / predicted[spread])
+    ends = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
+    low, high = (float(np.sqrt(chi2.ppf(p, n - 1) / (n - 1))) for p in ends)
+    levels = (np.arange(1, 100) / 100.0).tolist()
+    kept = kept[:, spread]
+    standard = (kept - kept.mean(axis=0)) / kept.std(axis=0, ddof=1)
+    names = [COMPONENTS[i] for i in spread]
+    return Terminal(
+        sigma_ratio={
+            name: Interval(value=ratio, low=ratio / low, high=ratio / high)
+            for name, ratio in zip(names, ratios.tolist(), strict=True)
+        },
+        normality={
+            name: Normality(
+                samples=len(kept),
+                p_value=float(normaltest(kept[:, i]).pvalue),
+                levels=levels,
+                quantiles=np.quantile(standard[:, i], levels).tolist(),
+            )
+            for i, name in enumerate(names)
+        },
+    )
+
+
+def required_probability(solution: Solution) -> float | None:
+    """Probability required of each joint constraint at every time; none without uncertainty."""
+    return solution.scenario.risk.p_chance if solution.problem == "P2" else None
+
+
+def shortfalls(summary: Summary, solution: Solution) -> list[str]:
+    """List what is not met, each beside what is required; empty if all is.
+
+    Estimates are held to the probability, as the verification does, and whole flights where the
+    probability is required of them.
+    """
+    converged = Status.CONVERGED.value.name
+    found = []
+    if solution.status != converged:
+        found.append(f"the plan is {solution.status}, asked {converged}")
+    required = required_probability(solution)
+    if required is None:
+        return found
+    for name, lowest in summary.probability.items():
+        if name != ALL and _judged(lowest, solution) < required:
+            value, at = lowest.estimate.value, lowest.worst_t_s
+            found.append(f"{name} {value:.4f} at {at:.0f} s, asked {required:g}")
+    whole = summary.whole_flight
+    flights = solution.scenario.risk.scope == "flight"
+    if flights and whole is not None and _judged(whole, solution) < required:
+        found.append(f"whole flights {whole.estimate.value:.4f}, asked {required:g}")
+    return found
+
+
+def too_wide(width: float, until: float | None) -> list[str]:
+    """Say so where flights came to an end before the widest interval was as narrow as required."""
+    if until is None or width <= until:
+        return []
+    return [
+        f"widest interval {100.0 * width:.3g} %, asked {100.0 * until:g} %: needs more --samples"
+    ]
+
+
+def _judged(found: Interval, solution: Solution) -> float:
+    """The estimate; of an exact plan, which spends all of its risk, what flights do not refute."""
+    exact = solution.scenario.risk.allocation == "exact"
+    return found.estimate.high if exact else found.estimate.value

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from formulations.arrays import Array, Booleans, Indices
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block
 from scp_recon.physics.flow import interpolate
 
-Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
-Indices = npt.NDArray[np.intp]
 State = tuple[Array, Array]
 
 SAFETY = "safety_radius"
@@ -64,14 +63,9 @@ def kept_flights(
     seed: int,
     progress: Callable[[int], None] | None = None,
 ) -> KeptFlights:
-    """Fly a plan with the planner's dynamics and see what holds.
+    """Fly a plan's burns, shape (m, 3), with the planner's dynamics and see what holds.
 
-    Args:
-        mission: limits, dynamics and uncertainty.
-        burns_m_s: planned burns, shape (m, 3).
-        samples: flights.
-        seed: of all draws.
-        progress: is told how many are flown after each block.
+    `progress` is told how many are flown after each block.
     """
     nodes = mission.times_s
     looks = np.union1d(np.arange(nodes[0], nodes[-1], LOOK_S), nodes)
@@ -179,13 +173,7 @@ def _block(
 
 @dataclass(frozen=True)
 class _Arcs:
-    """Flights between consecutive looks.
-
-    Attributes:
-        times: of the looks, shape (n,).
-        states: after the burns, shape (n, flights, 6).
-        burns: as executed, m/s, shape (flights, m, 3).
-    """
+    """Flights between looks: times (n,), states after burns (n, flights, 6), burns as flown."""
 
     times: Array
     states: Array
@@ -204,11 +192,7 @@ class _Arcs:
 def may_dip(times: Array, margin: Array) -> Array:
     """By how much margins may dip below, or rise above, the line between two looks, (n - 1, ...).
 
-    From second differences about both looks: see `BENDS`.
-
-    Args:
-        times: of the looks, shape (n,).
-        margin: at them, shape (n, ...).
+    From the looks' times (n,) and margins (n, ...), by second differences about both: see `BENDS`.
     """
     if len(times) < 3:
         return np.full((len(times) - 1, *margin.shape[1:]), np.inf)
@@ -221,12 +205,8 @@ def may_dip(times: Array, margin: Array) -> Array:
 
 def _between(
     mission: Mission, name: str, arcs: _Arcs, margin: Array
-) -> tuple[Counts, npt.NDArray[np.bool_], Array, Indices]:
-    """What holds at the seconds between looks.
-
-    Returns:
-        Flights that hold at each second, those that break it at any; and when which flight does.
-    """
+) -> tuple[Counts, Booleans, Array, Indices]:
+    """Counts that hold at each second between looks, flights that break it; and when which does."""
     times = arcs.times
     low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
     near = may_dip(times, margin)

@@ -5,31 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
 from formulations.problem.flyby import FlybyProblem, Iterate
 from scp_recon.physics.flow import FlowDerivatives, differentiate, propagate
 from scp_recon.physics.forces import ForceModel
 
-Array = npt.NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Flow map of a grid, in the units of `forces`.
-
-    Attributes:
-        forces: constants of the equations of motion.
-        durations: of the arcs, shape (n,).
-        substeps: Runge-Kutta steps per arc.
-        burn_nodes: node of each burn.
-    """
+    """Flow map of a grid, in the units of `forces`."""
 
     forces: ForceModel
     durations: Array
+    """Of the arcs, shape (n,)."""
     substeps: int
-    burn_nodes: npt.NDArray[np.intp]
+    """Runge-Kutta steps per arc."""
+    burn_nodes: Indices
 
     def rollout(self, initial_state: Array, burns: Array) -> Array:
         """Node states after the burns: initial (..., 6), burns (..., m, 3) to (n + 1, ..., 6)."""
@@ -59,11 +52,7 @@ class Dynamics:
         possible, so that the final state stays the one that the model promised. Without the
         correction the final state's curvature, weighed by the penalty, rejects good steps (the
         Maratos effect; Nocedal & Wright, Numerical Optimization, section 15.5). Where Newton's
-        method does not converge the burns are rolled out as they are.
-
-        Args:
-            lin: where the step starts.
-            burns: where it leads, shape (m, 3).
+        method does not converge the burns, shape (m, 3), are rolled out as they are.
         """
         problem = lin.problem
         iterate = Iterate(burns, step_mean(lin, burns))

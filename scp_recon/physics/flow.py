@@ -13,11 +13,9 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from formulations.arrays import Array
 from scp_recon.physics.forces import ForceModel, accelerations, gravity_curvature, gravity_gradient
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,28 +78,10 @@ def propagate(
     state: Array, duration: Array | float, forces: ForceModel, substeps: int = 1
 ) -> Array:
     """Carry states over their arcs; `state` (..., 6), `duration` broadcast against (...)."""
-    return rk4(state, duration, lambda r, _: _anywhere(r, forces), substeps)
 
+    def rate(r: Array, _: Any) -> Array:
+        return accelerations(r.reshape(3, -1), forces).reshape(r.shape)
 
-def _anywhere(r: Array, forces: ForceModel) -> Array:
-    """Accelerations at positions of any shape (3, ...)."""
-    return accelerations(r.reshape(3, -1), forces).reshape(r.shape)
-
-
-def rk4(
-    state: Array,
-    duration: Array | float,
-    rate: Callable[[Array, Any], Array],
-    substeps: int,
-) -> Array:
-    """Fourth-order Runge-Kutta for an acceleration of the position (3, ...) and the elapsed time.
-
-    `state` has shape (..., 6) and `duration` broadcasts against (...). With a_i the accelerations
-    at the stages, the classical scheme for r'' = a(r, t) is
-
-        r_1 = r,  r_2 = r + h/2 v,  r_3 = r_2 + h^2/4 a_1,  r_4 = r + h v + h^2/2 a_2
-        r+ = r + h v + h^2/6 (a_1 + a_2 + a_3),  v+ = v + h/6 (a_1 + 2 a_2 + 2 a_3 + a_4).
-    """
     r = np.moveaxis(np.asarray(state)[..., :3], -1, 0)
     v = np.moveaxis(np.asarray(state)[..., 3:], -1, 0)
     return np.moveaxis(np.concatenate(advance(r, v, duration, rate, substeps)), 0, -1)
@@ -110,7 +90,14 @@ def rk4(
 def advance(
     r: Array, v: Array, duration: Array | float, rate: Callable[[Array, Any], Array], substeps: int
 ) -> tuple[Array, Array]:
-    """The scheme of `rk4` for positions and velocities of shape (3, ...)."""
+    """Fourth-order Runge-Kutta for an acceleration of the position (3, ...) and the elapsed time.
+
+    Positions and velocities have shape (3, ...), and `duration` broadcasts against (...). With a_i the
+    accelerations at the stages, the classical scheme for r'' = a(r, t) is
+
+        r_1 = r,  r_2 = r + h/2 v,  r_3 = r_2 + h^2/4 a_1,  r_4 = r + h v + h^2/2 a_2
+        r+ = r + h v + h^2/6 (a_1 + a_2 + a_3),  v+ = v + h/6 (a_1 + 2 a_2 + 2 a_3 + a_4).
+    """
     h = np.asarray(duration) / substeps
     for k in range(substeps):
         t = k * h
@@ -145,19 +132,14 @@ def differentiate(
 ) -> FlowDerivatives:
     """Flow map and state-transition matrix of every arc in one call, its second-order tensor later.
 
-    The stages' positions come first, so that the gradients are evaluated at all of them at once.
-
-    Args:
-        state: initial states, shape (n, 6).
-        duration: arc lengths, shape (n,).
-        forces: constants in the same units.
-        substeps: Runge-Kutta steps per arc.
+    Initial states have shape (n, 6), durations (n,), and `substeps` is Runge-Kutta steps per arc.
     """
     n, h = len(state), np.asarray(duration, dtype=float) / substeps
     r, v = np.asarray(state)[:, :3].T, np.asarray(state)[:, 3:].T
     stm = np.broadcast_to(np.eye(6).reshape(2, 3, 6), (n, 2, 3, 6))
     steps = []
     for _ in range(substeps):
+        # The stages' positions come first: the gradients are evaluated at all of them at once.
         position, r, v = _stage_positions(r, v, h, forces)
         gradient = gravity_gradient(position.reshape(-1, 3), forces).reshape(4, n, 3, 3)
         first, stm = _first_order(stm, gradient, h)

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from formulations.arrays import Array
 
 SPEED_OF_LIGHT_M_S = 299_792_458.0
 """Exact by the definition of the metre."""

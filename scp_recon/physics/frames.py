@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
-
-DAY_S = 86_400.0
-J2000_TDB = datetime(2000, 1, 1, 12)
+from formulations.arrays import Array
+from scp_recon.bodies.catalogue import DAY_S, J2000_TDB
 
 
 def unit(vector: npt.ArrayLike) -> Array:
@@ -27,9 +25,7 @@ def unit(vector: npt.ArrayLike) -> Array:
 def sun_north_to_j2000(sun_direction: Array, pole: Array) -> Array:
     """Sun-North frame: X to the Sun, Z towards the spin pole, Y completing it; shape (3, 3).
 
-    Args:
-        sun_direction: unit vector from the body to the Sun, J2000.
-        pole: unit vector of the spin pole, J2000, not parallel to it.
+    Of unit vectors, J2000, that are not parallel.
     """
     x = unit(sun_direction)
     y = unit(np.cross(pole, x))

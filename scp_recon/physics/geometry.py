@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from formulations.arrays import Array
 from scp_recon.physics.frames import Rotation
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

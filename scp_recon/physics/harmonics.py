@@ -9,9 +9,8 @@ from importlib.resources import files
 from math import factorial, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from formulations.arrays import Array
 
 
 @dataclass(frozen=True)

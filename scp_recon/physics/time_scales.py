@@ -13,8 +13,8 @@ from bisect import bisect_right
 from datetime import UTC, datetime, timedelta
 from math import sin
 
+from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.errors import InputError
-from scp_recon.physics.frames import J2000_TDB
 
 TT_MINUS_TAI_S = 32.184
 K_S, EB, M0, M1 = 1.657e-3, 1.671e-2, 6.239996, 1.99096871e-7
@@ -53,7 +53,8 @@ def instant(epoch_tdb: datetime, seconds: float = 0.0) -> int:
 
 def iso_tdb(when: int) -> str:
     """Calendar date in TDB, to the nanosecond."""
-    return _iso(when)
+    seconds, fraction = divmod(when, NS)
+    return f"{(J2000_TDB + timedelta(seconds=seconds)).isoformat()}.{fraction:09d}"
 
 
 def iso_utc(when: int) -> str:
@@ -68,8 +69,8 @@ def iso_utc(when: int) -> str:
         raise InputError("epoch.tdb", iso_tdb(when), "must be in 1972 or later: UTC has no seconds")
     offset = FIRST_TAI_MINUS_UTC_S + index
     if index + 1 < len(_BEGINS) and tai >= _BEGINS[index + 1] - NS:  # in the leap second itself
-        return _iso(tai - (offset + 1) * NS).replace(":59.", ":60.")
-    return _iso(tai - offset * NS)
+        return iso_tdb(tai - (offset + 1) * NS).replace(":59.", ":60.")
+    return iso_tdb(tai - offset * NS)  # a date is written alike in every scale
 
 
 def shown_utc(when: int) -> str:
@@ -101,8 +102,3 @@ def _tdb_minus_tai(when: int) -> int:
     """In nanoseconds."""
     anomaly = M0 + M1 * (when / NS)
     return round((TT_MINUS_TAI_S + K_S * sin(anomaly + EB * sin(anomaly))) * NS)
-
-
-def _iso(count: int) -> str:
-    seconds, fraction = divmod(count, NS)
-    return f"{(J2000_TDB + timedelta(seconds=seconds)).isoformat()}.{fraction:09d}"

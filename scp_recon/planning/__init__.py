@@ -1,1 +1,1 @@
-"""From a mission to a plan: guesses, stages, and who solves them."""
+"""From a mission to a plan: initial guesses, stages, SCP, IPOPT, several starts."""

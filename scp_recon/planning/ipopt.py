@@ -1,4 +1,4 @@
-"""The paper's three stages by CasADi and IPOPT: the reference of the sequential convex programs."""
+"""Planning by CasADi and IPOPT: the reference for the sequential convex programs."""
 
 from __future__ import annotations
 
@@ -15,35 +15,24 @@ from formulations.nlp.program import Arcs, Start
 from formulations.nlp.solve import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
-from formulations.program.merit import MeritFunction
-from formulations.rows.chance import ChanceRows
+from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import DeterministicRows
-from formulations.rows.exact import ExactRows
-from scp_recon.errors import InputError
+from formulations.rows.uniform import ChanceRows, DeterministicRows
+from scp_recon.errors import InputError, option
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import acceleration
-from scp_recon.planning.final_limits import require_no_final_limit
-from scp_recon.planning.plan import Plan
-from scp_recon.planning.planner import CLEARANCE_M
-from scp_recon.planning.provenance import Provenance
-from scp_recon.planning.screening import screened
-from scp_recon.planning.stage import Stage
+from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.planner import CLEARANCE_M, require_no_final_limit, screened
 from scp_recon.planning.stages import Observer, StageRunner
+from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
-from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
 
 
 @dataclass(frozen=True, eq=False)
 class NlpStage(Stage):
-    """A stage that IPOPT solved.
-
-    Attributes:
-        runs: IPOPT's results, the last one that of the stage; two where the penalty had to be
-            raised.
-    """
+    """A stage that IPOPT solved in one run, or in two where the penalty had to be raised."""
 
     runs: tuple[NlpResult, ...]
 
@@ -78,21 +67,15 @@ def plan(
 ) -> Plan:
     """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-    What does not converge begins again elsewhere, as in `Planner.plan`.
-
-    Args:
-        mission: what to plan.
-        guess: initial iterate, which may have defects.
-        problem: "P3" stops after the first stage.
-        variant: a key of `formulations.nlp.solve.VARIANTS`.
-        elastic: weigh violations as the sequential convex programs do, instead of forbidding them.
-        init: what the guess is called in the solution file.
-        observe: called with each line of IPOPT's log once a run is over.
+    What does not converge begins again elsewhere, as in `Planner.plan`. The variant is a key of
+    `formulations.nlp.solve.VARIANTS`. With `elastic` violations are weighed as the sequential convex
+    programs do, instead of forbidden. The observer is called with each line of IPOPT's log once a run
+    is over.
 
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
-    require_no_final_limit(mission, "--method scp only")
+    require_no_final_limit(mission, f"{option('method', 'scp')} only")
     arcs = casadi_arcs(mission.dynamics)
     runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
     algorithm = "interior point, elastic" if elastic else "interior point"
@@ -102,13 +85,9 @@ def plan(
 
 @dataclass(frozen=True)
 class IpoptStages:
-    """One stage by IPOPT: what the planner does by sequential convex programming.
+    """One stage by IPOPT, its arcs over CasADi symbols: what the planner does by SCP.
 
-    Attributes:
-        mission: what to plan.
-        arcs: its dynamics over CasADi symbols.
-        variant: how the programs are posed.
-        elastic: weigh violations instead of forbidding them.
+    With `elastic` violations are weighed instead of forbidden.
     """
 
     mission: Mission
@@ -120,7 +99,7 @@ class IpoptStages:
         """P3's constraints."""
         return DeterministicRows(self.mission.problem)
 
-    def opening_rows(self) -> None:
+    def first_stage_rows(self) -> None:
         """There are none: its programs have all constraints from the first."""
 
     def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
@@ -130,9 +109,9 @@ class IpoptStages:
         included = screened(mission, facets, lin, clearance_m, mission.problem.n_nodes)
         return ChanceRows(mission.problem, facets, included)
 
-    def exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
+    def exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """There are none."""
-        raise InputError("risk.allocation", "'exact'", "goes with --method scp only")
+        raise InputError("risk.allocation", "'exact'", f"goes with {option('method', 'scp')} only")
 
     def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> NlpStage:
         """Solve P3 or, on the included facets of its rows, P2.

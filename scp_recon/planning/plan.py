@@ -1,22 +1,164 @@
-"""A plan as data: its stages, how it was made, and what it says in SI."""
+"""A plan as data: its stages, how it was made, and its figures in SI.
+
+A stage is one run of the SCP or of IPOPT. What a plan records of its making (certificate, starts, the
+plan before it) is stored in the solution file as it stands here.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
+from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
+from pydantic import Field
 
+from formulations.arrays import Array
+from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
+from formulations.program.subproblem import MeritFunction
+from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins
+from formulations.rows.uniform import DeterministicRows
+from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.provenance import Certificate, Parent, Provenance, Starts
-from scp_recon.planning.stage import Stage, Unit, scale
-from scp_recon.scp.loop import Timing
+from scp_recon.scenario.fields import Line, Number, Probability
+from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
 
-Array = npt.NDArray[np.float64]
+Unit = Literal["m", "m/s", "sigma"]
+"""Of a margin in SI; sigma is a standard deviation on the normal quantile scale."""
+
+BURN_LIMITS = ("dv_max", "dv_battery")
+
+
+def scales(units: Units) -> dict[Unit, float]:
+    """SI value of one nondimensional unit of a margin."""
+    return {"m": units.length_m, "m/s": units.speed_m_s, "sigma": 1.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A run of the SCP, or of IPOPT, on one problem.
+
+    Attributes:
+        name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
+            that began again at the ballistic arc, c and d at a turn about the body; "P3.open" leads to
+            P3 from a guess that is no flight, "P2.node" and "P2.coarse" to a P2 of whole flights.
+        result: how it ended and where.
+        merit: what it minimised; it knows the constraints' margins.
+        facets: of P2 with polytopes, else None.
+        tolerance: violation that counted as none.
+    """
+
+    name: str
+    result: Result
+    merit: MeritFunction
+    facets: Facets | None
+    tolerance: float
+
+    @property
+    def problem(self) -> Literal["P3", "P2"]:
+        """Without uncertainty, or with it."""
+        return "P3" if isinstance(self.merit.rows, DeterministicRows) else "P2"
+
+    def unit(self, constraint: str) -> Unit:
+        """Unit of a constraint's margins in SI."""
+        if constraint in (*BURN_LIMITS, FINAL_VELOCITY):
+            return "m/s"
+        if constraint == FINAL_POSITION:
+            return "m"
+        return "m" if self.merit.rows.unit == "length" else "sigma"
+
+    @property
+    def margins(self) -> dict[str, Margins]:
+        """Margins by constraint, those of facets left out of the convex program included."""
+        lin = self.result.lin
+        margins = self.merit.margins(lin)
+        if self.facets is not None:
+            margin = self.facets.margin(lin.iterate.mean, lin.factor)
+            for index, constraint in enumerate(self.merit.problem.constraints):
+                rows = self.facets.constraint == index
+                margins[constraint.name] = Margins(self.facets.node[rows], margin[rows])
+        return margins
+
+    @property
+    def begun_again(self) -> bool:
+        """Whether it began elsewhere because the guess led nowhere."""
+        return self.name[2:3] in ("b", "c", "d")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Method, start and solver of a plan, in the words of the solution file.
+
+    By IPOPT `formulation` is the variant of the nonlinear program. `init` is where it began: "cold",
+    "warm", a file. The method is "none" where nothing was optimised.
+    """
+
+    formulation: str
+    algorithm: str
+    solver: str
+    init: str
+    method: Literal["scp", "ipopt", "none"] = "scp"
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """Probability that nonlinear flights of an exact plan reach, at every second, with its interval.
+
+    Of the node where it is least, or of whole flights; `at_nodes` is the same of the nodes alone. The
+    errors of the flights have a seed that planning has not seen. `rounds` are the plans made until
+    this one.
+    """
+
+    samples: Annotated[int, Field(ge=1)]
+    seed: Annotated[int, Field(ge=0)]
+    reached: Probability
+    low: Probability
+    high: Probability
+    at_nodes: Probability
+    rounds: Annotated[int, Field(ge=1)]
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """A local optimum that several starts found: converged, or stationary at the least violation.
+
+    Burns are J2000. `starts` are the numbers of those that ended there, 0 the guess.
+    """
+
+    problem: Literal["P3", "P2"]
+    status: Line
+    total_dv_m_s: Number
+    burns_m_s: tuple[tuple[Number, Number, Number], ...]
+    starts: tuple[Annotated[int, Field(ge=0)], ...]
+
+    def __str__(self) -> str:
+        """One line."""
+        many = f"{len(self.starts)} start{'s' if len(self.starts) > 1 else ''}"
+        return f"{self.problem} {self.status} {self.total_dv_m_s:.6f} m/s, {many}"
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Several starts, the guess included; the plan is the best of them. Each end counts once."""
+
+    number: Annotated[int, Field(ge=2)]
+    seed: Annotated[int, Field(ge=0)]
+    optima: tuple[Optimum, ...]
+
+
+@dataclass(frozen=True)
+class Parent:
+    """The plan, by its file or in words, that was flown before another was made in flight.
+
+    The new one was made from the state at `at_s`, s past the epoch.
+    """
+
+    name: Line
+    plan_hash: Line
+    at_s: float
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,7 +177,7 @@ class Plan:
     final: Stage
     timing: Timing
     total_s: float
-    aim: float | None = None
+    target: float | None = None
     certificate: Certificate | None = None
     starts: Starts | None = None
     parent: Parent | None = None
@@ -56,7 +198,7 @@ class Plan:
 
     @property
     def status(self) -> Status:
-        """How it ended."""
+        """Of the last stage."""
         return self.final.result.status
 
     @property
@@ -94,7 +236,7 @@ class Plan:
         found = {}
         for name, margins in self.final.margins.items():
             unit = self.final.unit(name)
-            found[name] = float(margins.margin.min()) * scale(self.mission, unit), unit
+            found[name] = float(margins.margin.min()) * scales(self.mission.units)[unit], unit
         return found
 
     def __str__(self) -> str:
@@ -137,7 +279,7 @@ class Plan:
             (s.name, s.result.status, len(s.result.records), *_to_the_bit(s.result.lin.iterate))
             for s in (*self.stages, self.final)
         ]
-        made = self.provenance, self.aim, self.certificate, self.starts, self.parent
+        made = self.provenance, self.target, self.certificate, self.starts, self.parent
         return self.mission.scenario, made, runs
 
 

@@ -1,4 +1,4 @@
-"""The three-stage planner: P3, facets at its solution, P2; and more facet rounds on request."""
+"""Planning by SCP in three stages: P3, facets at its solution, P2; more facet rounds on request."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from typing import Final, Literal
 
 import numpy as np
 
+from formulations.arrays import Array, Booleans
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets
+from formulations.problem.facets import Facets, included_rows
 from formulations.problem.flyby import Iterate
-from formulations.problem.regions import Array
 from formulations.program.subproblem import Subproblem
 from formulations.registry import subproblem_maker
-from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import DeterministicRows
-from formulations.rows.exact import ExactRows, FlightRows, NodeRows
+from formulations.rows.exact import FlightRows, NodeRows
+from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.final_limits import WEIGHT, has_final_limit, require_no_final_limit
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
-from scp_recon.planning.opening import RESOLUTION, opened
-from scp_recon.planning.plan import Plan
-from scp_recon.planning.provenance import Provenance
-from scp_recon.planning.screening import screened
-from scp_recon.planning.stage import Stage
-from scp_recon.planning.stages import CHOICES_MAX, Observer, StageRunner
+from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.stages import (
+    CHOICES_MAX,
+    RESOLUTION,
+    Observer,
+    StageRunner,
+    without_parting_sets,
+)
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, Record, run
 
@@ -48,6 +48,11 @@ FEW_LINES, LINES = 512, 4096
 COARSE, FINE = 1e-3, 1e-5
 """Relative reduction of the merit at which their stages stop; sampling errs by more."""
 
+WEIGHT = 100.0
+"""First penalty weight beside such a limit. Its multiplier may exceed the usual ten; and at a thousand,
+which comes next, what the probability of whole flights cannot resolve would hide what there is to gain.
+"""
+
 
 def plan(
     mission: Mission,
@@ -57,7 +62,7 @@ def plan(
     formulation: str = FORMULATION,
     algorithm: str = ALGORITHM,
     solver: str = SOLVER,
-    aim: float | None = None,
+    target: float | None = None,
     p3_resolution: float = 0.0,
     facet_rounds: int = 0,
     choices: int = CHOICES_MAX,
@@ -71,7 +76,7 @@ def plan(
         formulation=formulation,
         algorithm=algorithm,
         solver=solver,
-        aim=aim,
+        target=target,
         p3_resolution=p3_resolution,
     )
     return planner.plan(
@@ -88,15 +93,9 @@ def plan(
 class Planner:
     """Plans a mission, and plans it again from other initial states.
 
-    Keeps its convex subproblems: their sparsity, and what a solver or CVXPY made of it.
-
-    Args:
-        mission: what to plan.
-        formulation: one of `formulations.registry.FORMULATIONS`.
-        algorithm: a key of `algorithms.ALGORITHMS`.
-        solver: one of `formulations.program.solvers.installed()`.
-        aim: probability that exact constraints are held to; what the scenario asks, if not given.
-        p3_resolution: relative reduction of the merit at which P3 stops, where P2 goes on from there.
+    Keeps its convex subproblems: their sparsity, and what a solver or CVXPY made of it. Exact
+    constraints are held to the target probability, by default what the scenario asks. `p3_resolution`
+    is the relative reduction of the merit at which P3 stops, where P2 goes on from there.
 
     Raises:
         InputError: if the algorithm cannot weigh a miss of the final state where that is needed.
@@ -109,12 +108,12 @@ class Planner:
         formulation: str = FORMULATION,
         algorithm: str = ALGORITHM,
         solver: str = SOLVER,
-        aim: float | None = None,
+        target: float | None = None,
         p3_resolution: float = 0.0,
     ) -> None:
         self.mission: Final = mission
         self.p3_resolution: Final = p3_resolution
-        self.aim: Final = mission.scenario.risk.p_chance if aim is None else aim
+        self.target: Final = mission.scenario.risk.p_chance if target is None else target
         self.formulation: Final = formulation
         self.solver: Final = solver
         self.algorithm_name: Final = algorithm
@@ -145,35 +144,24 @@ class Planner:
     ) -> Plan:
         """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-        What does not converge begins again elsewhere: see `StageRunner.plan`.
-
-        Args:
-            guess: initial iterate, which may have defects.
-            problem: "P3" stops after the first stage.
-            facet_rounds: how often to choose the facets again at the solution and solve again. A
-                round is kept only while it is better, so that facets cannot cycle: see `better`. Facets
-                that leave nothing feasible are chosen again without being asked.
-            choices: how often they are.
-            init: what the guess is called in the solution file.
-            observe: called after each iteration with the stage's name and the record.
-            once: begin nowhere else.
+        The guess may have defects. What does not converge begins again elsewhere, but not with `once`:
+        see `StageRunner.plan`. In each of `facet_rounds` the facets are chosen again at the solution,
+        and it is solved again; a round is kept only while it is better, so that facets cannot cycle:
+        see `standing`. Facets that leave nothing feasible are chosen again without being asked, up to
+        `choices` times. The observer is called after each iteration with the stage's name and the
+        record.
         """
         stages = ScpStages(self, self.mission, self.algorithm)
         runner = StageRunner(self.mission, stages, observe, facet_rounds, choices)
         plan = runner.run(lambda: runner.plan(guess, problem, once=once), self._provenance(init))
-        return replace(plan, aim=self._aim)
+        return replace(plan, target=self._target)
 
     def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.
 
-        Args:
-            last: a plan of P2 by this planner.
-            initial_state: before the first burn, J2000, SI, shape (6,). Its covariance is as large a
-                fraction of it as the mission says.
-            observe: called after each iteration with the stage's name and the record.
-
-        Returns:
-            A plan whose `mission` is the one from that state.
+        The state is that before the first burn, J2000, SI, shape (6,), its covariance as large a
+        fraction of it as the mission says. The last plan is one of P2 by this planner; the new one's
+        `mission` is the one from that state.
 
         Raises:
             ValueError: if the plan is not one of P2, or of a mission that differs in more than the
@@ -197,11 +185,11 @@ class Planner:
             start = runner.start(last.final.result.lin.iterate)
             return runner.choose_again(runner.restore("P2", rows, start))
 
-        return replace(runner.run(again, self._provenance("plan")), aim=self._aim)
+        return replace(runner.run(again, self._provenance("plan")), target=self._target)
 
     @property
-    def _aim(self) -> float | None:
-        return self.aim if self.mission.scenario.risk.allocation == "exact" else None
+    def _target(self) -> float | None:
+        return self.target if self.mission.scenario.risk.allocation == "exact" else None
 
     def _provenance(self, init: str) -> Provenance:
         return Provenance(self.formulation, self.algorithm_name, self.solver, init)
@@ -212,9 +200,9 @@ class Planner:
         return DeterministicRows(self.mission.problem, self.p3_resolution)
 
     @cached_property
-    def opening_rows(self) -> DeterministicRows:
+    def first_stage_rows(self) -> DeterministicRows:
         """P3's constraints without the keep-out sets that part the ways past them."""
-        return DeterministicRows(opened(self.mission.problem), RESOLUTION)
+        return DeterministicRows(without_parting_sets(self.mission.problem), RESOLUTION)
 
     def p2_rows(self, facets: Facets, lin: Linearisation, clearance_m: float) -> ChanceRows:
         """P2's constraints, those in the program that an iterate comes near; the last are kept."""
@@ -238,13 +226,7 @@ class Planner:
 
 @dataclass(frozen=True)
 class ScpStages:
-    """A `RowsSolver` by SCP, with a planner's subproblems.
-
-    Attributes:
-        planner: keeps the subproblems and screens the facets.
-        mission: the planner's, or the same from another initial state.
-        algorithm: with the penalty of the planner's.
-    """
+    """A `RowsSolver` by SCP with a planner's subproblems, perhaps from another initial state."""
 
     planner: Planner
     mission: Mission
@@ -254,15 +236,15 @@ class ScpStages:
         """See `RowsSolver`."""
         return self.planner.p3_rows
 
-    def opening_rows(self) -> DeterministicRows:
+    def first_stage_rows(self) -> DeterministicRows:
         """See `RowsSolver`."""
-        return self.planner.opening_rows
+        return self.planner.first_stage_rows
 
     def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """See `RowsSolver`."""
         return self.planner.p2_rows(facets, lin, CLEARANCE_M)
 
-    def exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
+    def exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """See `RowsSolver`. A plan of whole flights begins at one of nodes, then with few directions.
 
         Flights are never likelier than their nodes, so that where the nodes are infeasible so are they.
@@ -273,13 +255,13 @@ class ScpStages:
                 "'exact'",
                 f"goes with the formulation condensed, not with {self.planner.formulation}",
             )
-        problem, aim = self.mission.problem, self.planner.aim
+        problem, target = self.mission.problem, self.planner.target
         if self.mission.scenario.risk.scope == "node":
-            return [("", NodeRows(problem, aim))]
+            return [("", NodeRows(problem, target))]
         return [
-            (".node", NodeRows(problem, aim, COARSE)),
-            (".coarse", FlightRows(problem, aim, FEW_LINES, COARSE)),
-            ("", FlightRows(problem, aim, LINES, FINE)),
+            (".node", NodeRows(problem, target, COARSE)),
+            (".coarse", FlightRows(problem, target, FEW_LINES, COARSE)),
+            ("", FlightRows(problem, target, LINES, FINE)),
         ]
 
     def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
@@ -296,3 +278,35 @@ class ScpStages:
         result.timing.setup += setup
         facets = rows.facets if isinstance(rows, ChanceRows) else None
         return Stage(name, result, subproblem.merit, facets, algorithm.feasible)
+
+
+def screened(
+    mission: Mission, facets: Facets, lin: Linearisation, clearance_m: float, nodes_max: int
+) -> Booleans:
+    """Facets that take part in the program of P2 to begin with, shape (facets,).
+
+    Those farther from binding at an iterate than the clearance stay out, and all but the nodes nearest
+    to binding.
+    """
+    margin = facets.margin(lin.iterate.mean, lin.factor)
+    return included_rows(facets, margin, clearance_m / mission.units.length_m, nodes_max)
+
+
+def has_final_limit(mission: Mission) -> bool:
+    """Whether a mission limits the covariance after the last burn."""
+    return any(limit is not None for limit in mission.problem.final_spread)
+
+
+def require_no_final_limit(mission: Mission, needs: str) -> None:
+    """Refuse what has no rows for limits on the final covariance.
+
+    Raises:
+        InputError: if the mission has one.
+    """
+    limits = {
+        name: getattr(mission.scenario.boundary, name)
+        for name in ("final_sigma_position_m", "final_sigma_velocity_m_s")
+    }
+    for name, limit in limits.items():
+        if limit is not None:
+            raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")

@@ -1,7 +1,7 @@
-"""The primer's history of a plan: whether one more burn would help, at first order and locally.
+"""Primer history of a plan: would one more burn help, at first order and locally?
 
 A burn added at time t in direction u, small, changes the least total delta-v by (1 - p(t)'u) times its
-size (`formulations.program.primer`). Of its directions count those that the battery allows, of its
+size (`formulations.program.multipliers`). Of its directions count those that the battery allows, of its
 times those at which the schedule's rules hold with all other burns kept. Where p'u is nowhere above
 one, no small burn added to the plan makes it cheaper; nothing is said of large ones, nor of other
 times for the burns that are there.
@@ -9,44 +9,55 @@ times for the burns that are there.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
-import numpy.typing as npt
+from pydantic import Field
 
+from formulations.arrays import Array, Booleans
 from formulations.linearisation.linearisation import Linearisation
-from formulations.program.multipliers import VANISHED, multipliers, slope_left
-from formulations.program.primer import primer
+from formulations.program.multipliers import VANISHED, multipliers, primer, slope_left
 from scp_recon.mission.legal_burns import legal_additions
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan
-from scp_recon.planning.stage import Stage
+from scp_recon.planning.plan import Plan, Stage
+from scp_recon.scenario.fields import Number
 from scp_recon.scp.status import Status
-
-Array = npt.NDArray[np.float64]
 
 WORTH = 1e-3
 """Excess of the primer over one at which another burn is worth trying: converged plans stay below."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class PrimerHistory:
-    """The primer at the nodes of a plan's grid.
+    """The primer at the nodes of a plan's grid: a local certificate, at first order.
+
+    Where no `allowed` at a time that is `legal` exceeds one, no small burn that is added makes the plan
+    cheaper.
 
     Attributes:
-        times_s: of the nodes, past the epoch, shape (n,).
-        vector: p, J2000, without unit, shape (n, 3).
-        allowed: largest p'u over directions u that the battery allows, shape (n,).
-        legal: whether a burn may be added, shape (n,).
+        t_s: times of the nodes past the epoch, n of them.
+        vector: p, J2000, without unit, n of them.
+        allowed: largest p'u over directions u that the battery allows, n of them.
+        legal: whether a burn may be added, n of them.
         residual: largest component of the Lagrangian's gradient by the burns: how far from optimal the
             plan is, or how far the multipliers are from its own.
     """
 
-    times_s: Array
-    vector: Array
-    allowed: Array
-    legal: npt.NDArray[np.bool_]
-    residual: float
+    t_s: list[Number]
+    vector: list[tuple[Number, Number, Number]]
+    allowed: list[Number]
+    legal: list[bool]
+    residual: Annotated[float, Field(ge=0)]
+
+    def __post_init__(self) -> None:
+        """Refuse columns that do not fit together."""
+        columns = self.t_s, self.vector, self.allowed, self.legal
+        if len({len(column) for column in columns}) != 1 or not self.t_s:
+            raise ValueError("primer must have columns of one length")
+        if any(b <= a for a, b in itertools.pairwise(self.t_s)):
+            raise ValueError("primer.t_s must ascend")
 
 
 def primer_of(plan: Plan) -> PrimerHistory | None:
@@ -69,10 +80,10 @@ def primer_history(mission: Mission, stage: Stage) -> PrimerHistory | None:
     vector = primer(merit.rows, lin, prices)
     sun = mission.sun_direction(mission.times_s)
     return PrimerHistory(
-        mission.times_s,
-        vector,
-        allowed_part(vector, sun, lin.problem.dv_cone),
-        legal_nodes(mission),
+        mission.times_s.tolist(),
+        [(x, y, z) for x, y, z in vector.tolist()],
+        allowed_part(vector, sun, lin.problem.dv_cone).tolist(),
+        legal_nodes(mission).tolist(),
         slope_left(merit.problem, merit.rows, lin, prices),
     )
 
@@ -84,12 +95,9 @@ def _is_whole(mission: Mission, lin: Linearisation) -> bool:
 
 
 def allowed_part(vector: Array, sun: Array, half_angle: float) -> Array:
-    """Largest p'u over unit vectors u at least so far from the Sun line, either way, shape (n,).
+    """Largest p'u over unit vectors u at least `half_angle` off the Sun line, either way, shape (n,).
 
-    Args:
-        vector: p, shape (n, 3).
-        sun: unit vectors, shape (n, 3).
-        half_angle: of the double cone, rad.
+    From p and unit vectors to the Sun, each of shape (n, 3), and the double cone's half angle, rad.
     """
     along = np.abs(np.einsum("ni,ni->n", vector, sun))
     across = np.linalg.norm(np.cross(vector, sun), axis=1)
@@ -97,7 +105,7 @@ def allowed_part(vector: Array, sun: Array, half_angle: float) -> Array:
     return np.asarray(np.hypot(along, across) * np.cos(lacking))
 
 
-def legal_nodes(mission: Mission) -> npt.NDArray[np.bool_]:
+def legal_nodes(mission: Mission) -> Booleans:
     """Nodes at which another burn may be, the others kept, shape (n,)."""
     scenario, times = mission.scenario, mission.times_s
     legal = np.zeros(len(times), dtype=np.bool_)

@@ -1,4 +1,11 @@
-"""The order of a plan's stages, whatever solves them: P3, P2, and both again from other starts."""
+"""The order of a plan's stages, whatever solves them: P3, P2, and both again from other starts.
+
+A keep-out set is linearised by the plane that touches it nearest to the iterate, so that an iterate is
+held to the side it is on. The path of a guess that is no flight says nothing of sides: P3 then begins
+with a first stage without the keep-out sets of a part of the flight, whose answer hardly depends on the
+guess, and goes on from there with all of them, on the side nearest to it. The answer without them costs
+at most what any plan with them does, so that where it keeps them there is nothing better near it.
+"""
 
 from __future__ import annotations
 
@@ -11,35 +18,37 @@ import numpy as np
 
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
-from formulations.problem.flyby import Iterate
-from formulations.program.merit import MeritFunction
-from formulations.rows.chance import ChanceRows
+from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import DeterministicRows
-from formulations.rows.exact import ExactRows
+from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import ballistic, circular
-from scp_recon.planning.opening import contradicts_itself
-from scp_recon.planning.plan import Plan
-from scp_recon.planning.provenance import Provenance
-from scp_recon.planning.stage import Stage
+from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Timing
-from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
-
-Observer = Callable[[str, Record], None]
 
 OTHER_OPTIMUM = 0.999
 """Ratio of two merits below which the runs ended at different optima."""
+
 OTHER_BURNS = 1e-2
 """Difference of a burn component, nondimensional, above which they did so too."""
 
-OPENING = ".open"
+FIRST_STAGE = ".open"
 """Suffix of the stage that leads to a P3 whose guess is no flight."""
+
+RESOLUTION = 1e-3
+"""Relative reduction of the merit at which the first stage stops: P3 goes on from there."""
+
+NO_BURN = 1e-6
+"""Total delta-v, nondimensional, below which a guess has no burns that could be wrong."""
 
 CHOICES_MAX = 4
 """Further choices of facets before P2 is called infeasible, where there is another choice."""
+
+Observer = Callable[[str, Record], None]
 
 
 class RowsSolver(Protocol):
@@ -49,7 +58,7 @@ class RowsSolver(Protocol):
         """P3's constraints."""
         ...
 
-    def opening_rows(self) -> DeterministicRows | None:
+    def first_stage_rows(self) -> DeterministicRows | None:
         """Rows that P3 begins with where its guess is no flight; None if it begins with all."""
         ...
 
@@ -57,7 +66,7 @@ class RowsSolver(Protocol):
         """P2's constraints on given facets, those in the program that an iterate comes near."""
         ...
 
-    def exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
+    def exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """P2's constraints with the true probabilities, one stage leading to the next, by name.
 
         Raises:
@@ -72,15 +81,7 @@ class RowsSolver(Protocol):
 
 @dataclass
 class StageRunner:
-    """State of one planning run: stages and timings so far.
-
-    Attributes:
-        mission: what is planned.
-        solver: of the stages.
-        observe: called after each iteration with the stage's name and the record.
-        facet_rounds: see `Planner.plan`.
-        choices: further choices of facets before P2 is called infeasible.
-    """
+    """State of one planning run: stages and timings so far. For `facet_rounds` see `Planner.plan`."""
 
     mission: Mission
     solver: RowsSolver
@@ -90,7 +91,7 @@ class StageRunner:
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
     _chosen: dict[str, int] = field(default_factory=dict)
-    _exact: Sequence[tuple[str, ExactRows]] | None = None
+    _exact: Sequence[tuple[str, Rows]] | None = None
 
     def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
         """Run the stages of a plan; an interrupted one ends with the best stage so far, if any."""
@@ -105,7 +106,7 @@ class StageRunner:
         return Plan(self.mission, provenance, tuple(self.stages), final, self.timing, seconds)
 
     def plan(self, guess: Iterate, problem: Literal["P3", "P2"], *, once: bool = False) -> Stage:
-        """P3 from a guess and P2 from there; a guess that is no flight leads to P3 by its opening.
+        """P3 from a guess and P2 from there; a guess that is no flight leads to P3 by a first stage.
 
         Where P3 does not converge from the guess it is tried again from other starts; and so it is
         where P2 does not converge: P3 may have stopped at a local optimum from which there is no way.
@@ -126,14 +127,14 @@ class StageRunner:
             if finals[-1].result.status is Status.CONVERGED:
                 return finals[-1]
         if not finals:
-            p3 = _best(firsts)
+            p3 = max(firsts, key=standing)
             lost = problem == "P3" or p3.result.status is Status.SOLVER_FAILED
             finals.append(p3 if lost else self._solve_p2(p3.name.replace("P3", "P2"), p3))
         for final in [final for final in finals if final.facets]:
             finals.append(self.choose_again(final))
             if finals[-1].result.status is Status.CONVERGED:
                 break
-        return _best(finals)
+        return max(finals, key=standing)
 
     def choose_again(self, stage: Stage) -> Stage:
         """The best of P2 with facets chosen where the last try ended, until one converges.
@@ -146,7 +147,7 @@ class StageRunner:
             last = [s for s in self.stages if s.name.partition(".")[0] == name][-1]
             tries.append(self._with_facets(name, last.result.lin))
         verdicts = (Status.CONVERGED, stage.result.status)
-        return _best([one for one in tries if one.result.status in verdicts])
+        return max((one for one in tries if one.result.status in verdicts), key=standing)
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearised at a guess; whatever it says, the flight starts where the problem does."""
@@ -157,10 +158,10 @@ class StageRunner:
         return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
 
     def _solve_p3(self, name: str, start: Linearisation) -> Stage:
-        """P3 from a start, by way of its opening where that is no flight; all rows judge both."""
-        rows, opening = self.solver.deterministic_rows(), self.solver.opening_rows()
-        if opening is not None and contradicts_itself(start):
-            stage = self._solve(f"{name}{OPENING}", opening, start, rows)
+        """P3 from a start, by way of a first stage where that is no flight; all rows judge both."""
+        rows, first = self.solver.deterministic_rows(), self.solver.first_stage_rows()
+        if first is not None and contradicts_itself(start):
+            stage = self._solve(f"{name}{FIRST_STAGE}", first, start, rows)
             start = stage.result.lin
         return self._solve(name, rows, start)
 
@@ -171,7 +172,7 @@ class StageRunner:
         final = self._with_facets(name, start.result.lin)
         for _ in range(self.facet_rounds):
             again = self._with_facets(name, final.result.lin)
-            if not better(again, final):
+            if not standing(again) > standing(final):
                 break
             final = again
         return final
@@ -185,7 +186,7 @@ class StageRunner:
             lin = stage.result.lin
         return stage
 
-    def _exact_rows(self) -> Sequence[tuple[str, ExactRows]]:
+    def _exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """Made once, because drawing the directions of flights takes time."""
         if self._exact is None:
             self._exact = self.solver.exact_rows()
@@ -244,6 +245,25 @@ def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
     yield "d", circular(mission, -1.0)
 
 
+def contradicts_itself(lin: Linearisation) -> bool:
+    """Whether a guess claims burns, and its path takes more delta-v between nodes than these are.
+
+    A trajectory from elsewhere, given coarsely, does not. A path without burns, as the paper's straight
+    line, claims nothing.
+    """
+    kicks = float(np.linalg.norm(lin.defects[:-1, 3:], axis=1).sum())
+    return NO_BURN < lin.iterate.total_dv < kicks
+
+
+def without_parting_sets(problem: FlybyProblem) -> FlybyProblem:
+    """The problem without the keep-out sets of a part of the flight.
+
+    What holds throughout stays: it keeps the path away from where the dynamics are singular.
+    """
+    kept = [c for c in problem.constraints if c.keep == "in" or len(c.nodes) == problem.n_nodes]
+    return replace(problem, constraints=tuple(kept))
+
+
 def same_optimum(one: Stage, other: Stage) -> bool:
     """Whether two runs of P3 ended alike."""
     low, high = sorted((_merit(one), _merit(other)))
@@ -252,29 +272,21 @@ def same_optimum(one: Stage, other: Stage) -> bool:
     return one.result.status is other.result.status and alike
 
 
-def _best(stages: list[Stage]) -> Stage:
-    best = stages[0]
-    for stage in stages[1:]:
-        best = stage if better(stage, best) else best
-    return best
-
-
 def _interrupted(stages: list[Stage]) -> Stage:
     """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
-    whole = [stage for stage in stages if not stage.name.endswith(OPENING)]
-    best = _best([stage for stage in whole if stage.problem == "P2"] or whole or stages)
+    whole = [stage for stage in stages if not stage.name.endswith(FIRST_STAGE)]
+    p2 = [stage for stage in whole if stage.problem == "P2"]
+    best = max(p2 or whole or stages, key=standing)
     return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
 
 
-def better(new: Stage, old: Stage) -> bool:
-    """Whether a new run is better than an old one: by how it ended, then by its cost."""
-    if _rank(new) != _rank(old):
-        return _rank(new) > _rank(old)
-    return _merit(new) < _merit(old)
+def standing(stage: Stage) -> tuple[int, float]:
+    """What makes a run better than another: how it ended, then how little it costs."""
+    return _rank(stage), -_merit(stage)
 
 
 def _rank(stage: Stage) -> int:
-    """How well a run ended: 3 solved, 2 at a point that violates nothing, 0 failed, 1 otherwise."""
+    """Rank of a run's end: 3 solved, 2 at a point that violates nothing, 0 failed, 1 otherwise."""
     if stage.result.status is Status.CONVERGED:
         return 3
     if stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -12,12 +11,12 @@ import numpy as np
 
 from formulations.linearisation.linearisation import final_state_map
 from formulations.problem.flyby import Iterate
+from scp_recon.jobs.job import Job, here, in_order
+from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.initial_guess import bent
-from scp_recon.planning.plan import Plan, as_interrupted
-from scp_recon.planning.provenance import Optimum, Starts
-from scp_recon.planning.stage import Stage
-from scp_recon.planning.stages import OPENING, better, same_optimum
+from scp_recon.planning.plan import Optimum, Plan, Stage, Starts, as_interrupted
+from scp_recon.planning.stages import FIRST_STAGE, same_optimum, standing
 from scp_recon.scp.status import Status
 
 STARTS_MAX, WORKERS_MAX, SEED_MAX = 1_000, 256, 2**63 - 1
@@ -35,7 +34,7 @@ class MakePlan(Protocol):
 
 
 @dataclass(frozen=True)
-class _Job:
+class _PlanStart:
     """Plans one of the starts, in whatever process."""
 
     mission: Mission
@@ -66,33 +65,29 @@ def plan_from_several(
     """The best plan of several starts: the guess, as it is planned alone, and random flights.
 
     Neither the plan nor the list of optima depends on the number of processes. An interrupt ends with
-    the best plan so far, marked as interrupted.
-
-    Args:
-        mission: what to plan.
-        guess: the first start; where it does not converge it begins again elsewhere, as alone.
-        make_plan: of one start.
-        starts: their number, the guess included.
-        seed: of the random flights.
-        workers: processes.
-        init: what the guess is called in the solution file.
-        seen: called with each start's number, in order, and its plan.
+    the best plan so far, marked as interrupted. `starts` counts the guess too; `seen` is called with
+    each start's number and plan, in order.
     """
-    job = _Job(mission, guess, init, make_plan, seed)
+    plan_start = _PlanStart(mission, guess, init, make_plan, seed)
     found: list[Plan] = []
     interrupted = False
+    executor = here if workers == 1 else Processes(min(workers, starts))
+    jobs = (Job(number, number) for number in range(starts))
     try:
-        for number, plan in enumerate(_planned(job, starts, workers)):
-            found.append(plan)
-            if seen:
-                seen(number, plan)
-            if plan.status is Status.INTERRUPTED:
-                raise KeyboardInterrupt
+        with closing(in_order(executor, plan_start, jobs)) as ended:
+            for done in ended:
+                plan: Plan = done.result(name="start")
+                found.append(plan)
+                if seen:
+                    seen(int(done.key), plan)
+                if plan.status is Status.INTERRUPTED:
+                    raise KeyboardInterrupt
     except KeyboardInterrupt:
         if not found:
             raise
         interrupted = True
-    best = _best([plan for plan in found if plan.status is not Status.INTERRUPTED] or found)
+    whole = [plan for plan in found if plan.status is not Status.INTERRUPTED]
+    best = max(whole or found, key=lambda plan: standing(plan.final))
     listed = Starts(starts, seed, local_optima(found))
     return replace(as_interrupted(best) if interrupted else best, starts=listed)
 
@@ -101,12 +96,7 @@ def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
     """A flight from the initial to the final state that keeps no limit, on a random side of all sets.
 
     A randomly bent straight line with random burns, its defects closed by the smallest change of the
-    burns that still leads to the final state.
-
-    Args:
-        mission: gives the boundary states.
-        seed: of all draws.
-        number: of the flight; each has draws of its own.
+    burns that still leads to the final state. Each number has draws of its own.
     """
     units, problem = mission.units, mission.problem
     rng = np.random.default_rng((seed, number))
@@ -121,7 +111,7 @@ def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
 
 
 def local_optima(plans: list[Plan]) -> tuple[Optimum, ...]:
-    """Where the plans of several starts ended, each optimum once: P3's first, the cheapest first.
+    """Local optima of several starts' plans, each once: P3's first, the cheapest first.
 
     Ends that converged, or are stationary at the least violation. Those of P3 are all that a start
     came by; of P2, whose facets are chosen where P3 ends, the one that counts.
@@ -144,7 +134,7 @@ def local_optima(plans: list[Plan]) -> tuple[Optimum, ...]:
 
 
 def _ends(plan: Plan) -> list[Stage]:
-    ends = [s for s in plan.stages if s.problem == "P3" and not s.name.endswith(OPENING)]
+    ends = [s for s in plan.stages if s.problem == "P3" and not s.name.endswith(FIRST_STAGE)]
     if plan.final.problem == "P2":
         ends.append(plan.final)
     return [s for s in ends if s.result.status in (Status.CONVERGED, Status.INFEASIBLE)]
@@ -159,30 +149,3 @@ def _optimum(stage: Stage, speed_m_s: float, numbers: list[int]) -> Optimum:
         burns_m_s=tuple((x, y, z) for x, y, z in (iterate.burns * speed_m_s).tolist()),
         starts=tuple(numbers),
     )
-
-
-def _best(plans: list[Plan]) -> Plan:
-    best = plans[0]
-    for plan in plans[1:]:
-        best = plan if better(plan.final, best.final) else best
-    return best
-
-
-def _planned(job: _Job, starts: int, workers: int) -> Iterator[Plan]:
-    """The plans in the order of their starts."""
-    if workers == 1:
-        yield from map(job, range(starts))
-        return
-    with ProcessPoolExecutor(min(workers, starts), initializer=_deaf) as pool:
-        pending = [pool.submit(job, number) for number in range(starts)]
-        try:
-            for future in pending:
-                yield future.result()
-        finally:
-            for future in pending:
-                future.cancel()
-
-
-def _deaf() -> None:
-    """Ctrl-C is the parent's to handle."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

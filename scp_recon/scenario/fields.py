@@ -1,4 +1,4 @@
-"""What the entries of a scenario may be: numbers within bounds, directions, names."""
+"""Kinds of entries of a scenario (bounded numbers, directions, names), and a warning about one."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from scp_recon.errors import printable
 
 
 def _long_enough(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -18,10 +20,15 @@ SHORTEST = 1e-3
 """Of what has a direction: shorter vectors are slips, and their squares may vanish."""
 
 
-def _none_or_some(share: float) -> float:
-    if 0.0 < share < LEAST_SHARE:
-        raise ValueError(f"must be 0 or at least {LEAST_SHARE:g}")
-    return share
+def zero_or_at_least(least: float) -> AfterValidator:
+    """Of a number that is not negative."""
+
+    def check(value: float) -> float:
+        if 0.0 < value < least:
+            raise ValueError(f"must be 0 or at least {least:g}")
+        return value
+
+    return AfterValidator(check)
 
 
 LEAST_SHARE = 1e-9
@@ -40,6 +47,8 @@ Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_print
 Positive = Annotated[float, Field(ge=1e-9, le=1e12)]
 """Whatever its unit: beyond these bounds nothing is physical, and squares and quotients overflow."""
 NonNegative = Annotated[float, Field(ge=0, le=1e12)]
+Number = Annotated[float, Field(ge=-1e30, le=1e30)]
+"""A number to compute with: small enough that its square and quotients stay finite."""
 Component = Annotated[float, Field(ge=-1e12, le=1e12)]
 Vector = tuple[Component, Component, Component]
 NonZeroVector = Annotated[Vector, AfterValidator(_long_enough)]
@@ -47,13 +56,37 @@ Speed = Annotated[float, Field(ge=-1e6, le=1e6)]
 Velocity = tuple[Speed, Speed, Speed]
 Angle = Annotated[float, Field(ge=-1e9, le=1e9)]
 FlightTime = Annotated[float, Field(ge=0, le=1e7)]
-Share = Annotated[float, Field(ge=0, lt=1), AfterValidator(_none_or_some)]
+Share = Annotated[float, Field(ge=0, lt=1), zero_or_at_least(LEAST_SHARE)]
+Probability = Annotated[float, Field(ge=0, le=1)]
 ConeAngle = Annotated[float, Field(gt=0, lt=90)]
 
 
 class Section(BaseModel):
-    """A table of the scenario: frozen, strict, nothing unknown, nothing infinite."""
+    """A table of a scenario or of a file: frozen, strict, nothing unknown, nothing infinite."""
 
     model_config = ConfigDict(
         frozen=True, strict=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null"
     )
+
+    def __dir__(self) -> list[str]:
+        """Its own: no methods of the base class."""
+        return [name for name in super().__dir__() if name not in dir(BaseModel)]
+
+
+class ScenarioWarning(Section):
+    """An entry, by its dotted path, that is hardly what was meant."""
+
+    entry: Line
+    given: Line
+    expected: Line
+    """What would have raised no question, and why."""
+
+    @classmethod
+    def of(cls, entry: str, given: str, expected: str) -> ScenarioWarning:
+        """From text that may hold what a user typed."""
+        given, expected = (printable(text.replace("\n", " ")) for text in (given, expected))
+        return cls(entry=entry, given=given, expected=expected)
+
+    def __str__(self) -> str:
+        """One line."""
+        return f"{self.entry}: got {self.given}; {self.expected}"

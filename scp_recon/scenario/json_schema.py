@@ -9,12 +9,13 @@ from __future__ import annotations
 import ast
 import inspect
 import itertools
+import json
 import sys
 from typing import Any
 
 from pydantic import BaseModel
 
-from scp_recon.environment.catalogue import body_names
+from scp_recon.bodies.catalogue import body_names
 from scp_recon.scenario.load import base_names
 from scp_recon.scenario.schema import Scenario
 
@@ -100,3 +101,8 @@ def _docstrings(model: type[BaseModel]) -> dict[str, str]:
         ):
             told[field.target.id] = inspect.cleandoc(str(below.value.value)).replace("\n", " ")
     return told
+
+
+def schema_text() -> str:
+    """What the file holds."""
+    return json.dumps(json_schema(), indent=2) + "\n"

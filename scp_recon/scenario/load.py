@@ -1,16 +1,18 @@
-"""Reading scenarios: a complete TOML file, or one that names a `base` and holds what differs."""
+"""Reads and writes scenarios in TOML: complete files, or a `base` and what differs from it."""
 
 from __future__ import annotations
 
+import json
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, option
 from scp_recon.files import read_text
-from scp_recon.scenario.inherit import inherit, merge, nested
+from scp_recon.scenario.dependencies import inherit, layer_of
 from scp_recon.scenario.resolve import anchored, resolve
 from scp_recon.scenario.schema import Scenario
 
@@ -56,11 +58,8 @@ def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) ->
 def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     """A scenario with other values, and what follows from them.
 
-    What nothing of that touches stays as it is: the files that it came from may be gone.
-
-    Args:
-        scenario: resolved.
-        overrides: `section.entry=value` each, the value in TOML.
+    An override is `section.entry=value`, the value in TOML. What nothing of that touches stays as it
+    is: the files that it came from may be gone.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.
@@ -73,11 +72,8 @@ def _validated(data: Mapping[str, Any], overrides: Sequence[str]) -> Scenario:
 
 
 def _layer(overrides: Sequence[str]) -> dict[str, Any]:
-    """All overrides as one: a later one wins, and none takes back another."""
-    layer: dict[str, Any] = {}
-    for text in overrides:
-        layer = merge(layer, _parse_override(text))
-    return anchored(layer, Path())
+    """All overrides as one."""
+    return anchored(layer_of(map(_parse_override, overrides)), Path())
 
 
 def base_names() -> list[str]:
@@ -91,6 +87,12 @@ def base_names() -> list[str]:
 def packaged(name: str) -> dict[str, Any]:
     """Tables of a scenario in the package."""
     return tomllib.loads((files("scp_recon") / "data" / f"{name}.toml").read_text(encoding="utf-8"))
+
+
+@cache
+def packaged_scenario(name: str) -> Scenario:
+    """A scenario in the package, resolved."""
+    return load_scenario(name)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -111,13 +113,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _with_base(data: Mapping[str, Any], folder: Path, above: tuple[Path, ...]) -> dict[str, Any]:
-    """Nested tables over their base, whose own base is below it, and so on.
-
-    Args:
-        data: nested tables as in a file.
-        folder: that of the file, to which the files that it names are relative.
-        above: the file and those that it is the base of.
-    """
+    """Tables of a file over their base; `above` are the file and those that it is the base of."""
     if not {"base", *Scenario.model_fields} & set(data):
         raise InputError(
             "scenario", "none of its entries", 'must be complete or have base = "recon_b"'
@@ -139,15 +135,32 @@ def _with_base(data: Mapping[str, Any], folder: Path, above: tuple[Path, ...]) -
     return inherit(_with_base(_read(file), file.parent, (*above, file)), own)
 
 
-def _parse_override(text: str) -> dict[str, Any]:
+def _parse_override(text: str) -> tuple[str, Any]:
     path, separator, given = text.partition("=")
     keys = path.strip().split(".")
     if not separator or not all(keys) or len(keys) > PARTS_MAX or not text.isprintable():
-        raise InputError("--set", repr(text)[:80], "must read section.entry=value, on one line")
+        raise InputError(
+            option("overrides"), repr(text)[:80], "must read section.entry=value, on one line"
+        )
     try:
         value = tomllib.loads(f"value = {given}")["value"]
     except tomllib.TOMLDecodeError:
         value = given  # a bare word is a string: boundary.frame=j2000
     except (ValueError, RecursionError) as error:
-        raise InputError("--set", repr(text)[:80], str(error)[:120]) from None
-    return nested(keys, value)
+        raise InputError(option("overrides"), repr(text)[:80], str(error)[:120]) from None
+    return ".".join(keys), value
+
+
+def scenario_text(scenario: Scenario) -> str:
+    """The file. JSON's text, numbers and lists are TOML's too."""
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    return "\n".join(_lines("", tables)) + "\n"
+
+
+def _lines(name: str, table: Mapping[str, Any]) -> Iterator[str]:
+    inner = {key: value for key, value in table.items() if isinstance(value, dict)}
+    if name:
+        yield f"\n[{name}]"
+    yield from (f"{key} = {json.dumps(table[key])}" for key in table if key not in inner)
+    for key, value in inner.items():
+        yield from _lines(f"{name}.{key}" if name else key, value)

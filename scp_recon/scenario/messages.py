@@ -1,4 +1,4 @@
-"""What is wrong with a scenario, in the user's words."""
+"""Tells what is wrong with a scenario in the user's words: entry, what was given, what is allowed."""
 
 from __future__ import annotations
 
@@ -9,20 +9,16 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, shortened
+from scp_recon.scenario.dependencies import computed_from
 
-MAX_PROBLEMS_SHOWN, SHOWN = 5, 80
+MAX_PROBLEMS_SHOWN = 5
 INTEGER_BRANCHES = ("int", "constrained-int")
 """What Pydantic calls the whole-number alternative of an entry."""
 
 
 def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
-    """One message for everything that is wrong, the first problem giving the entry.
-
-    Args:
-        error: Pydantic's.
-        schema: whose sections and entries the message names.
-    """
+    """One message for everything that is wrong, the first problem giving the entry."""
     allowed: dict[tuple[str, str], list[str]] = {}
     found = [dict(problem) for problem in error.errors(include_url=False)]
     missing = _missing(found, schema)
@@ -34,10 +30,9 @@ def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
     if not problems:
         return InputError(missing[0], "nothing", _all_of(missing[1:], "required, as are", missing))
     entries = {tuple(_location(problem)) for problem in problems}
-    if any(str(location[0]) in SOURCES for location in entries if location):
-        missing = [entry for entry in missing if not entry.startswith(COMPUTED)]
-    if any(str(location[0]) == "boundary" for location in entries if location):
-        missing = [entry for entry in missing if not entry.startswith(OF_HOME)]
+    # What may follow as soon as that is mended is not called missing before.
+    computed = computed_from({str(location[0]) for location in entries if location})
+    missing = [entry for entry in missing if entry not in computed]
     for problem in problems:
         entry, given, rule = _describe(problem, schema)
         rules = allowed.setdefault((entry, given), [])
@@ -63,20 +58,6 @@ INSTEAD = {
     "body.shape_file or a packaged body's. Another body inherits no site.",
 }
 """What may be said in the place of missing entries, by how these begin."""
-
-
-SOURCES = ("body", "epoch", "sun", "site")
-"""Tables from which nothing is computed while an entry of theirs is wrong."""
-COMPUTED = (
-    *("body.gm_", "body.j2", "body.reference_", "body.pole_", "body.prime_", "sun.body_"),
-    *("site.position_", "site.normal_"),
-)
-"""Entries that may follow as soon as that is mended, and are not called missing before."""
-OF_HOME = (
-    *("boundary.initial_position_m", "boundary.initial_velocity_m_s"),
-    *("boundary.final_position_m", "boundary.final_velocity_m_s"),
-)
-"""The same of a home orbit, where an entry of its table is wrong."""
 
 
 def _missing(problems: Iterable[dict[str, Any]], schema: type[BaseModel]) -> list[str]:
@@ -118,7 +99,7 @@ def _describe(problem: dict[str, Any], schema: type[BaseModel]) -> tuple[str, st
     if kind == "missing":  # of a list of fixed length
         location = location[:-1]
     entry = ".".join(map(str, location)) or "scenario"
-    given = "these values" if isinstance(problem["input"], dict) else _shown(problem["input"])
+    given = "these values" if isinstance(problem["input"], dict) else shortened(problem["input"])
     message = _rule(problem, location, schema)
     return entry, given, message if "must" in message else f"must be {message}"
 
@@ -179,8 +160,7 @@ def _field(location: list[str | int], schema: type[BaseModel]) -> FieldInfo | No
     for part in location:
         if isinstance(part, str):
             field = getattr(model, "model_fields", {}).get(part)
-            kinds = (field.annotation, *get_args(field.annotation)) if field else ()
-            model = next((kind for kind in kinds if hasattr(kind, "model_fields")), None)
+            model = _table(field.annotation) if field else None
     return field
 
 
@@ -230,10 +210,8 @@ def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     near = near or difflib.get_close_matches(str(location[-1]), by_key, n=1, cutoff=0.6)
     if near:
         return f"did you mean {by_key.get(near[0], near[0])}? (units are part of the key)"
-    beside: type[BaseModel] = schema
-    for part in location[:-1]:
-        field = beside.model_fields.get(str(part))
-        beside = (_table(field.annotation) if field else None) or schema
+    field = _field(location[:-1], schema)
+    beside = (_table(field.annotation) if field else None) or schema
     return f"must be one of {', '.join(beside.model_fields)}"
 
 
@@ -252,9 +230,3 @@ def _table(annotation: object) -> type[BaseModel] | None:
     choices = get_args(annotation) or (annotation,)
     tables = (one for one in choices if isinstance(one, type) and issubclass(one, BaseModel))
     return next(tables, None)
-
-
-def _shown(value: object) -> str:
-    """A value as the user may know it, but not at any length."""
-    text = repr(value)
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."

@@ -1,4 +1,4 @@
-"""From what the user knows to the numbers that planning needs: the one place where they are computed.
+"""Computes the numbers that planning needs from what the user knows, in one place.
 
 Rotation, gravity, Sun and site are each a subject. What is given as well as it can be computed is
 checked against it. A subject that lacks something is left as it is: the schema tells what is missing.
@@ -12,21 +12,17 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
-from scp_recon.environment.catalogue import DAY_S, J2000_TDB, packaged_body
-from scp_recon.scenario.body import Body, Sun
+from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, packaged_body
+from scp_recon.errors import InputError
+from scp_recon.scenario.body import Body, SiteSection, Sun
+from scp_recon.scenario.boundary import Boundary, HomeOrbit
+from scp_recon.scenario.dependencies import ENDS, Tables, entries, found, keys
 from scp_recon.scenario.fields import Section
-from scp_recon.scenario.inherit import entries, found
-from scp_recon.scenario.resolution.boundary import resolve_boundary
-from scp_recon.scenario.resolution.gravity import resolve_gravity
-from scp_recon.scenario.resolution.rotation import resolve_rotation
+from scp_recon.scenario.resolution.body import resolve_gravity, resolve_rotation, resolve_sun
 from scp_recon.scenario.resolution.site import resolve_site
-from scp_recon.scenario.resolution.sun import resolve_sun
-from scp_recon.scenario.sections import Boundary
-from scp_recon.scenario.site import SiteSection
-
-Tables = dict[str, Any]
 
 SUBJECTS: dict[str, tuple[str, ...]] = {
     "rotation": (
@@ -47,12 +43,10 @@ FILES = ("body.shape_file", "body.pck_file", "body.gravity_file")
 
 
 def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> Tables:
-    """Nested tables with everything computed that can be.
+    """Nested tables, their base merged in, with everything computed that can be.
 
-    Args:
-        data: nested tables of a scenario, its base merged in.
-        changes: what in them is new, where the rest has been resolved before: other subjects are left
-            alone, so that what they were computed from need not be there any more.
+    With `changes` the rest has been resolved before: other subjects than theirs are left alone, so
+    that what they were computed from need not be there any more.
 
     Raises:
         InputError: if a file cannot be used, an epoch is outside what is known, or what is given
@@ -142,3 +136,31 @@ def _days(tables: Mapping[str, Any]) -> float | None:
         return (tdb - J2000_TDB).total_seconds() / DAY_S
     except (ValueError, TypeError):
         return None
+
+
+TOLERANCE = 1e-6
+"""Share of radius and speed within which states that are given are those of the home orbit."""
+
+
+def resolve_boundary(boundary: dict[str, Any], gm: object) -> None:
+    """Enter the states, if there is a home orbit and GM, m^3/s^2, is known.
+
+    Raises:
+        InputError: if states are given that are not its.
+    """
+    if boundary.get("home") is None or not isinstance(gm, int | float):
+        return
+    home = HomeOrbit.model_validate_json(json.dumps(boundary["home"]))
+    states = [
+        home.state(float(np.deg2rad(span[0])), float(gm))
+        for span in (home.departure_deg, home.arrival_deg)
+    ]
+    computed = [part for state in states for part in (state[:3], state[3:])]
+    for key, value in zip(keys(ENDS), computed, strict=True):
+        given = boundary.setdefault(key, value.tolist())
+        if not np.allclose(given, value, rtol=0.0, atol=TOLERANCE * np.linalg.norm(value)):
+            raise InputError(
+                f"boundary.{key}",
+                str(given)[:80],
+                "must be left out beside boundary.home, from which it follows",
+            )

@@ -1,36 +1,168 @@
-"""What a scenario is: its tables, validated together."""
+"""The schema of a scenario: its tables, frozen, with units in the keys, and validated together."""
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Mapping
-from typing import Any, Self
+from datetime import datetime
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import ValidationError
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from scp_recon.errors import InputError
-from scp_recon.scenario.body import Body, Sun
-from scp_recon.scenario.fields import Name, Section
-from scp_recon.scenario.home import Design
-from scp_recon.scenario.in_flight import InFlight
-from scp_recon.scenario.inherit import inherit, merge, nested
+from scp_recon.scenario.body import Body, SiteSection, Sun
+from scp_recon.scenario.boundary import Boundary, Design
+from scp_recon.scenario.dependencies import inherit, layer_of
+from scp_recon.scenario.fields import ConeAngle, FlightTime, Name, NonNegative, Positive, Section
 from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.resolve import resolve
-from scp_recon.scenario.sections import (
-    Battery,
-    Boundary,
-    Burns,
-    Epoch,
-    Grid,
-    Observation,
-    PolytopeSection,
-    Risk,
-    Safety,
-    ScheduleRules,
-    Spacecraft,
-)
-from scp_recon.scenario.site import SiteSection
-from scp_recon.scenario.uncertainty import Uncertainty
+from scp_recon.scenario.uncertainty import InFlight, Uncertainty
+
+
+class Epoch(Section):
+    """Time zero of the flight."""
+
+    tdb: datetime
+    """TDB at the first burn, such as 2020-01-21T20:33:17.184; no time zone."""
+
+    @field_validator("tdb")
+    @classmethod
+    def _no_offset(cls, tdb: datetime) -> datetime:
+        if tdb.tzinfo is not None:
+            raise ValueError("must have no time zone, it is TDB")
+        return tdb
+
+
+class Spacecraft(Section):
+    """Cannonball for solar radiation pressure."""
+
+    mass_kg: Positive
+    """Mass in kg."""
+    srp_area_m2: NonNegative
+    """Area that the Sun lights in m^2."""
+    reflectivity_coefficient: NonNegative
+    """Cannonball coefficient C_R: 1 absorbs, 2 reflects everything."""
+
+
+class Burns(Section):
+    """Firing times, the first at zero and the last at the end of the flight."""
+
+    times_s: Annotated[tuple[FlightTime, ...], Field(min_length=2, max_length=64)]
+    """Firing times in s after the epoch, the first at 0."""
+    dv_max_m_s: Annotated[float, Field(ge=1e-9, le=1e6)]
+    """Largest size of a burn in m/s."""
+
+    @field_validator("times_s")
+    @classmethod
+    def _ascending_from_zero(cls, times: tuple[float, ...]) -> tuple[float, ...]:
+        if times[0] != 0.0 or any(b <= a for a, b in itertools.pairwise(times)):
+            raise ValueError("must start at 0 and be strictly ascending")
+        return times
+
+
+class Observation(Section):
+    """Limits on the observation geometry; those without a bound are left out."""
+
+    site_distance_min_m: Positive
+    """Least distance from the site in m."""
+    site_distance_max_m: Positive
+    """Greatest distance from the site in m."""
+    emission_min_deg: ConeAngle
+    """Least angle at the site between its normal and the spacecraft in deg."""
+    emission_max_deg: ConeAngle
+    """Greatest of these angles in deg."""
+    phase_min_deg: ConeAngle
+    """Least angle at the site between the Sun and the spacecraft in deg."""
+    phase_max_deg: ConeAngle | None = None
+    """Greatest of these angles in deg; no limit if left out."""
+    incidence_max_deg: Annotated[float, Field(gt=0, le=180)]
+    """Greatest angle at the site between its normal and the Sun in deg."""
+    local_solar_time_min_h: Annotated[float, Field(ge=0, le=24)]
+    """Earliest local solar time at the site in h, 12 at the Sun's crossing of its meridian."""
+    local_solar_time_max_h: Annotated[float, Field(ge=0, le=24)]
+    """Latest local solar time at the site in h."""
+    window_s: tuple[float, float] | None = None
+    """Start and end of the observation in s after the epoch; computed from the lighting if left out."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for name in ("site_distance", "emission", "phase", "local_solar_time"):
+            low, high = (
+                next(v for k, v in self if k.startswith(f"{name}_{end}")) for end in ("min", "max")
+            )
+            if high is not None and low >= high:
+                raise ValueError(f"{name}: the minimum {low} must be below the maximum {high}")
+        return self
+
+
+class Safety(Section):
+    """Distance from the body's centre throughout the flight."""
+
+    radius_min_m: Positive
+    """Least distance from the body's centre in m."""
+
+
+class Battery(Section):
+    """Half-angles about the Sun line: of burns (both ways) and, from the site, while observing."""
+
+    delta_v_cone_deg: ConeAngle
+    """Half-angle in deg of the cones about the Sun line, both ways, that burns keep out of."""
+    observation_cone_deg: ConeAngle
+    """Half-angle in deg of the cone at the site about the Sun line that the flight keeps out of."""
+
+
+class ScheduleRules(Section):
+    """Worst-case durations of slew, heating and recharge, and how late a decision may be."""
+
+    attitude_s: FlightTime
+    """Slew until steady in s."""
+    heating_s: FlightTime
+    """Heating of the thruster before a burn in s."""
+    recharge_s: FlightTime
+    """Recharge of the battery from empty in s."""
+    decision_lead_s: FlightTime = 1800.0
+    """Least time in s from a state in flight to the next burn that can still be planned anew."""
+
+
+class Risk(Section):
+    """What probability is asked of what, and how it is spent.
+
+    With the scope `node` every joint constraint at every node has to hold with `p_chance`; with
+    `flight` all of them together, at all nodes of a flight. `uniform` splits a risk evenly over
+    polytopes' facets by Boole's inequality; `exact` spends the probability of the sets themselves.
+    """
+
+    p_chance: Annotated[float, Field(gt=0.5, le=1 - 1e-9)]
+    """Least probability of what `scope` names; of whole flights at most 1 - 1e-5."""
+    allocation: Literal["uniform", "exact"] = "uniform"
+    """How risk is spent: evenly over facets (Boole), or as the probabilities of the sets themselves."""
+    scope: Literal["node", "flight"] = "node"
+    """What has to hold: each joint constraint at each node, or all of them at all nodes of a flight."""
+
+    @model_validator(mode="after")
+    def _flights_are_exact(self) -> Self:
+        if self.scope == "flight" and self.allocation != "exact":
+            raise ValueError('scope = "flight" must have allocation = "exact"')
+        return self
+
+
+class PolytopeSection(Section):
+    """What stands for balls and cones in P2."""
+
+    ball: Literal["paper", "tangent"] | Annotated[int, Field(ge=4, le=512)]
+    """For distances: "paper" (24 facets), "tangent" (at the line of sight), or a number of facets."""
+    cone: Literal["paper"] | Annotated[int, Field(ge=3, le=512)]
+    """For angles: "paper" (4 facets), or a number of facets."""
+
+
+class Grid(Section):
+    """Longest spacing of the nodes; burns and window edges are nodes besides, and so are `nodes_s`."""
+
+    step_max_s: Annotated[float, Field(ge=1, le=1e7)]
+    """Longest spacing of the nodes in s."""
+    nodes_s: Annotated[tuple[FlightTime, ...], Field(max_length=1000)] = ()
+    """Further nodes, in s past the epoch."""
 
 
 class Scenario(Section):
@@ -106,10 +238,7 @@ class Scenario(Section):
         Raises:
             InputError: naming the entry, what was given and what is allowed.
         """
-        layer: dict[str, Any] = {}
-        for entry, value in changes.items():
-            layer = merge(layer, nested(entry.split("."), value))
-        return self.changed(layer)
+        return self.changed(layer_of(changes.items()))
 
     def changed(self, layer: Mapping[str, Any]) -> Self:
         """The same scenario with what some nested tables say anew, and with what follows from it.

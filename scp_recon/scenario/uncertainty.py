@@ -1,4 +1,4 @@
-"""The table `[uncertainty]`: how well initial state and burns are known, each said in one way."""
+"""The tables `[uncertainty]` and `[in_flight]`: how well states and burns are known."""
 
 from __future__ import annotations
 
@@ -14,19 +14,21 @@ from pydantic import (
     model_validator,
 )
 
-from scp_recon.scenario.fields import Component, Section, Share
+from scp_recon.scenario.fields import (
+    Component,
+    FlightTime,
+    NonZeroVector,
+    Section,
+    Share,
+    Velocity,
+    zero_or_at_least,
+)
 
 MATRIX_TOLERANCE = 1e-6
 """Of a covariance over the product of its two sigmas: rounding of printed digits."""
 
 LEAST_SIGMA, LARGEST_SIGMA = 1e-12, 1e12
 """In m or m/s, of a sigma that is not zero: squares of others are lost in rounding, or overflow."""
-
-
-def _none_or_some(sigma: float) -> float:
-    if 0.0 < sigma < LEAST_SIGMA:
-        raise ValueError(f"must be 0 or at least {LEAST_SIGMA:g}")
-    return sigma
 
 
 def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
@@ -63,11 +65,12 @@ def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
     return rows
 
 
-Sigma = Annotated[float, Field(ge=0, le=LARGEST_SIGMA), AfterValidator(_none_or_some)]
+ZeroOrSome = zero_or_at_least(LEAST_SIGMA)
+Sigma = Annotated[float, Field(ge=0, le=LARGEST_SIGMA), ZeroOrSome]
 Sigmas = tuple[Sigma, Sigma, Sigma]
 Matrix = Annotated[tuple[tuple[Component, ...], ...], AfterValidator(_covariance)]
-FixedError = Annotated[float, Field(ge=0, le=1e6), AfterValidator(_none_or_some)]
-SmallAngle = Annotated[float, Field(ge=0, le=0.2), AfterValidator(_none_or_some)]
+FixedError = Annotated[float, Field(ge=0, le=1e6), ZeroOrSome]
+SmallAngle = Annotated[float, Field(ge=0, le=0.2), ZeroOrSome]
 """In rad: beyond it pointing errors are not linear any more, by 2 %, and degrees were meant."""
 Frame = Literal["j2000", "sun_north", "rtn", "body_fixed"]
 
@@ -117,7 +120,7 @@ class Uncertainty(Section):
     @model_validator(mode="after")
     def _each_in_one_way(self) -> Self:
         for what, ways in WAYS.items():
-            given = [way for way in ways if self._gives(way)]
+            given = [w for w in ways if any(getattr(self, key) is not None for key in _own(w))]
             if len(given) != 1:
                 either = ", or ".join(" with ".join(way) for way in ways)
                 found = " and ".join(" with ".join(way) for way in given) or "nothing"
@@ -130,10 +133,6 @@ class Uncertainty(Section):
         if self.initial_frame is not None and self.initial_sigma_fraction is not None:
             raise ValueError("must have no initial_frame: a fraction is of the J2000 components")
         return self
-
-    def _gives(self, way: tuple[str, ...]) -> bool:
-        """Whether any key is there that is this way's alone."""
-        return any(getattr(self, key) is not None for key in way if key != "initial_frame")
 
     @model_serializer(mode="wrap")
     def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -176,12 +175,7 @@ WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
 
 
 def without_other_ways(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table less what it says in another way than the changes to it do: those replace it.
-
-    Args:
-        base: the table `[uncertainty]` of a base, or of a scenario that is changed.
-        changes: what is to be merged into it.
-    """
+    """A table `[uncertainty]` less what it says in another way than the changes to it do."""
     kept = dict(base)
     for ways in WAYS.values():
         taken = [way for way in ways if _own(way) & changes.keys()]
@@ -192,4 +186,28 @@ def without_other_ways(base: Mapping[str, Any], changes: Mapping[str, Any]) -> d
 
 
 def _own(way: tuple[str, ...]) -> set[str]:
+    """Keys that are this way's alone."""
     return set(way) - {"initial_frame"}
+
+
+class InFlight(Section):
+    """State after the burns that have been flown; all else stays as it was before the flight.
+
+    Times count from the epoch of the scenario. Burns at or before the state's time are flown, and the
+    state is after them. Axes are those at the epoch; velocities are relative to J2000 in every frame.
+    """
+
+    at_s: FlightTime
+    """Time of the state in s after the epoch."""
+    frame: Literal["j2000", "sun_north"] = "j2000"
+    """Axes of the state."""
+    position_m: NonZeroVector
+    """Mean position in m, body-centred, in in_flight.frame."""
+    velocity_m_s: Velocity
+    """Mean velocity in m/s, in in_flight.frame."""
+    covariance: Matrix | None = None
+    """Covariance of the state, six by six, in m and m/s; the initial state's if left out."""
+    covariance_frame: Literal["j2000", "sun_north", "rtn"] = "j2000"
+    """Axes of the covariance: rtn are radial, transverse and normal of the state."""
+    flown_m_s: Annotated[tuple[Velocity, ...], Field(min_length=1, max_length=64)]
+    """Burns flown so far in m/s, J2000: as planned, or as measured."""

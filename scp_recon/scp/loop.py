@@ -1,20 +1,27 @@
-"""Sequential convex programming: linearise, solve, fly, compare, and globalise.
+"""Sequential convex programming: `run` iterates, `trial_step` linearises, solves and flies one step.
 
 Each iterate is flown: what a subproblem answers is made to obey the nonlinear dynamics, so that the
 only defect that can remain is at the final state. The guess alone may have defects everywhere; there
-is nothing in it to go back to, so the step from it is always taken. What comes after a step, the
-algorithm decides: `scvx`, `ptr` or `scvx_star`.
+is nothing in it to go back to, so the step from it is always taken. What comes after a trial step, the
+algorithm decides: see `algorithms`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol, Self
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import NamedTuple, Protocol, Self
 
 from formulations.linearisation.linearisation import Linearisation
-from formulations.program.penalty import Penalty, PenaltyParameters
-from formulations.program.subproblem import Subproblem
+from formulations.program.subproblem import (
+    Penalty,
+    PenaltyParameters,
+    Step,
+    Subproblem,
+    SubproblemError,
+)
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.scp.status import Status
 
@@ -81,7 +88,7 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """What the algorithm carries from one iteration to the next.
+    """The state of an algorithm between iterations.
 
     Attributes:
         lin: the iterate.
@@ -112,35 +119,28 @@ class Algorithm(Protocol):
     @property
     def penalty(self) -> Penalty:
         """How its subproblems charge violations and steps."""
-        ...
 
     @property
     def feasible(self) -> float:
         """Largest violation that counts as none."""
-        ...
 
     @property
     def max_iterations(self) -> int:
         """Limit of the loop."""
-        ...
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """The state before the first iteration."""
-        ...
 
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
     ) -> tuple[State, Record]:
         """One iteration."""
-        ...
 
     def resolving(self, resolution: float) -> Self:
         """The same, for rows that tell no more than a relative reduction of the merit."""
-        ...
 
     def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:
         """How to stop, or None to go on."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,3 +177,111 @@ def run(
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     return Result(status, state.lin, tuple(records), timing)
+
+
+class Trial(NamedTuple):
+    """Where a subproblem's answer leads: the flown iterate and its merit.
+
+    The model promised a reduction of the merit, `predicted`, and the flight gave `actual`; `step` is
+    the largest change of a burn's component.
+    """
+
+    answer: Step
+    lin: Linearisation
+    merit: float
+    predicted: float
+    actual: float
+    step: float
+
+
+def trial_step(
+    subproblem: Subproblem,
+    dynamics: Dynamics,
+    state: State,
+    radius: float,
+    timing: Timing,
+    slack: float,
+) -> Trial:
+    """Linearise, solve within a radius, and fly the answer; the seconds are added to the timing.
+
+    Standing still is always possible: an answer that is worse by its own model, by more than `slack` of
+    the merit, is none. Where a burn has vanished whose errors begin with a jump, the program is solved
+    with that burn executed too (`ExecutionErrors.otherwise`), and the best answer counts.
+
+    Raises:
+        SubproblemError: if there is no answer.
+    """
+    answer = _answer(subproblem, state.lin, radius, state.charge, timing)
+    for lin in _otherwise(subproblem, state.lin):
+        with suppress(SubproblemError):
+            other = _answer(subproblem, lin, radius, state.charge, timing)
+            answer = min(answer, other, key=lambda step: step.merit)
+    worst = state.merit + slack * max(1.0, abs(state.merit))
+    if state.lin.is_dynamically_feasible and answer.merit > worst:
+        raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
+    start = perf_counter()
+    lin = dynamics.close_defects(state.lin, answer.burns)
+    timing.linearise += perf_counter() - start
+    merit = subproblem.merit(lin, state.charge)
+    step = float(abs(answer.burns - state.lin.iterate.burns).max())
+    return Trial(answer, lin, merit, state.merit - answer.merit, state.merit - merit, step)
+
+
+def _answer(
+    subproblem: Subproblem,
+    lin: Linearisation,
+    radius: float,
+    charge: PenaltyParameters,
+    timing: Timing,
+) -> Step:
+    start = perf_counter()
+    subproblem.update(lin)
+    timing.linearise += perf_counter() - start
+    answer = subproblem.solve(radius, charge)
+    timing.canonicalise += answer.canonicalise_s
+    timing.conic_solver += answer.solver_s
+    return answer
+
+
+def _otherwise(subproblem: Subproblem, lin: Linearisation) -> Iterator[Linearisation]:
+    """The iterate under other models of its burns' errors, if the rows feel them."""
+    if subproblem.merit.rows.with_factor:
+        for errors in lin.problem.execution_errors.otherwise(lin.iterate.burns):
+            yield Linearisation(
+                replace(lin.problem, execution_errors=errors), lin.iterate, lin.arcs
+            )
+
+
+def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:
+    """The record of an iteration that went nowhere: what it ends with is what it began with."""
+    violations = dict(subproblem.merit.violations(state.lin))
+    defect = float(violations.pop("dynamics").max())
+    return Record(
+        k=k,
+        merit=state.merit,
+        predicted=0.0,
+        actual=0.0,
+        accepted=False,
+        trust_radius=state.radius,
+        total_dv=state.lin.iterate.total_dv,
+        max_violation=max(float(v.max(initial=0.0)) for v in violations.values()),
+        max_defect=defect,
+        step=0.0,
+        solver_s=0.0,
+        failure=failure,
+    )
+
+
+def record_of_trial(
+    subproblem: Subproblem, before: State, after: State, k: int, trial: Trial
+) -> Record:
+    """The record of an iteration that led from a state to another, accepted if it moved."""
+    return replace(
+        record_of(subproblem, after, k),
+        predicted=trial.predicted,
+        actual=trial.actual,
+        accepted=after.lin is trial.lin,
+        trust_radius=before.radius,
+        step=trial.step,
+        solver_s=trial.answer.solver_s,
+    )

@@ -1,4 +1,4 @@
-"""Every way in which planning can end."""
+"""The status of a plan: every way in which planning can end, with its message and remedy."""
 
 from __future__ import annotations
 
@@ -7,14 +7,7 @@ from typing import NamedTuple
 
 
 class Outcome(NamedTuple):
-    """What a status says.
-
-    Attributes:
-        name: in the solution file.
-        message: what happened, in one sentence.
-        remedy: what to try next.
-        exit_code: of the command line.
-    """
+    """A status: its name in a file, what happened, what to try next, the command's exit code."""
 
     name: str
     message: str

@@ -1,1 +1,1 @@
-"""What a solution says, checked without the solver."""
+"""Independent checks of a solution, without the solver."""

@@ -1,35 +1,44 @@
-"""Probabilities of the joint constraints by nonlinear flights, and whether they are what was asked."""
+"""Nonlinear flights of a solution: probabilities of the joint constraints, and final sigmas."""
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtri
 
+from formulations.arrays import Array, Booleans, Indices
 from formulations.rows.exact import FLIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.monte_carlo.sampling import fly_block, sample_positions
 from scp_recon.monte_carlo.whole_flight import SAFETY
-from scp_recon.solution.file import Solution
-from scp_recon.solution.risk import Risk
-from scp_recon.solution.verdict import JointProbability
-
-Array = npt.NDArray[np.float64]
+from scp_recon.results.facts import FinalSigma, JointProbability, Risk
+from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
+from scp_recon.results.solution import Solution
 
 SAMPLES, SEED = 10_000, 0
+
 SAMPLED_PARTS_PER_ARC = 4
+
 MARGIN_LIMIT = {"m": -0.5, "rad": -1e-3, "m/s": -1e-6}
 """Between nodes a constraint that binds at them may dip below by this much."""
+
 LAW_ERROR, LAW_LOSS = 0.1, 0.5
 """Standard deviations between what the normal law says of a whole flight and the interval of nonlinear
 flights. 0.054 was measured at most, on the default scenario for 0.70 to 0.999. Where flights certify a
 plan its aim makes up for the difference, which may then be as large as the second."""
+
 ERRORS = 5.0
 """Standard errors between what two samples of flights reach."""
+
 BETWEEN = 0.05
 """Share of 1 - p that a certificate's flights may lose between the times that are looked at here."""
+
+BLOCKS = 5
+"""Of a thousand flights."""
+
+LAW = 0.02
+"""Of a sigma, by which nonlinear flights may differ from it."""
 
 
 def shortfalls(
@@ -40,26 +49,26 @@ def shortfalls(
     An exact plan spends what was asked and no more, so that flights refute it only where their upper
     limit is less. What stands behind it is its certificate, if it has one.
     """
-    asked, risk = mission.scenario.risk, solution.risk
+    required, risk = mission.scenario.risk, solution.risk
     if risk is None:
-        return [f"P({p.name})" for p in probabilities if p.estimate < asked.p_chance]
-    found = [f"P({p.name})" for p in probabilities if p.high < asked.p_chance]
-    if risk.certificate is not None and risk.certificate.low < asked.p_chance:
+        return [f"P({p.name})" for p in probabilities if p.estimate < required.p_chance]
+    found = [f"P({p.name})" for p in probabilities if p.high < required.p_chance]
+    if risk.certificate is not None and risk.certificate.low < required.p_chance:
         found.append("certificate")
-    if risk.certificate is not None and not _bears_out(asked.p_chance, risk, probabilities):
+    if risk.certificate is not None and not _bears_out(required.p_chance, risk, probabilities):
         found.append("certificate")
     flown = next((p for p in probabilities if p.name == FLIGHT), None)
     if flown is not None:
-        told, low, high = (
+        reported, low, high = (
             float(ndtri(p)) for p in (min(risk.normal_law[0].probability), flown.low, flown.high)
         )
-        off = max(low - told, told - high)
+        off = max(low - reported, reported - high)
         if off > (LAW_ERROR if risk.certificate is None else LAW_LOSS):
             found.append("risk")
     return list(dict.fromkeys(found))
 
 
-def _bears_out(asked: float, risk: Risk, probabilities: list[JointProbability]) -> bool:
+def _bears_out(required: float, risk: Risk, probabilities: list[JointProbability]) -> bool:
     """Whether new flights reach what the certificate's flights are said to have reached."""
     certificate = risk.certificate
     assert certificate is not None
@@ -68,7 +77,7 @@ def _bears_out(asked: float, risk: Risk, probabilities: list[JointProbability]) 
     pooled = (certificate.reached * n + flown * SAMPLES) / (n + SAMPLES)
     error = np.sqrt((pooled * (1.0 - pooled) + 1.0 / SAMPLES) * (1.0 / n + 1.0 / SAMPLES))
     off = certificate.reached - flown
-    return bool(-ERRORS * error - BETWEEN * (1.0 - asked) <= off <= ERRORS * error)
+    return bool(-ERRORS * error - BETWEEN * (1.0 - required) <= off <= ERRORS * error)
 
 
 def joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability]:
@@ -83,20 +92,31 @@ def joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability
     times = np.union1d(observed, mission.times_s)
     positions = sample_positions(mission, burns, times, SAMPLES, SEED)
     seen = np.searchsorted(times, observed)
-    joint = joint_margins(mission, observed, positions[seen]) if len(observed) else {}
-    radius = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
-    kept = {SAFETY: (times, holds(radius, "m"))}
-    for name, margin in joint.items():
-        kept[name] = observed, holds(margin, "m" if name == "site_distance" else "rad")
-    found = [_worst(name, at, held) for name, (at, held) in kept.items()]
+    kept = held(mission, times, positions, seen)
+    found = [_worst(name, at, those) for name, (at, those) in kept.items()]
     if mission.scenario.risk.scope == "flight":
-        every = np.logical_and.reduce([held.all(axis=0) for _, held in kept.values()])
+        every = np.logical_and.reduce([those.all(axis=0) for _, those in kept.values()])
         first = min(found, key=lambda one: one.estimate)
         found.append(_worst(FLIGHT, np.array([first.worst_t_s]), every[None]))
     return found
 
 
-def holds(margin: Array, unit: str) -> npt.NDArray[np.bool_]:
+def held(
+    mission: Mission, times: Array, positions: Array, seen: Indices
+) -> dict[str, tuple[Array, Booleans]]:
+    """Which flights hold safety, at all times, and each joint constraint, at those that are `seen`.
+
+    By name: times, s, shape (n,), and flights, shape (n, flights); of positions (times, flights, 3).
+    """
+    joint = joint_margins(mission, times[seen], positions[seen]) if len(seen) else {}
+    radius = np.linalg.norm(positions, axis=2) - mission.scenario.safety.radius_min_m
+    kept = {SAFETY: (times, holds(radius, "m"))}
+    for name, margin in joint.items():
+        kept[name] = times[seen], holds(margin, "m" if name == "site_distance" else "rad")
+    return kept
+
+
+def holds(margin: Array, unit: str) -> Booleans:
     """Which flights hold a constraint, margins (times, flights).
 
     Where they spread by less than a binding mean may dip between nodes they are judged as the mean is:
@@ -107,14 +127,32 @@ def holds(margin: Array, unit: str) -> npt.NDArray[np.bool_]:
     return np.asarray(margin >= allowed[:, None])
 
 
-def _worst(name: str, times: Array, holds: npt.NDArray[np.bool_]) -> JointProbability:
+def _worst(name: str, times: Array, holds: Booleans) -> JointProbability:
     counts = holds.sum(axis=1)
     at = int(np.argmin(counts))
-    estimate = proportion(int(counts[at]), holds.shape[1])
-    return JointProbability(
-        name=name,
-        worst_t_s=float(times[at]),
-        estimate=estimate.value,
-        low=estimate.low,
-        high=estimate.high,
-    )
+    return JointProbability(name, float(times[at]), *proportion(int(counts[at]), holds.shape[1]))
+
+
+def flown_sigmas(mission: Mission, burns: Array, seed: int) -> list[FinalSigma]:
+    """The roots of nonlinear flights, with the standard error of their number."""
+    limits, found = final_sigma_limits(mission), []
+    if not limits:
+        return []
+    end = mission.times_s[-1:]
+    blocks = [fly_block(mission, burns, end, number, seed=seed) for number in range(BLOCKS)]
+    states = np.concatenate([flown.states[-1] for flown in blocks])
+    for name, part, unit in FINAL_SIGMAS:
+        if name in limits:
+            deviation = states[:, part] - states[:, part].mean(axis=0)
+            squares = (deviation**2).sum(axis=1)
+            sigma = float(np.sqrt(squares.mean()))
+            error = float(squares.std() / np.sqrt(len(squares)) / (2.0 * sigma)) if sigma else 0.0
+            found.append(
+                FinalSigma(name=name, unit=unit, required=limits[name], flown=sigma, error=error)
+            )
+    return found
+
+
+def exceeded(found: list[FinalSigma]) -> list[str]:
+    """Names of limits that flights refute."""
+    return [s.name for s in found if s.flown - ERRORS * s.error > s.required * (1.0 + LAW)]

@@ -11,33 +11,34 @@ acceleration, the body's rotation, the Sun's direction and the boundary states.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy.integrate import solve_ivp
 
-from scp_recon.mission.in_flight import MISS_WEIGHT
+from formulations.arrays import Array
+from formulations.problem.execution_errors import VANISHED
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import MISS_WEIGHT
 from scp_recon.monte_carlo.estimates import CONFIDENCE
 from scp_recon.monte_carlo.observation_time import observation_margins
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.results.facts import FinalMiss, FinalSigma, MeanMargin, Verification
+from scp_recon.results.solution import Solution
+from scp_recon.scenario.uncertainty import Gates
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution
-from scp_recon.solution.verdict import FinalMiss, FinalSigma, MeanMargin, Verification
 from scp_recon.verification.consistency import inconsistencies
-from scp_recon.verification.final_sigmas import exceeded, flown_sigmas
 from scp_recon.verification.probabilities import (
     MARGIN_LIMIT,
     SAMPLES,
     SEED,
+    exceeded,
+    flown_sigmas,
     joint_probabilities,
     shortfalls,
 )
-from scp_recon.verification.spread import Spread
-
-Array = npt.NDArray[np.float64]
 
 FLIGHTS_CHECKED = 3
 MARGIN_STEP_S = 10.0
@@ -52,7 +53,7 @@ FIGURES = {
     "sample_error_m": ("sampled flights", "m"),
     "covariance_error": ("covariance, relative", ""),
 }
-"""What is held to `limits_of`: figures of a verification, what tables call them, and their units."""
+"""Figures of a verification that `limits_of` limits: their names in tables, and units."""
 NO_BURN_M_S = 1e-6
 SMALLEST = 1e-30
 """Scaled covariance that counts as none."""
@@ -105,7 +106,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
 
 
 def limits_of(mission: Mission) -> dict[str, float]:
-    """What a verification allows, by the figures' names, in their units.
+    """Limits of a verification, by the figures' names, in their units.
 
     The miss of a final state that too few burns are left to meet is said and not judged: infinity.
     """
@@ -216,55 +217,91 @@ def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
 
 
 def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
+    """Of every original constraint, between the nodes too."""
     first, last = mission.observed_s or (np.inf, np.inf)
     window = (flown.times >= first) & (flown.times <= last)
     times = flown.times[window]
     margins = observation_margins(mission, times, flown.states[window, :3])
-    found = [
-        MeanMargin(
-            name=name,
-            unit=unit,
-            worst_margin=float(margin.min()),
-            worst_t_s=float(times[np.argmin(margin)]),
-        )
-        for name, (unit, margin) in margins.items()
-        if len(times)
-    ]
     radius = np.linalg.norm(flown.states[:, :3], axis=1) - mission.scenario.safety.radius_min_m
-    safety = MeanMargin(
-        name="safety_radius",
-        unit="m",
-        worst_margin=float(radius.min()),
-        worst_t_s=float(flown.times[np.argmin(radius)]),
-    )
-    return [safety, *found]
+    observed = margins.items() if len(times) else ()
+    seen = [_worst(name, unit, times, margin) for name, (unit, margin) in observed]
+    return [_worst("safety_radius", "m", flown.times, radius), *seen]
 
 
 def _burn_margins(mission: Mission, burns: Array) -> list[MeanMargin]:
     """Size of the planned burns and their angle from the Sun line, either way."""
     times = np.array(mission.scenario.burn_times_s)
-    size = mission.scenario.burns.dv_max_m_s - np.linalg.norm(burns, axis=1)
+    size = np.linalg.norm(burns, axis=1)
     angle = geometry.angle(burns, mission.sun_direction(times))
     cone = np.deg2rad(mission.scenario.battery.delta_v_cone_deg)
     # A burn of next to nothing needs no attitude.
-    burning = np.linalg.norm(burns, axis=1) > NO_BURN_M_S
-    off_sun = np.where(burning, np.minimum(angle, np.pi - angle) - cone, np.inf)
-    at = int(np.argmin(off_sun))
-    margins = [
-        MeanMargin(
-            name="dv_max",
-            unit="m/s",
-            worst_margin=float(size.min()),
-            worst_t_s=float(times[np.argmin(size)]),
-        )
-    ]
-    if np.isfinite(off_sun[at]):
-        margins.append(
-            MeanMargin(
-                name="dv_battery",
-                unit="rad",
-                worst_margin=float(off_sun[at]),
-                worst_t_s=float(times[at]),
-            )
-        )
+    off_sun = np.where(size > NO_BURN_M_S, np.minimum(angle, np.pi - angle) - cone, np.inf)
+    margins = [_worst("dv_max", "m/s", times, mission.scenario.burns.dv_max_m_s - size)]
+    if np.isfinite(off_sun).any():
+        margins.append(_worst("dv_battery", "rad", times, off_sun))
     return margins
+
+
+def _worst(name: str, unit: Literal["m", "rad", "m/s"], times: Array, margin: Array) -> MeanMargin:
+    at = int(np.argmin(margin))
+    return MeanMargin(name, float(margin[at]), unit, float(times[at]))
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Covariance of a flight by what burns add to it, in closed form: no factor, no columns.
+
+        Sigma+ = Sigma + B Q(v) B',
+        Q(v) = along^2 u u' + across^2 (I - u u')   (Gates),   beta^2 diag(v)^2   (componentwise)
+
+    A bias that burns share correlates with the state: c is its covariance with the state, and a burn
+    adds B b v c' + c (B b v)' + b^2 B v v' B' to Sigma, and B b v to c.
+
+    Attributes:
+        covariance: of the state, SI, J2000, shape (6, 6).
+        with_bias: covariance of the state with the bias over its sigma, shape (6,).
+    """
+
+    covariance: Array
+    with_bias: Array
+
+    @classmethod
+    def before_burns(cls, mission: Mission) -> Spread:
+        """Of the initial state."""
+        return cls(mission.initial_factor @ mission.initial_factor.T, np.zeros(6))
+
+    def after_burn(self, mission: Mission, burn: Array) -> Spread:
+        """With the errors of a burn, m/s, shape (3,)."""
+        uncertainty, covariance = mission.scenario.uncertainty, self.covariance.copy()
+        if uncertainty.gates is None:
+            assert uncertainty.execution_error is not None
+            covariance[3:, 3:] += np.diag((uncertainty.execution_error * burn) ** 2)
+            return Spread(covariance, self.with_bias)
+        covariance[3:, 3:] += gates_covariance(uncertainty.gates, burn)
+        bias = uncertainty.gates.magnitude_bias * np.concatenate([np.zeros(3), burn])
+        cross = np.outer(bias, self.with_bias)
+        covariance += cross + cross.T + np.outer(bias, bias)
+        return Spread(covariance, self.with_bias + bias)
+
+    def carried(self, stm: Array) -> Spread:
+        """Over an arc with an STM (6, 6)."""
+        return Spread(stm @ self.covariance @ stm.T, stm @ self.with_bias)
+
+
+def gates_covariance(gates: Gates, burn: Array) -> Array:
+    """Covariance Q of a burn, m/s, shape (3, 3), with the planner's bound below its fixed error."""
+    size = float(np.linalg.norm(burn))
+    if size == 0.0:
+        return np.zeros((3, 3))
+    fixed = np.array([gates.magnitude_fixed_m_s, gates.pointing_fixed_m_s])
+    proportional = np.array([gates.magnitude_proportional, gates.pointing_proportional_rad])
+    bound = float(fixed.max())
+    if bound > 0.0:
+        vanished = VANISHED * bound
+        executed = 1.0 - (1.0 - min(size / vanished, 1.0) ** 2) ** 3
+        x = np.clip((size**2 - vanished**2) / (bound**2 - vanished**2), 0.0, 1.0)
+        direction = float(np.polyval([6.0, -15.0, 10.0, 0.0, 0.0, 0.0], x))
+        fixed = np.sqrt(executed) * (bound - direction * (bound - fixed))
+    along, across = fixed**2 + (proportional * size) ** 2
+    unit = burn / size
+    return across * np.eye(3) + (along - across) * np.outer(unit, unit)

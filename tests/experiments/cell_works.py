@@ -6,7 +6,7 @@ import os
 from dataclasses import replace
 
 from experiments.compare_solvers.cases import Cell
-from experiments.compare_solvers.row import Row, failed_row
+from experiments.compare_solvers.cell import Row, failed_row
 
 FIGURES = ("total_dv_m_s", "merit_m_s", "heavy_merit_m_s", "violation_m", "total_s", "cpu_s")
 FIGURES += ("solver_s", "peak_mib", "observed_s")

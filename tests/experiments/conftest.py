@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from experiments.observation_table.__main__ import main
+from experiments.__main__ import main
 from experiments.observation_table.rows import rows
 from scp_recon.mission.mission import Mission
+from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.vehicle import Vehicle, load_vehicle
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 
 from .support import QUICK
 
@@ -30,7 +30,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("paper")
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        assert main([*QUICK, "--out", str(out)]) == 0
+        assert main(["observation_table", *QUICK, "--out", str(out)]) == 0
     return out, printed.getvalue()
 
 

@@ -6,14 +6,16 @@ import csv
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
-from experiments.observation_table.as_flown import BENNU_ID, OSIRIS_REX_ID
-from experiments.uncertainty_sources.flights import SETS, TRANSLATION, Flown
+from experiments.harness import Record
+from experiments.observation_table.rows import BENNU_ID, OSIRIS_REX_ID
+from experiments.uncertainty_sources.flights import SETS, STATE, TRANSLATION
+from formulations.arrays import Array
+from scp_recon.bodies.catalogue import J2000_TDB
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.frames import J2000_TDB
-from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.vehicle import Vehicle
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.vehicle import Vehicle
 
 SAMPLES = 1500
 QUICK = ("--quick", "--skip-ipopt", "--samples", str(SAMPLES))
@@ -24,16 +26,22 @@ def table_of(out: Path) -> dict[str, dict[str, str]]:
         return {row["row"]: row for row in csv.DictReader(file)}
 
 
-def simulated(solution: Solution, _: Vehicle, job: tuple[str, int]) -> Flown:
+def simulated(solution: Solution, _: Vehicle, job: tuple[str, int]) -> Record:
     """A flight that ends 0.1 m off the plan for each source that errs, 100 m for those of the path."""
     error_sources, seed = job
     scale = sum(100.0 if source in TRANSLATION else 0.1 for source in SETS[error_sources])
     off = scale * np.random.default_rng([seed, len(error_sources)]).standard_normal(6)
     state = np.array(solution.nodes.state[-1]) + off * np.repeat([1.0, 1e-4], 3)
-    return Flown(error_sources, seed, tuple(state.tolist()), 1e-4)
+    return flown(error_sources, seed, state, 1e-4)
 
 
-def write_kernel(path: Path, mission: Mission, states: npt.NDArray[np.float64]) -> Path:
+def flown(error_sources: str, seed: int, state: ArrayLike, off_rad: float = 0.0) -> Record:
+    """A row of a simulated flight."""
+    ends = dict(zip(STATE, np.asarray(state).tolist(), strict=True))
+    return {"error_sources": error_sources, "seed": seed, **ends, "attitude_error_rad": off_rad}
+
+
+def write_kernel(path: Path, mission: Mission, states: Array) -> Path:
     """Node states in m and m/s as an SPK of the flight, cubic between the nodes."""
     import spiceypy
 

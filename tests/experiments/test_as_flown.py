@@ -8,25 +8,27 @@ from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import spiceypy
 
+from experiments.__main__ import main
 from experiments.observation_table import rows as rows_module
-from experiments.observation_table.__main__ import main
-from experiments.observation_table.as_flown import as_flown_burns, flown_guess, read_states
-from experiments.observation_table.rows import rows
+from experiments.observation_table.rows import as_flown_burns, flown_guess, read_states, rows
+from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
-from scp_recon.planning import initial_guess, ipopt, state_table
-from scp_recon.scenario.sections import Epoch
-from scp_recon.solution.read import read_solution
+from scp_recon.planning import initial_guess, ipopt
+from scp_recon.results.read import read_solution
+from scp_recon.scenario.schema import Epoch
 
 from .support import QUICK, table_of, write_kernel
 
-Array = npt.NDArray[np.float64]
+
+def study(*words: str) -> int:
+    """The command."""
+    return main(["observation_table", *words])
 
 
 @pytest.fixture(scope="module")
@@ -64,13 +66,13 @@ def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times
     assert off < 10.0
     np.testing.assert_allclose(flown[-1, 3:], mission.final_state[3:], atol=1e-9)
     # Read off at the firing times alone the second half is lost.
-    table = state_table.from_table(mission, tmp_path / "states.csv")
+    table = initial_guess.from_table(mission, tmp_path / "states.csv")
     lost = initial_guess.from_burns(mission, table.burns * mission.units.speed_m_s).mean
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
 
 
 def test_the_flight_gets_a_row_of_its_own(copy: Path, kernel: Path) -> None:
-    assert main([*QUICK, "--out", str(copy), "--as-flown", str(kernel)]) == 0
+    assert study(*QUICK, "--out", str(copy), "--as-flown", str(kernel)) == 0
     row = table_of(copy)["as_flown"]
     assert row["paper_row"] == "OSIRIS-REx"
     assert row["status"] == "given, not optimised"
@@ -87,7 +89,7 @@ def test_the_guess_from_the_flight_is_the_flight_and_what_init_makes_of_its_tabl
     np.testing.assert_allclose(
         (guess.mean * mission.units.state)[:-1, :3], flight[:-1, :3], rtol=0.0, atol=1e-6
     )
-    again = state_table.from_table(mission, table)
+    again = initial_guess.from_table(mission, table)
     np.testing.assert_array_equal(guess.mean, again.mean)
     np.testing.assert_array_equal(guess.burns, again.burns)
     # It is another start than the surrogate: burns and path differ.
@@ -110,11 +112,14 @@ def test_warm_rows_start_from_the_flight_and_without_a_kernel_from_the_ballistic
 
     starts = []
 
-    def refuse(_: Mission, guess: Iterate, *, init: str, **__: object) -> None:
+    def refuse(_: Mission, guess: Iterate, *__: object, init: str, **___: object) -> None:
         starts.append((init, guess))
         raise GivenError
 
-    monkeypatch.setattr(rows_module if planner == "scp" else ipopt, "plan", refuse)
+    if planner == "scp":
+        monkeypatch.setattr(rows_module, "plan_mission", refuse)
+    else:
+        monkeypatch.setattr(ipopt, "plan", refuse)
     table = tmp_path / "states.csv"
     for as_flown in ((kernel, table), None):
         by_key = {row.key: row for row in rows(as_flown=as_flown)}
@@ -141,7 +146,7 @@ def test_the_warm_row_is_designed_anew_when_its_start_changes(
 ) -> None:
     def run(*arguments: str) -> dict[str, str]:
         """What is said of every row."""
-        assert main([*QUICK, "--out", str(copy), *arguments]) == 0
+        assert study(*QUICK, "--out", str(copy), *arguments) == 0
         lines = capsys.readouterr().out.splitlines()
         return {line.split()[0]: line for line in lines if " m/s, observes " in line}
 
@@ -173,7 +178,12 @@ def test_a_kernel_that_does_not_cover_the_flight_exits_with_two(
     for name in ("missing.bsp", "text.bsp"):
         (tmp_path / "text.bsp").write_text("no kernel", encoding="utf-8")
         out = tmp_path / "out"
-        assert main([*QUICK, "--out", str(out), "--as-flown", str(tmp_path / name)]) == 2
+        assert (
+            main(
+                ["observation_table", *QUICK, "--out", str(out), "--as-flown", str(tmp_path / name)]
+            )
+            == 2
+        )
         errors = capsys.readouterr().err
         assert errors.startswith(f"error: --as-flown {tmp_path / name}: got ")
         assert errors.count("\n") == 1
@@ -184,5 +194,5 @@ def test_a_missing_spiceypy_exits_with_two(
     kernel: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "spiceypy", None)
-    assert main([*QUICK, "--as-flown", str(kernel)]) == 2
+    assert study(*QUICK, "--as-flown", str(kernel)) == 2
     assert "[spice]" in capsys.readouterr().err

@@ -9,17 +9,24 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from experiments.compare_solvers.cases import REFERENCE, Cell
-from experiments.compare_solvers.exact.cell import solve_exact
-from experiments.compare_solvers.exact.check import check
-from experiments.compare_solvers.exact.claims import (
+from experiments.compare_solvers.cases import (
+    NUMBER,
+    REFERENCE,
+    SHOOTING_IPOPT,
+    SLSQP,
+    Cell,
+    drawn,
+    exact_design,
+)
+from experiments.compare_solvers.cell import Row, failed_row, solve_exact
+from experiments.compare_solvers.claims import (
     MISS_M,
     WITHIN,
     exact_claims,
-    exact_table,
     holds,
     verdicts,
 )
+from experiments.compare_solvers.exact.check import check
 from experiments.compare_solvers.exact.program import (
     BurnsProgram,
     FlightRow,
@@ -27,21 +34,17 @@ from experiments.compare_solvers.exact.program import (
     ProbabilityRows,
     Stop,
     burn_limits,
+    fibonacci_directions,
     fly,
-)
-from experiments.compare_solvers.exact.rays import fibonacci_directions, ray_quantiles
-from experiments.compare_solvers.exact.scenarios import (
-    NUMBER,
-    SHOOTING_IPOPT,
-    SLSQP,
-    drawn,
-    exact_design,
+    ray_quantiles,
 )
 from experiments.compare_solvers.exact.search import search
-from experiments.compare_solvers.report import to_markdown
-from experiments.compare_solvers.row import Row, failed_row
+from experiments.compare_solvers.tables import report
+from experiments.harness import Findings
+from experiments.harness import report as as_markdown
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, LinearisationError
-from formulations.problem.regions import Array, Ball
+from formulations.problem.regions import Ball
 from formulations.rows.node_probability import Event, joint_events, node_quantiles
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -251,6 +254,10 @@ def test_every_scenario_meets_the_planner_and_two_references() -> None:
     assert load_scenario(None, first[0].overrides) == load_scenario().replace(drawn(0)[1])
 
 
+def to_markdown(rows: list[Row]) -> str:
+    return as_markdown("", Findings(report(rows), {}, exact_claims(rows)))
+
+
 # --- the claims -------------------------------------------------------------------------------------
 
 
@@ -281,7 +288,7 @@ def test_the_best_of_all_is_what_a_plan_is_held_against() -> None:
     assert [claim.holds for claim in exact_claims(rows)] == [True, True]
     dear = rows_with(0.1 * (1.0 + 1.1 * WITHIN), [0.11, 0.1])
     assert [claim.holds for claim in exact_claims(dear)] == [False, True]
-    assert "not in: node 00 (+0.33 %)" in exact_claims(dear)[0].words
+    assert "not in: node 00 (+0.33 %)" in exact_claims(dear)[0].measured
 
 
 def test_what_misses_the_probability_is_no_answer() -> None:
@@ -291,7 +298,7 @@ def test_what_misses_the_probability_is_no_answer() -> None:
     rows[1] = replace(rows[1], reached=0.85)
     (verdict,) = verdicts(rows)
     assert verdict.excess == 0.0
-    assert "nothing that holds" in "\n".join(exact_table(rows))
+    assert "nothing that holds" in to_markdown(rows)
     rows[1] = replace(rows[1], reached=0.9, violation_m=5.0)
     assert not holds(rows[1])
 
@@ -309,7 +316,7 @@ def test_what_nobody_solves_is_said_and_breaks_no_claim() -> None:
     fine = [replace(row, scenario="other") for row in rows_with(0.1, [0.1] * 2)]
     claim = exact_claims([*lost, *fine])[0]
     assert claim.holds is True
-    assert "in 1 of 1 scenarios" in claim.words
-    assert claim.words.endswith("nobody solves: node 00")
+    assert "in 1 of 1 scenarios" in claim.measured
+    assert claim.measured.endswith("nobody solves: node 00")
     assert "no method solves it" in to_markdown([*lost, *fine])
     assert {claim.holds for claim in exact_claims([])} == {None}

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from unittest import mock
@@ -12,8 +9,8 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from experiments.compare_solvers import __main__ as compare_solvers
-from experiments.compare_solvers import runs
+from experiments.__main__ import main
+from experiments.compare_solvers import study as compare_solvers
 from experiments.compare_solvers.cases import (
     ELASTIC,
     REFERENCE,
@@ -25,11 +22,13 @@ from experiments.compare_solvers.cases import (
     quick_design,
     scenarios,
 )
-from experiments.compare_solvers.cell import solve_cell
+from experiments.compare_solvers.cell import FAILED, Row, failed_row, solve_cell
 from experiments.compare_solvers.claims import FROZEN, agreements, claims
-from experiments.compare_solvers.report import shown, to_csv, to_markdown
-from experiments.compare_solvers.row import FAILED, Row, failed_row
-from experiments.compare_solvers.runs import FILE_NAME, Solve, read_rows, run_cells
+from experiments.compare_solvers.study import ROWS_FILE, Solve, run_cells
+from experiments.compare_solvers.tables import csv_of, report, shown
+from experiments.harness import Findings
+from experiments.harness import report as as_markdown
+from scp_recon.jobs.store import Store, read_rows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -44,8 +43,15 @@ LIMIT_S = 2.0
 UNGUARDED_FROZEN = Method("frozen-covariance", UNGUARDED, "CLARABEL")
 
 
-def collect(path: Path, solve: Solve, cells: list[Cell] = CELLS) -> list[Row]:
-    return list(run_cells(cells, path, flights=5, limit_s=LIMIT_S, solve=solve))
+def collect(
+    path: Path, solve: Solve, cells: list[Cell] = CELLS, limit_s: float = LIMIT_S
+) -> list[Row]:
+    with Store(path, {}) as store:
+        return list(run_cells(cells, store, flights=5, limit_s=limit_s, solve=solve))
+
+
+def to_markdown(rows: list[Row]) -> str:
+    return as_markdown("", Findings(report(rows), {}, claims(rows)))
 
 
 # --- cells and rows -----------------------------------------------------------------------------
@@ -55,29 +61,26 @@ def collect(path: Path, solve: Solve, cells: list[Cell] = CELLS) -> list[Row]:
     ("solve", "words"),
     [
         (raises, "ArithmeticError: nothing for 0 with 5"),
-        (dies, "its process ended with exit code 12"),
+        (dies, "ended its process in each of 3 tries, at last with status 12"),
         (works_for_ever, "no end after 2 s"),
     ],
 )
 def test_a_cell_that_fails_is_a_row(tmp_path: Path, solve: Solve, words: str) -> None:
-    (row,) = collect(tmp_path / FILE_NAME, solve, CELLS[:1])
+    (row,) = collect(tmp_path / ROWS_FILE, solve, CELLS[:1])
     assert (row.key, row.status, row.detail) == (CELLS[0].key, FAILED, words)
     assert not row.solved
 
 
 def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
-    path = tmp_path / FILE_NAME
-    first = next(iter(run_cells(CELLS, path, flights=5, limit_s=LIMIT_S, solve=fine)))
-    with path.open("a") as file:
-        file.write(json.dumps(asdict(first))[:40])  # killed while it wrote the second
+    path = tmp_path / ROWS_FILE
+    (first,) = collect(path, fine, CELLS[:1])
     rows = collect(path, raises)
     np.testing.assert_equal(asdict(rows[0]), asdict(first))  # NaN where there is no figure
     assert [row.status for row in rows] == ["converged", FAILED, FAILED]
-    assert list(read_rows(path, LIMIT_S)) == [cell.key for cell in CELLS]
 
 
 def test_what_failed_is_tried_again_but_for_what_ran_into_its_limit(tmp_path: Path) -> None:
-    path = tmp_path / FILE_NAME
+    path = tmp_path / ROWS_FILE
     collect(path, raises)
     assert {row.status for row in collect(path, fine)} == {"converged"}
     for solve in (works_for_ever, fine):
@@ -85,17 +88,11 @@ def test_what_failed_is_tried_again_but_for_what_ran_into_its_limit(tmp_path: Pa
         assert row.detail == "no end after 2 s"
 
 
-def test_rows_of_another_limit_or_of_other_sources_are_left_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / FILE_NAME
+def test_rows_of_another_limit_are_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / ROWS_FILE
     collect(path, fine)
-    assert not read_rows(path, LIMIT_S + 1.0)
-    longer = list(run_cells(CELLS, path, flights=6, limit_s=LIMIT_S + 1.0, solve=fine))
-    assert [row.total_s for row in longer] == [6.0] * 3
-    assert [row.total_s for row in collect(path, raises)] == [5.0] * 3
-    monkeypatch.setattr(runs, "version", lambda: "another")
-    assert not read_rows(path, LIMIT_S)
+    assert {row.status for row in collect(path, raises, limit_s=LIMIT_S + 1.0)} == {FAILED}
+    assert {row.status for row in collect(path, raises)} == {"converged"}
 
 
 def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
@@ -192,7 +189,7 @@ def trio(scenario: str, **other: tuple[float, str]) -> list[Row]:
 
 
 def test_claims_hold_where_the_rows_say_so() -> None:
-    assert verdicts(AGREEING) == [True, True, True, True, True, None, None, None]
+    assert verdicts(AGREEING) == [True, True, True, True, True, None, None, None, None]
 
 
 def test_without_rows_nothing_is_claimed() -> None:
@@ -227,8 +224,8 @@ def test_who_does_not_solve_what_others_solve_is_named_and_breaks_the_claim() ->
     hopeless = dict.fromkeys(("scvx", "ptr", "scvx_star"), (1.0, "infeasible"))
     claim = claims([*trio("a"), *trio("b", ptr=(0.1, "stalled")), *trio("c", **hopeless)])[5]
     assert claim.holds is False
-    assert "in 1 of 3 cases" in claim.words
-    assert "only some solve: b (ptr stalled); none solves: c (infeasible)" in claim.words
+    assert "in 1 of 3 cases" in claim.measured
+    assert "only some solve: b (ptr stalled); none solves: c (infeasible)" in claim.measured
 
 
 def test_the_share_of_solved_guesses_comes_with_its_interval() -> None:
@@ -272,25 +269,24 @@ def test_burns_of_a_program_that_gave_up_are_flown_before_their_merit() -> None:
 
 
 def test_the_csv_has_a_line_for_every_row() -> None:
-    lines = to_csv(AGREEING).splitlines()
+    lines = csv_of(AGREEING).csv().splitlines()
     assert len(lines) == 1 + len(AGREEING)
     assert lines[0].startswith("key,method,group")
 
 
-def test_the_command_leaves_table_and_figures_and_takes_up_its_rows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_command_leaves_its_tables_and_takes_up_its_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cells = (Cell("matrix", "recon_b", (), REFERENCE, "cold"),)
     monkeypatch.setattr(compare_solvers, "quick_design", lambda: cells)
     monkeypatch.setattr(compare_solvers, "exact_design", lambda *_: ())
     monkeypatch.setattr(compare_solvers, "FLIGHTS", 1000)
+    written = []
     for _ in range(2):
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed):
-            assert compare_solvers.main(["--quick", "--out", str(tmp_path)]) == 0
-        assert "1/1" in printed.getvalue()
-    names = {path.name for path in tmp_path.iterdir()}
-    assert names == {"comparison.csv", "comparison.md", FILE_NAME}
-    assert len(read_rows(tmp_path / FILE_NAME, compare_solvers.QUICK_LIMIT_S)) == 1
-    assert "only --full settles" in " ".join(printed.getvalue().split())
-    assert len((tmp_path / FILE_NAME).read_text().split()) > 1
+        assert main(["compare_solvers", "--quick", "--out", str(tmp_path)]) == 0
+        assert "only --full settles" in " ".join(capsys.readouterr().out.split())
+        written.append((tmp_path / ROWS_FILE).read_bytes())
+    assert written[0] == written[1]
+    names = {path.name for path in tmp_path.iterdir() if not path.name.startswith(".")}
+    assert names == {"comparison.csv", "comparison.md", ROWS_FILE}
+    assert len(list(read_rows(tmp_path / ROWS_FILE))) == 1

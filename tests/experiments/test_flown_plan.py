@@ -9,13 +9,19 @@ import pytest
 
 pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 
-from experiments.flown_plan import __main__ as flown_plan
+from experiments import flown_plan
+from experiments.__main__ import main
 from scp_recon.mission.mission import Mission
-from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.basilisk import simulation
-from scp_recon.spacecraft.record import read_record
-from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.basilisk import simulation
+from scp_recon.simulation.record import read_record
+from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
+
+
+def study(*words: str) -> int:
+    """The command."""
+    return main(["flown_plan", *words])
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -36,7 +42,7 @@ def flown(mission: Mission, tmp_path_factory: pytest.TempPathFactory) -> tuple[S
     """The folder after one flight."""
     solution, out = short_plan(mission), tmp_path_factory.mktemp("flown")
     solution.write(out)
-    assert flown_plan.main([str(out), "--out", str(out), "--seeds", "1"]) == 0
+    assert study(str(out), "--out", str(out), "--seeds", "1") == 0
     return solution, out
 
 
@@ -76,12 +82,12 @@ def test_a_flight_that_is_there_is_not_flown_again(
 
     monkeypatch.setattr(simulation, "simulate", refuse)
     arguments = [str(out), "--out", str(out), "--seeds", "1"]
-    assert flown_plan.main(arguments) == 0
+    assert study(*arguments) == 0
     assert (out / "flown_plan.csv").read_bytes() == before
     # A vehicle of the same name that differs in one figure is another vehicle.
-    text = (files("scp_recon.spacecraft") / "data" / "dare.toml").read_text("utf-8")
+    text = (files("scp_recon.simulation") / "data" / "dare.toml").read_text("utf-8")
     other = out / "other.toml"
     other.write_text(text.replace("imu_rad_s = 9.7e-5", "imu_rad_s = 9.8e-5"), encoding="utf-8")
     for more in ("--fresh", "--seeds=2", f"--vehicle={other}"):
         with pytest.raises(AssertionError, match="flown again"):
-            flown_plan.main([*arguments, more])
+            study(*arguments, more)

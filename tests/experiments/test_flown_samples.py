@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.flown_plan.samples import sample_distances
+from experiments.flown_plan import sample_distances
 from experiments.uncertainty_sources.flights import TRANSLATION, fly_paths
-from scp_recon.spacecraft.vehicle import load_vehicle
-from tests.scp_recon.spacecraft.short_plan import SHORT, short_plan
+from scp_recon.simulation.vehicle import load_vehicle
+from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
 SPREAD_M = 10.0

@@ -16,40 +16,38 @@ from experiments.frontier import (
     PROBABILITIES,
     certifying_costs,
     record,
+    report,
     study,
-    to_markdown,
 )
-from experiments.kept import Kept
-from experiments.studies import Cell
+from experiments.harness import Record
 from formulations.problem.flyby import Iterate
+from scp_recon.api import planning
 from scp_recon.certification.certify import AimedPlanning
+from scp_recon.jobs.store import Store
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan
-from scp_recon.planning.provenance import Certificate
+from scp_recon.planning.plan import Certificate, Plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scenarios import COARSE
 
-Row = dict[str, Cell]
 
-
-def aiming_higher(mission: Mission, start: Iterate, make_plan: AimedPlanning) -> Plan:
+def aiming_higher(mission: Mission, start: Iterate, make_plan: AimedPlanning, _: object) -> Plan:
     """What certifying comes to: two plans, the second with a higher aim."""
     make_plan(mission, start, 0.9)
     return make_plan(mission, start, 0.91)
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Row]:
+def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
     """Of one probability, per node, on the coarse grid."""
     kinds = {kind: of for kind, of in KINDS.items() if kind in (*AIMED, *AIMED.values())}
     kinds = {kind: of for kind, of in kinds.items() if "node" in kind}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(frontier, "certify", aiming_higher)
+        patch.setattr(planning, "certify", aiming_higher)
         patch.setattr(frontier, "KINDS", kinds)
         patch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
-        kept = Kept(tmp_path_factory.mktemp("rows") / "partial.jsonl", frontier.__file__, {})
-        return list(study([0.9], 200, kept))
+        with Store(tmp_path_factory.mktemp("rows") / "partial.jsonl", {}) as kept:
+            return list(study([0.9], 200, kept))
 
 
 def test_the_study_spans_what_is_asked_of_it() -> None:
@@ -60,7 +58,7 @@ def test_the_study_spans_what_is_asked_of_it() -> None:
         assert KINDS[certified][0] == KINDS[aimed][0]
 
 
-def test_certifying_costs_more_than_aiming_at_the_probability(rows: list[Row]) -> None:
+def test_certifying_costs_more_than_aiming_at_the_probability(rows: list[Record]) -> None:
     aimed, certified = rows
     assert math.isnan(float(aimed["certifying_dv_m_s"]))
     more = float(certified["certifying_dv_m_s"])
@@ -79,7 +77,7 @@ def test_all_rounds_count(monkeypatch: pytest.MonkeyPatch) -> None:
         begin = process_time()
         while process_time() - begin < 0.2:  # what the rounds before the last one take
             pass
-        return planned(scenario, certified=False)
+        return planned(scenario, certified=None)
 
     planned = frontier.planned
     monkeypatch.setattr(frontier, "planned", rounds)
@@ -90,8 +88,8 @@ def test_all_rounds_count(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_plan_whose_flights_fall_short_is_no_certified_one() -> None:
     """Its delta-v is not the price of what was asked."""
     short = Certificate(10_000, 1_000, 0.7, 0.69, 0.71, 0.7, 1)
-    plain = frontier.planned(load_scenario(None, (COARSE,)), certified=False)
-    found = replace(plain, certificate=short, aim=0.7)
+    plain = frontier.planned(load_scenario(None, (COARSE,)), certified=None)
+    found = replace(plain, certificate=short, target=0.7)
     kept, missed = (record("certified, each node", p, found, 100, 1.0) for p in (0.69, 0.7))
     assert kept["total_dv_m_s"] == plain.total_dv_m_s
     assert (missed["status"], math.isnan(float(missed["total_dv_m_s"]))) == (NOT_CERTIFIED, True)
@@ -101,9 +99,11 @@ def test_a_plan_without_a_counterpart_has_no_such_cost() -> None:
     assert all(math.isnan(float(cost)) for cost in certifying_costs({}, None).values())
 
 
-def test_the_tables_have_costs_time_and_observation(rows: list[Row]) -> None:
-    told = to_markdown(rows, 200)
-    assert "mean time observed (s)" in told
-    certified = [line for line in told.splitlines() if line.startswith("| certified, each node")]
+def test_the_tables_have_costs_time_and_observation(rows: list[Record]) -> None:
+    tables = [table.markdown() for table in report(rows, 200)]
+    assert "mean time observed (s)" in tables[1]
+    certified = [
+        line for line in tables[2].splitlines() if line.startswith("| certified, each node")
+    ]
     assert f"{float(rows[1]['certifying_dv_m_s']):+.5f}" in certified[-1]
     assert f"{float(rows[1]['processor_s']):.1f}" in certified[-1]

@@ -3,36 +3,37 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from experiments.kept import Kept
-from experiments.model_fidelity import __main__ as model_fidelity
-from experiments.model_fidelity import compared as compared_models
-from experiments.model_fidelity.__main__ import main
-from experiments.model_fidelity.arcs import Firing, Model, fly
-from experiments.model_fidelity.compared import Compared, compare, flown_models
+from experiments.__main__ import main
+from experiments.model_fidelity import study as model_fidelity
 from experiments.model_fidelity.models import (
     BURNS,
     GRAVITY,
     SRP,
     Choices,
+    Firing,
     Flight,
+    Model,
+    Plates,
+    fly,
     passing,
     relapses,
 )
-from experiments.model_fidelity.report import verdicts
-from experiments.observation_table.rows import rows
+from experiments.model_fidelity.study import Compared, claims, compare, flown_models
+from scp_recon.jobs.store import Store
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
 from scp_recon.physics.flow import propagate
 from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.results.solution import ballistic_arc
 from scp_recon.scenario.load import load_scenario
-from scp_recon.spacecraft.plates import Plates
-from scp_recon.spacecraft.vehicle import load_vehicle
+from scp_recon.simulation.vehicle import load_vehicle
 
 THRUST_M_S2 = 1.0 / 178.0
 
@@ -44,17 +45,17 @@ def mission() -> Mission:
 
 @pytest.fixture(scope="module")
 def flight(mission: Mission) -> Flight:
-    design = next(row.design for row in rows(ipopt=False) if row.key == "ballistic")
-    return Flight.of("ballistic arc", design(mission), mission, load_vehicle())
+    return Flight.of("ballistic arc", ballistic_arc(mission), mission, load_vehicle())
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Kept:
-    return Kept(tmp_path_factory.mktemp("fidelity") / "partial.jsonl", model_fidelity.__file__, {})
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
+    with Store(tmp_path_factory.mktemp("fidelity") / "partial.jsonl", {}) as store:
+        yield store
 
 
 @pytest.fixture(scope="module")
-def compared(flight: Flight, kept: Kept) -> list[Compared]:
+def compared(flight: Flight, kept: Store) -> list[Compared]:
     return compare(flight, kept)
 
 
@@ -179,7 +180,9 @@ def test_where_nothing_passes_the_truth_is_needed() -> None:
         Compared("arc", "gravity", model, np.array([0.0, 1.0]), far, (0.0, 1.0))
         for model in ("degree 0", "J2")
     ]
-    assert verdicts(entries) == ["arc, gravity: lowest fidelity within 10 m is the truth."]
+    assert claims(entries) == [
+        ("arc, gravity: lowest fidelity is the truth", "within 10 m", "no model", False)
+    ]
 
 
 def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
@@ -202,7 +205,7 @@ def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
 
 
 def test_what_was_flown_is_kept(
-    flight: Flight, kept: Kept, compared: list[Compared], monkeypatch: pytest.MonkeyPatch
+    flight: Flight, kept: Store, compared: list[Compared], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flown = []
 
@@ -210,7 +213,7 @@ def test_what_was_flown_is_kept(
         flown.append(1)
         return np.zeros((len(flight.plan.mission.times_s), 6))
 
-    monkeypatch.setattr(compared_models, "fly", path)
+    monkeypatch.setattr(model_fidelity, "fly", path)
     again = compare(flight, kept)
     assert flown == [1]  # the truth
     assert all(
@@ -228,13 +231,12 @@ def test_the_command_writes_tables_and_verdicts(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(model_fidelity, "flights", lambda *_: [flight])
     monkeypatch.setattr(model_fidelity, "compare", lambda *_: compared)
-    assert main(["--out", str(tmp_path)]) == 0
+    assert main(["model_fidelity", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert (
-        "ballistic arc, solar radiation pressure: lowest fidelity within 10 m is cannonball" in said
-    )
+    assert "ballistic arc, solar radiation pressure: lowest fidelity is cannonball" in said
     with (tmp_path / "model_fidelity.csv").open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
     named = [row for row in table if row["lowest_that_passes"] == "true"]
@@ -243,10 +245,10 @@ def test_the_command_writes_tables_and_verdicts(
     with (tmp_path / "model_fidelity_history.csv").open(encoding="utf-8") as file:
         last = {row["model"]: float(row["distance_m"]) for row in csv.DictReader(file)}
     assert all(last[row["model"]] == float(row["terminal_m"]) for row in table)
-    assert "## The rule applied" in (tmp_path / "model_fidelity.md").read_text("utf-8")
+    assert "## Claims" in (tmp_path / "model_fidelity.md").read_text("utf-8")
 
 
 def test_a_missing_plan_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     missing = tmp_path / "none"
-    assert main(["--out", str(tmp_path), "--solution", str(missing)]) == 2
+    assert main(["model_fidelity", "--out", str(tmp_path), "--solution", str(missing)]) == 2
     assert str(missing) in capsys.readouterr().err

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 
-from experiments.compare_solvers import __main__ as compare_solvers
-from experiments.compare_solvers.runs import PEER_NAME
-from experiments.openscvx_peer import __main__ as openscvx_peer
-from experiments.openscvx_peer import problem
+from experiments import openscvx_peer
+from experiments.__main__ import main
+from experiments.compare_solvers import study as compare_solvers
+from experiments.compare_solvers.study import PEER_FILE
+from scp_recon.jobs.store import Store
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 
@@ -23,7 +23,7 @@ MISSING = importlib.util.find_spec("openscvx") is None
 def test_without_it_the_command_names_the_extra(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert openscvx_peer.main(["--out", str(tmp_path)]) == 2
+    assert main(["openscvx_peer", "--out", str(tmp_path)]) == 2
     assert "scp_recon[peer]" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
@@ -40,16 +40,17 @@ def test_its_rows_are_taken_into_the_comparison(
     tmp_path: Path, mission: Mission, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     row = openscvx_peer.our_row(mission, initial_guess.ballistic(mission), "ptr", "QOCO")
-    (tmp_path / PEER_NAME).write_text(json.dumps(asdict(row)) + "\n")
+    with Store(tmp_path / PEER_FILE, {}) as store:
+        store.put(0, asdict(row))
     monkeypatch.setattr(compare_solvers, "quick_design", tuple)
     monkeypatch.setattr(compare_solvers, "exact_design", lambda *_: ())
-    assert compare_solvers.main(["--quick", "--out", str(tmp_path)]) == 0
+    assert main(["compare_solvers", "--quick", "--out", str(tmp_path)]) == 0
     assert row.key in (tmp_path / "comparison.csv").read_text()
     assert "| condensed/ptr/QOCO | converged (P3) |" in (tmp_path / "comparison.md").read_text()
 
 
 @pytest.mark.skipif(MISSING, reason="OpenSCvx is not installed")
 def test_its_problem_has_the_planners_nodes_and_burns(mission: Mission) -> None:
-    posed = problem.pose(mission, initial_guess.ballistic(mission), 5)
+    posed = openscvx_peer.pose(mission, initial_guess.ballistic(mission), 5)
     assert posed.arguments["N"] < len(mission.times_s)
     assert len(posed.burn_nodes) == mission.problem.n_burns

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from experiments.harness import Record
 from experiments.uncertainty_sources import flights
 from experiments.uncertainty_sources.flights import (
     CHEMICAL,
     INITIAL,
     SETS,
     TRANSLATION,
-    Flown,
-    Logbook,
+    dispersion,
     fly_all,
     fly_paths,
 )
-from experiments.uncertainty_sources.statistics import dispersion
+from scp_recon.jobs.store import Store
 from scp_recon.mission.mission import Mission
-from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.vehicle import Vehicle
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.vehicle import Vehicle
 
 from .support import simulated
 
@@ -74,7 +73,7 @@ def test_sets_are_the_vehicles_errors(vehicle: Vehicle) -> None:
 
 
 def test_sets_are_the_simulations_sources() -> None:
-    simulation = pytest.importorskip("scp_recon.spacecraft.basilisk.simulation")
+    simulation = pytest.importorskip("scp_recon.simulation.basilisk.simulation")
     assert {source.value for source in simulation.Source} == set(SETS["all"])
 
 
@@ -85,9 +84,17 @@ def test_without_basilisk_the_extra_is_named(
     solution.write(tmp_path)
     code = (
         "import sys; sys.modules['Basilisk'] = None\n"
-        "from experiments.uncertainty_sources.__main__ import main; sys.exit(main(sys.argv[1:]))"
+        "from experiments.__main__ import main; sys.exit(main(sys.argv[1:]))"
     )
-    options = ["--solution", str(tmp_path), "--out", str(tmp_path), "--workers", workers]
+    options = [
+        "uncertainty_sources",
+        "--solution",
+        str(tmp_path),
+        "--out",
+        str(tmp_path),
+        "--workers",
+        workers,
+    ]
     run = subprocess.run(
         [sys.executable, "-W", "error", "-c", code, *options],
         capture_output=True,
@@ -103,12 +110,12 @@ def test_without_basilisk_the_extra_is_named(
 # --- going on where it stopped --------------------------------------------------------------------
 
 
-def test_flights_in_the_logbook_are_not_flown_again(
+def test_flights_in_the_store_are_not_flown_again(
     solution: Solution, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flown: list[tuple[str, int]] = []
 
-    def spy(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Flown:
+    def spy(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Record:
         if job == ("imu", 1) and not flown.count(("all", 0)):
             raise KeyboardInterrupt
         flown.append(job)
@@ -116,28 +123,19 @@ def test_flights_in_the_logbook_are_not_flown_again(
 
     monkeypatch.setattr(flights, "fly_spacecraft", spy)
     jobs = [("none", 0), ("imu", 0), ("imu", 1), ("all", 0)]
-    with pytest.raises(KeyboardInterrupt):
-        fly_all(Logbook(tmp_path, solution, vehicle), solution, vehicle, jobs)
+    with (
+        Store(tmp_path / "flights.jsonl", {}) as store,
+        pytest.raises(KeyboardInterrupt),
+    ):
+        fly_all(store, solution, vehicle, jobs)
     assert flown == jobs[:2]
     flown.append(("all", 0))  # from now on nothing stops it
     told: list[None] = []
-    again = fly_all(
-        Logbook(tmp_path, solution, vehicle),
-        solution,
-        vehicle,
-        jobs,
-        tell=lambda: told.append(None),
-    )
+    with Store(tmp_path / "flights.jsonl", {}) as store:
+        again = fly_all(store, solution, vehicle, jobs, tell=lambda: told.append(None))
     assert flown == [*jobs[:2], ("all", 0), *jobs[2:]]
     assert again == [simulated(solution, vehicle, job) for job in jobs]
     assert len(told) == len(jobs)
-    # Another vehicle's flights are none of this one's.
-    errors = vehicle.errors.model_copy(update={"imu_rad_s": 1e-3})
-    other = vehicle.model_copy(update={"errors": errors})
-    assert not Logbook(tmp_path, solution, other).flown
-    begun = Logbook(tmp_path, solution, other)
-    begun.add(simulated(solution, other, ("imu", 9)))
-    assert set(Logbook(tmp_path, solution, other).flown) == {("imu", 9)}
 
 
 def test_two_processes_fly_what_one_does(
@@ -146,38 +144,7 @@ def test_two_processes_fly_what_one_does(
     pytest.importorskip("Basilisk")
     monkeypatch.setattr(flights, "fly_spacecraft", simulated)
     jobs = [("imu", seed) for seed in range(5)]
-    logbook = Logbook(tmp_path, solution, vehicle)
-    found = fly_all(logbook, solution, vehicle, jobs, workers=2)
+    with Store(tmp_path / "flights.jsonl", {}) as store:
+        found = fly_all(store, solution, vehicle, jobs, workers=2)
+        assert len(store) == len(jobs)
     assert found == [simulated(solution, vehicle, job) for job in jobs]
-    assert set(Logbook(tmp_path, solution, vehicle).flown) == set(jobs)
-
-
-def stopped(_: Solution, __: Vehicle, job: tuple[str, int]) -> Flown:
-    """A first flight that is stopped, while all others last a minute."""
-    if job[1] == 0:
-        raise KeyboardInterrupt
-    time.sleep(60.0)
-    raise AssertionError
-
-
-def test_a_stop_waits_for_no_flight(
-    solution: Solution, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("Basilisk")
-    monkeypatch.setattr(flights, "fly_spacecraft", stopped)
-    jobs, start = [("imu", seed) for seed in range(4)], time.monotonic()
-    with pytest.raises(KeyboardInterrupt):
-        fly_all(Logbook(tmp_path, solution, vehicle), solution, vehicle, jobs, workers=2)
-    assert time.monotonic() - start < 30.0
-
-
-def test_a_damaged_logbook_is_begun_anew(
-    solution: Solution, vehicle: Vehicle, tmp_path: Path
-) -> None:
-    job = ("imu", 4)
-    Logbook(tmp_path, solution, vehicle).add(simulated(solution, vehicle, job))
-    assert set(Logbook(tmp_path, solution, vehicle).flown) == {job}
-    (tmp_path / "uncertainty_flights.csv").write_text(
-        "error_sources,seed\nimu,x\n", encoding="utf-8"
-    )
-    assert not Logbook(tmp_path, solution, vehicle).flown

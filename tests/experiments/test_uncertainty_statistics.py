@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from experiments.uncertainty_sources.statistics import dispersion, normality
+from experiments.uncertainty_sources.flights import dispersion, normality
 
 
 @pytest.mark.parametrize("flights", [3, 8])

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from experiments.compare_solvers.unguarded import Unguarded
+from experiments.compare_solvers.cell import Unguarded
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation, final_state_map
 from formulations.registry import make_subproblem
-from formulations.rows.chance import ChanceRows
+from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import Plan, plan
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import plan
 from scp_recon.scp.loop import Record, State, Timing, run
 from scp_recon.scp.status import Status
 

@@ -11,10 +11,10 @@ from formulations.linearisation.condensation import CONDENSATIONS
 from formulations.program import condensed, lifted
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.lifted import LiftedSubproblem
-from formulations.program.penalty import Penalty
 from formulations.program.solvers import FallbackSolver
+from formulations.program.subproblem import Penalty
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.uniform import DeterministicRows
 
 from .program.support import PENALTIES, every_row, linearised, need
 

@@ -7,8 +7,8 @@ import itertools
 import json
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,28 +17,23 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
-from experiments.observation_table.__main__ import measure
-from experiments.observation_table.report import to_csv
+from experiments.harness import records
 from experiments.observation_table.rows import rows
+from experiments.observation_table.study import measure, record
 from paper_figs import __main__ as command_line
-from paper_figs import flyby, frames, inputs
-from paper_figs.__main__ import FIGURES, TABLES, main, make_all
-from paper_figs.drawing import PICTURES, command, save
+from paper_figs import flyby, inputs
+from paper_figs.__main__ import PICTURES, main, make_all
+from paper_figs.drawing import save
 from paper_figs.inputs import COMMAND, TABLE, Runs, read_runs
-from paper_figs.paper import (
-    cone_polytopes,
-    control_history,
-    observation_geometry,
-    observation_table,
-)
+from paper_figs.paper import cone_polytopes, control_history, observation_geometry, tables
 from paper_figs.paper.observation_times import rebinned
-from paper_figs.studies import solver_comparison
+from paper_figs.registry import FIGURES, TABLES, Item
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
+from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.from_plan import make_solution
 from tests.scp_recon.support import mission_of
 
 SAMPLES = 400
@@ -60,7 +55,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         fresh=False,
         tell=lambda _: None,
     )
-    (out / TABLE).write_text(to_csv(entries), encoding="utf-8")
+    table = records([record(entry) for entry in entries])
+    (out / TABLE).write_text(table.csv(), encoding="utf-8")
     return out
 
 
@@ -72,10 +68,16 @@ def runs(folder: Path) -> Runs:
 @pytest.fixture(scope="module")
 def drawn(runs: Runs) -> dict[str, Figure]:
     """All figures, rendered once, so that their artists have a size."""
-    figures = {name: module.draw(runs) for name, module in FIGURES.items()}
+    figures = {name: item.make(runs) for name, item in FIGURES.items()}
     for figure in figures.values():
         FigureCanvasAgg(figure).draw()
     return figures
+
+
+def caption(name: str, runs: Runs) -> str:
+    make = FIGURES[name].caption
+    assert make is not None
+    return make(runs)
 
 
 # --- as a person would look at them -------------------------------------------------------------
@@ -153,15 +155,15 @@ def test_no_figure_touches_a_backend() -> None:
 
 def test_captions_explain_the_bands_and_carry_the_numbers(runs: Runs) -> None:
     for name in ("trajectories", "observation_histories"):
-        words = FIGURES[name].caption(runs)
+        words = caption(name, runs)
         assert "68.3 %" in words
         assert "95.4 %" in words
     assert "23.3 deg" in control_history.caption(runs)
-    assert f"{SAMPLES} flights" in FIGURES["observation_times"].caption(runs)
+    assert f"{SAMPLES} flights" in caption("observation_times", runs)
 
 
 def test_parameters_are_those_of_the_scenario(runs: Runs) -> None:
-    text = TABLES["parameters"].table(runs)
+    text = TABLES["parameters"].make(runs)
     # The paper's table, and what the project computes for it.
     for value in (
         "500 m, 740 m",
@@ -220,7 +222,7 @@ def test_the_table_shows_failed_rows_as_such(runs: Runs) -> None:
         "paper_mean_s": "1",
         "paper_worst_1_sigma_s": "2",
     }
-    text = observation_table.table(Runs(runs.plan, runs.reference, [*runs.table, lost]))
+    text = tables.observation_table(Runs(runs.plan, runs.reference, [*runs.table, lost]))
     assert "| lost | failed: no |  |  |  | 1 | 2 |" in text
     assert "| SCP, cold start | 3397 | 3397 | " in text
 
@@ -228,12 +230,16 @@ def test_the_table_shows_failed_rows_as_such(runs: Runs) -> None:
 # --- files --------------------------------------------------------------------------------------
 
 
-class Ready:
-    """A figure's module whose figure is drawn already."""
+def ready(figures: dict[str, Figure]) -> dict[str, Item]:
+    """Figures that are drawn already."""
+    return {
+        name: replace(item, make=lambda _, name=name: figures[name])
+        for name, item in FIGURES.items()
+    }
 
-    def __init__(self, name: str, figure: Figure) -> None:
-        self.draw = lambda _: figure
-        self.caption = FIGURES[name].caption
+
+def draw_one(name: str, runs: Path, out: Path, *more: str) -> int:
+    return main([name, "--runs", str(runs), "--out", str(out), *more])
 
 
 def test_everything_is_written_into_one_folder(
@@ -243,8 +249,7 @@ def test_everything_is_written_into_one_folder(
     drawn: dict[str, Figure],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ready = {name: Ready(name, drawn[name]) for name in FIGURES}
-    monkeypatch.setattr(command_line, "FIGURES", ready)
+    monkeypatch.setattr(command_line, "FIGURES", ready(drawn))
     written = list(make_all(runs, folder, tmp_path / "figures"))
     expected = {f"{name}{ending}" for name in FIGURES for ending in PICTURES}
     expected |= {f"{name}.md" for name in TABLES} | {TABLE, "captions.md"}
@@ -258,18 +263,18 @@ def test_everything_is_written_into_one_folder(
 
 
 @pytest.mark.parametrize("ending", [".pdf", ".png", ".svg"])
-def test_a_module_alone_writes_the_same_file_every_time(
+def test_a_figure_alone_writes_the_same_file_every_time(
     folder: Path, tmp_path: Path, ending: str
 ) -> None:
     files = [tmp_path / f"{number}{ending}" for number in range(2)]
     for file in files:
-        assert command(control_history.draw, None, [str(folder), str(file)]) == 0
+        assert draw_one("control_history", folder, file) == 0
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
 def test_a_table_alone_is_written_as_text(folder: Path, tmp_path: Path) -> None:
     file = tmp_path / "table.md"
-    assert command(observation_table.table, None, [str(folder), str(file)]) == 0
+    assert draw_one("observation_table", folder, file) == 0
     assert file.read_text("utf-8").startswith("# Observation times")
 
 
@@ -289,7 +294,7 @@ def test_missing_input_exits_with_two_and_names_the_command(
     assert missing in errors
     assert f"{COMMAND} --out {copy}" in errors
     assert not out.exists()
-    assert command(control_history.draw, None, [str(copy), str(tmp_path / "x.png")]) == 2
+    assert draw_one("control_history", copy, tmp_path / "x.png") == 2
 
 
 @pytest.mark.parametrize("damaged", [TABLE, "scp_cold/montecarlo.json"])
@@ -323,27 +328,27 @@ def test_flights_of_another_plan_are_refused(
     assert not (tmp_path / "figures").exists()
 
 
-@pytest.mark.parametrize("module", [flyby, frames, solver_comparison, command_line])
-def test_a_bad_command_line_is_a_document(
-    module: ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bad_command_line_is_a_document(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
-        module.main(["--no-such-option", "--json"])
+        main(["--no-such-option", "--json"])
     assert end.value.code == 2
-    document = json.loads(capsys.readouterr().out)
-    assert document["command"] == module.__name__.removesuffix(".__main__")
+    assert json.loads(capsys.readouterr().out)["command"] == "paper_figs"
+    assert main(["no_such_figure", "--json"]) == 2
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error["given"] == "'no_such_figure'"
+    assert "solver_comparison" in error["allowed"]
 
 
 def test_the_files_of_a_figure_are_in_its_document(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = str(tmp_path / "x.png")
-    assert command(control_history.draw, None, [str(folder), file, "--json"]) == 0
+    assert draw_one("control_history", folder, Path(file), "--json") == 0
     said = capsys.readouterr()
     document = json.loads(said.out)
-    assert (document["command"], document["files"]) == (control_history.__name__, [file])
+    assert (document["command"], document["files"]) == ("paper_figs", [file])
     assert said.err == f"written: {file}\n"
-    assert frames.main([file, "--quiet"]) == 0
+    assert main(["frames", "--out", file, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
 
 
@@ -353,9 +358,9 @@ def test_a_figure_names_its_plan_in_its_metadata(
 ) -> None:
     plan = runs.plan.solution.plan_hash.encode()
     file = tmp_path / f"x{ending}"
-    assert command(control_history.draw, None, [str(folder), str(file)]) == 0
+    assert draw_one("control_history", folder, file) == 0
     assert plan in file.read_bytes()
-    assert flyby.main([str(folder / "scp_cold"), str(file)]) == 0
+    assert draw_one("flyby", folder / "scp_cold", file) == 0
     assert plan in file.read_bytes()
     assert plan not in save(Figure(), file).read_bytes()
 
@@ -383,20 +388,30 @@ def test_the_flyby_is_drawn_to_the_file_named_and_says_so(
     text = (folder / "scp_cold" / "solution.json").read_text("utf-8")
     (tmp_path / "solution.json").write_text(text.replace("Nightingale", r"$\\frac{$"), "utf-8")
     picture = tmp_path / "flyby.png"
-    assert flyby.main([str(tmp_path), str(picture)]) == 0
+    assert draw_one("flyby", tmp_path, picture) == 0
     assert capsys.readouterr().out == f"written: {picture}\n"
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("name", ["folder", "folder.png", "nothing", "picture.xyz", "file/x.png"])
+def test_figures_that_are_named_go_to_a_folder_or_a_single_one_to_a_file(
+    folder: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "folder.png").mkdir()
+    names = ["frames", "control_history"]
+    assert main([*names, "--runs", str(folder), "--out", str(tmp_path / "some")]) == 0
+    expected = {f"{name}{ending}" for name in names for ending in PICTURES}
+    assert {path.name for path in (tmp_path / "some").iterdir()} == expected
+    assert main(["frames", "--out", str(tmp_path / "folder.png")]) == 0
+    assert len(list((tmp_path / "folder.png").iterdir())) == len(PICTURES)
+
+
+@pytest.mark.parametrize("name", ["file", "picture.xyz", "file/x.png"])
 def test_what_is_no_pictures_name_is_refused_and_nothing_is_written(
     folder: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "folder.png").mkdir()
     (tmp_path / "file").touch()
     before = sorted(tmp_path.rglob("*"))
-    assert flyby.main([str(folder / "scp_cold"), str(tmp_path / name)]) == 2
+    assert draw_one("flyby", folder / "scp_cold", tmp_path / name) == 2
     assert capsys.readouterr().err.count("error: ") == 1
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -411,7 +426,7 @@ def test_a_figure_on_a_full_disk_leaves_the_old_one(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    assert command(control_history.draw, None, [str(folder), str(picture)]) == 2
+    assert draw_one("control_history", folder, picture) == 2
     assert [file.name for file in tmp_path.iterdir()] == ["x.png"]
     assert picture.read_text("utf-8") == "old"
 
@@ -438,7 +453,7 @@ def own_runs(five_burns: Path) -> Runs:
 
 @pytest.fixture(scope="module")
 def own_drawn(own_runs: Runs) -> dict[str, Figure]:
-    figures = {name: module.draw(own_runs) for name, module in FIGURES.items()}
+    figures = {name: item.make(own_runs) for name, item in FIGURES.items()}
     figures["flyby"] = flyby.draw(own_runs.plan.solution)
     for figure in figures.values():
         FigureCanvasAgg(figure).draw()
@@ -463,13 +478,12 @@ def test_figures_of_one_s_own_plan_are_written_without_the_paper_s_table(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ready = {name: Ready(name, own_drawn[name]) for name in FIGURES}
-    monkeypatch.setattr(command_line, "FIGURES", ready)
+    monkeypatch.setattr(command_line, "FIGURES", ready(own_drawn))
     monkeypatch.setattr(command_line, "PICTURES", PICTURES[:1])
     written = {path.name for path in make_all(own_runs, five_burns, tmp_path)}
     assert written == {
         *("parameters.md", "captions.md"),
         *(f"{name}{PICTURES[0]}" for name in FIGURES),
     }
-    assert "ballistic arc" in FIGURES["trajectories"].caption(own_runs)
+    assert "ballistic arc" in caption("trajectories", own_runs)
     assert own_runs.plan.summary.is_of(own_runs.plan.solution)

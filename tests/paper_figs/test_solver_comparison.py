@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from paper_figs.__main__ import main
+from paper_figs.inputs import Row
 from paper_figs.studies import solver_comparison
-from paper_figs.studies.solver_comparison import Row
 
 
 def row(group: str, method: str, dv: float, status: str = "converged", **other: str) -> Row:
@@ -69,5 +70,5 @@ def test_scenarios_lie_at_their_values() -> None:
 
 
 def test_a_missing_table_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert solver_comparison.main([str(tmp_path / "none.csv"), str(tmp_path)]) == 2
-    assert "none.csv" in capsys.readouterr().err
+    assert main(["solver_comparison", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 2
+    assert "comparison.csv" in capsys.readouterr().err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,24 +14,23 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from experiments import battery_cones as battery_cones_study
-from experiments.model_fidelity.compared import TOGETHER, Compared
-from experiments.model_fidelity.report import history, records
-from experiments.observation_table.rows import rows
-from experiments.studies import to_csv
-from experiments.timing_rules.__main__ import Rule
-from experiments.timing_rules.__main__ import record as record_slew
-from experiments.timing_rules.flights import Slew
+from experiments.__main__ import main as experiments_main
+from experiments.harness import records as as_table
+from experiments.model_fidelity.study import TOGETHER, Compared, history
+from experiments.model_fidelity.study import table as fidelity_table
+from experiments.timing_rules import SETTLED
 from experiments.uncertainty_sources.flights import TRANSLATION
-from experiments.uncertainty_sources.report import BOTH, ORDER, Measured, quantiles, record, sigmas
-from experiments.uncertainty_sources.report import PATH as BY_PATH
-from experiments.uncertainty_sources.report import SPACECRAFT as BY_SPACECRAFT
+from experiments.uncertainty_sources.study import BOTH, SOURCES, Measured, quantiles
+from experiments.uncertainty_sources.study import PATH as BY_PATH
+from experiments.uncertainty_sources.study import SPACECRAFT as BY_SPACECRAFT
+from experiments.uncertainty_sources.study import row as uncertainty_row
 from paper_figs import __main__ as command_line
-from paper_figs.__main__ import STUDIES, Study, make_all
-from paper_figs.drawing import PICTURES, command_from
+from paper_figs.__main__ import PICTURES, main, make_all
+from paper_figs.registry import EVERYTHING, STUDIES, Item
 from paper_figs.studies import (
     attitude_and_actuators,
     battery_cones,
+    flight_record,
     flown_plan,
     frontier,
     model_fidelity,
@@ -41,11 +41,16 @@ from paper_figs.studies import (
 )
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.results.solution import Solution, ballistic_arc
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.file import Solution
-from scp_recon.spacecraft.record import Record, write_record
-from scp_recon.spacecraft.vehicle import load_vehicle
-from tests.scp_recon.spacecraft import made_up
+from scp_recon.simulation.record import Record, write_record
+from scp_recon.simulation.vehicle import load_vehicle
+from tests.scp_recon.simulation import made_up
+
+
+def to_csv(rows: list[dict[str, Any]]) -> str:
+    return as_table(rows).csv()
+
 
 PLAN = "1f" * 32
 """Hash of no plan."""
@@ -71,15 +76,15 @@ def write_fidelity(folder: Path) -> None:
         for model, end in ends.items()
     ]
     folder.mkdir()
-    (folder / model_fidelity.TABLE).write_text(to_csv(records(entries)), encoding="utf-8")
-    (folder / model_fidelity.HISTORY).write_text(to_csv(history(entries)), encoding="utf-8")
+    (folder / "model_fidelity.csv").write_text(to_csv(fidelity_table(entries)), encoding="utf-8")
+    (folder / "model_fidelity_history.csv").write_text(to_csv(history(entries)), encoding="utf-8")
 
 
 def write_uncertainty(folder: Path) -> None:
     """Made-up deviations in the study's own form: 200 m for each source of the path, else 1 m."""
     rng = np.random.default_rng(0)
     entries = []
-    for error_sources in ORDER:
+    for error_sources in SOURCES:
         on_path = error_sources in (*TRANSLATION, BOTH)
         scale = (
             200.0 if on_path or error_sources == "all" else 0.0 if error_sources == "none" else 1.0
@@ -87,12 +92,12 @@ def write_uncertainty(folder: Path) -> None:
         deviation = scale * rng.standard_normal((500 if on_path else 8, 6)) / np.sqrt(3.0)
         by = BY_PATH if on_path else BY_SPACECRAFT
         entries.append(Measured(error_sources, by, deviation, 2.0, np.nan if on_path else 1e-3))
-    words = sigmas(load_vehicle().errors)
-    table = to_csv([record(entry, words[entry.error_sources]) for entry in entries])
+    errors = load_vehicle().errors
+    table = to_csv([uncertainty_row(entry, errors) for entry in entries])
     folder.mkdir()
-    (folder / uncertainty_sources.TABLE).write_text(table, encoding="utf-8")
+    (folder / "uncertainty_sources.csv").write_text(table, encoding="utf-8")
     points = to_csv(quantiles(entries))
-    (folder / uncertainty_quantiles.QUANTILES).write_text(points, encoding="utf-8")
+    (folder / "uncertainty_quantiles.csv").write_text(points, encoding="utf-8")
 
 
 def write_flight(folder: Path, seed: int = 4, plan_hash: str | None = PLAN) -> None:
@@ -130,7 +135,7 @@ def write_flown(folder: Path) -> None:
     folder.mkdir()
     seeds = range(1, 5)
     table = to_csv([{"seed": seed} for seed in seeds])
-    (folder / flown_plan.TABLE).write_text(table, encoding="utf-8")
+    (folder / "flown_plan.csv").write_text(table, encoding="utf-8")
     for seed in (*seeds, 30):
         write_flight(folder / f"seed_{seed}", seed)
 
@@ -138,15 +143,16 @@ def write_flown(folder: Path) -> None:
 def write_timing(folder: Path) -> None:
     """Made-up durations in the study's own form, one too long."""
     folder.mkdir()
+    names = ("name", "measured_s", "allowed_s", "how", "holds")
     found = [
-        Rule("slew to steady state", 900.0, 1800.0, "worst of 3 half turns"),
-        Rule("recharge from empty", 1272.0, 1200.0, "65 W drawn"),
+        ("slew to steady state", 900.0, 1800.0, "worst of 3 half turns", True),
+        ("recharge from empty", 1272.0, 1200.0, "65 W drawn", False),
     ]
-    rules = to_csv([{**vars(rule), "holds": rule.holds} for rule in found])
-    (folder / timing_rules.TABLE).write_text(rules, encoding="utf-8")
-    slews = [Slew(np.eye(3)[k], 0.5, (600.0, 700.0, 800.0 + 50.0 * k), 0.1) for k in range(3)]
-    table = to_csv([record_slew(slew) for slew in slews])
-    (folder / timing_rules.SLEWS).write_text(table, encoding="utf-8")
+    rules = to_csv([dict(zip(names, rule, strict=True)) for rule in found])
+    (folder / "timing_rules.csv").write_text(rules, encoding="utf-8")
+    times = [(600.0, 700.0, 800.0 + 50.0 * k) for k in range(3)]
+    table = to_csv([dict(zip(SETTLED.values(), own, strict=True)) for own in times])
+    (folder / "timing_rules_slews.csv").write_text(table, encoding="utf-8")
 
 
 def write_frontier(folder: Path) -> None:
@@ -163,20 +169,22 @@ def write_frontier(folder: Path) -> None:
         for i, kind in enumerate(frontier.MARKS)
         for p in (0.7, 0.9, 0.99)
     ]
-    (folder / frontier.TABLE).write_text(to_csv(rows), encoding="utf-8")
+    (folder / "frontier.csv").write_text(to_csv(rows), encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of all studies."""
     out = tmp_path_factory.mktemp("studies")
-    battery_cones_study.main(["--samples", "2000", "--out", str(out / battery_cones.FOLDER)])
-    write_fidelity(out / model_fidelity.FOLDER)
-    write_uncertainty(out / uncertainty_sources.FOLDER)
-    write_flight(out / power_history.FOLDER)
-    write_flown(out / flown_plan.FOLDER)
-    write_timing(out / timing_rules.FOLDER)
-    write_frontier(out / frontier.FOLDER)
+    experiments_main(
+        ["battery_cones", "--samples", "2000", "--out", str(out / battery_cones.SOURCE.folder)]
+    )
+    write_fidelity(out / model_fidelity.SOURCE.folder)
+    write_uncertainty(out / uncertainty_sources.SOURCE.folder)
+    write_flight(out / flight_record.SOURCE.folder)
+    write_flown(out / flown_plan.SOURCE.folder)
+    write_timing(out / timing_rules.SOURCE.folder)
+    write_frontier(out / frontier.SOURCE.folder)
     return out
 
 
@@ -184,7 +192,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def drawn(studies: Path) -> dict[str, Figure]:
     figures = {}
     for name, study in STUDIES.items():
-        figures[name] = study.draw(study.read(studies / study.FOLDER))
+        figures[name] = study.make(study.read(studies / study.source.folder))
         FigureCanvasAgg(figures[name]).draw()
     return figures
 
@@ -217,30 +225,32 @@ def test_words_stay_on_the_page_and_apart(drawn: dict[str, Figure], name: str) -
 
 
 def test_captions_carry_the_findings(studies: Path) -> None:
-    found = battery_cones.read(studies / battery_cones.FOLDER)
+    found = battery_cones.read(studies / battery_cones.SOURCE.folder)
     words = battery_cones.caption(found)
     assert "2000 random positions" in words
     assert "23.30 deg and 18.20 deg" in words
     assert "22.51 deg and 17.43 deg" in words
-    words = model_fidelity.caption(model_fidelity.read(studies / model_fidelity.FOLDER))
+    words = model_fidelity.caption(
+        model_fidelity.SOURCE.read(studies / model_fidelity.SOURCE.folder)
+    )
     assert "solar radiation pressure of the plan: cannonball (1 m)" in words
     assert "gravity of the ballistic arc: degree 0 (8 m)" in words
     assert "cannonball, degree 0, impulsive on the plan 9 m" in words
-    folder = studies / uncertainty_sources.FOLDER
-    words = uncertainty_sources.caption(uncertainty_sources.read(folder))
+    folder = studies / uncertainty_sources.SOURCE.folder
+    words = uncertainty_sources.caption(uncertainty_sources.SOURCE.rows(folder))
     assert all(name in words for name in ("initial state", "IMU", "all together"))
     assert "no errors" not in words
-    words = uncertainty_quantiles.caption(uncertainty_quantiles.read(folder))
+    words = uncertainty_quantiles.caption(uncertainty_quantiles.SOURCE.read(folder))
     assert "of 500 flights" in words
     assert "initial state (1 sigma 3 % of each component): 0.99" in words
-    flight = power_history.read(studies / power_history.FOLDER)
+    flight = power_history.read(studies / flight_record.SOURCE.folder)
     words = attitude_and_actuators.caption(flight)
     assert all(figure in words for figure in ("seed 4", "0.123 deg", "0.500 deg", "1 times"))
     assert "the least charge is 20.0 %" in power_history.caption(flight)
-    words = flown_plan.caption(flown_plan.read(studies / flown_plan.FOLDER))
+    words = flown_plan.caption(flown_plan.read(studies / flown_plan.SOURCE.folder))
     assert "4 simulated flights" in words
     assert "(0.971 of normal ones) and 3 flights throughout" in words
-    words = timing_rules.caption(timing_rules.read(studies / timing_rules.FOLDER))
+    words = timing_rules.caption(timing_rules.SOURCE.read(studies / timing_rules.SOURCE.folder))
     assert "(worst of 3 half turns) 15.0 of 30 min, holds" in words
     assert "(65 W drawn) 21.2 of 20 min, does not hold" in words
 
@@ -249,10 +259,9 @@ def test_studies_are_drawn_where_they_are_found(
     studies: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(command_line, "FIGURES", {})
-    monkeypatch.setattr(command_line, "TABLES", {})
-    shutil.copytree(studies / battery_cones.FOLDER, tmp_path / battery_cones.FOLDER)
+    shutil.copytree(studies / battery_cones.SOURCE.folder, tmp_path / battery_cones.SOURCE.folder)
     out = tmp_path / "figures"
-    monkeypatch.setattr(command_line.parameters, "table", str)
+    monkeypatch.setitem(command_line.TABLES, "parameters", Item(lambda _: ""))
     runs: Any = SimpleNamespace(table=[])  # nothing else of them is asked for
     names = {path.name for path in make_all(runs, tmp_path, out, tmp_path)}
     expected = {f"battery_cones{ending}" for ending in PICTURES}
@@ -267,15 +276,16 @@ def test_a_study_alone_is_written_or_says_what_is_missing(
     tmp_path: Path,
     name: str,
     capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     study = STUDIES[name]
     file = tmp_path / "figure.png"
-    arguments = [str(studies / study.FOLDER), str(file)]
-    assert command_from(study.read, lambda _: drawn[name], None, arguments) == 0
+    monkeypatch.setitem(EVERYTHING, name, replace(study, make=lambda _: drawn[name]))
+    assert main([name, "--studies", str(studies), "--out", str(file)]) == 0
     assert file.stat().st_size > 10_000
-    assert command_from(study.read, study.draw, None, [str(tmp_path), str(file)]) == 2
-    assert f"{study.COMMAND} --out {tmp_path}" in capsys.readouterr().err
-    damaged = Path(shutil.copytree(studies / study.FOLDER, tmp_path / "copy"))
+    assert main([name, "--runs", str(tmp_path), "--out", str(file)]) == 2
+    assert f"{study.source.command} --out {tmp_path}" in capsys.readouterr().err
+    damaged = Path(shutil.copytree(studies / study.source.folder, tmp_path / "copy"))
     for path in filter(Path.is_file, damaged.rglob("*")):
         path.write_text("x\n1\n", encoding="utf-8")
     with pytest.raises(InputError, match="unusable"):
@@ -288,8 +298,7 @@ def test_a_study_alone_is_written_or_says_what_is_missing(
 @pytest.fixture(scope="module")
 def solution() -> Solution:
     """Burns that are given, not planned."""
-    design = next(row.design for row in rows(ipopt=False) if row.key == "ballistic")
-    return design(Mission.from_scenario(load_scenario()))
+    return ballistic_arc(Mission.from_scenario(load_scenario()))
 
 
 @pytest.mark.parametrize("plan_hash", [PLAN, None])
@@ -299,14 +308,14 @@ def test_a_flight_of_another_plan_than_the_one_beside_it_is_refused(
     single, many = tmp_path / "single", tmp_path / "many"
     write_flight(single, 4, plan_hash)
     many.mkdir()
-    (many / flown_plan.TABLE).write_text("seed\n4\n", encoding="utf-8")
+    (many / "flown_plan.csv").write_text("seed\n4\n", encoding="utf-8")
     write_flight(many / "seed_4", 4, plan_hash)
     for study, folder in ((power_history, single), (flown_plan, many)):
         study.read(folder)  # by itself
         plan_file = solution.write(folder)
         with pytest.raises(InputError) as caught:
             study.read(folder)
-        for words in ("simulation.npz", str(plan_file), f"{study.COMMAND} --out {folder}"):
+        for words in ("simulation.npz", str(plan_file), f"{study.SOURCE.command} --out {folder}"):
             assert words in str(caught.value)
 
 
@@ -318,16 +327,15 @@ def test_flights_of_the_plan_beside_them_are_read(solution: Solution, tmp_path: 
 
 
 def test_flights_of_different_plans_make_no_figure(tmp_path: Path) -> None:
-    (tmp_path / flown_plan.TABLE).write_text("seed\n1\n2\n", encoding="utf-8")
+    (tmp_path / "flown_plan.csv").write_text("seed\n1\n2\n", encoding="utf-8")
     write_flight(tmp_path / "seed_1", 1)
     write_flight(tmp_path / "seed_2", 2, "2e" * 32)
     with pytest.raises(InputError, match="flights of different plans"):
         flown_plan.read(tmp_path)
 
 
-@pytest.mark.parametrize("study", [power_history, flown_plan])
-def test_a_figure_of_flights_names_their_plan(studies: Path, tmp_path: Path, study: Study) -> None:
+@pytest.mark.parametrize("name", ["power_history", "flown_plan"])
+def test_a_figure_of_flights_names_their_plan(studies: Path, tmp_path: Path, name: str) -> None:
     file = tmp_path / "x.png"
-    found = [str(studies / study.FOLDER), str(file)]
-    assert command_from(study.read, study.draw, None, found) == 0
+    assert main([name, "--studies", str(studies), "--out", str(file)]) == 0
     assert PLAN.encode() in file.read_bytes()

@@ -10,12 +10,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal, norm, qmc
 
-from formulations.problem.facets import Facets, Polytopes, choose_facets
+from formulations.arrays import Array
+from formulations.problem.facets import Facets, Polytopes, choose_facets, quantile, split_risk
 from formulations.problem.flyby import FlybyProblem, StateConstraint
 from formulations.problem.polytopes import ball, inner_pyramid_angle, paper_ball
 from formulations.problem.regions import Ball, Cone, Region
-from formulations.risk.uniform import quantile, split_risk
-from tests.helpers import Array, generators, random_flyby, random_unit, share_of_examples
+from tests.helpers import generators, random_flyby, random_unit, share_of_examples
 
 probabilities = st.floats(0.5, 0.9999)
 polytopes = st.builds(
@@ -68,7 +68,7 @@ def test_a_facets_condition_holds_exactly_when_its_probability_suffices(
 
 
 @given(probabilities, generators)
-def test_a_facet_with_zero_margin_holds_with_just_the_probability_asked_for(
+def test_a_facet_with_zero_margin_holds_with_just_the_required_probability_for(
     probability: float, rng: np.random.Generator
 ) -> None:
     mean, factor = gaussian(rng)

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.problem.regions import Ball, Cone, Region, perpendicular
-from tests.helpers import Array, generators, random_unit
+from tests.helpers import generators, random_unit
 
 AT = np.concatenate([-np.geomspace(1e3, 1e-3, 400), [0.0], np.geomspace(1e-3, 1e3, 400)])
 """Where along a line membership is asked."""
@@ -170,24 +171,3 @@ def test_each_nodes_chords_are_its_own(rng: np.random.Generator) -> None:
                     at = starts[i, min(j, starts.shape[1] - 1)]
                     expected = chord(one, at, direction[i, j])
                     assert (low[i, j], high[i, j]) == pytest.approx(expected)
-
-
-@given(generators)
-def test_the_radius_of_curvature_is_that_of_the_nearest_surface(rng: np.random.Generator) -> None:
-    """How far a step t across leaves the tangent plane: t^2 / 2 r, along the flattest way none."""
-    ball, point = Ball(rng.normal(size=(1, 3)), 1.3), rng.normal(size=(1, 3))
-    assert ball.curvature_radius(point) == pytest.approx(1.3)
-    cone = Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), float(rng.uniform(0.1, 1.3)))
-    ray = np.cos(cone.half_angle) * cone.axis
-    ray = ray + np.sin(cone.half_angle) * cone.across(rng.normal(size=(1, 3)))
-    length = rng.uniform(0.5, 3.0)
-    touched = cone.apex + ray * length
-    normal = cone.supporting(touched).normal
-    # On the near side of the axis, beyond which another ray is nearest.
-    near = touched + normal * rng.uniform(-0.5, 0.5) * length * np.tan(cone.half_angle)
-    radius = cone.curvature_radius(near).item()
-    step = 1e-2 * radius
-    tangent = np.cross(normal, ray)
-    bent = -cone.inside(touched + step * tangent).item()
-    # The distance to the cone: seen along its normal, the surface falls back by as much.
-    assert bent == pytest.approx(step**2 / (2.0 * radius), rel=3e-2)

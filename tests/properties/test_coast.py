@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.legs import Legs
-from formulations.program.merit import MeritFunction
-from formulations.program.subproblem import Subproblem
+from formulations.problem.flyby import Legs
+from formulations.program.subproblem import MeritFunction, Subproblem
 from formulations.registry import make_subproblem
-from formulations.rows.deterministic import DeterministicRows
-from tests.helpers import Array, constrain, random_flyby
+from formulations.rows.uniform import DeterministicRows
+from tests.helpers import constrain, random_flyby
 
 generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 coasts = st.integers(1, 4)

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.execution_errors import ComponentwiseErrors
@@ -18,22 +19,12 @@ from formulations.problem.facets import Polytopes, choose_facets
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball
 from formulations.program import condensed, lifted
-from formulations.program.compiled import CompiledProgram
-from formulations.program.model import Model
-from formulations.program.penalty import Penalty, PenaltyParameters
+from formulations.program.model import CompiledProgram, Model
+from formulations.program.subproblem import Penalty, PenaltyParameters
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import DeterministicRows
-from tests.helpers import (
-    Array,
-    Flyby,
-    Waves,
-    constrain,
-    generators,
-    random_flyby,
-    share_of_examples,
-)
+from formulations.rows.uniform import ChanceRows, DeterministicRows
+from tests.helpers import Flyby, Waves, constrain, generators, random_flyby, share_of_examples
 
 WEIGHT = 10.0
 few = settings(max_examples=share_of_examples(6))

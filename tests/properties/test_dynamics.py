@@ -9,10 +9,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from scp_recon.physics.flow import differentiate, propagate
 from scp_recon.physics.forces import ForceModel, acceleration, gravity_curvature, gravity_gradient
 from scp_recon.physics.harmonics import HarmonicField
-from tests.helpers import Array, generators, random_unit
+from tests.helpers import generators, random_unit
 
 SUBSTEPS = 32
 """With arcs of at most 0.3 units of time, a Runge-Kutta error below the tolerances here."""

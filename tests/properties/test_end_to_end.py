@@ -15,10 +15,9 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.planner import plan
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution
-from scp_recon.solution.from_plan import make_solution
-from scp_recon.solution.read import read_solution
 from scp_recon.verification.reintegration import verify
 from tests import reliability
 from tests.helpers import share_of_examples

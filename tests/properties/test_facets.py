@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 from scipy.stats import norm
 
+from formulations.arrays import Array
 from formulations.problem.facets import (
     Facets,
     Polytopes,
@@ -24,7 +25,7 @@ from formulations.problem.facets import (
 from formulations.problem.flyby import FlybyProblem, StateConstraint
 from formulations.problem.polytopes import ball, paper_ball
 from formulations.problem.regions import Ball, Cone, Halfspaces, Region
-from tests.helpers import Array, constrain, generators, random_flyby, random_unit
+from tests.helpers import constrain, generators, random_flyby, random_unit
 
 EXACT = 1e-9
 """Rounding, and Qhull's vertices, of numbers of order one."""

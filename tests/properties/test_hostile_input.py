@@ -22,17 +22,17 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from scp_recon import montecarlo, simulate, solve, verify
-from scp_recon.certification import way_out
-from scp_recon.cli import method
+from scp_recon.api import infeasibility
+from scp_recon.cli.commands.flights import montecarlo, simulate
+from scp_recon.cli.commands.planning import solve
+from scp_recon.cli.commands.plans import verify
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess, planner, state_table
+from scp_recon.planning import initial_guess, planner
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.algorithms import ALGORITHMS
-from scp_recon.scp.scvx import SCvx
-from scp_recon.solution.from_plan import make_solution
-from scp_recon.solution.read import read_solution
+from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from tests import reliability
 from tests.helpers import share_of_examples
 from tests.scenarios import COARSE
@@ -291,7 +291,7 @@ def solved_or_refused(overrides: list[str], *options: str) -> None:
     sets = [argument for override in overrides for argument in ("--set", override)]
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setitem(ALGORITHMS, "scvx", lambda: SCvx(max_iterations=4))
-        patch.setattr(way_out, "CLOSE", 1.0)  # roughly, where an infeasible plan asks what would do
+        patch.setattr(infeasibility, "CLOSE", 1.0)
         fly_few(patch)
         code = command(solve.main, [*options, *sets, "--out", folder])
         assert code in (0, 2, 3, 4)
@@ -460,6 +460,7 @@ def test_a_solution_whose_parts_do_not_fit_together_is_refused(
 def test_names_of_a_solution_are_shown_as_they_are(
     solved: Path, tmp_path: Path, word: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Those of stages; constraints have the names of their scenario, whatever the file carries."""
     fly_few(monkeypatch)
     content = json.loads((solved / "solution.json").read_text("utf-8"))
     content["constraints"][0]["name"] = content["stages"][0]["name"] = word
@@ -468,7 +469,7 @@ def test_names_of_a_solution_are_shown_as_they_are(
     shown = io.StringIO()
     with contextlib.redirect_stdout(shown):
         assert verify.main([str(tmp_path)]) == 4
-    assert shown.getvalue().count(word) == 3
+    assert shown.getvalue().count(word) == 1
 
 
 @patient
@@ -497,7 +498,7 @@ def test_no_bytes_end_in_anything_but_a_guess_or_a_message(coarse: Mission, cont
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "table.csv"
         path.write_bytes(content)
-        read_or_refuse(lambda: state_table.from_table(coarse, path))
+        read_or_refuse(lambda: initial_guess.from_table(coarse, path))
 
 
 # --- command lines ------------------------------------------------------------------------------
@@ -539,7 +540,7 @@ def interrupted(*_: object, **__: object) -> None:
 def test_no_arguments_of_solve_end_in_a_traceback_or_write_elsewhere(arguments: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder, watched() as touched:
         out = Path(folder) / "out"
-        with mock.patch.object(method, "_by_scp", return_value=interrupted):
+        with mock.patch.object(planner, "plan", interrupted):
             code = command(solve.main, ["--out", str(out), *arguments, "--method", "scp"])
         written = [path for path in Path(folder).rglob("*") if path.is_file()]
     assert code in (0, 2, 130)  # help, bad input, and the interrupt that stands for the planning

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array, Indices
 from formulations.linearisation.condensation import Sensitivity, condense
 from formulations.linearisation.linearisation import (
     Linearisation,
@@ -18,12 +19,11 @@ from formulations.linearisation.linearisation import (
     propagate_factor,
     step_mean,
 )
-from formulations.problem.flyby import FlybyProblem, Iterate, Nodes, factor_columns_used
-from formulations.problem.legs import Legs
-from formulations.program.composed_arcs import compose
+from formulations.problem.flyby import FlybyProblem, Iterate, Legs, factor_columns_used
+from formulations.program.lifted import compose
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import ForceModel
-from tests.helpers import Arcs, Array, Flyby, generators, random_flyby, random_rotation
+from tests.helpers import Arcs, Flyby, generators, random_flyby, random_rotation
 
 EXACT = {"rel": 1e-9, "abs": 1e-11}
 """Rounding of a product of a dozen matrices of order one."""
@@ -53,7 +53,7 @@ def some_burns(rng: np.random.Generator, problem: FlybyProblem) -> Array:
     return rng.normal(size=(problem.n_burns, 3))
 
 
-def some_nodes(rng: np.random.Generator, problem: FlybyProblem) -> Nodes:
+def some_nodes(rng: np.random.Generator, problem: FlybyProblem) -> Indices:
     """All burns' nodes and some others."""
     others = rng.choice(problem.n_nodes, int(rng.integers(0, problem.n_nodes)), replace=False)
     return np.union1d(problem.burn_nodes, others)

@@ -19,10 +19,10 @@ import pytest
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from scipy.integrate import solve_ivp
 
+from formulations.arrays import Array
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
-from formulations.program.penalty import PenaltyParameters
-from formulations.program.subproblem import Subproblem
+from formulations.program.subproblem import PenaltyParameters, Subproblem
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
@@ -30,11 +30,10 @@ from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, Stage, plan
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from scp_recon.scp.loop import Algorithm, Record, State, Timing
-from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
-from tests.helpers import Array, share_of_examples
+from tests.helpers import share_of_examples
 from tests.scenarios import planned, scenarios
 
 expensive = settings(

@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.spacecraft.panels import SolarArray, align
-from scp_recon.spacecraft.plates import Plates
-from tests.helpers import Array, generators, random_unit
+from experiments.model_fidelity.models import Plates
+from formulations.arrays import Array
+from scp_recon.simulation.panels import SolarArray, align
+from tests.helpers import generators, random_unit
 
 
 def random_panels(rng: np.random.Generator) -> SolarArray:

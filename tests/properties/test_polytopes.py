@@ -10,6 +10,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.spatial import HalfspaceIntersection
 
+from formulations.arrays import Array
 from formulations.problem.polytopes import (
     BallPolytope,
     ball,
@@ -17,7 +18,7 @@ from formulations.problem.polytopes import (
     paper_ball,
     rotations_between,
 )
-from tests.helpers import Array, generators, random_rotation, random_unit
+from tests.helpers import generators, random_rotation, random_unit
 
 EXACT = 1e-9
 """Qhull's vertices; the rest is rounding of order one."""

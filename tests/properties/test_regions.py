@@ -7,6 +7,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import (
     Ball,
@@ -16,7 +17,7 @@ from formulations.problem.regions import (
     SecondOrderCone,
     perpendicular,
 )
-from tests.helpers import Array, generators, random_unit
+from tests.helpers import generators, random_unit
 
 EXACT = 1e-12
 """Rounding of a few operations on numbers of order one."""

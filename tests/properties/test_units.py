@@ -17,17 +17,17 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from scp_recon.bodies.catalogue import GM_SUN_KM3_S2, OBLIQUITY
 from scp_recon.errors import InputError
 from scp_recon.mission.checks import sun as sun_checks
-from scp_recon.mission.checks.given import Given
-from scp_recon.mission.checks.spread import check_spread
-from scp_recon.mission.checks.sun import GM_SUN_KM3_S2, OBLIQUITY_RAD
-from scp_recon.mission.checks.table import check_given
-from scp_recon.mission.mission import Mission, rotation_of, site_of
+from scp_recon.mission.checks.checks import check_scene, check_state
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Scene
 from scp_recon.physics.frames import unit
 from scp_recon.physics.geometry import Site
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.uncertainty import Uncertainty
 from tests import reliability
 from tests.scp_recon.support import file_of
 
@@ -179,13 +179,13 @@ def test_a_sun_along_the_axes_of_the_ecliptic_is_told_and_of_the_equator_is_not(
     tilt = Rotation.from_euler("zx", [node, np.deg2rad(inclination_deg)])
     state = tilt.inv().apply([[1.5e8, 1e6, 0.0], [-2.0, 29.0, 0.0]])
     if not wrong:
-        state = Rotation.from_euler("x", OBLIQUITY_RAD).apply(state)
+        state = Rotation.from_euler("x", OBLIQUITY).apply(state)
     changes = {
         "sun.body_position_km": state[0].tolist(),
         "sun.body_velocity_km_s": state[1].tolist(),
     }
     found = file_of(RECON_B, changes, name="Mine")
-    told = list(sun_checks.orbit(Given(found, MISSION.rotation, MISSION.site)))
+    told = list(sun_checks.axes_of_the_ecliptic(Scene.of(found)))
     assert [bool("ecliptic" in warning.expected) for warning in told] == wrong * [True]
 
 
@@ -198,10 +198,24 @@ def test_a_spread_in_another_unit_is_told(
     """Position, velocity or both, whatever share of distance and speed is said without a word."""
     distance, speed = (np.linalg.norm(MISSION.initial_state[part]) for part in HALVES)
     speed = max(speed, np.sqrt(RECON_B.body.gm_m3_s2 / distance))
-    sigma = np.repeat([share * distance, share * speed], 3)
-    assert not list(check_spread(RECON_B, MISSION.initial_state, sigma))
-    wrong = sigma * np.repeat([factor**power for power in which], 3)
-    assert list(check_spread(RECON_B, MISSION.initial_state, wrong))
+    sigma = np.array([share * distance, share * speed])
+    assert not spread_is_told(*sigma)
+    assert spread_is_told(*(sigma * [factor**power for power in which]))
+
+
+def spread_is_told(position_m: float, velocity_m_s: float) -> bool:
+    """Whether sigmas of every component are refused, or warned about."""
+    given = Uncertainty(
+        initial_sigma_position_m=(position_m,) * 3,
+        initial_sigma_velocity_m_s=(velocity_m_s,) * 3,
+        initial_frame="j2000",
+        execution_error=0.02,
+    )
+    scenario = RECON_B.model_copy(update={"uncertainty": given})
+    try:
+        return bool(check_state(Scene(scenario, MISSION.rotation, MISSION.site)))
+    except InputError:
+        return True
 
 
 HALVES = slice(0, 3), slice(3, 6)
@@ -224,7 +238,7 @@ def test_a_known_body_may_be_anywhere_on_its_orbit(days: float) -> None:
         "sun.body_velocity_km_s": flown[3:].tolist(),
     }
     found = file_of(RECON_B, given)
-    assert check_given(Given(found, rotation_of(found), site_of(found))) == ()
+    assert check_scene(Scene.of(found)) == ()
 
 
 @given(
@@ -238,7 +252,7 @@ def test_swapped_axes_of_a_site_are_told_where_its_slope_shows_them(
     site = Site(position[list(swap)], normal)
     moved = np.rad2deg(np.arccos(np.clip(site.position_body @ position / 250.0**2, -1.0, 1.0)))
     try:
-        found = check_given(Given(SHAPELESS, MISSION.rotation, site))
+        found = check_scene(Scene(SHAPELESS, MISSION.rotation, site))
         told = any(warning.entry == "site.normal_body" for warning in found)
     except InputError as error:
         assert moved > 89.9

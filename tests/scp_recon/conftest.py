@@ -7,9 +7,8 @@ import pytest
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
+from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.load import Scenario, load_scenario
-from scp_recon.solution.file import Solution
-from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import Verification, verify
 
 from .support import CommandLine, fly_few, run_solve

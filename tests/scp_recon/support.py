@@ -10,20 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
+from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
-from scp_recon import solve
+from scp_recon.cli.commands.planning import solve
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.verification import probabilities, reintegration
-
-Array = npt.NDArray[np.float64]
 
 
 def mission_of(*overrides: str) -> Mission:

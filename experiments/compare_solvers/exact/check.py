@@ -1,4 +1,4 @@
-"""What burns are worth: their cost, where they lead, and the probability.
+"""Judge burns independently: their cost, where they lead, and the probability.
 
 The burns are flown in steps a quarter as long for the final state. Of a node's normal law the original
 limits are judged for many draws, without a chord or a facet, by means that no search has; of a whole
@@ -10,13 +10,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
+from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate, factor_columns_used
-from formulations.problem.regions import Array
 from formulations.rows.flight_probability import FlightProbability
 from formulations.rows.node_probability import joint_events
 from scp_recon.mission.mission import Mission
@@ -58,8 +57,7 @@ def check(mission: Mission, burns_m_s: Array) -> Checked:
     fine = Dynamics(usual.forces, usual.durations, FINER * usual.substeps, usual.burn_nodes)
     end = fine.rollout(problem.initial_state, burns)[-1]
     miss = float(np.abs(end - problem.final_state).max())
-    mean = usual.rollout(problem.initial_state, burns)
-    lin = usual.linearise(problem, Iterate(burns, mean))
+    lin = rolled_out(mission, burns)
     limits = min(float(margin.min()) for margin in problem.burn_margins(burns).values())
     of = _worst_node if mission.scenario.risk.scope == "node" else _whole_flight
     p, error = of(mission, lin)
@@ -69,6 +67,13 @@ def check(mission: Mission, burns_m_s: Array) -> Checked:
         p,
         error,
     )
+
+
+def rolled_out(mission: Mission, burns: Array) -> Linearisation:
+    """The flight of some burns, shape (m, 3)."""
+    problem = mission.problem
+    mean = mission.dynamics.rollout(problem.initial_state, burns)
+    return mission.dynamics.linearise(problem, Iterate(burns, mean))
 
 
 def _whole_flight(mission: Mission, lin: Linearisation) -> tuple[float, float]:
@@ -104,8 +109,8 @@ def _worst_node(mission: Mission, lin: Linearisation) -> tuple[float, float]:
 
 
 def _kept(
-    mission: Mission, lin: Linearisation, nodes: npt.NDArray[np.intp], draws: Array
-) -> dict[str, tuple[npt.NDArray[np.intp], Array]]:
+    mission: Mission, lin: Linearisation, nodes: Indices, draws: Array
+) -> dict[str, tuple[Indices, Array]]:
     """Of each joint constraint the nodes, out of some, that it has, and its probability there."""
     length, times = mission.units.length_m, mission.times_s[nodes]
     factor = lin.factor[nodes, :3]

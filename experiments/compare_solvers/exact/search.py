@@ -12,9 +12,9 @@ import numpy as np
 from scipy.optimize import minimize
 
 from experiments.compare_solvers.exact.program import GAIN, BurnsProgram, Point, Stop, rows_of
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation, LinearisationError
 from formulations.nlp.solve import QUASI_NEWTON
-from formulations.problem.regions import Array
 from scp_recon.mission.mission import Mission
 
 ROUNDING = (1e-3, 3e-5)
@@ -34,14 +34,9 @@ WORST = 1e6
 
 @dataclass(frozen=True)
 class Found:
-    """Where a search ended.
+    """The cheapest burns that hold, or where the search stopped if none did, shape (m, 3).
 
-    Attributes:
-        burns: the cheapest that hold, or where it stopped if none did, shape (m, 3).
-        holds: whether they do.
-        ended: from which start, and how, in the solver's words.
-        out_of_time: whether the limit came first.
-        evaluations: of the program, from all starts.
+    `ended` says from which start and how, in the solver's words; evaluations are those from all starts.
     """
 
     burns: Array
@@ -65,13 +60,8 @@ def search(
 ) -> Found:
     """Solve exact P2: from each start with few directions and a rounder cost, then in full.
 
-    What the first runs find is refined from the cheapest on, until an answer holds.
-
-    Args:
-        mission: what is planned.
-        starts: where to begin, by name.
-        solver: "SLSQP" or "IPOPT".
-        limit_s: seconds of the processor.
+    What the first runs find is refined from the cheapest on, until an answer holds or `limit_s` seconds
+    of the processor are over. The solver is a key of `SOLVERS`.
     """
     until = process_time() + limit_s
     few, many = rows_of(mission)

@@ -1,1 +1,1 @@
-"""Whether a mission is hardly what was meant: units, axes, and entries that contradict each other."""
+"""Checks of a mission: units, axes, and entries that contradict each other."""

@@ -1,1 +1,1 @@
-"""What is computed of a scenario, subject by subject."""
+"""Computes entries of a scenario from others, subject by subject."""

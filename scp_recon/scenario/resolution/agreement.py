@@ -1,4 +1,4 @@
-"""What is given as well as it can be computed: told in one message where the two do not agree."""
+"""Compares what is given with what is computed, in one message where the two do not agree."""
 
 from __future__ import annotations
 
@@ -36,6 +36,12 @@ def check(entry: str, given: object, near: bool, computed: object, why: str) -> 
     """
     if not near:
         raise InputError(entry, shown(given), f"must agree with {shown(computed)}, {why}")
+
+
+def check_share(entry: str, given: float, computed: float, share: float, source: str) -> None:
+    """Refuse a number that is off a computed one by more than a share of that."""
+    near = abs(given - computed) <= share * abs(computed)
+    check(entry, given, near, computed, f"{source}, to {share:g}")
 
 
 def angle_deg(a: npt.ArrayLike, b: npt.ArrayLike) -> float:

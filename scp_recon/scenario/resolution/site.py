@@ -1,4 +1,4 @@
-"""Where a site is and which way it faces, on the ellipsoid or on a shape model."""
+"""Computes where a site is and which way it faces, on the ellipsoid or on a shape model."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from scp_recon.environment.shape_file import read_shape
-from scp_recon.environment.solid import Solid
-from scp_recon.environment.surface import (
-    Array,
+from formulations.arrays import Array
+from scp_recon.bodies.shape_file import read_shape
+from scp_recon.bodies.surface import (
     Ellipsoid,
     Mesh,
     OpenShapeError,
+    Solid,
     Surface,
     coordinates_of,
     direction_of,
@@ -33,11 +33,7 @@ z over the largest, which is 1 of Bennu's and 0.88 with its axes y and z swapped
 
 
 def resolve_site(site: dict[str, Any], body: dict[str, Any]) -> None:
-    """Enter position and normal.
-
-    Args:
-        site: table to enter them in.
-        body: for its radii and shape.
+    """Enter position and normal, by the radii or the shape of the body.
 
     Raises:
         InputError: if the shape cannot be used, there is none, or entries contradict one another.
@@ -59,8 +55,8 @@ def resolve_site(site: dict[str, Any], body: dict[str, Any]) -> None:
             "needs body.radii_m or body.shape_file, or a packaged body's name",
         )
     if surface is None:
-        if has(site, "normal_body"):
-            _check_outward(site, direction)
+        if has(site, "normal_body") and angle_deg(site["normal_body"], direction) >= 90.0:
+            raise InputError("site.normal_body", shown(site["normal_body"]), "must point outward")
         return
     try:
         position, normal = surface.at(direction)
@@ -156,8 +152,3 @@ def _check_distance(given: Any, position: Array, factor: float) -> None:
         f"{surface:g} m",
         f"where the surface is, within a factor of {factor:g}",
     )
-
-
-def _check_outward(site: dict[str, Any], direction: Array) -> None:
-    if angle_deg(site["normal_body"], direction) >= 90.0:
-        raise InputError("site.normal_body", shown(site["normal_body"]), "must point outward")

@@ -11,15 +11,14 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp import solve
 from formulations.nlp.covariance import Covariance, Factor, Spread, initial_deviation
-from formulations.nlp.multiple_shooting import ArcStyle, MultipleShooting
 from formulations.nlp.program import Arcs, Program, Start, Transcription, assemble
-from formulations.nlp.single_shooting import SingleShooting
+from formulations.nlp.shooting import ArcStyle, MultipleShooting, SingleShooting
 from formulations.nlp.solve import (
     EXACT,
     QUASI_NEWTON,
@@ -34,19 +33,16 @@ from formulations.nlp.solve import (
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.problem.regions import Ball, Cone
-from formulations.program.penalty import DYNAMICS_WEIGHT
-from formulations.rows.chance import ChanceRows
-from formulations.rows.deterministic import DeterministicRows
+from formulations.program.subproblem import DYNAMICS_WEIGHT
+from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.planner import Plan, Stage, plan
+from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from scp_recon.solution.from_plan import make_solution
 from tests.scenarios import COARSE
-
-Array = npt.NDArray[np.float64]
 
 
 def factor_form(problem: FlybyProblem) -> Factor:

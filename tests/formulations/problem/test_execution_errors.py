@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import condense
-from formulations.nlp.execution import own_columns, own_covariance, shared_columns
+from formulations.nlp.covariance import own_columns, own_covariance, shared_columns
 from formulations.problem.execution_errors import (
     VANISHED,
     ComponentwiseErrors,
@@ -19,7 +20,7 @@ from formulations.problem.execution_errors import (
     GatesErrors,
     skew,
 )
-from tests.helpers import Array, Flyby, generators, random_flyby, random_unit, share_of_examples
+from tests.helpers import Flyby, generators, random_flyby, random_unit, share_of_examples
 
 few = settings(max_examples=share_of_examples(3))
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import Condensation, condense
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Polytopes, choose_facets
@@ -17,12 +18,10 @@ from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball
 from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
-from formulations.program.penalty import Penalty, PenaltyParameters
-from formulations.program.subproblem import Step
-from formulations.rows.chance import ChanceRows
+from formulations.program.subproblem import Penalty, PenaltyParameters, Step
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import DeterministicRows
-from tests.helpers import Array, constrain, random_flyby
+from formulations.rows.uniform import ChanceRows, DeterministicRows
+from tests.helpers import constrain, random_flyby
 
 PENALTIES: tuple[Penalty, ...] = get_args(Penalty)
 TIGHT = 1e-11

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation
-from formulations.program.compiled import CompiledProgram
 from formulations.program.condensed import (
     CondensedSubproblem,
     ConeSize,
@@ -20,9 +20,9 @@ from formulations.program.condensed import (
     write_states,
 )
 from formulations.program.lifted import LiftedSubproblem
-from formulations.program.model import Model, write_model
-from formulations.program.penalty import Penalty
-from tests.helpers import Array, generators
+from formulations.program.model import CompiledProgram, Model, write_model
+from formulations.program.subproblem import Penalty
+from tests.helpers import generators
 
 from .support import PENALTIES, charge_for, every_row, linearised
 

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import CONDENSATIONS, condense
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program import condensed
 from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
-from formulations.program.penalty import Penalty, PenaltyParameters
-from formulations.program.subproblem import Step
-from formulations.rows.chance import ChanceRows
+from formulations.program.subproblem import Penalty, PenaltyParameters, Step
 from formulations.rows.cones import NEAR_LENGTH, Rows
+from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
-from tests.helpers import Array, constrain, generators, near_from, random_flyby, share_of_examples
+from tests.helpers import constrain, generators, near_from, random_flyby, share_of_examples
 
 from .support import (
     PENALTIES,

@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
-from formulations.program.penalty import PenaltyParameters
-from formulations.program.subproblem import Step
-from formulations.rows.deterministic import DeterministicRows
-from tests.helpers import Array
+from formulations.program.subproblem import PenaltyParameters, Step
+from formulations.rows.uniform import DeterministicRows
 
 from .support import linearised
 

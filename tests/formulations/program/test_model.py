@@ -7,14 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program.model import penalty_values, sparse_parameter
-from formulations.program.penalty import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
-from formulations.program.subproblem import SubproblemError
+from formulations.program.subproblem import (
+    DYNAMICS_WEIGHT,
+    Penalty,
+    PenaltyParameters,
+    SubproblemError,
+)
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import DeterministicRows
-from tests.helpers import Array, constrain, random_flyby
+from formulations.rows.uniform import DeterministicRows
+from tests.helpers import constrain, random_flyby
 
 from .support import PENALTIES, charge_for, every_row, need
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 
 from formulations.linearisation.condensation import CONDENSATIONS
-from formulations.program.penalty import Penalty
+from formulations.program.subproblem import Penalty
 from formulations.registry import FORMULATIONS, make_subproblem
 from tests.helpers import generators, share_of_examples
 

@@ -16,8 +16,7 @@ from cvxpy.reductions.solvers import defines
 
 from formulations.program import solvers
 from formulations.program.certificate import ConeProgram, is_optimal, outside
-from formulations.program.compiled import CompiledProgram
-from formulations.program.model import Model
+from formulations.program.model import CompiledProgram, Model
 from formulations.program.solvers import (
     HUGE,
     SOLVERS,

@@ -13,27 +13,25 @@ from cvxpy.reductions.solvers.solving_chain import SolvingChain
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import CONDENSATIONS, Condensation, condense
 from formulations.linearisation.linearisation import Linearisation, propagate_factor
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program import condensed, lifted
 from formulations.program.certificate import ConeProgram
-from formulations.program.compiled import CompiledProgram
-from formulations.program.model import Model
-from formulations.program.penalty import DYNAMICS_WEIGHT
+from formulations.program.model import CompiledProgram, Model
 from formulations.program.solvers import SOLVERS, Answer, FallbackSolver
-from formulations.program.subproblem import Subproblem, SubproblemError
+from formulations.program.subproblem import DYNAMICS_WEIGHT, Subproblem, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.chance import ChanceRows
 from formulations.rows.cones import Rows
-from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scp.scvx import SCvx
+from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.status import Status
-from tests.helpers import Array, constrain, generators, random_flyby, share_of_examples
+from tests.helpers import constrain, generators, random_flyby, share_of_examples
 
 from .support import every_row, need, tighten
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import ncx2
 
+from formulations.arrays import Array
 from formulations.risk.quadratic_forms import below, below_beyond
-from tests.helpers import Array, generators, random_rotation
+from tests.helpers import generators, random_rotation
 
 ERROR = 1e-7
 

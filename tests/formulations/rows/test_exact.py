@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.linearisation.condensation import condense
 from formulations.linearisation.linearisation import Linearisation, final_state_map
-from formulations.rows.cones import Cones
-from formulations.rows.curved import BEND, curved_cones
-from formulations.rows.exact import FLIGHT, ExactRows, FlightRows, NodeRows
+from formulations.rows.cones import Cones, Rows
+from formulations.rows.exact import BEND, FLIGHT, FlightRows, NodeRows, curved_cones
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
-from tests.helpers import Array, generators
+from tests.helpers import generators
 from tests.scenarios import COARSE
 
 SCOPES = ("node", "flight")
@@ -120,17 +120,17 @@ def flown(scope: str, p: float = 0.9) -> tuple[Mission, Linearisation]:
     return mission, plan(mission, initial_guess.cold(mission)).final.result.lin
 
 
-def rows_of(scope: str, mission: Mission, p: float = 0.9) -> ExactRows:
+def rows_of(scope: str, mission: Mission, p: float = 0.9) -> Rows:
     if scope == "node":
         return NodeRows(mission.problem, p)
     return FlightRows(mission.problem, p, 1024, 1e-5)
 
 
-def margins(rows: ExactRows, lin: Linearisation) -> Array:
+def margins(rows: Rows, lin: Linearisation) -> Array:
     return np.concatenate([part.margin for part in rows.margins(lin).values()])
 
 
-def modelled(rows: ExactRows, lin: Linearisation, z: Array) -> Array:
+def modelled(rows: Rows, lin: Linearisation, z: Array) -> Array:
     found = np.empty(rows.count)
     for cones in rows.cones(lin, condense(lin, rows.nodes)):
         found[cones.rows] = slack(cones, z)

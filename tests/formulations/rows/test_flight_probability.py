@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
+from formulations.arrays import Array
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.flight_probability import (
     PROBABILITY_MAX,
@@ -17,7 +18,7 @@ from formulations.rows.flight_probability import (
     sphere_directions,
 )
 from formulations.rows.node_probability import Event, node_quantiles
-from tests.helpers import Array, random_unit, share_of_examples
+from tests.helpers import random_unit, share_of_examples
 
 LINES = 4096
 few = settings(max_examples=share_of_examples(6))

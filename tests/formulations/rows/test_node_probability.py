@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 from scipy.stats import ncx2
 
+from formulations.arrays import Array
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball, Cone, Region
 from formulations.rows.node_probability import (
@@ -18,7 +19,7 @@ from formulations.rows.node_probability import (
     joint_events,
     node_quantiles,
 )
-from tests.helpers import Array, generators, random_rotation, random_unit, share_of_examples
+from tests.helpers import generators, random_rotation, random_unit, share_of_examples
 from tests.normal_law import ball_probability, cone_probability, round_ball_probability
 
 few = settings(max_examples=share_of_examples(3))

@@ -57,18 +57,18 @@ class World:
     aims: list[float] = field(default_factory=list)
     missions: list[Mission] = field(default_factory=list)
 
-    def make_plan(self, mission: Mission, start: Iterate, aim: float) -> Plan:
+    def make_plan(self, mission: Mission, start: Iterate, target: float) -> Plan:
         """A plan of the mission with the real one's stages, its burns scaled by its aim."""
         assert len(start.mean) == len(mission.times_s)
-        self.aims.append(aim)
+        self.aims.append(target)
         self.missions.append(mission)
         result = self.real.final.result
-        iterate = replace(result.lin.iterate, burns=result.lin.iterate.burns * aim)
+        iterate = replace(result.lin.iterate, burns=result.lin.iterate.burns * target)
         lin = replace(result.lin, iterate=iterate)
         name = "given" if start is self.real.final.result.lin.iterate else "last"
-        ended = replace(result, lin=lin, status=self.status(aim, name))
+        ended = replace(result, lin=lin, status=self.status(target, name))
         final = replace(self.real.final, result=ended)
-        return replace(self.real, mission=mission, final=final, aim=aim, certificate=None)
+        return replace(self.real, mission=mission, final=final, target=target, certificate=None)
 
     def fly(
         self,

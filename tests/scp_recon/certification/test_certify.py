@@ -13,21 +13,15 @@ from scipy.special import ndtr, ndtri
 
 from formulations.rows.exact import FLIGHT
 from scp_recon.certification.certify import certify, judged, with_nodes_at
-from scp_recon.monte_carlo import certifying
-from scp_recon.monte_carlo.certifying import (
-    FIRST_SEED,
-    successes_needed,
-)
-from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.monte_carlo import estimates
+from scp_recon.monte_carlo.estimates import FIRST_SEED, proportion, successes_needed
 from scp_recon.monte_carlo.whole_flight import kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
-from scp_recon.solution.file import Solution
-from scp_recon.solution.from_plan import make_solution
-from scp_recon.solution.verdict import Verification
-from scp_recon.verification.consistency import burn_margins
-from scp_recon.verification.exact import exact_inconsistencies
+from scp_recon.results.facts import Verification
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import shortfalls
 from scp_recon.verification.reintegration import verify
 from tests.scp_recon.certification.support import mission_of
@@ -39,15 +33,17 @@ ASKED = 0.9
 def fewer() -> Iterator[None]:
     """A tenth of the flights."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(certifying, "FLIGHTS_MIN", 1_000)
-        patch.setattr(certifying, "FAILURES", 50)
+        patch.setattr(estimates, "FLIGHTS_MIN", 1_000)
+        patch.setattr(estimates, "FAILURES", 50)
         yield
 
 
 @pytest.fixture(scope="module", params=["node", "flight"])
 def certified(request: pytest.FixtureRequest) -> Plan:
     mission = mission_of(request.param, ASKED)
-    return certify(mission, initial_guess.cold(mission), lambda m, s, aim: plan(m, s, aim=aim))
+    return certify(
+        mission, initial_guess.cold(mission), lambda m, s, target: plan(m, s, target=target)
+    )
 
 
 @given(asked=st.floats(0.5, 0.999), samples=st.integers(1000, 100_000))
@@ -61,9 +57,9 @@ def test_so_many_successes_and_no_fewer_reach_what_is_asked(asked: float, sample
 def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
     reached = certified.certificate
     assert reached is not None
-    assert certified.aim is not None
+    assert certified.target is not None
     assert reached.low >= ASKED
-    assert certified.aim > ASKED
+    assert certified.target > ASKED
     assert reached.seed == FIRST_SEED + reached.rounds - 1
     again = kept_flights(certified.mission, certified.burns_m_s, reached.samples, reached.seed)
     assert judged(certified.mission, again)[1] == (reached.reached, reached.low, reached.high)
@@ -89,7 +85,7 @@ def test_the_solution_says_so_and_is_verified(
 ) -> None:
     assert solution.risk is not None
     assert solution.risk.certificate is not None
-    assert (solution.risk.asked, solution.risk.aim) == (ASKED, certified.aim)
+    assert (solution.risk.required, solution.risk.target) == (ASKED, certified.target)
     assert checked.ok, checked.failed
     names = {p.name for p in checked.probabilities}
     assert (FLIGHT in names) == (solution.risk.scope == "flight")
@@ -98,22 +94,21 @@ def test_the_solution_says_so_and_is_verified(
 def failures(certified: Plan, told: Solution, checked: Verification) -> list[str]:
     """What verification names, with the flights that it has flown already."""
     mission = certified.mission
-    found = exact_inconsistencies(mission, told, burn_margins(mission, told))
-    return found + shortfalls(mission, told, checked.probabilities)
+    return inconsistencies(mission, told) + shortfalls(mission, told, checked.probabilities)
 
 
 def claiming(solution: Solution, **changes: float) -> Solution:
     """With another certificate, whose interval is that of its flights unless it is changed."""
     assert solution.risk is not None
     assert solution.risk.certificate is not None
-    told = solution.risk.certificate.model_copy(update=changes)
+    told = replace(solution.risk.certificate, **changes)
     kept = proportion(round(told.reached * told.samples), told.samples)
     update = dict(zip(("reached", "low", "high"), kept, strict=True)) | {
         "at_nodes": max(told.at_nodes, kept.value)
     }
-    told = told.model_copy(update=update | changes)
-    risk = solution.risk.model_copy(update={"certificate": told})
-    return solution.model_copy(update={"risk": risk})
+    told = replace(told, **(update | changes))
+    risk = replace(solution.risk, certificate=told)
+    return replace(solution, risk=risk)
 
 
 def test_what_the_certificate_says_is_found_sound(
@@ -149,28 +144,22 @@ def test_what_nothing_certifies_has_to_aim_at_what_was_asked(
 ) -> None:
     """The plan of a lower probability does not pass for one of a higher."""
     assert solution.risk is not None
-    risk = solution.risk.model_copy(update={"certificate": None})
-    told = solution.model_copy(update={"risk": risk})
+    risk = replace(solution.risk, certificate=None)
+    told = replace(solution, risk=risk)
     assert failures(certified, told, checked) == []
-    higher = certified.mission.scenario.replace({"risk.p_chance": risk.aim + 1e-6})
-    asked = risk.model_copy(update={"asked": risk.aim + 1e-6})
-    told = solution.model_copy(update={"risk": asked, "scenario": higher})
+    higher = certified.mission.scenario.replace({"risk.p_chance": risk.target + 1e-6})
+    asked = replace(risk, required=risk.target + 1e-6)
+    told = replace(solution, risk=asked, scenario=higher)
     mission = replace(certified.mission, scenario=higher)
-    assert exact_inconsistencies(mission, told, burn_margins(mission, told)) == ["risk"]
+    assert inconsistencies(mission, told) == ["risk"]
 
 
 def test_a_plan_that_misses_its_aim_has_not_converged(
     certified: Plan, solution: Solution, checked: Verification
 ) -> None:
-    """Though its margins say so."""
     assert solution.risk is not None
-    aim = float(ndtr(ndtri(solution.risk.aim) + 0.01))
-    results = [
-        c.model_copy(update={"worst_margin": c.worst_margin - 0.01}) if c.kind == "joint" else c
-        for c in solution.constraints
-    ]
-    risk = solution.risk.model_copy(update={"aim": aim})
-    told = solution.model_copy(update={"risk": risk, "constraints": results})
+    target = float(ndtr(ndtri(solution.risk.target) + 0.01))
+    told = replace(solution, risk=replace(solution.risk, target=target))
     assert failures(certified, told, checked) == ["violation"]
 
 
@@ -184,12 +173,10 @@ def test_a_probability_that_the_nodes_do_not_have_is_named(
     least = min(law, key=lambda event: min(event.probability))
     at = int(np.argmin(least.probability))
     changed = [p + off * (k == at) for k, p in enumerate(least.probability)]
-    told_law = [
-        event.model_copy(update={"probability": changed}) if event is least else event
-        for event in law
-    ]
-    risk = solution.risk.model_copy(update={"normal_law": told_law})
-    told = solution.model_copy(update={"risk": risk})
+    lie = replace(least, probability=changed, sigma=None)
+    told_law = [lie if event is least else event for event in law]
+    risk = replace(solution.risk, normal_law=told_law)
+    told = replace(solution, risk=risk, carried=solution.figures)
     found = failures(certified, told, checked)
     assert "constraints" in found
     assert ("risk" in found) == (solution.risk.scope == "node")
@@ -202,9 +189,9 @@ def test_a_flight_law_that_flights_contradict_is_named(
 ) -> None:
     """Of a plan that nothing certifies: 0.3 standard deviations off."""
     assert solution.risk is not None
-    law = [solution.risk.normal_law[0].model_copy(update={"probability": [told]})]
-    risk = solution.risk.model_copy(update={"normal_law": law, "certificate": None})
-    found = failures(certified, solution.model_copy(update={"risk": risk}), checked)
+    law = [replace(solution.risk.normal_law[0], probability=[told], sigma=None)]
+    risk = replace(solution.risk, normal_law=law, certificate=None)
+    found = failures(certified, replace(solution, risk=risk), checked)
     assert "risk" in found
 
 

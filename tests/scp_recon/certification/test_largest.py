@@ -17,7 +17,7 @@ from scp_recon.certification.largest import (
     rounded_down,
 )
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.certifying import FIRST_SEED, flights_needed
+from scp_recon.monte_carlo.estimates import FIRST_SEED, flights_needed
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -33,13 +33,13 @@ def real() -> Plan:
     return a_plan()
 
 
-def honest(aim: float, _: int) -> Reached:
-    return aim, aim
+def honest(target: float, _: int) -> Reached:
+    return target, target
 
 
 def is_at(found: Plan, last: float) -> bool:
-    assert found.aim is not None
-    return last - CLOSE * 0.2 < found.aim <= last
+    assert found.target is not None
+    return last - CLOSE * 0.2 < found.target <= last
 
 
 def looked_for(world: World, patch: pytest.MonkeyPatch, budget_m_s: float = float("inf")) -> Plan:
@@ -48,8 +48,8 @@ def looked_for(world: World, patch: pytest.MonkeyPatch, budget_m_s: float = floa
 
 
 def test_the_last_one_with_a_plan_is_found(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    def status(aim: float, _: str) -> Status:
-        return Status.CONVERGED if aim <= LAST else Status.INFEASIBLE
+    def status(target: float, _: str) -> Status:
+        return Status.CONVERGED if target <= LAST else Status.INFEASIBLE
 
     found = looked_for(World(real, honest, status), monkeypatch)
     assert found.status is Status.CONVERGED
@@ -61,8 +61,8 @@ def test_where_all_have_one_it_is_the_largest_that_flights_can_certify(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = looked_for(World(real, honest), monkeypatch)
-    assert found.aim is not None
-    assert ndtri(MOST) - ndtri(found.aim) <= CLOSE
+    assert found.target is not None
+    assert ndtri(MOST) - ndtri(found.target) <= CLOSE
 
 
 def test_the_budget_ends_it(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -75,10 +75,10 @@ def test_a_try_without_a_verdict_is_made_again_from_the_first_start(
 ) -> None:
     """From the best burns nothing converges beyond 0.7, and what that means nobody knows."""
 
-    def status(aim: float, start: str) -> Status:
-        if aim > LAST:
+    def status(target: float, start: str) -> Status:
+        if target > LAST:
             return Status.INFEASIBLE
-        return Status.CONVERGED if start == "given" or aim < 0.7 else Status.MAX_ITERATIONS
+        return Status.CONVERGED if start == "given" or target < 0.7 else Status.MAX_ITERATIONS
 
     found = looked_for(World(real, honest, status), monkeypatch)
     assert is_at(found, LAST)
@@ -86,8 +86,8 @@ def test_a_try_without_a_verdict_is_made_again_from_the_first_start(
 
 
 def test_no_verdict_is_told_from_infeasible(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    def status(aim: float, _: str) -> Status:
-        return Status.CONVERGED if aim <= LAST else Status.STALLED
+    def status(target: float, _: str) -> Status:
+        return Status.CONVERGED if target <= LAST else Status.STALLED
 
     found = looked_for(World(real, honest, status), monkeypatch)
     assert is_at(found, LAST)
@@ -100,13 +100,13 @@ def test_no_verdict_is_told_from_infeasible(real: Plan, monkeypatch: pytest.Monk
 def test_ctrl_c_ends_the_search_with_the_best_so_far(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def status(aim: float, _: str) -> Status:
-        return Status.CONVERGED if aim < 0.97 else Status.INTERRUPTED
+    def status(target: float, _: str) -> Status:
+        return Status.CONVERGED if target < 0.97 else Status.INTERRUPTED
 
     world = World(real, honest, status)
     found = looked_for(world, monkeypatch)
     assert found.status is Status.INTERRUPTED
-    assert found.aim == max(aim for aim in world.aims if aim < 0.97)
+    assert found.target == max(target for target in world.aims if target < 0.97)
     assert world.aims[-1] >= 0.97  # and nothing is tried after it
 
 
@@ -120,18 +120,18 @@ def test_what_it_aims_at_is_asked_without_flights(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = promised(World(real, honest), monkeypatch, certified=False)
-    assert found.aim is not None
+    assert found.target is not None
     assert found.certificate is None
-    assert found.mission.scenario.risk.p_chance == rounded_down(found.aim)
+    assert found.mission.scenario.risk.p_chance == rounded_down(found.target)
 
 
 def test_what_flights_reach_at_least_is_asked(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     found = promised(World(real, honest), monkeypatch, certified=True)
     reached = found.certificate
-    assert found.aim is not None
+    assert found.target is not None
     assert reached is not None
-    assert (reached.samples, reached.seed) == (flights_needed(found.aim), FIRST_SEED)
-    assert found.mission.scenario.risk.p_chance == rounded_down(reached.low) < found.aim
+    assert (reached.samples, reached.seed) == (flights_needed(found.target), FIRST_SEED)
+    assert found.mission.scenario.risk.p_chance == rounded_down(reached.low) < found.target
 
 
 def test_nodes_are_added_and_it_is_looked_for_again(
@@ -139,8 +139,8 @@ def test_nodes_are_added_and_it_is_looked_for_again(
 ) -> None:
     between = float(real.times_s[70]) + 20.0
 
-    def reach(aim: float, seed: int) -> Reached:
-        return aim, aim - 0.05 * (seed == FIRST_SEED)
+    def reach(target: float, seed: int) -> Reached:
+        return target, target - 0.05 * (seed == FIRST_SEED)
 
     world = World(real, reach, touched_s=(between,))
     found = promised(world, monkeypatch, certified=True)
@@ -167,11 +167,11 @@ def test_the_budget_buys_so_much_and_no_more() -> None:
     mission, budget, close = mission_of("node"), 0.1095, 0.5
     start = initial_guess.cold(mission)
 
-    def make_plan(mission: Mission, start: Iterate, aim: float) -> Plan:
-        return plan(mission, start, aim=aim)
+    def make_plan(mission: Mission, start: Iterate, target: float) -> Plan:
+        return plan(mission, start, target=target)
 
     best = Search(make_plan, budget, close).run(mission, start)
-    assert best.aim is not None
+    assert best.target is not None
     assert best.total_dv_m_s <= budget
-    more = plan(mission, start, aim=float(ndtr(ndtri(best.aim) + close)))
+    more = plan(mission, start, target=float(ndtr(ndtri(best.target) + close)))
     assert more.total_dv_m_s > budget

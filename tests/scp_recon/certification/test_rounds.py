@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
-from scp_recon.certification.aiming import Aiming
-from scp_recon.certification.certify import ROUNDS_MAX, certify
+from scp_recon.certification.certify import ROUNDS_MAX, Aiming, certify
 from scp_recon.errors import InputError
-from scp_recon.monte_carlo.certifying import FIRST_SEED, flights_needed
+from scp_recon.monte_carlo.estimates import FIRST_SEED, flights_needed
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.status import Status
 from tests.scp_recon.certification.support import Reached, World, a_plan
@@ -53,12 +52,12 @@ def test_what_reaches_more_than_sampling_explains_aims_lower(
     """Flights that reach more than the law says: three standard errors, always."""
     gain = ndtri(NEEDED + 3.0 * ERROR) - ndtri(NEEDED)
 
-    def reach(aim: float, _: int) -> Reached:
-        return (share := float(ndtr(ndtri(aim) + gain))), share
+    def reach(target: float, _: int) -> Reached:
+        return (share := float(ndtr(ndtri(target) + gain))), share
 
     world = World(real, reach)
     found = certified(world, monkeypatch)
-    assert found.aim == world.aims[-1] < world.aims[0]
+    assert found.target == world.aims[-1] < world.aims[0]
     assert len(world.aims) == 2
     assert low(found) >= ASKED
     assert found.certificate is not None
@@ -66,8 +65,8 @@ def test_what_reaches_more_than_sampling_explains_aims_lower(
 
 
 def test_what_falls_short_aims_higher(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    def reach(aim: float, _: int) -> Reached:
-        return (share := float(ndtr(ndtri(aim) - 0.1))), share
+    def reach(target: float, _: int) -> Reached:
+        return (share := float(ndtr(ndtri(target) - 0.1))), share
 
     found = certified(World(real, reach), monkeypatch)
     assert low(found) >= ASKED
@@ -84,7 +83,7 @@ def test_a_plan_that_reaches_it_is_not_replaced_by_a_worse_one(
     world = World(real, lambda _, seed: table.get(seed, (0.5, 0.5)))
     found = certified(world, monkeypatch)
     assert len(world.aims) > 1
-    assert found.aim == world.aims[0]
+    assert found.target == world.aims[0]
     assert low(found) >= ASKED
 
 
@@ -93,7 +92,7 @@ def test_the_cheapest_of_those_that_reach_it_is_kept(
 ) -> None:
     found = certified(world := World(real, lambda *_: (0.95, 0.95)), monkeypatch)
     assert len(world.aims) == ROUNDS_MAX
-    assert found.aim == min(world.aims)
+    assert found.target == min(world.aims)
 
 
 def test_where_none_reaches_it_the_nearest_is_told(
@@ -105,7 +104,7 @@ def test_where_none_reaches_it_the_nearest_is_told(
     assert found.certificate is not None
     assert found.certificate.reached == pytest.approx(0.88)
     assert low(found) < ASKED
-    assert found.aim == world.aims[1]
+    assert found.target == world.aims[1]
 
 
 def test_what_is_lost_between_nodes_counts_once(
@@ -114,8 +113,8 @@ def test_what_is_lost_between_nodes_counts_once(
     """Nodes give it back, so that the aim need not make up for it too."""
     between = real.times_s[70] + 20.0
 
-    def reach(aim: float, seed: int) -> Reached:
-        return aim, aim - 0.05 * (seed == FIRST_SEED)
+    def reach(target: float, seed: int) -> Reached:
+        return target, target - 0.05 * (seed == FIRST_SEED)
 
     world = World(real, reach, touched_s=(between,))
     found = certified(world, monkeypatch)
@@ -144,7 +143,7 @@ def test_flights_that_all_fail_or_all_hold_leave_an_aim(
     world = World(real, lambda *_: (share, share))
     certified(world, monkeypatch)
     assert len(world.aims) > 1
-    assert all(0.5 < aim < 1.0 for aim in world.aims)
+    assert all(0.5 < target < 1.0 for target in world.aims)
 
 
 def test_ctrl_c_among_flights_keeps_what_there_is(
@@ -158,13 +157,13 @@ def test_ctrl_c_among_flights_keeps_what_there_is(
     stop = FIRST_SEED
     world = World(real, reach)
     first = certified(world, monkeypatch)
-    assert (first.status, first.aim) == (Status.INTERRUPTED, world.aims[0])
+    assert (first.status, first.target) == (Status.INTERRUPTED, world.aims[0])
     assert first.certificate is None
 
     stop = FIRST_SEED + 1
     world = World(real, reach)
     second = certified(world, monkeypatch)
-    assert (second.status, second.aim) == (Status.INTERRUPTED, world.aims[0])
+    assert (second.status, second.target) == (Status.INTERRUPTED, world.aims[0])
     assert low(second) >= ASKED
 
 
@@ -173,7 +172,7 @@ def test_ctrl_c_in_a_later_plan_keeps_the_one_before(
 ) -> None:
     world = World(real, lambda *_: (0.5, 0.5), later(Status.INTERRUPTED))
     found = certified(world, monkeypatch)
-    assert (found.status, found.aim) == (Status.INTERRUPTED, world.aims[0])
+    assert (found.status, found.target) == (Status.INTERRUPTED, world.aims[0])
     assert low(found) < ASKED
 
 
@@ -192,7 +191,7 @@ def test_a_round_without_a_verdict_leaves_the_nearest(
 ) -> None:
     world = World(real, lambda *_: (0.89, 0.89), later(Status.MAX_ITERATIONS))
     short = certified(world, monkeypatch)
-    assert (short.status, short.aim) == (Status.CONVERGED, world.aims[0])
+    assert (short.status, short.target) == (Status.CONVERGED, world.aims[0])
     assert low(short) < ASKED
     first = World(real, lambda *_: (0.89, 0.89), lambda *_: Status.STALLED)
     none = certified(first, monkeypatch)
@@ -227,18 +226,18 @@ def test_chance_neither_wastes_much_nor_breaks_the_promise(
         loss = ndtri(NEEDED) - ndtri(NEEDED - (case % 5 - 1.0) * ERROR)
         samples = flights_needed(ASKED)
 
-        def truth(aim: float, loss: float = loss) -> float:
-            return float(ndtr(ndtri(aim) - loss))
+        def truth(target: float, loss: float = loss) -> float:
+            return float(ndtr(ndtri(target) - loss))
 
-        def reach(aim: float, _: int, samples: int = samples) -> Reached:
-            return (share := rng.binomial(samples, truth(aim)) / samples), share
+        def reach(target: float, _: int, samples: int = samples) -> Reached:
+            return (share := rng.binomial(samples, truth(target)) / samples), share
 
         with monkeypatch.context() as patch:
             found = certified(World(real, reach), patch)
-        assert found.aim is not None
+        assert found.target is not None
         none += low(found) < ASKED
-        broken += truth(found.aim) < ASKED
-        excess.append((truth(found.aim) - NEEDED) / ERROR)
+        broken += truth(found.target) < ASKED
+        excess.append((truth(found.target) - NEEDED) / ERROR)
     assert -0.2 < np.mean(excess) < 0.55
     assert np.quantile(excess, 0.95) < 1.7
     assert broken <= 2
@@ -255,5 +254,5 @@ def test_a_probability_that_takes_too_many_flights_is_refused() -> None:
         flights_needed(1.0 - 1e-7)
     assert error.value.entry == "risk.p_chance"
     assert error.value.given == "0.9999999"
-    assert "at most 0.9997, or --certify no" in error.value.allowed
+    assert "at most 0.9997, or certify=False" in error.value.allowed
     assert flights_needed(0.9997) == 1_000_000

@@ -7,7 +7,7 @@ import pytest
 
 from scp_recon.certification.certify import LOST_BETWEEN, certify
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo import certifying
+from scp_recon.monte_carlo import estimates
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.monte_carlo.whole_flight import LOOK_S, SAFETY, KeptFlights, kept_flights
@@ -75,15 +75,15 @@ def test_flights_that_break_a_limit_between_nodes_are_found(
 def test_nodes_are_added_until_flights_lose_next_to_nothing_between(
     sparse: Plan, kept: KeptFlights, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(certifying, "FLIGHTS_MIN", 2_000)
-    monkeypatch.setattr(certifying, "FAILURES", 100)
+    monkeypatch.setattr(estimates, "FLIGHTS_MIN", 2_000)
+    monkeypatch.setattr(estimates, "FAILURES", 100)
     mission = sparse.mission
     lost = min(c.min() for c in kept.at_nodes.values()) - min(kept.throughout.values())
     assert lost > LOST_BETWEEN * (1.0 - ASKED) * FLIGHTS
     found = certify(
         mission,
         initial_guess.from_burns(mission, sparse.burns_m_s),
-        lambda m, s, aim: plan(m, s, aim=aim),
+        lambda m, s, target: plan(m, s, target=target),
     )
     reached = found.certificate
     assert reached is not None

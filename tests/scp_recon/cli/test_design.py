@@ -1,21 +1,21 @@
-"""`python -m scp_recon.design`: what it leaves on disk, and what it says where nothing is found."""
+"""`python -m scp_recon design`: what it leaves on disk, and what it says where nothing is found."""
 
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from scp_recon import design, solve
-from scp_recon.cli.view.design_tables import primer_says
+from scp_recon.cli.commands.passes import design, primer_says
+from scp_recon.cli.commands.planning import solve
 from scp_recon.mission.mission import Mission
-from scp_recon.scenario.load import load_scenario
-from scp_recon.scenario.write import scenario_text
-from scp_recon.solution.primer import Primer
-from scp_recon.solution.read import read_solution
-from tests.scp_recon.pass_design.support import home_scenario
+from scp_recon.planning.primer import PrimerHistory
+from scp_recon.results.read import read_solution
+from scp_recon.scenario.load import load_scenario, scenario_text
+from tests.scp_recon.passes.support import home_scenario
 
 
 def scenario_file(folder: Path, changes: dict[str, object]) -> Path:
@@ -101,9 +101,9 @@ def test_certifying_what_no_flights_certify_is_refused(
 
 def test_a_primer_without_a_legal_time_says_that_it_tells_nothing() -> None:
     vectors = [(2.0, 0.0, 0.0)] * 2
-    none = Primer(
+    none = PrimerHistory(
         t_s=[0.0, 1.0], vector=vectors, residual=0.0, allowed=[2.0, 2.0], legal=[False, False]
     )
     assert "no time is legal for another burn" in primer_says(none)
-    some = none.model_copy(update={"allowed": [2.0, 0.5], "legal": [False, True]})
+    some = replace(none, allowed=[2.0, 0.5], legal=[False, True])
     assert "at most 0.500 at legal times (at 1 s)" in primer_says(some)

@@ -1,17 +1,18 @@
-"""`python -m scp_recon.export`: every format, what it says, and what it refuses."""
+"""`python -m scp_recon export`: every format, what it says, and what it refuses."""
 
 from __future__ import annotations
 
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from scp_recon import export
-from scp_recon.exchange.files import FORMATS
-from scp_recon.solution.read import read_solution
+from scp_recon.cli.commands.plans import export
+from scp_recon.interop.files import FORMATS
+from scp_recon.results.read import read_solution
 from tests.scp_recon.support import CommandLine
 
 
@@ -47,12 +48,12 @@ def test_two_plans_and_two_spacecraft_never_share_a_name(
 ) -> None:
     solution = read_solution(plan)
     burns = [
-        burn.model_copy(update={"dv_m_s": tuple(x * (1.0 + 1e-12) for x in burn.dv_m_s)})
+        replace(burn, dv_m_s=tuple(x * (1.0 + 1e-12) for x in burn.dv_m_s))
         for burn in solution.burns
     ]
     other = tmp_path / "other"
     other.mkdir()
-    solution.model_copy(update={"burns": burns}).write(other)
+    replace(solution, burns=burns).write(other)
     out = tmp_path / "out"
     for words in ([str(plan)], [str(other)], [str(plan), "--spacecraft=-64"]):
         assert export.main([*words, "--format", "csv", "--out", str(out), "--quiet"]) in (0, 4)
@@ -63,7 +64,7 @@ def test_two_plans_and_two_spacecraft_never_share_a_name(
 def test_a_plan_that_is_not_verified_is_written_and_says_so(
     plan: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    read_solution(plan).model_copy(update={"verification": None}).write(tmp_path)
+    replace(read_solution(plan), verification=None).write(tmp_path)
     assert export.main([str(tmp_path), "--format", "csv", "--json"]) == 4
     said = capsys.readouterr()
     document = json.loads(said.out)
@@ -76,9 +77,9 @@ def test_a_plan_that_is_not_verified_is_written_and_says_so(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--format", "xls"], "invalid choice"),
+        (["--format", "xls"], "--format: got 'xls'; must be one of oem"),
         ([], "--format"),
-        (["--format", "csv", "--spacecraft=64"], "negative whole number"),
+        (["--format", "csv", "--spacecraft=64"], "must be a whole number from -99999 to -1"),
         (["--format", "csv", "--spacecraft=-0"], "whole number"),
         (["--format", "csv", "--spacecraft=-123456789"], "whole number"),
         (["--format", "csv", "--vehicle", "nothing.toml"], "vehicle"),

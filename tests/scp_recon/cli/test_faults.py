@@ -11,9 +11,10 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import clarabel
@@ -23,17 +24,22 @@ import pytest
 from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
 from formulations.program.solvers import SOLVERS, Answer, Clarabel
-from scp_recon import files, montecarlo, simulate, solve, verify
-from scp_recon.cli import method
+from scp_recon import files
+from scp_recon.api import flights
+from scp_recon.cli.command import Command
+from scp_recon.cli.commands import planning, plans
+from scp_recon.cli.commands.flights import montecarlo, simulate
+from scp_recon.cli.commands.planning import solve
+from scp_recon.cli.commands.plans import verify
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess
+from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.planner import Plan, plan
+from scp_recon.results import solution as solution_module
+from scp_recon.results.facts import Verification
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from scp_recon.solution import file as solution_module
-from scp_recon.solution.file import Solution
-from scp_recon.solution.read import read_solution
-from scp_recon.solution.verdict import Verification
 from tests import reliability
 from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
@@ -282,8 +288,8 @@ def instant(
     verification: Verification,
 ) -> None:
     """The planning and the verification of the default scenario, done already."""
-    monkeypatch.setattr(method, "plan", lambda *_, **__: default_plan)
-    monkeypatch.setattr(solve, "verify", lambda *_: verification)
+    monkeypatch.setattr(planner, "plan", lambda *_, **__: default_plan)
+    monkeypatch.setattr(planning, "verify", lambda *_: verification)
 
 
 def full(*_: object, **__: object) -> None:
@@ -325,10 +331,19 @@ def test_a_disk_that_cannot_be_written_ends_with_a_message_and_the_old_file(
     reliability.count(reliability.FAULTS)
 
 
-@pytest.mark.parametrize("command", [solve, montecarlo, simulate])
+@pytest.mark.parametrize(
+    ("command", "name"),
+    [
+        (solve, "solution.json"),
+        (montecarlo, "montecarlo.json"),
+        (simulate, "simulation.npz"),
+    ],
+    ids=lambda given: getattr(given, "name", ""),
+)
 @pytest.mark.parametrize("fault", ["a folder in the file's place", "a barred folder"])
 def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
-    command: ModuleType,
+    command: Command,
+    name: str,
     fault: str,
     tmp_path: Path,
     solution: Solution,
@@ -340,10 +355,10 @@ def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
     if fault == "a barred folder":
         monkeypatch.setattr(files, "TemporaryFile", barred)
     else:
-        (out / command.FILE_NAME).mkdir(parents=True)
-    monkeypatch.setattr(method, "plan", lambda: None)  # calling it so is a TypeError
-    for work in ("fly_many", "make_record"):
-        monkeypatch.setattr(command, work, None, raising=False)
+        (out / name).mkdir(parents=True)
+    monkeypatch.setattr(planner, "plan", lambda: None)  # calling it so is a TypeError
+    monkeypatch.setattr(flights, "fly_many", None)
+    monkeypatch.setattr(flights.records, "make_record", None)
     given = [] if command is solve else [str(tmp_path)]
     assert command.main([*given, *([] if out == tmp_path else ["--out", str(out)])]) == 2
     assert capsys.readouterr().err.count("error: ") == 1
@@ -389,7 +404,7 @@ def test_a_full_device_behind_the_terminal_ends_with_a_message(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     solution.write(tmp_path)
-    monkeypatch.setattr(verify, "verify", lambda *_: verification)
+    monkeypatch.setattr(plans, "verified", lambda *_: verification)
     run = {
         "solve": lambda: solve.main(["--out", str(tmp_path)]),
         "verify": lambda: verify.main([str(tmp_path)]),
@@ -424,7 +439,7 @@ def test_running_out_of_memory_ends_with_a_message(
     def greedy(*_: object, **__: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(method, "plan", greedy)
+    monkeypatch.setattr(planner, "plan", greedy)
     run = run_solve(tmp_path)
     assert run.exit_code == 2
     assert "memory" in run.errors
@@ -435,12 +450,13 @@ def test_running_out_of_memory_ends_with_a_message(
 
 KILLED = """
     import json, os, signal, sys, time
+    from dataclasses import replace
     from pathlib import Path
-    from scp_recon.solution.read import read_solution
+    from scp_recon.results.read import read_solution
 
     folder = Path(sys.argv[1])
     solution = read_solution(folder)
-    new = solution.model_copy(update={"message": "the new one"})
+    new = replace(solution, message="the new one")
 
     def die(*_, **__):
         os.kill(os.getpid(), signal.SIGKILL)
@@ -485,7 +501,7 @@ KILLED = """
 def test_killed_at_any_moment_of_writing_the_file_is_the_old_or_the_new_one(
     tmp_path: Path, solution: Solution
 ) -> None:
-    solution.model_copy(update={"message": "the old one"}).write(tmp_path)
+    replace(solution, message="the old one").write(tmp_path)
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(KILLED), str(tmp_path)],
         cwd=PROJECT,

@@ -11,27 +11,27 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
-from scp_recon import solve
-from scp_recon.certification import way_out as module
-from scp_recon.certification.certify import AimedPlanning
-from scp_recon.certification.way_out import (
+from scp_recon.api import infeasibility as module
+from scp_recon.api import planning
+from scp_recon.api.infeasibility import (
     LIMITS,
     SIZE,
     SPLIT,
-    WayOut,
+    Diagnosis,
+    diagnose,
     exact_plan,
-    way_out,
 )
-from scp_recon.cli.method import check_risk, planning
-from scp_recon.cli.view.infeasible import undoing, what_binds, what_would_do
+from scp_recon.certification.certify import AimedPlanning
+from scp_recon.cli.commands.planning import solve, undoing, what_binds, what_would_do
+from scp_recon.cli.options import plan_options
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Certificate
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.planning.provenance import Certificate
+from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from scp_recon.solution.read import read_solution
 from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, mission_of, run_solve
 
@@ -44,9 +44,9 @@ EXACT = ("risk.allocation=exact", COARSE)
 REACHED = Certificate(10_000, 1_000, 0.7, 0.69, 0.71, 0.7, 1)
 
 
-def failed(*overrides: str, aim: float | None = None) -> Plan:
+def failed(*overrides: str, target: float | None = None) -> Plan:
     mission = mission_of(*overrides)
-    found = plan(mission, initial_guess.cold(mission), aim=aim, once=True)
+    found = plan(mission, initial_guess.cold(mission), target=target, once=True)
     assert found.status is Status.INFEASIBLE
     return found
 
@@ -98,10 +98,9 @@ def test_the_line_goes_with_every_method(own: tuple[str, ...]) -> None:
     before = solve.parser().parse_args([*own, *line])
     scenario = load_scenario(None, before.overrides)
     with pytest.raises(InputError):
-        check_risk(before, scenario)
+        plan_options(before).check(scenario)
     after = solve.parser().parse_args([*own, *undoing(before), *line])
-    planning(after)
-    check_risk(after, scenario)
+    plan_options(after).check(scenario)
 
 
 def test_the_line_does_without_the_largest_probability() -> None:
@@ -114,8 +113,8 @@ def test_the_line_is_taken_after_a_budget() -> None:
     words = ["--objective", "probability", "--dv-budget", "0.2"]
     undone = undoing(solve.parser().parse_args(words))
     options = solve.parser().parse_args([*words, *undone])
-    check_risk(options, mission_of(*EXACT).scenario)
-    assert (options.objective, options.dv_budget) == ("delta-v", None)
+    plan_options(options).check(mission_of(*EXACT).scenario)
+    assert (options.objective, options.dv_budget_m_s) == ("delta-v", None)
 
 
 def test_a_final_covariance_that_no_plan_keeps_is_what_binds() -> None:
@@ -142,15 +141,15 @@ def test_exact_risk_solves_what_the_split_cannot_and_says_at_what_price(
 
 
 @pytest.fixture(scope="module")
-def small_burns() -> tuple[Plan, WayOut]:
+def small_burns() -> tuple[Plan, Diagnosis]:
     """Exact risk where the burns may be as large as takes 0.7, and not 0.9."""
     found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "CLOSE", 0.3)
-        return found, way_out(found)
+        return found, diagnose(found)
 
 
-def test_where_exact_risk_has_failed_it_is_not_praised(small_burns: tuple[Plan, WayOut]) -> None:
+def test_where_exact_risk_has_failed_it_is_not_praised(small_burns: tuple[Plan, Diagnosis]) -> None:
     found, out = small_burns
     assert out.exact is None
     words = "\n".join([what_binds(out), *what_would_do(out, found, ())])
@@ -158,7 +157,7 @@ def test_where_exact_risk_has_failed_it_is_not_praised(small_burns: tuple[Plan, 
     assert SPLIT not in words
 
 
-def test_what_suffices_alone_is_named_with_its_size(small_burns: tuple[Plan, WayOut]) -> None:
+def test_what_suffices_alone_is_named_with_its_size(small_burns: tuple[Plan, Diagnosis]) -> None:
     found, out = small_burns
     assert SIZE in out.binds
     assert LIMITS in out.binds
@@ -171,19 +170,19 @@ def test_what_suffices_alone_is_named_with_its_size(small_burns: tuple[Plan, Way
 
 
 def test_the_largest_probability_is_the_last_that_has_a_plan(
-    small_burns: tuple[Plan, WayOut],
+    small_burns: tuple[Plan, Diagnosis],
 ) -> None:
     found, out = small_burns
     assert out.largest is not None
-    assert out.largest.aim is not None
+    assert out.largest.target is not None
     assert out.verified is not None
-    assert 0.5 < out.largest.aim < 0.9
-    beyond = float(ndtr(ndtri(out.largest.aim) + 0.3))
+    assert 0.5 < out.largest.target < 0.9
+    beyond = float(ndtr(ndtri(out.largest.target) + 0.3))
     last = out.largest.final.result.lin.iterate
     assert exact_plan(found.mission, last, beyond).status is not Status.CONVERGED
     asked = out.verified.mission.scenario.risk.p_chance
-    assert asked == pytest.approx(out.largest.aim, abs=1e-4)
-    assert asked <= out.largest.aim
+    assert asked == pytest.approx(out.largest.target, abs=1e-4)
+    assert asked <= out.largest.target
     words = "\n".join(what_would_do(out, found, ["--method", "scp"]))
     assert f"{asked:g} for {out.largest.total_dv_m_s:.4f} m/s" in words
     assert (
@@ -198,11 +197,11 @@ def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(
     """A plan that aims above what was asked may be the only one that is missing."""
     monkeypatch.setattr(module, "CLOSE", 1.0)
     monkeypatch.setattr(module, "_verified", lambda largest, *_: largest)
-    found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.7", aim=0.9)
-    out = way_out(found)
+    found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.7", target=0.9)
+    out = diagnose(found)
     words = "\n".join(what_would_do(out, found, ()))
     assert out.exact is not None
-    assert out.exact.aim == 0.7
+    assert out.exact.target == 0.7
     assert "exact risk solves" not in words
     assert "0.7 has a plan under the normal law" in words
     assert "none that flights certify" in words
@@ -210,19 +209,19 @@ def test_what_the_normal_law_allows_and_flights_do_not_certify_is_told_apart(
 
 
 def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
-    small_burns: tuple[Plan, WayOut], monkeypatch: pytest.MonkeyPatch
+    small_burns: tuple[Plan, Diagnosis], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A certified plan aims higher; where that takes more than there is, less is promised."""
     found, out = small_burns
     assert out.largest is not None
     made: list[float] = []
 
-    def certify(mission: Mission, start: Iterate, make: AimedPlanning) -> Plan:
+    def certify(mission: Mission, start: Iterate, make: AimedPlanning, _: object) -> Plan:
         made.append(mission.scenario.risk.p_chance)
         of = make(mission, start, float(ndtr(ndtri(made[-1]) + 0.05)))
         return dataclasses.replace(of, certificate=REACHED)
 
-    monkeypatch.setattr(module, "certify", certify)
+    monkeypatch.setattr(planning, "certify", certify)
     monkeypatch.setattr(module, "make_solution", lambda of: of)
     monkeypatch.setattr(
         module, "verify", lambda _, of: SimpleNamespace(ok=of.certificate is not None)
@@ -231,7 +230,7 @@ def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
     chosen = module._verified(out.largest, 0.9, found, start)
     assert chosen is not None
     assert chosen.certificate is REACHED
-    assert chosen.mission.scenario.risk.p_chance == made[-1] < made[0] <= out.largest.aim
+    assert chosen.mission.scenario.risk.p_chance == made[-1] < made[0] <= out.largest.target
     words = "\n".join(what_would_do(dataclasses.replace(out, verified=chosen), found, ()))
     assert f"--set risk.p_chance={made[-1]:g} --certify yes" in words
 
@@ -241,7 +240,7 @@ def test_what_flights_refute_is_proposed_with_flights_that_certify_it(
 
 def test_burns_that_are_too_small_are_what_binds() -> None:
     found = failed("burns.dv_max_m_s=0.02", COARSE)
-    out = way_out(found)
+    out = diagnose(found)
     assert out.without_uncertainty is Status.INFEASIBLE
     assert out.binds == (SIZE,)
     assert out.burn_m_s is not None
@@ -255,14 +254,14 @@ def test_burns_that_are_too_small_are_what_binds() -> None:
 
 def test_what_has_not_ended_shows_nothing_of_lower_probabilities() -> None:
     found = failed("burns.dv_max_m_s=0.02", COARSE)
-    unknown = WayOut(Status.MAX_ITERATIONS, (), ())
+    unknown = Diagnosis(Status.MAX_ITERATIONS, (), ())
     words = "\n".join([what_binds(unknown), *what_would_do(unknown, found, ())])
     assert "no lower probability helps" not in words
     assert "max_iterations" in words
 
 
 def test_a_probability_next_to_one_is_printed_with_its_digits(
-    small_burns: tuple[Plan, WayOut],
+    small_burns: tuple[Plan, Diagnosis],
 ) -> None:
     """A line that asks for 1 would be refused."""
     found, out = small_burns

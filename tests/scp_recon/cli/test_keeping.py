@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from scp_recon import compare, montecarlo, solve, verify
-from scp_recon.cli import method
-from scp_recon.cli.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
+from scp_recon.api.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
+from scp_recon.cli.commands.flights import montecarlo
+from scp_recon.cli.commands.planning import solve
+from scp_recon.cli.commands.plans import compare, verify
 from scp_recon.errors import InputError
+from scp_recon.files import only_run_in
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
-from scp_recon.solution.file import Solution
-from scp_recon.solution.read import read_solution
-from scp_recon.solution.runs import only_run_in
-from scp_recon.solution.verdict import Verification
+from scp_recon.planning import planner
+from scp_recon.results.facts import Verification
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution
 from tests.scp_recon.support import run_solve
 
 pytestmark = pytest.mark.usefixtures("few_flights")
@@ -25,12 +28,12 @@ HOPELESS = ("--problem", "P3", "--set", "burns.dv_max_m_s=0.02", "--set", "grid.
 
 @pytest.fixture(scope="module")
 def verified(solution: Solution, verification: Verification) -> Solution:
-    return solution.model_copy(update={"verification": verification})
+    return replace(solution, verification=verification)
 
 
 def another(solution: Solution) -> Solution:
-    burns = [burn.model_copy(update={"dv_m_s": (0.0, 0.0, 0.1)}) for burn in solution.burns]
-    return solution.model_copy(update={"burns": burns})
+    burns = [replace(burn, dv_m_s=(0.0, 0.0, 0.1)) for burn in solution.burns]
+    return replace(solution, burns=burns)
 
 
 def test_an_infeasible_run_leaves_a_verified_plan_alone(verified: Solution, tmp_path: Path) -> None:
@@ -106,7 +109,7 @@ def test_an_interrupted_run_is_not_the_latest_and_leaves_no_empty_folder(
         raise KeyboardInterrupt
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(method, "plan", ctrl_c)
+    monkeypatch.setattr(planner, "plan", ctrl_c)
     assert solve.main([]) == 130
     assert not (tmp_path / "runs" / "latest").exists()
     assert list((tmp_path / "runs" / "recon_b").iterdir()) == []

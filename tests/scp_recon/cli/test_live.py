@@ -7,14 +7,13 @@ from io import StringIO
 
 from rich.console import Console
 
-from scp_recon.cli.live import live_progress
-from scp_recon.planning.plan import Plan
-from scp_recon.planning.provenance import Certificate
+from scp_recon.cli.plan_view import live_progress
+from scp_recon.planning.plan import Certificate, Plan
 
 
 def test_rounds_are_told_beside_the_iterations(default_plan: Plan) -> None:
     out = StringIO()
-    plan = replace(default_plan, aim=0.91234)
+    plan = replace(default_plan, target=0.91234)
     reached = Certificate(10_000, 1_000, 0.909, 0.9032, 0.9146, 0.909, 1)
     stage = plan.stages[0]
     with live_progress(Console(file=out, width=120), plan.mission) as seen:

@@ -1,19 +1,21 @@
-"""`python -m scp_recon.new`: a file that solves, or that says what to change."""
+"""`python -m scp_recon new`: a file that solves, or that says what to change."""
 
 from __future__ import annotations
 
+import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from scp_recon import new
-from scp_recon.draft import drafting
-from scp_recon.draft.draft import Draft
-from scp_recon.front_door import plan
+from scp_recon.api import drafts
+from scp_recon.api.planning import plan
+from scp_recon.cli.commands.scenarios import new
+from scp_recon.drafting import draft as drafting
+from scp_recon.drafting.draft import Draft
+from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scenario.warning import ScenarioWarning
 from scp_recon.scp.status import Status
 
 BENNU = ("--body", "Bennu", "--site", "55.9,41.8", "--epoch", "2020-01-21T20:33:17")
@@ -40,8 +42,10 @@ def run(*arguments: str) -> int:
 def test_what_is_written_solves(
     options: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("mine", *options) == 0
-    said = capsys.readouterr().out
+    assert run("mine", *options, "--json") == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["plan"]["verification"]["ok"] is True
+    said = shown.err
     assert "verified" in said
     assert "total delta-v" in said
     # What was planned is what the file holds, to the last digit.
@@ -53,13 +57,13 @@ def test_what_is_written_solves(
 def test_what_is_strange_about_a_draft_is_told_with_its_verdict(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    planned, strange = new._planned, ScenarioWarning.of("body.gm_m3_s2", "4", "5 is usual")
+    planned, strange = drafts._planned, ScenarioWarning.of("body.gm_m3_s2", "4", "5 is usual")
 
-    def warned(draft: Draft) -> new.Planned:
+    def warned(draft: Draft) -> drafts.NewScenario:
         found = planned(draft)
         return replace(found, mission=replace(found.mission, warnings=(strange,)))
 
-    monkeypatch.setattr(new, "_planned", warned)
+    monkeypatch.setattr(drafts, "_planned", warned)
     assert run("mine", *BENNU) == 0
     said = capsys.readouterr().out
     assert said.count("warning: body.gm_m3_s2: got 4; 5 is usual") == 1
@@ -69,15 +73,15 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As if the planner had found nothing: what is infeasible takes it long to tell."""
-    planned = new._planned
+    planned = drafts._planned
 
-    def infeasible(draft: Draft) -> new.Planned:
+    def infeasible(draft: Draft) -> drafts.NewScenario:
         found = planned(draft)
         status = {"status": Status.INFEASIBLE.value.name}
-        return replace(found, solution=found.solution.model_copy(update=status))
+        return replace(found, solution=replace(found.solution, **status))
 
     monkeypatch.setattr(drafting, "HALF_WIDTHS_H", (4.0,))
-    monkeypatch.setattr(new, "_planned", infeasible)
+    monkeypatch.setattr(drafts, "_planned", infeasible)
     assert run("mine", *BENNU) == 3
     assert "infeasible" in capsys.readouterr().out
     written = Path("mine.toml").read_text("utf-8")
@@ -90,7 +94,7 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(
     [
         ((*BENNU[:2], *BENNU[4:]), "--site"),
         ((*BENNU[:3], "95,0", *BENNU[4:]), "within 90 deg"),
-        ((*BENNU[:3], "north", *BENNU[4:]), "2 numbers with commas"),
+        ((*BENNU[:3], "north", *BENNU[4:]), "must be 2 numbers"),
         ((*BENNU, "--gm", "5"), "--gm must be left out"),
         (("--body", "Stone", *BENNU[2:]), "needs --gm, --radius, --period, --pole, --orbit"),
         ((*BENNU[:5], "soon"), "must be a date"),
@@ -114,7 +118,7 @@ def test_where_nothing_can_be_written_nothing_is_planned(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Path("file").write_text("", "utf-8")
-    monkeypatch.setattr(new, "_planned", lambda _: pytest.fail("planned"))
+    monkeypatch.setattr(drafts, "_planned", lambda _: pytest.fail("planned"))
     assert run("file/mine", *BENNU) == 2
     assert "must be a folder to write to" in capsys.readouterr().err
 

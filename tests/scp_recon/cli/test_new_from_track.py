@@ -1,4 +1,4 @@
-"""`python -m scp_recon.new --from-spice`, `--from-oem`, `--from-csv`: kernels that the tests write."""
+"""`python -m scp_recon new --from-spice`, `--from-oem`, `--from-csv`: kernels that the tests write."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scp_recon import new
-from scp_recon.draft.flown import Track
+from scp_recon.cli.commands.scenarios import new
+from scp_recon.drafting.flown import Track
 from scp_recon.errors import InputError
-from scp_recon.exchange.ccsds import oem_text
-from scp_recon.exchange.heading import Export, Ids
-from scp_recon.exchange.path import fly_path
-from scp_recon.exchange.table import csv_text
-from scp_recon.exchange.track_doubts import pull_doubts, step_doubts
-from scp_recon.exchange.tracks import csv_track, cut, oem_track
+from scp_recon.interop.ccsds import oem_text
+from scp_recon.interop.export import Export, Ids
+from scp_recon.interop.files import csv_text
+from scp_recon.interop.path import fly_path
+from scp_recon.interop.tracks import csv_track, cut, oem_track, pull_doubts, step_doubts
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.time_scales import tdb_of_utc
+from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
-from scp_recon.solution.file import Solution
 from tests import reference
 
 CRAFT, STONE, SUN = -64, 20099942, 10

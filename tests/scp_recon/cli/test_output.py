@@ -14,8 +14,8 @@ import pytest
 
 from scp_recon import __main__ as every
 from scp_recon.cli.command import DOCUMENT, WIDE
-from scp_recon.solution.comparison import compare
-from scp_recon.solution.read import read_solution
+from scp_recon.results.comparison import compare
+from scp_recon.results.read import read_solution
 from tests.scp_recon.support import CommandLine
 
 pytestmark = pytest.mark.usefixtures("few_flights")

@@ -1,25 +1,28 @@
-"""`python -m scp_recon.replan`: plan and verdict, what others make of them, and its messages."""
+"""`python -m scp_recon replan`: plan and verdict, what others make of them, and its messages."""
 
 from __future__ import annotations
 
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.special import ndtr, ndtri
 
-from scp_recon import compare, design, montecarlo, replan, simulate, solve, verify
-from scp_recon.certification import way_out
-from scp_recon.cli.delivery import joined
-from scp_recon.in_flight.parent import FlownPlan
-from scp_recon.in_flight.prediction import predict
+from scp_recon.api import infeasibility
+from scp_recon.cli.commands.flights import montecarlo, simulate
+from scp_recon.cli.commands.passes import design
+from scp_recon.cli.commands.planning import solve
+from scp_recon.cli.commands.plans import compare, verify
+from scp_recon.cli.commands.replanning import joined, replan
 from scp_recon.planning.plan import Plan
-from scp_recon.solution.file import Solution
-from scp_recon.solution.read import read_solution
-from scp_recon.solution.verdict import Verification
+from scp_recon.replanning.flown import FlownPlan, predict
+from scp_recon.results.facts import Verification
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution
 
 pytestmark = pytest.mark.usefixtures("few_flights")
 
@@ -35,7 +38,7 @@ def wide(monkeypatch: pytest.MonkeyPatch) -> None:
 def plan_folder(solution: Solution, verification: Verification, tmp_path: Path) -> Path:
     folder = tmp_path / "plan"
     folder.mkdir()
-    solution.model_copy(update={"verification": verification}).write(folder)
+    replace(solution, verification=verification).write(folder)
     return folder
 
 
@@ -83,7 +86,7 @@ def test_a_replan_is_kept_verified_flown_and_compared(
     assert "the window is over" in capsys.readouterr().out
     assert compare.main([str(plan_folder), str(out)]) == 0
     said = capsys.readouterr().out
-    assert "with those flown m/s" in said
+    assert "with those flown (m/s)" in said
     assert str(plan_folder) in said
     assert simulate.main([str(out)]) == 2
     assert "must be the plan of a whole flight" in capsys.readouterr().err
@@ -121,12 +124,12 @@ def test_a_covariance_comes_from_a_file_in_axes_of_its_own(
     words = [str(plan_folder), "--at", "17000", "--state", " ".join(state_at(17_000.0))]
     more = ["--covariance", str(path), "--covariance-frame", "rtn", "--out", str(out)]
     assert replan.main([*words, *more]) == 0
-    assert "--covariance: got" not in capsys.readouterr().out
+    assert "covariance: got" not in capsys.readouterr().out
     trace = np.trace(np.array(read_solution(out).nodes.covariance[0])[:3, :3])
     assert trace == pytest.approx(525.0)
     path.write_text("\n".join(",".join(map(repr, row)) for row in (1e-6 * rows).tolist()))
     assert replan.main([*words, *more]) == 0
-    assert "warning: --covariance: got a 1-sigma error" in capsys.readouterr().out
+    assert "warning: covariance: got 1 sigma: " in capsys.readouterr().out
 
 
 def test_what_is_infeasible_is_told_as_of_a_first_plan(
@@ -137,7 +140,7 @@ def test_what_is_infeasible_is_told_as_of_a_first_plan(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And the largest probability that is named has a plan indeed, and one above it has none."""
-    monkeypatch.setattr(way_out, "CLOSE", 0.2)
+    monkeypatch.setattr(infeasibility, "CLOSE", 0.2)
     out = tmp_path / "again"
     words = [str(plan_folder), "--at", "9000", "--state", *state_at(9_000.0), "--out", str(out)]
     assert replan.main([*words, "--set", "risk.p_chance=0.999"]) == 3
@@ -213,7 +216,7 @@ def test_bad_input_is_one_message(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    solution.model_copy(update={"verification": verification}).write(tmp_path)
+    replace(solution, verification=verification).write(tmp_path)
     (tmp_path / "small.txt").write_text("1 0\n0 1\n")
     rows = np.diag([1.0, 1.0, 1.0, -1.0, 1.0, 1.0]).tolist()
     (tmp_path / "bad.txt").write_text("\n".join(" ".join(map(str, row)) for row in rows))

@@ -9,33 +9,21 @@ from pathlib import Path
 
 import pytest
 
+from scp_recon.__main__ import COMMANDS as NAMES
 from tests import reliability
 
 PROJECT = Path(__file__).parents[3]
-COMMANDS = [
-    f"scp_recon.{name}"
-    for name in (
-        "solve",
-        "design",
-        "replan",
-        "verify",
-        "montecarlo",
-        "simulate",
-        "compare",
-        "report",
-        "export",
-    )
-]
-COMMANDS += ["paper_figs", "paper_figs.flyby", "benchmarks"]
+COMMANDS = ["scp_recon.solve", *(f"scp_recon {name}" for name in NAMES)]
+COMMANDS += ["experiments", "paper_figs", "benchmarks"]
 
 AS_CTRL_C = """
     import os, runpy, signal, sys
-    module, late = sys.argv[1:]
+    late, module, *words = sys.argv[1:]
     def hook(event, arguments):
         if event == "import" and arguments[0] == late:
             os.kill(os.getpid(), signal.SIGINT)
     sys.addaudithook(hook)
-    sys.argv[1:] = []
+    sys.argv[1:] = words
     runpy.run_module(module, run_name="__main__", alter_sys=True)
 """
 
@@ -44,7 +32,7 @@ AS_CTRL_C = """
 @pytest.mark.parametrize("late", ["argparse", "numpy", "rich.console"])
 def test_ctrl_c_during_an_import_ends_in_one_line(command: str, late: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(AS_CTRL_C), command, late],
+        [sys.executable, "-c", textwrap.dedent(AS_CTRL_C), late, *command.split()],
         cwd=PROJECT,
         capture_output=True,
         text=True,

@@ -1,4 +1,4 @@
-"""`python -m scp_recon.windows`: table, CSV, chart, and what it refuses."""
+"""`python -m scp_recon windows`: table, CSV, chart, and what it refuses."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon import windows
+from scp_recon.cli.commands.scenarios import windows
 from scp_recon.mission.mission import Mission
 
 
@@ -124,7 +124,7 @@ def test_bad_input_is_told_in_one_message(
 def test_without_matplotlib_a_chart_says_what_it_needs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.delitem(sys.modules, "scp_recon.cli.view.window_chart", raising=False)
+    monkeypatch.delitem(sys.modules, "scp_recon.api.charts", raising=False)
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)

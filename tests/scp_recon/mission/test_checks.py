@@ -3,23 +3,34 @@
 from __future__ import annotations
 
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from scp_recon.environment.catalogue import J2000_TDB, packaged_body
+from formulations.rows.flight_probability import PROBABILITY_MAX
+from scp_recon.bodies.catalogue import J2000_TDB, packaged_body
 from scp_recon.errors import InputError
 from scp_recon.mission.checks import body as body_checks
 from scp_recon.mission.checks import sun as sun_checks
-from scp_recon.mission.checks.given import Given, angle_deg
-from scp_recon.mission.checks.table import check_given
-from scp_recon.mission.mission import Mission, rotation_of, site_of
-from scp_recon.physics.orbit import two_body
+from scp_recon.mission.checks.checks import check_plausible, check_scene
+from scp_recon.mission.checks.intervals import (
+    INTERVALS,
+    PLANNER_INTERVALS,
+    STATE_INTERVALS,
+    Interval,
+)
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Scene
+from scp_recon.physics.two_body import two_body
+from scp_recon.scenario.boundary import HomeOrbit
 from scp_recon.scenario.load import load_scenario, validate_scenario
+from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.uncertainty import Gates
 from tests import reliability
-from tests.scp_recon.support import file_of, mission_of
+from tests.scp_recon.support import file_of, mission_of, run_solve
 
 ELSEWHERE = [-91.0, 81.0, 181.0]
 LATER = "2020-03-21T20:33:17"
@@ -44,7 +55,7 @@ REFUSED = [
         "sun.body_velocity_km_s",
         "km/s",
     ),
-    ({"safety.radius_min_m": 0.5}, "safety.radius_min_m", "reference radius, 290 m"),
+    ({"safety.radius_min_m": 0.5}, "safety.radius_min_m", "at least 290 m"),
     (
         {"site.position_body_m": [0.0914, 0.0817, 0.1811]},
         "site.position_body_m",
@@ -106,13 +117,17 @@ WARNED = [
     (
         {"site.normal_body": [0.1, 0.8, 0.3]},
         "site.normal_body",
-        "deg off the direction from the centre",
+        "off the direction from the centre: ",
     ),
     ({}, "body.gm_m3_s2", "that of Bennu"),
     ({}, "sun.body_position_km", "that of Bennu"),
     ({"body.gm_m3_s2": 0.5}, "body.gm_m3_s2", "73.3 kg/m^3"),
     ({"boundary.initial_velocity_m_s": SLOW}, "boundary.initial_velocity_m_s", "escape"),
-    ({"boundary.final_position_m": [0.0, 1e5, 0.0]}, "boundary.final_position_m", "100 radii"),
+    (
+        {"boundary.final_position_m": [0.0, 1e5, 0.0]},
+        "boundary.final_position_m",
+        "(100 reference radii)",
+    ),
     (
         {"boundary.final_position_m": [-1128.7, 19.9, -140.9]},
         "boundary.final_position_m",
@@ -126,8 +141,12 @@ WARNED = [
     ({"burns.dv_max_m_s": 200.0}, "burns.dv_max_m_s", "200 m/s"),
     ({"uncertainty.execution_error": 0.0008}, "uncertainty.execution_error", "0.0008 of a burn"),
     ({"battery.delta_v_cone_deg": 0.4067}, "battery.delta_v_cone_deg", "0.4067 deg"),
-    ({"observation.site_distance_min_m": 0.5}, "observation.site_distance_min_m", "0.5 m"),
-    ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "0.178 kg"),
+    (
+        {"observation.site_distance_min_m": 0.5},
+        "observation.site_distance_min_m",
+        "0.5 (the largest",
+    ),
+    ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "m^2/kg"),
     (
         {"spacecraft.reflectivity_coefficient": 112.7},
         "spacecraft.reflectivity_coefficient",
@@ -137,12 +156,12 @@ WARNED = [
     ({"uncertainty.execution_error": 0.8}, "uncertainty.execution_error", "not in per cent"),
     ({"body.j2": -0.0431}, "body.j2", "unnormalised"),
     ({"body.radii_m": RADII, "body.j2": 0.0193}, "body.j2", "has 0.0344 at 290 m"),
-    ({"body.radii_m": RADII[::-1]}, "body.radii_m", "the shortest last"),
+    ({"body.radii_m": RADII[::-1]}, "body.radii_m", "turn about the shortest"),
     ({"sun.solar_constant_w_m2": 1.361}, "sun.solar_constant_w_m2", "1.361"),
     (
         {"sun.body_velocity_km_s": [0.0, 0.0, 0.0]},
         "sun.body_velocity_km_s",
-        "eccentricity of 1.00",
+        "eccentricity of the orbit: 1",
     ),
 ]
 
@@ -181,9 +200,9 @@ def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
             "site": {"name": "There", "latitude_deg": 10.0, "longitude_deg": 20.0},
         }
     )
-    given = Given(found, rotation_of(found), site_of(found))
-    assert [w.entry for w in body_checks.known_body(given)] == ["body.pole_ra_deg"]
-    assert list(sun_checks.known_orbit(given)) == []
+    scene = Scene.of(found)
+    assert [w.entry for w in body_checks.known_body(scene)] == ["body.pole_ra_deg"]
+    assert list(sun_checks.known_orbit(scene)) == []
 
 
 def test_a_prime_meridian_that_is_not_a_packaged_bodys_is_warned_about(scenario: Scenario) -> None:
@@ -213,8 +232,8 @@ def test_a_site_whose_angles_are_likely_in_radians_is_warned_about(
 ) -> None:
     changes = {"site.latitude_deg": latitude, "site.longitude_deg": longitude}
     found = scenario.replace(changes)
-    given = Given(found, rotation_of(found), site_of(found))
-    warnings = [w for w in check_given(given) if w.entry == "site.latitude_deg"]
+    scene = Scene.of(found)
+    warnings = [w for w in check_scene(scene) if w.entry == "site.latitude_deg"]
     assert len(warnings) == told
     assert all("degrees?" in w.expected for w in warnings)
 
@@ -243,7 +262,7 @@ def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(
             "site": {"name": "There", "latitude_deg": 10.0, "longitude_deg": 20.0},
         }
     )
-    warnings = list(body_checks.known_body(Given(found, rotation_of(found), site_of(found))))
+    warnings = list(body_checks.known_body(Scene.of(found)))
     assert [w.entry for w in warnings] == ["body.prime_meridian_deg"] * bool(told)
     assert all(told in w.given for w in warnings)
 
@@ -259,9 +278,10 @@ def test_the_slopes_of_a_long_body_are_no_question(scenario: Scenario) -> None:
             "site": {"name": "There", "latitude_deg": 30.0, "longitude_deg": 10.0},
         }
     )
-    given = Given(found, rotation_of(found), site_of(found))
-    assert angle_deg(given.site.position_body, given.site.normal_body) > 45.0
-    assert list(body_checks.site_normal(given)) == []
+    scene = Scene.of(found)
+    assert angle_deg(scene.site.position_body, scene.site.normal_body) > 45.0
+    rows = [row for row in INTERVALS if row.entries == "site.normal_body"]
+    assert [list(row.check(scene)) for row in rows] == [[], []]
 
 
 def test_a_number_beside_its_name_makes_no_other_body(scenario: Scenario) -> None:
@@ -307,8 +327,8 @@ def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(
             "sun.body_velocity_km_s": ((around[2] - around[0]) / 20.0).tolist(),
         },
     )
-    given = Given(found, rotation_of(found), site_of(found))
-    warnings = list(sun_checks.known_orbit(given))
+    scene = Scene.of(found)
+    warnings = list(sun_checks.known_orbit(scene))
     assert bool(warnings) == told
     assert all("would be at 2037" in w.given and "2035" in w.given for w in warnings)
 
@@ -329,7 +349,7 @@ def test_sigmas_in_kilometres_are_warned_about(way: str, scenario: Scenario) -> 
     warnings = Mission.from_scenario(scenario.changed(layer)).warnings
     assert len(warnings) == 2
     assert all(w.entry.startswith("uncertainty.initial_") for w in warnings)
-    assert "a 1-sigma error of 0.01 m, 8.5e-06 of the distance" in warnings[0].given
+    assert "1 sigma: 0.01 m" in warnings[0].given
     reliability.count(reliability.BAD_INPUTS)
 
 
@@ -416,3 +436,132 @@ def test_small_moves_keep_sun_and_normal_that_are_given(scenario: Scenario) -> N
 def test_what_is_given_with_it_is_taken(scenario: Scenario) -> None:
     there = {"site.position_body_m": [150.0, 0.0, 150.0], "site.normal_body": [0.7, 0.0, 0.7]}
     assert scenario.replace(there).site.normal_body == (0.7, 0.0, 0.7)
+
+
+@pytest.mark.parametrize(
+    ("override", "entry", "words"),
+    [
+        ("grid.step_max_s=1.0", "grid.step_max_s", "at most 3000"),
+        ("sun.body_position_km=[1.0, 0.0, 0.0]", "sun.body_position_km", "elements of Bennu"),
+        ("body.reference_radius_m=1140.0", "boundary.final_position_m", "outside the body"),
+        # kilometres in the place of metres, and km^3/s^2 converted the wrong way round
+        (
+            "boundary.initial_position_m=[0.0702, -1.0963, 0.4064]",
+            "boundary.initial_position_m",
+            "from the centre: 1.17 m); must be at least 290 m",
+        ),
+        ("body.gm_m3_s2=4.89e9", "body.gm_m3_s2", "the planner's steps are 240 s"),
+    ],
+)
+def test_it_is_refused_by_name(override: str, entry: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        mission_of(override)
+    assert caught.value.entry == entry
+    assert words in str(caught.value)
+    reliability.count(reliability.BAD_INPUTS)
+
+
+def test_a_body_that_could_reach_the_sun_is_refused(scenario: Scenario) -> None:
+    sun = scenario.sun.model_copy(update={"body_position_km": (1.0, 0.0, 0.0)})
+    with pytest.raises(InputError, match=r"0\.5 times the way to the Sun") as caught:
+        Mission.from_scenario(scenario.model_copy(update={"sun": sun}))
+    assert caught.value.entry == "sun.body_velocity_km_s"
+
+
+def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario: Scenario) -> None:
+    """About a body whose boundary states are far enough out; outside it all the same."""
+    flight = {
+        "at_s": 17_000.0,
+        "position_m": [295.0, 0.0, 0.0],
+        "velocity_m_s": [0.0, 0.1, 0.0],
+        "flown_m_s": [[0.0, 0.0, 0.0]] * 2,
+    }
+    heavy = scenario.replace({"body.gm_m3_s2": 600.0, "in_flight": flight})
+    expected = r"^in_flight.position_m: got \[295, 0, 0\] \(.*: 295 m\); must be at least 32"
+    with pytest.raises(InputError, match=expected):
+        check_plausible(Scene.of(heavy))
+    check_plausible(Scene.of(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]})))
+
+
+def test_a_home_orbit_inside_the_body_is_refused_by_its_radius(tmp_path: Path) -> None:
+    home = tmp_path / "home.toml"
+    home.write_text(
+        'base = "recon_b"\n[boundary.home]\nradius_m = 250.0\nnormal = [1, 0, 0]\n'
+        "departure_deg = [160, 160]\narrival_deg = [0, 0]\n",
+        "utf-8",
+    )
+    with pytest.raises(InputError, match=r"^boundary\.home\.radius_m: got 250 \(from the centre"):
+        Mission.from_scenario(load_scenario(home))
+
+
+WHOLE = ("risk.allocation=exact", "risk.scope=flight")
+
+
+def test_more_of_whole_flights_than_directions_tell_is_refused() -> None:
+    with pytest.raises(InputError) as error:
+        mission_of(*WHOLE, "risk.p_chance=0.999999")
+    assert error.value.entry == "risk.p_chance"
+    assert error.value.given.startswith("0.999999 (")
+    assert "1e-06" in error.value.given
+    assert "at least 1e-05" in error.value.allowed
+
+
+def test_what_the_estimates_tell_may_be_asked() -> None:
+    assert mission_of(*WHOLE, f"risk.p_chance={PROBABILITY_MAX}").scenario.risk.scope == "flight"
+    mission_of("risk.allocation=exact", "risk.p_chance=0.999999999")
+
+
+def test_the_command_says_so_in_one_message(tmp_path: Path) -> None:
+    words = [word for entry in (*WHOLE, "risk.p_chance=0.99999999") for word in ("--set", entry)]
+    run = run_solve(tmp_path / "out", *words, "--certify", "no")
+    assert (run.exit_code, run.output) == (2, "")
+    assert run.errors.count("error: ") == 1
+    assert "risk.p_chance" in run.errors
+    assert not (tmp_path / "out").exists()
+
+
+# --- the rows, and the page that shows them --------------------------------------------------------
+
+
+ROWS = (*PLANNER_INTERVALS, *INTERVALS, *STATE_INTERVALS)
+
+
+def documented(row: Interval) -> str:
+    """A row of `intervals` as docs/warnings.md has it."""
+    entries = ", ".join(f"`{entry}`" for entry in row.entries.split())
+    ends = [row.within(ends) if ends else "" for ends in (row.refuse, row.warn)]
+    return (
+        " ".join(f"| {cell}".rstrip() for cell in (entries, row.quantity or "itself", *ends)) + " |"
+    )
+
+
+def test_the_page_of_warnings_shows_every_row_in_order() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "warnings.md").read_text("utf-8")
+    shown = page.split("| entries | quantity | allowed | expected |\n|---|---|---|---|\n")[1]
+    rows = [documented(row) for row in ROWS]
+    assert shown.split("\n\n")[0].splitlines() == rows
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.quantity)
+def test_the_rows_are_about_entries_of_a_scenario(row: Interval, scenario: Scenario) -> None:
+    """And what is refused is beyond what is warned about."""
+    flight = {
+        "at_s": 17_000.0,
+        "flown_m_s": [[0.0, 0.0, 0.0]] * 2,
+        "position_m": [1000.0, 0.0, 0.0],
+        "velocity_m_s": [0.0, 0.1, 0.0],
+    }
+    whole = scenario.replace({"in_flight": flight})
+    home = HomeOrbit(radius_m=1000.0, normal=(1.0, 0.0, 0.0))
+    boundary = whole.boundary.model_copy(update={"home": home})
+    whole = whole.model_copy(update={"boundary": boundary})
+    gates = Gates.model_validate(dict.fromkeys(Gates.model_fields, 1e-3))
+    uncertainty = whole.uncertainty.model_copy(update={"gates": gates})
+    whole = whole.model_copy(update={"uncertainty": uncertainty})
+    for entry in row.entries.split():
+        table: Any = whole
+        for key in entry.split("."):
+            assert key in type(table).model_fields, entry
+            table = getattr(table, key)
+    if row.warn and row.refuse:
+        assert row.refuse[0] < row.warn[0] < row.warn[1] < row.refuse[1]

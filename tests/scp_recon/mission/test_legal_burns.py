@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 from scp_recon.errors import InputError
 from scp_recon.mission.legal_burns import legal_additions, legal_burns, legal_shifts, legal_starts
 from scp_recon.mission.schedule import make_schedule
-from scp_recon.scenario.sections import ScheduleRules
+from scp_recon.scenario.schema import ScheduleRules
 from tests.scp_recon.support import mission_of
 
 durations = st.floats(0.0, 3000.0)

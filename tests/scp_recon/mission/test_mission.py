@@ -7,12 +7,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from formulations.problem.execution_errors import ComponentwiseErrors
 from formulations.problem.flyby import StateConstraint
 from scp_recon.mission.grid import make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
-from tests.scp_recon.support import Array, mission_of
+from tests.scp_recon.support import mission_of
 
 # --- the grid -----------------------------------------------------------------------------------
 

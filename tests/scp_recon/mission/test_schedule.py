@@ -10,13 +10,15 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation as SciPyRotation
 
+from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Scene
 from scp_recon.mission.schedule import Mode, Schedule, find_window, make_schedule
+from scp_recon.mission.windows import Lighting
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scenario.schema import Scenario
-from scp_recon.scenario.sections import ScheduleRules
-from tests.scp_recon.support import Array, mission_of
+from scp_recon.scenario.schema import Scenario, ScheduleRules
+from tests.scp_recon.support import mission_of
 
 WINDOW = (13_140.0, 16_537.0)
 RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
@@ -106,12 +108,17 @@ def window_of(lit: list[tuple[float, float]], end: float) -> tuple[float, float]
     """The window found where the site is lit during the given intervals only."""
     scenario = load_scenario(None, [f"burns.times_s=[0, {end}]"])
 
-    def incidence(time: Array) -> Array:
-        # 60 deg at each edge, falling towards the middle of an interval, rising outside.
-        depth = [np.minimum(time - a, b - time) for a, b in lit]
-        return np.deg2rad(60.0 - 0.001 * np.max(depth, axis=0))
+    class Intervals(Lighting):
+        def incidence(self, time_s: Array) -> Array:
+            # 60 deg at each edge, falling towards the middle of an interval, rising outside.
+            depth = [np.minimum(time_s - a, b - time_s) for a, b in lit]
+            return np.deg2rad(60.0 - 0.001 * np.max(depth, axis=0))
 
-    return find_window(scenario, incidence, lambda time: np.full_like(time, 12.0, dtype=float))
+        def local_solar_time(self, time_s: Array) -> Array:
+            return np.full_like(time_s, 12.0, dtype=float)
+
+    scene = Scene.of(scenario)
+    return find_window(scenario, Intervals(scene.site, scene.rotation, scene.sun_direction))
 
 
 def test_the_first_whole_window_is_taken() -> None:

@@ -10,17 +10,24 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
+from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError
-from scp_recon.mission.lighting import Lighting, lighting_slack
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.survey import survey
-from scp_recon.mission.windows import SCAN_STEP_S, all_windows, scan_step_s, whole_windows
-from scp_recon.physics.frames import DAY_S, Rotation
+from scp_recon.mission.windows import (
+    SCAN_STEP_S,
+    Lighting,
+    all_windows,
+    scan_step_s,
+    whole_windows,
+)
+from scp_recon.physics.frames import Rotation
 from scp_recon.physics.geometry import Site
-from scp_recon.physics.orbit import two_body
+from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.load import load_scenario
 from tests.scp_recon.mission.test_schedule import independent_incidence
-from tests.scp_recon.support import Array, file_of
+from tests.scp_recon.support import file_of
 
 SPAN = (-5000.0, 60_000.0)
 
@@ -118,7 +125,7 @@ def test_at_the_equator_with_the_sun_above_it_incidence_is_the_hour_angle(
     ).observation
     period = 3600.0 * period_h
     span = 0.0, 3.2 * period
-    slack = lighting_slack(observation, lighting.incidence, lighting.local_solar_time)
+    slack = lighting.slack(observation)
     # The hour angle is W: within the limit about noon, and between the hours.
     low = max(-limit, 15.0 * (hours[0] - 12.0))
     high = min(limit, 15.0 * (hours[1] - 12.0))

@@ -15,7 +15,7 @@ from scp_recon.monte_carlo.observation_time import (
     time_held,
 )
 from scp_recon.monte_carlo.sampling import fly_block
-from scp_recon.solution.file import Solution
+from scp_recon.results.solution import Solution
 
 FLIGHTS = 60
 

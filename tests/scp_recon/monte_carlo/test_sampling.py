@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
+from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import sampling
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block, sample_positions
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.solution.file import Solution
-from tests.scp_recon.support import Array, fly, integrate, mission_of
+from scp_recon.results.solution import Solution
+from tests.scp_recon.support import fly, integrate, mission_of
 
 LOOK = np.array([0.0, 8000.0, 13_140.5, 25_000.0, 34_842.0])
 

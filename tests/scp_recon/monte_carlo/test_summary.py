@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from scp_recon.cli.commands.flights import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.monte_carlo.summarise import summarise
 from scp_recon.monte_carlo.summary import (
     COMPONENTS,
     FILE_NAME,
@@ -24,9 +25,13 @@ from scp_recon.monte_carlo.summary import (
     Summary,
     read_summary,
     read_summary_as,
+    required_probability,
+    shortfalls,
+    summarise,
 )
-from scp_recon.solution.file import Solution
+from scp_recon.results.solution import Solution
 from tests import reliability
+from tests.scp_recon.support import file_of, mission_of
 
 Data = dict[str, Any]
 
@@ -139,7 +144,7 @@ def test_flights_of_another_plan_are_not_summarised(
     risk = solution.scenario.risk.model_copy(update={"p_chance": 0.8})
     scenario = solution.scenario.model_copy(update={"risk": risk})
     with pytest.raises(ValueError, match="another plan"):
-        summarise(flown, solution.model_copy(update={"scenario": scenario}))
+        summarise(flown, replace(solution, scenario=scenario))
 
 
 # --- reading back -------------------------------------------------------------------------------
@@ -156,8 +161,8 @@ def test_round_trip_through_file_and_folder(summary: Summary, tmp_path: Path) ->
 def test_a_summary_knows_its_plan(summary: Summary, solution: Solution) -> None:
     assert summary.is_of(solution)
     burn = solution.burns[0]
-    moved = burn.model_copy(update={"dv_m_s": (math.nextafter(burn.dv_m_s[0], 1.0), 0.0, 0.0)})
-    other = solution.model_copy(update={"burns": [moved, *solution.burns[1:]]})
+    moved = replace(burn, dv_m_s=(math.nextafter(burn.dv_m_s[0], 1.0), 0.0, 0.0))
+    other = replace(solution, burns=[moved, *solution.burns[1:]])
     assert not summary.is_of(other)
 
 
@@ -245,3 +250,85 @@ def test_a_damaged_summary_is_read_or_refused(
         reliability.count(reliability.BAD_INPUTS)
     else:
         assert isinstance(read, Summary)
+
+
+@pytest.fixture(scope="module")
+def many(mission: Mission, solution: Solution) -> Summary:
+    return summarise(fly_many(FlightConfig(mission, solution.burns_m_s), samples=1000), solution)
+
+
+def asking(solution: Solution, p: float) -> Solution:
+    return replace(solution, scenario=solution.scenario.replace({"risk.p_chance": p}))
+
+
+def test_what_was_asked_is_met(many: Summary, solution: Solution) -> None:
+    assert shortfalls(many, solution) == []
+
+
+@pytest.mark.parametrize(("until", "status"), [("30%", 0), ("5%", 4)])
+def test_an_interval_that_stays_too_wide_is_not_what_was_asked(
+    until: str, status: int, solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the flights allowed are too few to narrow it."""
+    solution.write(tmp_path)
+    assert montecarlo.main([str(tmp_path), "--samples", "300", "--until", until]) == status
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("%, asked 5 %: needs more --samples" in said) == bool(status)
+
+
+def test_what_is_not_met_stands_beside_what_was_asked(many: Summary, solution: Solution) -> None:
+    found = shortfalls(many, asking(solution, 0.99))
+    short = {n for n, p in many.probability.items() if p.estimate.value < 0.99} - {ALL}
+    assert "site_distance" in short
+    assert {line.split()[0] for line in found} == short
+    assert all(line.endswith("asked 0.99") for line in found)
+
+
+def test_nothing_is_asked_of_a_plan_without_uncertainty(many: Summary, solution: Solution) -> None:
+    certain = replace(asking(solution, 0.99), problem="P3")
+    assert required_probability(certain) is None
+    assert shortfalls(many, certain) == []
+
+
+def test_a_plan_that_did_not_converge_is_named(many: Summary, solution: Solution) -> None:
+    infeasible = replace(solution, status="infeasible")
+    assert shortfalls(many, infeasible) == ["the plan is infeasible, asked converged"]
+
+
+def test_the_command_ends_with_four_and_says_why(
+    solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    infeasible = replace(asking(solution, 0.99), status="infeasible")
+    infeasible.write(tmp_path)
+    assert montecarlo.main([str(tmp_path), "--samples", "200"]) == 4
+    said = " ".join(capsys.readouterr().out.split())
+    assert "not as asked: the plan is infeasible, asked converged, site_distance 0." in said
+    assert "asked 0.99" in said
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("body.gm_m3_s2=4.0", "body.gm_m3_s2 4"),
+        ("body.reference_radius_m=280.0", "body.reference_radius_m 280"),
+        ("body.j2=0.01", "body.j2 0.01"),
+    ],
+)
+def test_the_packaged_field_is_flown_about_its_own_body_only(
+    override: str, words: str, solution: Solution
+) -> None:
+    mission = mission_of(override)
+    with pytest.raises(InputError, match=words):
+        FlightConfig(mission, solution.burns_m_s, truth="harmonics")
+    FlightConfig(mission, solution.burns_m_s)
+
+
+def test_the_packaged_field_is_not_flown_about_a_body_of_another_name(solution: Solution) -> None:
+    """Though all its figures are Bennu's."""
+    mission = Mission.from_scenario(file_of(solution.scenario, {}, name="Apophis"))
+    with pytest.raises(InputError, match="nothing for Apophis"):
+        FlightConfig(mission, solution.burns_m_s, truth="harmonics")
+
+
+def test_the_packaged_field_is_flown_about_bennu(mission: Mission, solution: Solution) -> None:
+    FlightConfig(mission, solution.burns_m_s, truth="harmonics")

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from scp_recon.certification.certify import with_nodes_at
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
@@ -22,8 +23,7 @@ from scp_recon.monte_carlo.whole_flight import (
     kept_flights,
     may_dip,
 )
-from scp_recon.solution.file import Solution
-from tests.helpers import Array
+from scp_recon.results.solution import Solution
 from tests.scp_recon.support import mission_of
 
 # --- how far a margin dips between looks --------------------------------------------------------

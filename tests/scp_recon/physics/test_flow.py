@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import differentiate, interpolate, propagate
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning.planner import Plan
-from tests.scp_recon.support import Array, burns_of, fly, integrate
+from tests.scp_recon.support import burns_of, fly, integrate
 
 ARC_S = 232.0
 SUBSTEPS = 2

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import (
     ForceModel,
@@ -21,7 +22,7 @@ from scp_recon.physics.forces import (
 )
 from scp_recon.scenario.load import load_scenario
 from tests import reference
-from tests.scp_recon.support import Array, mission_of
+from tests.scp_recon.support import mission_of
 
 Derivatives = Callable[[Array], list[Array]]
 

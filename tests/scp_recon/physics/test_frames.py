@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation as SciPyRotation
 
+from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
 from tests import reference
 from tests.reference import BENNU, EPOCH_ET
-from tests.scp_recon.support import Array, mission_of
+from tests.scp_recon.support import mission_of
 
 FLIGHT_S = 34_842.0
 

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import Rotation, unit
 from scp_recon.physics.geometry import Site, SiteTrack
 from tests import reference
-from tests.scp_recon.support import Array
 
 # Spinning about Z with the prime meridian on X at t = 0, a quarter of a turn in 100 s.
 UPRIGHT = Rotation(

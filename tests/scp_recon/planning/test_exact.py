@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from scipy.special import ndtr
 
+from formulations.arrays import Array
 from formulations.rows.exact import FLIGHT, FlightRows, NodeRows
 from formulations.rows.node_probability import SPREAD_MIN
 from scp_recon.errors import InputError
@@ -22,7 +23,7 @@ from scp_recon.planning.stages import StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
-from tests.helpers import Array, share_of_examples
+from tests.helpers import share_of_examples
 from tests.properties.test_optimality import Values, conditions_of
 from tests.scenarios import COARSE, planned, scenarios
 from tests.scp_recon.support import mission_of, run_solve

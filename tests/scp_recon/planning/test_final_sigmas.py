@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from formulations.rows.final_spread import FINAL_POSITION, FINAL_VELOCITY
+from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
+from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution
-from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.consistency import inconsistencies
-from scp_recon.verification.final_sigmas import exceeded, flown_sigmas
+from scp_recon.verification.probabilities import exceeded, flown_sigmas
 from scp_recon.verification.reintegration import verify
 from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of
@@ -87,7 +88,7 @@ def test_a_file_that_says_otherwise_is_found_out(free: Plan) -> None:
     scenario = free.mission.scenario.replace({LIMITS["position"]: limit})
     mission = Mission.from_scenario(scenario)  # of other limits than were planned
     honest = make_solution(free)
-    said: Solution = honest.model_copy(update={"scenario": scenario})
+    said: Solution = replace(honest, scenario=scenario, carried=honest.figures)
     assert "constraints" in inconsistencies(mission, said)
     assert FINAL_POSITION in exceeded(flown_sigmas(mission, free.burns_m_s, seed=1))
 

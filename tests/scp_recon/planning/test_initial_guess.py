@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess, state_table
+from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan
 from tests import reference, reliability
-from tests.scp_recon.support import Array, burns_of, fly, integrate, mission_of
+from tests.scp_recon.support import burns_of, fly, integrate, mission_of
 
 SHORT = ("t", "x", "y", "z", "vx", "vy", "vz")
 WITH_UNITS = ("t_s", "x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
@@ -134,7 +135,7 @@ def test_a_table_at_the_nodes_gives_the_trajectory_back(
     tmp_path: Path, mission: Mission, ballistic: Iterate, header: tuple[str, ...]
 ) -> None:
     file = write(tmp_path / "t.csv", mission.times_s, states_of(mission, ballistic), header)
-    read = state_table.from_table(mission, file)
+    read = initial_guess.from_table(mission, file)
     np.testing.assert_allclose(read.mean, ballistic.mean, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(
         burns_of(mission, read.burns), burns_of(mission, ballistic.burns), rtol=0.0, atol=1e-6
@@ -147,7 +148,7 @@ def test_a_table_at_other_times_is_interpolated(
     start = states_of(mission, ballistic)[0]
     times = np.linspace(0.0, 34_900.0, 300)
     file = write(tmp_path / "t.csv", times, integrate(mission.forces, start, times))
-    read = state_table.from_table(mission, file)
+    read = initial_guess.from_table(mission, file)
     np.testing.assert_allclose(
         states_of(mission, read)[:, :3], states_of(mission, ballistic)[:, :3], rtol=0.0, atol=0.1
     )
@@ -175,14 +176,14 @@ def test_burns_of_a_table_are_what_the_arcs_miss(
         np.insert(times, at, times[at] - 1e-3),
         np.insert(states, at, before, axis=0),
     )
-    read = state_table.from_table(mission, file)
+    read = initial_guess.from_table(mission, file)
     np.testing.assert_allclose(burns_of(mission, read.burns), burns, rtol=0.0, atol=1e-6)
 
 
 def test_the_reconstructed_arc_is_read(mission: Mission, tmp_path: Path) -> None:
     """From every other row; the rows between lie on it too."""
     file = reference.write_arc(tmp_path / "arc.csv", reference.ARC[::2])
-    read = state_table.from_table(mission, file)
+    read = initial_guess.from_table(mission, file)
     table = np.array(reference.ARC)[:, :7]
     states = states_of(mission, read)
     np.testing.assert_allclose(states[0], table[0, 1:], rtol=0.0, atol=1e-9)
@@ -197,7 +198,7 @@ def test_the_reconstructed_arc_is_read(mission: Mission, tmp_path: Path) -> None
 
 def refused(mission: Mission, path: Path) -> InputError:
     with pytest.raises(InputError) as caught:
-        state_table.from_table(mission, path)
+        initial_guess.from_table(mission, path)
     assert str(path) in caught.value.entry
     reliability.count(reliability.BAD_INPUTS)
     return caught.value
@@ -284,7 +285,7 @@ def test_a_sparse_table_in_metres_is_read(
     at = np.linspace(0, len(mission.times_s) - 1, rows).astype(int)
     states = states_of(mission, ballistic)
     file = write(tmp_path / "t.csv", mission.times_s[at], states[at])
-    assert state_table.from_table(mission, file).mean.shape == (len(mission.times_s), 6)
+    assert initial_guess.from_table(mission, file).mean.shape == (len(mission.times_s), 6)
 
 
 def test_a_binary_file_is_no_table(mission: Mission, tmp_path: Path) -> None:

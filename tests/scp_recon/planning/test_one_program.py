@@ -12,10 +12,11 @@ import pytest
 import scipy.sparse as sp
 from cvxpy.reductions.dcp2cone.cone_matrix_stuffing import ParamConeProg
 
+from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from formulations.program import condensed, solvers
 from formulations.program.certificate import ConeProgram
-from formulations.program.compiled import CompiledProgram
+from formulations.program.model import CompiledProgram
 from formulations.program.solvers import Answer, Clarabel, Qoco
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -24,7 +25,7 @@ from scp_recon.planning.stages import StageRunner
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
-from tests.scp_recon.support import Array, burns_of, mission_of
+from tests.scp_recon.support import burns_of, mission_of
 
 
 @dataclass

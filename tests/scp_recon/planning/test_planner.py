@@ -8,25 +8,24 @@ import warnings
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from formulations.problem.facets import choose_facets, included_rows
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
-from formulations.rows.chance import ChanceRows
+from formulations.rows.uniform import ChanceRows
 from scp_recon.mission import mission as mission_module
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt, stages
 from scp_recon.planning import planner as planner_module
 from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
-from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from scp_recon.scp.loop import Record, Result, run
-from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
-from scp_recon.solution.file import Solution
-from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify
 from tests.helpers import near_from
-from tests.scp_recon.support import Array, burns_of, flight_beyond, mission_of
+from tests.scp_recon.support import burns_of, flight_beyond, mission_of
 
 TIGHT = ("polytopes.ball=tangent", "polytopes.cone=12")
 
@@ -329,7 +328,7 @@ def test_hopeless_magnitudes_end_in_a_status(
 ) -> None:
     monkeypatch.setitem(ALGORITHMS, "scvx", lambda: SCvx(max_iterations=10))
     # Most of these are refused before they are planned.
-    monkeypatch.setattr(mission_module, "check_given", lambda _: ())
+    monkeypatch.setattr(mission_module, "check_scene", lambda _: ())
     mission = mission_of(*overrides)
     found = plan(mission, initial_guess.cold(mission), problem="P3")
     assert found.final.result.status is not Status.CONVERGED

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_bvp
 
+from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
-from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.flow import FlowDerivatives
@@ -20,14 +20,12 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner, ScpStages
 from scp_recon.planning.primer import WORTH, allowed_part, primer_history, primer_of
+from scp_recon.results.solution import make_solution
 from scp_recon.scp.loop import run
 from scp_recon.scp.status import Status
-from scp_recon.solution.from_plan import make_solution
 from tests.helpers import random_unit
 from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of
-
-Array = npt.NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +74,8 @@ def test_a_small_burn_more_saves_what_the_primer_says(
     history = primer_of(plan)
     assert history is not None
     assert history.residual < 1e-3
-    node = int(np.argmin(np.abs(history.times_s - time_s)))
-    size, p = 1e-3, history.vector[node]
+    node = int(np.argmin(np.abs(np.array(history.t_s) - time_s)))
+    size, p = 1e-3, np.array(history.vector[node])
     for u in (p / np.linalg.norm(p), random_unit(np.random.default_rng(3), 1)[0]):
         ahead, behind = (least_dv(planner, plan, node, side * size * u) for side in (1, -1))
         assert (behind - ahead) / (2.0 * size) == pytest.approx(p @ u, abs=2e-3)
@@ -91,7 +89,7 @@ def test_a_burn_where_it_exceeds_one_makes_the_plan_cheaper() -> None:
     assert history is not None
     best = np.argmax(np.where(history.legal, history.allowed, -np.inf))
     assert history.allowed[best] > 1.0 + WORTH
-    times = sorted((*few.scenario.burns.times_s, float(history.times_s[best])))
+    times = sorted((*few.scenario.burns.times_s, history.t_s[best]))
     mission = Mission.from_scenario(few.scenario.replace({"burns.times_s": times}))
     more = Planner(mission).plan(initial_guess.cold(mission))
     assert more.total_dv_m_s < 0.99 * plan.total_dv_m_s
@@ -116,7 +114,7 @@ def test_without_uncertainty_and_constraints_it_is_lawden_s() -> None:
     assert history is not None
     burns = stage.result.lin.iterate.burns
     first, last = burns / np.linalg.norm(burns, axis=1)[:, None]
-    nodes = history.times_s / mission.units.time_s
+    nodes = np.array(history.t_s) / mission.units.time_s
     track = stage.result.lin.iterate.mean
 
     def rate(_: Array, y: Array) -> Array:
@@ -132,7 +130,7 @@ def test_without_uncertainty_and_constraints_it_is_lawden_s() -> None:
     lawden = solve_bvp(rate, ends, nodes, begin, tol=1e-8, max_nodes=20_000)
     assert lawden.success
     np.testing.assert_allclose(history.vector, lawden.sol(nodes)[6:9].T, atol=2e-4)
-    assert history.legal.any()
+    assert any(history.legal)
 
 
 # --- directions, times, and what has none -------------------------------------------------------

@@ -11,12 +11,12 @@ import scp_recon as sr
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.opening import contradicts_itself
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import contradicts_itself
 from scp_recon.planning.starts import local_optima, plan_from_several, random_flight
+from scp_recon.results.solution import make_solution
 from scp_recon.scp.status import Status
-from scp_recon.solution.from_plan import make_solution
 from tests.scp_recon.support import flight_beyond
 
 THREE = partial(plan_from_several, make_plan=partial(plan, problem="P3"), starts=3)
@@ -117,7 +117,7 @@ def test_the_front_door_and_the_file_list_the_optima() -> None:
     assert "local optima of 3 starts, seed 0" in str(found)
     listed = make_solution(found).starts
     assert listed is not None
-    assert [o.starts for o in listed.optima] == [[0, 1], [2]]
+    assert [o.starts for o in listed.optima] == [(0, 1), (2,)]
     assert (listed.number, listed.seed) == (3, 0)
 
 

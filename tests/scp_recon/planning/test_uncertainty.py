@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from formulations.problem.execution_errors import VANISHED, GatesErrors
 from formulations.problem.flyby import Iterate
 from formulations.registry import make_subproblem
@@ -16,15 +17,14 @@ from scp_recon.monte_carlo.sampling import BLOCK, fly_block
 from scp_recon.physics.frames import unit
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.scp.loop import Timing
-from scp_recon.scp.scvx import SCvx
+from scp_recon.results.solution import make_solution
+from scp_recon.scp.algorithms import SCvx
+from scp_recon.scp.loop import Timing, trial_step
 from scp_recon.scp.status import Status
-from scp_recon.scp.trial import trial_step
-from scp_recon.solution.from_plan import make_solution
 from scp_recon.verification.reintegration import verify
 from tests.helpers import usually
 from tests.scenarios import COARSE
-from tests.scp_recon.support import Array, mission_of
+from tests.scp_recon.support import mission_of
 
 
 def gates(fixed: tuple[float, float], proportional: tuple[float, float], bias: float = 0.0) -> str:

@@ -8,7 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from scp_recon import schema
+from scp_recon.cli.commands.scenarios import schema
+from scp_recon.scenario.json_schema import schema_text
 
 PUBLISHED = Path(__file__).parents[3] / "docs" / "scenario.schema.json"
 
@@ -18,8 +19,8 @@ def tables(published: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def test_it_is_up_to_date() -> None:
-    assert PUBLISHED.read_text("utf-8") == schema.schema_text(), (
-        "run python -m scp_recon.schema docs/scenario.schema.json"
+    assert PUBLISHED.read_text("utf-8") == schema_text(), (
+        "run python -m scp_recon schema docs/scenario.schema.json"
     )
 
 
@@ -43,5 +44,5 @@ def test_the_packaged_scenario_has_entries_of_the_schema_only() -> None:
 
 def test_the_command_writes_it(tmp_path: Path) -> None:
     assert schema.main([str(tmp_path / "new" / "schema.json")]) == 0
-    assert (tmp_path / "new" / "schema.json").read_text("utf-8") == schema.schema_text()
+    assert (tmp_path / "new" / "schema.json").read_text("utf-8") == schema_text()
     assert schema.main([str(tmp_path / "new")]) == 2  # a folder

@@ -14,15 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from scp_recon.environment.surface import Mesh, direction_of
+from scp_recon.bodies.catalogue import J2000_TDB
+from scp_recon.bodies.surface import Mesh, direction_of
 from scp_recon.errors import InputError
-from scp_recon.mission.truth import truth_field
-from scp_recon.physics.frames import J2000_TDB, Rotation
+from scp_recon.mission.scene import truth_field
+from scp_recon.physics.frames import Rotation
 from scp_recon.scenario.load import load_scenario, override, validate_scenario
 from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Scenario
-from tests.scp_recon.environment.test_gravity_file import BARE, GFC
-from tests.scp_recon.environment.test_surface import box, write_obj
+from tests.scp_recon.bodies.test_gravity_file import BARE, GFC
+from tests.scp_recon.bodies.test_surface import box, write_obj
 
 ROCK: dict[str, Any] = {
     "name": "Rock",

@@ -373,7 +373,7 @@ def test_every_problem_is_told_at_once_up_to_a_handful() -> None:
 @pytest.mark.parametrize("override", ["risk.p_chance", "=0.8", ".=1", "risk.=1", ".p=1", ""])
 def test_an_override_that_is_none_is_refused(override: str) -> None:
     error = refused(override)
-    assert error.entry == "--set"
+    assert error.entry == "overrides"
     assert repr(override) in error.given
     assert "section.entry=value" in error.allowed
 
@@ -497,4 +497,4 @@ def test_a_burdensome_file_is_refused_at_once(tmp_path: Path, text: str, words: 
     "override", ["risk.p_chance=0.8\nburns.dv_max_m_s=0.1", "a.b.c.d=1", "name=a\tb"]
 )
 def test_an_override_is_one_entry_on_one_line(override: str) -> None:
-    assert refused(override).entry == "--set"
+    assert refused(override).entry == "overrides"

@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import base_names, load_scenario, validate_scenario
 from scp_recon.scenario.uncertainty import MATRIX_TOLERANCE
-from tests.helpers import Array, generators
+from tests.helpers import generators
 
 POSITION = "uncertainty.initial_sigma_position_m=[30, 10, 5]"
 VELOCITY = "uncertainty.initial_sigma_velocity_m_s=[1e-3, 5e-4, 1e-4]"

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations.program.penalty import PenaltyParameters
-from formulations.program.subproblem import Step
-from scp_recon.scp import ptr, scvx
+from formulations.program.subproblem import PenaltyParameters, Step
+from scp_recon.scp import algorithms
 from scp_recon.scp.algorithms import ALGORITHMS
-from scp_recon.scp.loop import Record, State, Timing
+from scp_recon.scp.loop import Record, State, Timing, Trial
 from scp_recon.scp.status import Status
-from scp_recon.scp.trial import Trial
 
 STEP = 0.1
 
@@ -52,7 +50,7 @@ def after_a_step(
     """The state before and after a step with these reductions."""
     answer = Step(np.full((2, 3), STEP), 1.0 - predicted, 0.0, 0.0)
     trial = Trial(answer, at(STEP), 1.0 - actual, predicted, actual, STEP)
-    for module in (scvx, ptr):
+    for module in (algorithms, algorithms):
         monkeypatch.setattr(module, "trial_step", lambda *_: trial)
     state = State(before, 1.0, 1.0, PenaltyParameters(10.0, multipliers=np.zeros(7)))
     new, record = algorithm.step(STUB, None, state, 2, Timing())
@@ -91,7 +89,7 @@ def test_the_dearest_plan_is_told_by_the_limits_of_the_merit(
     dv_max: float, verdict: Status | None
 ) -> None:
     """Above two burns of that size no plan can be; the iterate's own problem has other limits."""
-    algorithm = scvx.SCvx()
+    algorithm = algorithms.SCvx()
     subproblem: Any = SimpleNamespace(
         merit=SimpleNamespace(problem=SimpleNamespace(n_burns=2, dv_max=dv_max))
     )

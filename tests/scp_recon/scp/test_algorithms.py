@@ -12,14 +12,12 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.subproblem import Step, SubproblemError
 from formulations.registry import make_subproblem
-from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.scp.algorithms import ALGORITHMS
+from scp_recon.scp.algorithms import ALGORITHMS, PTR, SCvxStar
 from scp_recon.scp.loop import Record, Result, Timing, run
-from scp_recon.scp.ptr import PTR
-from scp_recon.scp.scvx_star import SCvxStar
 from scp_recon.scp.status import Status
 from tests.scp_recon.support import mission_of
 

@@ -8,19 +8,20 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.subproblem import Step, Subproblem, SubproblemError
 from formulations.registry import make_subproblem
-from formulations.rows.deterministic import DeterministicRows
+from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
+from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, run
-from scp_recon.scp.scvx import SCvx
 from scp_recon.scp.status import Status
-from tests.scp_recon.support import Array, mission_of
+from tests.scp_recon.support import mission_of
 
 Solve = Callable[[CondensedSubproblem, float, float], Step]
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from formulations.rows.exact import FLIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.solution.file import Solution
-from scp_recon.solution.risk import EventProbability, Reached, Risk
-from scp_recon.solution.verdict import JointProbability
+from scp_recon.planning.plan import Certificate
+from scp_recon.results.facts import EventProbability, JointProbability, Risk
+from scp_recon.results.solution import Solution
 from scp_recon.verification.probabilities import shortfalls
 from tests.scp_recon.support import mission_of
 
@@ -34,12 +36,12 @@ def promising(
     reached = None
     if certified is not None:
         value, low, high = proportion(certified, SAMPLES)
-        reached = Reached(
+        reached = Certificate(
             samples=SAMPLES, seed=1_000, reached=value, low=low, high=high, at_nodes=value, rounds=1
         )
     law = EventProbability(name=FLIGHT, t_s=[0.0], probability=[by_law or ASKED])
-    risk = Risk(scope="flight", asked=ASKED, aim=ASKED, certificate=reached, normal_law=[law])
-    return solution.model_copy(update={"risk": risk})
+    risk = Risk(scope="flight", required=ASKED, target=ASKED, certificate=reached, normal_law=[law])
+    return replace(solution, risk=risk)
 
 
 ENOUGH = next(k for k in range(9_000, SAMPLES) if proportion(k, SAMPLES).low >= ASKED)

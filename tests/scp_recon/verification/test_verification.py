@@ -14,20 +14,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from formulations.arrays import Array
 from scp_recon.cli.command import WIDE
-from scp_recon.cli.view.plan_tables import show_verification
+from scp_recon.cli.plan_view import show_verification
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics.forces import acceleration, gravity_gradient
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
-from scp_recon.solution.file import Solution
-from scp_recon.solution.from_plan import make_solution
-from scp_recon.solution.verdict import Verification
+from scp_recon.results.facts import Verification
+from scp_recon.results.read import parse_solution
+from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import MARGIN_LIMIT, holds
 from scp_recon.verification.reintegration import FIGURES, limits_of, variational_rate, verify
-from tests.scp_recon.support import Array, mission_of
+from tests.scp_recon.support import mission_of
 
 Change = Callable[[dict[str, Any]], None]
 
@@ -118,7 +119,7 @@ def test_p3_is_confirmed_without_asking_for_probabilities(mission: Mission) -> N
 
 def test_the_same_solution_called_p2_is_not_confirmed(mission: Mission) -> None:
     p3 = make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
-    checked = verify(mission, p3.model_copy(update={"problem": "P2"}))
+    checked = verify(mission, replace(p3, problem="P2"))
     assert not checked.ok
     assert all(name.startswith("P(") or name == "facets" for name in checked.failed)
 
@@ -127,9 +128,9 @@ def test_the_same_solution_called_p2_is_not_confirmed(mission: Mission) -> None:
 
 
 def changed(solution: Solution, change: Change) -> Solution:
-    data = solution.model_dump(mode="json")
+    data = json.loads(solution.text())
     change(data)
-    return Solution.model_validate_json(json.dumps(data))
+    return parse_solution(data, "changed")
 
 
 def burn_component(data: dict[str, Any]) -> None:

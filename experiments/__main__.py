@@ -1,0 +1,63 @@
+"""Studies, each by its name: `python -m experiments NAME [options]`; without a name they are listed."""
+
+from __future__ import annotations
+
+from scp_recon.cli.command import exit_on_sigint
+
+if __name__ == "__main__":
+    exit_on_sigint()
+
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from experiments.harness import Study, run
+from scp_recon.cli.command import run_command, show_line
+from scp_recon.errors import one_of
+
+STUDIES = {
+    "observation_table": "the paper's table of observation times",
+    "frontier": "what probability costs, and what certifying adds",
+    "compare_solvers": "forms, algorithms and conic solvers against IPOPT",
+    "nlp_tricks": "what each trick gains the nonlinear program",
+    "openscvx_peer": "P3 in OpenSCvx, an outside peer",
+    "model_fidelity": "how good a model of forces and burns the planner needs",
+    "battery_cones": "where the panels cannot carry the load",
+    "uncertainty_sources": "what each source of uncertainty does to the flight",
+    "timing_rules": "the schedule's durations, measured on the spacecraft",
+    "flown_plan": "whether the spacecraft can fly a plan",
+}
+"""What each is about."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study that is named; 0, or what its command line says."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    name = words[0] if words else "--help"
+    if name in ("-h", "--help"):
+        return run_command(_list_them)
+    if name not in STUDIES:
+        return run_command(lambda _: int(one_of("NAME", name, STUDIES)))
+    module = importlib.import_module(module_of(name))
+    study: Study = module.STUDY
+    return run(name, study, module.__name__, words[1:])
+
+
+def module_of(name: str) -> str:
+    """Where a study is: a module, or one called `study` in a folder."""
+    folder = Path(__file__).with_name(name).is_dir()
+    return f"experiments.{name}.study" if folder else f"experiments.{name}"
+
+
+def _list_them(console: Console) -> int:
+    show_line(console, "usage: python -m experiments NAME [options]; NAME is one of\n")
+    for name, about in STUDIES.items():
+        show_line(console, f"  {name:20} {about}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

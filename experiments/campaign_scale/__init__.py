@@ -1,1 +1,0 @@
-"""What a case of a campaign costs beside its plan."""

@@ -1,0 +1,159 @@
+"""SCP's forms, algorithms and conic solvers against IPOPT.
+
+Rows and tables are left in OUT; a run that was stopped continues with the first missing row.
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, replace
+from functools import cache, partial
+from importlib.metadata import version as release_of
+from itertools import chain
+from pathlib import Path
+
+from experiments.compare_solvers.cases import (
+    EXACT,
+    QUICK,
+    Cell,
+    exact_design,
+    full_design,
+    quick_design,
+)
+from experiments.compare_solvers.cell import FAILED, Row, failed_row, solve_cell, solve_exact
+from experiments.compare_solvers.claims import claims
+from experiments.compare_solvers.tables import csv_of, report, shown
+from experiments.harness import FRESH, Findings, Record, Session, Study, option
+from scp_recon.errors import InputError
+from scp_recon.jobs.job import TIMED_OUT, Done, Job
+from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.store import Store, read_rows, sources
+
+DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
+ROWS_FILE, PEER_FILE = "rows.jsonl", "peer.jsonl"
+WORK = "experiments.compare_solvers.cell"
+"""What rows depend on."""
+FLIGHTS, LIMIT_S, QUICK_LIMIT_S, EXACT_LIMIT_S = 2_000, 30.0, 20.0, 150.0
+ASLEEP = 20.0
+"""Times its limit that a cell's process may take by the clock, on a machine with other work."""
+
+Solve = Callable[..., Row]
+"""Of a cell and of how many flights; a function of a module that a process imports alone."""
+
+
+# --- rows -----------------------------------------------------------------------------------------
+
+
+@cache
+def version() -> str:
+    """Of the package, and a hash of the sources that rows depend on."""
+    return f"{release_of('scp_recon')}+{sources(WORK, 'scp_recon.data')[:12]}"
+
+
+def run_cells(
+    cells: Iterable[Cell], store: Store, *, flights: int, limit_s: float, solve: Solve = solve_cell
+) -> Iterator[Row]:
+    """Rows of the cells, from the store where they are there, else solved and put into it.
+
+    Each is solved in a process of its own, which may take `limit_s` seconds of the processor, the Monte
+    Carlo estimate of so many flights included. What failed before its limit is tried again.
+    """
+    limits = Limits(seconds=ASLEEP * limit_s, cpu_s=limit_s)
+    for cell in cells:
+        key = f"{cell.key}|{limit_s:g} s"
+        row = row_from(store[key]) if key in store else None
+        if row is None or (row.status == FAILED and not row.cpu_s >= limit_s):
+            (done,) = Processes(1, limits)(partial(solve, flights=flights), [Job(key, cell)])
+            row = replace(_row_of(done, cell, limit_s), limit_s=limit_s, version=version())
+            store.put(key, asdict(row))
+        yield row
+
+
+def _row_of(done: Done, cell: Cell, limit_s: float) -> Row:
+    if done.failure is None:
+        row: Row = done.value
+        return row
+    if done.failure.status == TIMED_OUT:
+        return failed_row(cell, f"no end after {limit_s:g} s", limit_s)
+    return failed_row(cell, " ".join(done.failure.message.split())[:200])
+
+
+def row_from(values: Record) -> Row:
+    """A row as a store keeps it."""
+    return Row(**values | {"burns_m_s": tuple(values["burns_m_s"])})
+
+
+def peer_rows(path: Path) -> list[Row]:
+    """What `openscvx_peer` left with these sources; none if there is no file."""
+    if not path.exists():
+        return []
+    found = [row_from(values) for _, values in read_rows(path)]
+    return [row for row in found if row.version == version()]
+
+
+# --- the study ------------------------------------------------------------------------------------
+
+
+def design(options: Namespace) -> Sequence[Cell]:
+    """What is to be solved."""
+    if options.exact:
+        return exact_design()
+    if options.quick:
+        return (*quick_design(), *exact_design(QUICK))
+    return (*full_design(), *exact_design())
+
+
+def run(session: Session) -> Findings:
+    """Solve what is missing, those of exact risk last."""
+    options = session.options
+    sizes = [name for name in ("quick", "full", "exact") if getattr(options, name)]
+    if len(sizes) > 1:
+        raise InputError(f"--{sizes[0]}", f"--{sizes[1]} beside it", "goes alone")
+    if options.quick and options.out == DEFAULT_OUT:
+        session.out = QUICK_OUT
+    store = session.finished(ROWS_FILE, WORK)
+    if options.fresh:
+        store.forget()
+    cells, rows = design(options), []
+    exact = [cell for cell in cells if cell.group == EXACT]
+    others = [cell for cell in cells if cell.group != EXACT]
+    limit_s = QUICK_LIMIT_S if options.quick else LIMIT_S
+    solved = chain(
+        run_cells(others, store, flights=FLIGHTS, limit_s=limit_s),
+        run_cells(exact, store, flights=0, limit_s=EXACT_LIMIT_S, solve=solve_exact),
+    )
+    with session.steps("cells", len(cells)) as done:
+        for row in solved:
+            rows.append(row)
+            if row.status == FAILED:
+                session.say(f"{row.key}: {shown(row)}")
+            done()
+    rows += peer_rows(session.out / PEER_FILE)
+    session.say(
+        f"`python -m paper_figs solver_comparison --runs {session.out} --out DIR` draws it."
+    )
+    if options.quick:
+        session.say("A quick run shows a few cells of each kind: only --full settles the claims.")
+    return Findings(report(rows), {"comparison.csv": csv_of(rows)}, claims(rows))
+
+
+STUDY = Study(
+    "Comparison of solvers",
+    __doc__,
+    run,
+    (
+        option(
+            "--quick",
+            action="store_true",
+            help=f"a cell of every kind, into {QUICK_OUT}: three minutes",
+        ),
+        option("--full", action="store_true", help="everything, two hours (default)"),
+        option(
+            "--exact", action="store_true", help="exact risk in 50 scenarios alone: half an hour"
+        ),
+        FRESH,
+    ),
+    folder=DEFAULT_OUT.name,
+    stem="comparison",
+)

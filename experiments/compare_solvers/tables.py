@@ -1,0 +1,227 @@
+"""The comparison's tables, from its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+
+import numpy as np
+
+from experiments.compare_solvers.cases import EXACT
+from experiments.compare_solvers.cell import Row
+from experiments.compare_solvers.claims import (
+    AGREE,
+    SOLVERS,
+    agreements,
+    best_of,
+    excess,
+    holds,
+    of_group,
+    verdicts,
+)
+from experiments.harness import records
+from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.results.table import Table, Value
+
+SCENARIOS_NOTE = """\
+Where a case is not solved the number is the merit with the second weight, of the burns flown: what a
+method with hard constraints leaves when it gives up may miss the final state by hundreds of metres."""
+
+GUESSES_NOTE = """\
+What does not converge from a guess begins again elsewhere, by every method; seconds are those of all
+tries. Shares are of all guesses."""
+
+PEER_NOTE = """\
+Left by `python -m experiments openscvx_peer`; numbers after *ptr* are its weights of cost, virtual
+control and virtual buffer and the step at which it stops. All start at the ballistic arc."""
+
+EXACT_NOTE = """\
+Each scenario is the default one with other errors, boundary states, limits and probability, drawn from
+its number. *Reached* is the check's, with its standard error; *s* are of the processor, for references
+without the plan that they start from. A reference's delta-v is printed where the check finds that it
+holds."""
+
+
+def csv_of(rows: Sequence[Row]) -> Table:
+    """All rows, a column per attribute, burns with spaces between."""
+    found = []
+    for row in rows:
+        burns = " ".join(f"{x:.9g}" for x in row.burns_m_s)
+        found.append({"key": row.key, "method": row.method} | asdict(row) | {"burns_m_s": burns})
+    return records(found)
+
+
+def report(rows: Sequence[Row]) -> list[str | Table]:
+    """A table per group."""
+    return [
+        _matrix("Default scenario, every method", of_group(rows, "matrix")),
+        _scenarios(of_group(rows, "scenarios")),
+        _guesses(of_group(rows, "guesses")),
+        _optima(of_group(rows, "guesses")),
+        _exact(rows),
+        peer_table(rows),
+    ]
+
+
+def shown(row: Row) -> str:
+    """A row's status as the tables print it."""
+    words = row.detail if row.detail else row.status.replace("_", " ")
+    if row.problem == "P3":
+        words += " (P3)"
+    return words + (", from the ballistic arc" if row.from_arc else "")
+
+
+def _figure(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "-"
+
+
+def _matrix(title: str, rows: Sequence[Row], note: str = "") -> Table:
+    columns = (
+        "start", "method", "status", "delta-v m/s", "merit m/s", "worst violation m",
+        "P3 + P2 iterations", "total s", "processor s", "solver s", "peak MiB", "observes s",
+    )  # fmt: skip
+    lines = [
+        (
+            row.start,
+            row.method,
+            shown(row),
+            _figure(row.total_dv_m_s, ".6f"),
+            _figure(row.merit_m_s, ".6f"),
+            _figure(row.violation_m, ".1e"),
+            f"{row.iterations_p3} + {row.iterations_p2}",
+            *(_figure(seconds, ".2f") for seconds in (row.total_s, row.cpu_s, row.solver_s)),
+            _figure(row.peak_mib, ".0f"),
+            _figure(row.observed_s, ".0f"),
+        )
+        for row in rows
+    ]
+    return Table.of(title, columns, lines, note=note)
+
+
+def peer_table(rows: Sequence[Row]) -> Table:
+    """P3 by OpenSCvx and by the planner."""
+    return _matrix("P3 by OpenSCvx, an outside peer", of_group(rows, "peer"), PEER_NOTE)
+
+
+def _scenarios(rows: Sequence[Row]) -> Table:
+    found = {(row.scenario, row.method): row for row in rows}
+    methods = list(dict.fromkeys(row.method for row in rows))
+    agreeing = {a.scenario: a for a in agreements(rows)}
+    lines = []
+    for scenario in dict.fromkeys(row.scenario for row in rows):
+        cells = [_scenario_cell(found.get((scenario, method))) for method in methods]
+        a = agreeing.get(scenario)
+        tail = (_figure(a.difference, "+.1e"), a.verdict) if a else ("-", "-")
+        lines.append((scenario, *cells, *tail))
+    columns = ("scenario", *methods, "IPOPT over SCP less one", "verdict")
+    title = "P2 from the same P3 solution and facets"
+    return Table.of(title, columns, lines, note=SCENARIOS_NOTE)
+
+
+def _scenario_cell(row: Row | None) -> str:
+    """Delta-v where solved; the status and the merit of the second weight where not."""
+    if row is None:
+        return "-"
+    if row.solved:
+        return f"{row.total_dv_m_s:.6f} ({row.cpu_s:.2f} s)"
+    return f"{shown(row)}, {_figure(row.heavy_merit_m_s, '.4f')} ({_figure(row.cpu_s, '.2f')} s)"
+
+
+def _guesses(rows: Sequence[Row]) -> Table:
+    columns = (
+        "method", "guesses", "solved at the first try", "95 % interval", "solved", "95 % interval",
+        "at the best optimum", "95 % interval", "median processor s", "90th percentile",
+        "best delta-v m/s",
+    )  # fmt: skip
+    best, lines = best_of(rows), list[tuple[Value, ...]]()
+    for method, tries in _by_method(rows).items():
+        solved = [row for row in tries if row.solved]
+        at_once = [row for row in solved if row.solved_at_once]
+        at_best = [row for row in solved if row.total_dv_m_s <= best * (1.0 + AGREE)]
+        shares = [proportion(len(count), len(tries)) for count in (at_once, solved, at_best)]
+        percent = [
+            (f"{100 * s.value:.0f} %", f"{100 * s.low:.0f} to {100 * s.high:.0f} %") for s in shares
+        ]
+        median, most = np.quantile([row.cpu_s for row in tries], (0.5, 0.9)).tolist()
+        own = min((row.total_dv_m_s for row in solved), default=np.nan)
+        lines.append(
+            (
+                method,
+                len(tries),
+                *(text for both in percent for text in both),
+                _figure(median, ".2f"),
+                _figure(most, ".2f"),
+                _figure(own, ".6f"),
+            )
+        )
+    return Table.of("Random guesses", columns, lines, note=GUESSES_NOTE)
+
+
+def _by_method(rows: Iterable[Row]) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(row.method, []).append(row)
+    return found
+
+
+def _optima(rows: Sequence[Row]) -> Table:
+    """How often each method ended where: total delta-v to four digits, by status."""
+    ends = {
+        method: [
+            f"{row.status.replace('_', ' ')} {_figure(row.total_dv_m_s, '.4f')}" for row in tries
+        ]
+        for method, tries in _by_method(rows).items()
+    }
+    every = sorted({end for found in ends.values() for end in found})
+    lines = [(end, *(found.count(end) or None for found in ends.values())) for end in every]
+    columns = ("ends at (m/s)", *ends)
+    return Table.of("Optima reached from random guesses", columns, lines)
+
+
+def _exact(rows: Sequence[Row]) -> Table:
+    """A line for each scenario of exact risk."""
+    group = of_group(rows, EXACT)
+    columns = (
+        "scenario", "asked", "planner: m/s", "reached", "s",
+        *(f"{solver}: m/s (s)" for solver in SOLVERS),
+        "planner over best", "verdict",
+    )  # fmt: skip
+    lines = []
+    for verdict in verdicts(rows):
+        own = {r.solver: r for r in group if r.scenario == verdict.scenario}
+        ours = verdict.ours
+        theirs = [own.get(solver) for solver in SOLVERS]
+        known = verdict.best is not None and verdict.excess < np.inf
+        lines.append(
+            (
+                verdict.scenario,
+                *(("-",) * 4 if ours is None else _ours(ours)),
+                *map(_theirs, theirs),
+                excess(verdict) if known else "-",
+                verdict.words,
+            )
+        )
+    return Table.of("Exact risk against nonlinear programming", columns, lines, note=EXACT_NOTE)
+
+
+def _ours(row: Row) -> tuple[str, str, str, str]:
+    if not np.isfinite(row.reached):
+        return "-", row.detail, "-", f"{row.cpu_s:.1f}"
+    cost = f"{row.total_dv_m_s:.6f}" if row.solved else row.status.replace("_", " ")
+    return (
+        f"{row.asked:g}",
+        cost,
+        f"{row.reached:.4f} +- {row.reached_error:.4f}",
+        f"{row.cpu_s:.1f}",
+    )
+
+
+def _theirs(row: Row | None) -> str:
+    """Delta-v where the check holds, however the search ended."""
+    if row is None:
+        return "-"
+    if not np.isfinite(row.reached):
+        return row.detail
+    late = "; out of time" if row.status == "max_iterations" else ""
+    cost = f"{row.total_dv_m_s:.6f}" if holds(row) else "nothing that holds"
+    return f"{cost} ({row.cpu_s:.1f}{late})"

@@ -1,0 +1,313 @@
+"""Whether the spacecraft can fly a plan.
+
+The plan is simulated with every source of error, once for each seed. Charge, modes, pointing and the
+flown path against the planned covariance go to OUT/flown_plan.csv, a line for each seed, and .md;
+the flights themselves to OUT/seed_N/simulation.npz. Flights of the same scenario, burns and vehicle
+that are there already are not flown again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from experiments.harness import (
+    FRESH,
+    VEHICLE,
+    Claim,
+    Findings,
+    Session,
+    Study,
+    number,
+    option,
+    records,
+)
+from formulations.arrays import Array, Booleans
+from scp_recon.errors import InputError, needing
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import execution_errors
+from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution
+from scp_recon.results.table import Column, Table, Value
+from scp_recon.simulation.flight import distance_in_sigmas
+from scp_recon.simulation.record import (
+    Angles,
+    FlightSummary,
+    Record,
+    WindowPointing,
+    inputs_digest,
+    make_record,
+    read_record,
+    write_record,
+)
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+
+SEEDS, SAMPLES, BLOCK = 20, 10_000, 1000
+RADIUS_SIGMA = 3.0
+EXPECTED = float(chi2.cdf(RADIUS_SIGMA**2, 3))
+"""Share of a normal position that lies within three sigma."""
+
+ANGLES: dict[str, Callable[[WindowPointing], Angles]] = {
+    "camera against command, in the window": lambda pointing: pointing.camera,
+    "camera against the site, in the window": lambda pointing: pointing.site,
+}
+
+
+def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path, *, fresh: bool) -> Record:
+    """One flight: the one in the folder if it is of these burns, else simulated and written there.
+
+    Raises:
+        InputError: if Basilisk is not installed and the flight is not there.
+        OSError: if the folder cannot be written.
+    """
+    found = None if fresh else _found(solution, vehicle, seed, folder)
+    if found is not None:
+        return found
+    with needing("python -m experiments flown_plan", "sim", "Basilisk"):
+        from scp_recon.simulation.basilisk.simulation import simulate
+    folder.mkdir(parents=True, exist_ok=True)
+    record = make_record(simulate(solution, vehicle, seed), solution, seed)
+    write_record(record, folder)
+    return record
+
+
+def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Record | None:
+    try:
+        record = read_record(folder)
+    except InputError:
+        return None
+    # Files of earlier versions lack the digests, and are flown again.
+    flown = record.summary.seed, record.plan_hash, record.summary.inputs_sha256
+    asked = seed, solution.plan_hash, inputs_digest(solution, vehicle)
+    return record if flown == asked else None
+
+
+def line(record: Record) -> dict[str, Value]:
+    """One line of the table."""
+    summary, distance = record.summary, record.arrays["node_sigma_distance"]
+    camera, site = summary.window_pointing_deg.camera, summary.window_pointing_deg.site
+    return {
+        "seed": summary.seed,
+        "least_charge": summary.least_charge,
+        "modes_hold": all(leg.ok for leg in summary.legs),
+        "settled_in_time": all(leg.settled_in_time for leg in summary.legs),
+        "burn_start_max_deg": max(burn.pointing_deg for burn in summary.burns),
+        "burn_executed_max_deg": max(burn.executed_pointing_deg for burn in summary.burns),
+        "camera_mean_deg": camera.mean,
+        "camera_max_deg": camera.q100,
+        "site_mean_deg": site.mean,
+        "site_max_deg": site.q100,
+        "dumps": summary.dumps,
+        "ledger_error": summary.ledger_error,
+        "terminal_miss_m": summary.terminal_miss.position_m,
+        "terminal_sigma": float(distance[-1]),
+        "largest_sigma": float(distance.max()),
+        "nodes_within_3_sigma": float((distance <= RADIUS_SIGMA).mean()),
+    }
+
+
+def report(
+    flights: Sequence[Record], mission: Mission, sampled: Sequence[Array]
+) -> list[str | Table]:
+    """What all flights say together.
+
+    `sampled` has distances in sigmas without a spacecraft, with the vehicle's and with the planner's
+    error of the burns, shape (samples, nodes) each.
+    """
+    summaries = [record.summary for record in flights]
+    distances = np.array([record.arrays["node_sigma_distance"] for record in flights])
+    generated = np.concatenate([r.arrays["panel_w"][1:].sum(axis=1) for r in flights])
+    drawn = np.concatenate([r.arrays["consumed_w"][1:] for r in flights])
+    misses = [summary.terminal_miss.position_m for summary in summaries]
+    return [
+        f"{len(flights)} flights. Panels generate {generated.min():.0f} to {generated.max():.0f} W, "
+        f"loads draw {drawn.min():.0f} to {drawn.max():.0f} W. Momentum is dumped "
+        f"{np.mean([s.dumps for s in summaries]):.2f} times a flight. Flights end "
+        f"{min(misses):.0f} to {max(misses):.0f} m from the planned mean.",
+        Table.of(
+            "Modes",
+            (
+                "mode",
+                Column("shortest", "s", ".0f"),
+                Column("at least", "s", ".0f"),
+                "holds",
+                Column("steady after, worst", "s", ".0f"),
+                "in time",
+            ),
+            _mode_lines(summaries),
+        ),
+        Table.of(
+            "Pointing",
+            (
+                "angle, deg",
+                *(Column(heading, form=".3f") for heading in ("mean", "95 %", "99.7 %", "largest")),
+            ),
+            _angle_lines(summaries),
+            note="Burns of all flights together; of the camera, the mean and the quantiles of the "
+            "worst flight.",
+        ),
+        Table.of(
+            "Position against the planned covariance",
+            (
+                "within 3 sigma",
+                "share",
+                "95 % interval",
+                Column("error of thrust", form=".3f"),
+                Column("planner's error", form=".3f"),
+            ),
+            _within_lines([distances, *sampled], mission),
+            note=f"A normal position lies within {RADIUS_SIGMA:g} sigma with probability "
+            f"{EXPECTED:.3f}. The largest distance is {distances.max():.2f} sigma. The last two "
+            f"columns are {len(sampled[0])} samples of the planner's dynamics: with the vehicle's "
+            "error of thrust and with the planner's own error of each component.",
+        ),
+    ]
+
+
+def claims(summaries: Sequence[FlightSummary]) -> list[Claim]:
+    """Whether the charge and the modes hold in every flight."""
+    least, floor = min(s.least_charge for s in summaries), summaries[0].floor_charge
+    found = [
+        Claim("least state of charge", f"at least {floor:.2f}", f"{least:.3f}", least >= floor)
+    ]
+    for words, name in (
+        ("every mode lasts long enough", "ok"),
+        ("the attitude is steady in time", "settled_in_time"),
+    ):
+        good = sum(all(getattr(leg, name) for leg in s.legs) for s in summaries)
+        measured = f"{good} of {len(summaries)} flights"
+        found.append(Claim(words, "every flight", measured, good == len(summaries)))
+    return found
+
+
+def _within_lines(distances: Sequence[Array], mission: Mission) -> list[tuple[Value, ...]]:
+    """Shares of the flights, with an interval, and of each sample, from distances (flights, nodes)."""
+    flown, *sampled = [distance <= RADIUS_SIGMA for distance in distances]
+    window = mission.window_nodes
+    kinds: dict[str, Callable[[Booleans], Booleans]] = {
+        "flights, at the final node": lambda inside: inside[:, -1],
+        "flights, at every node of the window": lambda inside: inside[:, window].min(axis=1),
+        "flights, at every node": lambda inside: inside.min(axis=1),
+    }
+    lines: list[tuple[Value, ...]] = [
+        ("positions at all nodes", f"{flown.mean():.3f}", None, *map(_mean, sampled))
+    ]
+    for name, kind in kinds.items():
+        lines.append((name, *_share(kind(flown)), *(_mean(kind(x)) for x in sampled)))
+    return lines
+
+
+def _mean(inside: Booleans) -> float:
+    return float(np.mean(inside))
+
+
+def _mode_lines(summaries: Sequence[FlightSummary]) -> list[tuple[Value, ...]]:
+    lines: list[tuple[Value, ...]] = []
+    for legs in zip(*(summary.legs for summary in summaries), strict=True):
+        shortest = min(leg.duration_s for leg in legs)
+        holds = "yes" if all(leg.ok for leg in legs) else "no"
+        settled = [np.inf if leg.settled_s is None else leg.settled_s for leg in legs]
+        in_time = sum(leg.settled_in_time for leg in legs)
+        row = (
+            shortest,
+            legs[0].required_s,
+            holds,
+            max(settled),
+            f"{in_time} of {len(legs)}",
+        )
+        lines.append((f"{legs[0].mode}, from {legs[0].start_s:.0f} s", *row))
+    return lines
+
+
+def _angle_lines(summaries: Sequence[FlightSummary]) -> list[tuple[Value, ...]]:
+    burns = [burn for summary in summaries for burn in summary.burns]
+    # At time zero the attitude is what it should be, by construction.
+    starts = np.array([burn.pointing_deg for burn in burns if burn.t_s > 0.0])
+    executed = np.array([burn.executed_pointing_deg for burn in burns])
+    rows = {
+        name: (angles, *np.quantile(angles, (0.95, 0.997, 1.0)))
+        for name, angles in (
+            ("thrust against burn, as it starts, but for the first", starts),
+            ("velocity gained against burn", executed),
+        )
+    }
+    for name, of in ANGLES.items():
+        spreads = [of(summary.window_pointing_deg) for summary in summaries]
+        means = np.array([spread.mean for spread in spreads])
+        worst = np.array([(s.q95, s.q997, s.q100) for s in spreads]).max(axis=0)
+        rows[name] = (means, *worst)
+    return [
+        (name, *(float(x) for x in (values.mean(), *worst)))
+        for name, (values, *worst) in rows.items()
+    ]
+
+
+def _share(inside: Booleans) -> tuple[str, str]:
+    share = proportion(int(inside.sum()), len(inside))
+    return f"{share.value:.2f}", f"{share.low:.2f} to {share.high:.2f}"
+
+
+def sample_distances(
+    solution: Solution, vehicle: Vehicle | None, samples: int, seed: int = 0
+) -> Array:
+    """Distances of sampled positions from the mean, in planned sigmas, shape (samples, nodes).
+
+    The initial state errs as the scenario says, each burn in size as the vehicle's thruster does;
+    without a vehicle burns err as the planner expects.
+    """
+    mission, planned = solution.mission, solution.burns_m_s
+    units, model, found = mission.units, execution_errors(mission.scenario), []
+    for block, first in enumerate(range(0, samples, BLOCK)):
+        rng = np.random.default_rng([seed, block])
+        numbers = planned.size if vehicle else model.draws(len(planned))
+        draws = rng.standard_normal((min(BLOCK, samples - first), 6 + numbers))
+        if vehicle is None:
+            executed = model.execute(planned, draws[:, 6:])
+        else:
+            sizes = draws[:, 6:].reshape(-1, *planned.shape)[..., :1]
+            executed = planned * (1.0 + vehicle.errors.chemical_thruster * sizes)
+        initial = mission.initial_state + draws[:, :6] @ mission.initial_factor.T
+        states = mission.dynamics.rollout(initial / units.state, executed / units.speed_m_s)
+        positions = np.moveaxis(states, 0, 1)[..., :3] * units.length_m
+        found.append(distance_in_sigmas(positions, solution))
+    return np.concatenate(found)
+
+
+def run(session: Session) -> Findings:
+    """Fly the plan once for each seed, and sample what it would do without a spacecraft."""
+    options = session.options
+    solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
+    mission, flights = solution.mission, []
+    with session.steps("flights", options.seeds) as done:
+        for seed in range(options.seeds):
+            folder = session.out / f"seed_{seed}"
+            flights.append(fly(solution, vehicle, seed, folder, fresh=options.fresh))
+            done()
+    sampled = [sample_distances(solution, errs, SAMPLES) for errs in (vehicle, None)]
+    return Findings(
+        report(flights, mission, sampled),
+        {"flown_plan.csv": records([line(record) for record in flights])},
+        claims([record.summary for record in flights]),
+    )
+
+
+STUDY = Study(
+    "A plan as it is flown",
+    __doc__,
+    run,
+    (
+        option(
+            "solution",
+            type=Path,
+            metavar="SOLUTION",
+            help="folder with a solution.json, or the file",
+        ),
+        number("--seeds", SEEDS, 1, 10_000, "flights, of the seeds from 0 on"),
+        FRESH,
+        VEHICLE,
+    ),
+)

@@ -1,0 +1,256 @@
+"""The shell that all studies share: options, finished work, progress, tables, claims and the report.
+
+A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a `Session`
+and returns `Findings`: tables that go to OUT as CSV, the parts of a report in Markdown, and claims: a
+row each of claim, threshold, measured, and whether it holds.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import plan_mission
+from scp_recon.cli.command import (
+    Answer,
+    parse,
+    progress_console,
+    run_command,
+    show_line,
+    show_written,
+)
+from scp_recon.cli.options import int_between
+from scp_recon.cli.rendering import terminal
+from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
+from scp_recon.jobs.store import Store, sources, versions
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.table import Cell, Table
+from scp_recon.scenario.load import load_scenario
+
+Record = dict[str, Any]
+"""A row of a CSV file by column."""
+
+VERDICTS = {True: "yes", False: "NO", None: "not tested"}
+
+
+Option = tuple[str, Mapping[str, Any]]
+"""An option of a study, or its argument, with what `argparse.add_argument` takes of it."""
+
+
+def option(flag: str, **settings: Any) -> Option:
+    """An option, or an argument, as `argparse.add_argument` takes it."""
+    return flag, settings
+
+
+def number(flag: str, default: int, least: int, most: int, what: str, words: str = "") -> Option:
+    """An option for a whole number within bounds."""
+    return option(
+        flag,
+        type=int_between(least, most, words),
+        default=default,
+        metavar="N",
+        help=f"{what} (default: {default})",
+    )
+
+
+SEED = number("--seed", 0, 0, 2**32 - 1, "of all random numbers")
+FRESH = option("--fresh", action="store_true", help="do again what is there already")
+VEHICLE = option(
+    "--vehicle", type=Path, metavar="FILE", help="vehicle file (default: the packaged DARE)"
+)
+PLAN = option(
+    "--solution",
+    type=Path,
+    metavar="DIR",
+    help="plan to fly (default: the default scenario's from a cold start)",
+)
+
+
+class Claim(NamedTuple):
+    """Something that a study is to show, in words; `holds` is None where nothing can tell."""
+
+    claim: str
+    threshold: str
+    measured: str
+    holds: bool | None
+
+
+def claims_table(claims: Sequence[Claim]) -> Table:
+    """Claims as rows; those that do not hold stand out."""
+    rows = [
+        (c.claim, c.threshold, c.measured, Cell(VERDICTS[c.holds], c.holds, STYLES[c.holds]))
+        for c in claims
+    ]
+    return Table.of("Claims", ("claim", "threshold", "measured", "holds"), rows)
+
+
+STYLES = {True: "", False: "bad", None: "doubtful"}
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a study has found.
+
+    The report is paragraphs, and tables with their titles as headings; the files are what else is
+    written, by name, tables as CSV; the status is the command's.
+    """
+
+    report: Sequence[str | Table]
+    files: Mapping[str, Table | str]
+    claims: Sequence[Claim] = ()
+    status: int = 0
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study: its report's heading, what --help says, and what does the work.
+
+    It has options besides --out, --json and --quiet, and writes into a folder of `runs`, the report to
+    a file of this stem; both are the study's name if not given.
+    """
+
+    heading: str
+    about: str | None
+    run: Callable[[Session], Findings]
+    options: Sequence[Option] = ()
+    folder: str = ""
+    stem: str = ""
+
+
+@dataclass
+class Session:
+    """One run of a study, which writes into the folder `out`."""
+
+    name: str
+    module: str
+    options: argparse.Namespace
+    out: Path
+    console: Console
+    _stores: list[tuple[Store, bool]] = field(default_factory=list)
+
+    def __enter__(self) -> Self:
+        """The session itself; at its end it leaves its stores."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        for one, _ in self._stores:
+            one.close()
+
+    def say(self, line: str) -> None:
+        """Tell how it goes on."""
+        show_line(self.console, line)
+
+    @contextmanager
+    def steps(self, label: str, total: int) -> Iterator[Callable[[], None]]:
+        """A bar on standard error for so many steps; call what it gives after each."""
+        columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=progress_console(self.console), transient=True) as bar:
+            task = bar.add_task("", total=total)
+            yield lambda: bar.advance(task)
+
+    def finished(self, file: str = "", work: str = "", **setting: Any) -> Store:
+        """Rows of finished work in OUT, taken up again if sources and setting are the same.
+
+        They stay in `file`; without one they are forgotten once the study has ended, because its tables
+        have them. The sources are those of the module `work`, or of the study's own.
+        """
+        depends_on = {
+            "sources": sources(work or self.module, "scp_recon.data"),
+            "versions": versions(),
+            **setting,
+        }
+        store = Store(self.out / (file or f"{self.name}_partial.jsonl"), depends_on)
+        self._stores.append((store, bool(file)))
+        return store
+
+    def end(self, study: Study, found: Findings) -> Answer:
+        """Write what was found, and show the claims."""
+        files = {n: f.csv() if isinstance(f, Table) else f for n, f in found.files.items()}
+        if found.report:
+            files[f"{study.stem or self.name}.md"] = report(study.heading, found)
+        self.out.mkdir(parents=True, exist_ok=True)
+        written = [write_atomically(self.out / name, text) for name, text in files.items()]
+        for store, stays in self._stores:
+            if not stays:
+                store.forget()
+        if found.claims:
+            self.console.print(terminal(claims_table(found.claims)))
+        for path in written:
+            show_written(self.console, path)
+        document = {
+            "folder": str(self.out),
+            "files": [str(path) for path in written],
+            "claims": claims_table(found.claims).records(),
+        }
+        return Answer(found.status, document)
+
+
+def report(heading: str, found: Findings) -> str:
+    """The report in Markdown: what was found, and below it the claims."""
+    parts = [f"# {heading}"]
+    for part in (*found.report, *([claims_table(found.claims)] if found.claims else [])):
+        if isinstance(part, Table):
+            title = [f"## {part.title}"] if part.title else []
+            parts += [*title, part.markdown(), *([part.note] if part.note else [])]
+        else:
+            parts.append(part)
+    return "\n\n".join(parts) + "\n"
+
+
+def plan_or_default(solution: Path | None) -> Solution:
+    """The plan in a folder, or the default scenario's from a cold start.
+
+    Raises:
+        InputError: if the folder has none.
+    """
+    if solution is not None:
+        return read_solution(solution)
+    mission = Mission.from_scenario(load_scenario())
+    plan = plan_mission(mission, initial_guess.cold(mission), PlanOptions(), init="cold")
+    return make_solution(plan)
+
+
+def records(rows: Sequence[Record]) -> Table:
+    """Rows of a CSV file with a column for each key of any of them."""
+    return Table.of_records("", rows)
+
+
+def run(name: str, study: Study, module: str, arguments: Sequence[str] | None = None) -> int:
+    """Run a study's command line to its exit status."""
+    default = Path("runs") / (study.folder or name)
+    p = argparse.ArgumentParser(prog=f"python -m experiments {name}", description=study.about)
+    p.add_argument(
+        "--out",
+        type=Path,
+        default=default,
+        metavar="DIR",
+        help=f"folder for what is written (default: {default})",
+    )
+    for flag, settings in study.options:
+        p.add_argument(flag, **settings)
+    options = parse(p, arguments)
+
+    def action(console: Console) -> Answer:
+        session = Session(name, module, options, options.out, console)
+        try:
+            with session:
+                return session.end(study, study.run(session))
+        except OSError as error:
+            if error.filename is None:  # the terminal, or a pipe
+                raise
+            reason = (error.strerror or "unusable").lower()
+            raise InputError(str(error.filename), reason, "must be writable") from None
+
+    return run_command(action, options)

@@ -1,1 +1,0 @@
-"""OpenSCvx on the same problem: `python -m experiments.openscvx_peer`."""

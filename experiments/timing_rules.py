@@ -1,0 +1,224 @@
+"""The schedule's durations, measured.
+
+The schedule allows so much for a slew to steady state, for heating the thruster and for a recharge
+from empty. Half turns about many axes with noisy sensors and actuators and spinning wheels, and a
+recharge in sun-pointing mode, are simulated; the durations go to OUT/timing_rules.csv and .md, the
+slews to timing_rules_slews.csv.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from experiments.harness import (
+    SEED,
+    VEHICLE,
+    Claim,
+    Findings,
+    Record,
+    Session,
+    Study,
+    number,
+    records,
+)
+from formulations.arrays import Array
+from scp_recon.errors import needing
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Leg, Mode
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import unit
+from scp_recon.results.table import Column, Table
+from scp_recon.scenario.load import load_scenario
+from scp_recon.simulation.flight import Flight, attitude_error, settling_time, state_of_charge
+from scp_recon.simulation.guidance import FlightPlan, sun_pointing
+from scp_recon.simulation.panels import SolarArray, irradiance
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+
+SLEWS = 20
+SLEW_S, RECHARGE_S = 2400.0, 1800.0
+STEADY_DEG = (1.0, 0.5, 0.25)
+"""Errors that steady state may mean; the last decides."""
+
+FULL = 1.0 - 1e-9
+SETTLED = {limit: f"settled_{limit:g}_deg_s" for limit in STEADY_DEG}
+"""Columns of the times until the attitude error stays below each; inf if it never does."""
+
+
+def coast(
+    mission: Mission,
+    vehicle: Vehicle,
+    commands: Rotation,
+    attitude: Rotation,
+    speeds: Array,
+    seed: int,
+) -> Flight:
+    """Fly sun-pointing mode along the mission's first arc with given commands, one a second.
+
+    Attitudes lead from the body to J2000; the first one is at rest. The wheels start with `speeds`,
+    rad/s, the battery as charged as the vehicle says.
+
+    Raises:
+        InputError: if Basilisk is not installed.
+    """
+    with needing("python -m experiments timing_rules", "sim", "Basilisk"):
+        from scp_recon.simulation.basilisk.plant import Start
+        from scp_recon.simulation.basilisk.simulation import Draws, Simulator, Source, sensor_sigmas
+    times = np.arange(float(len(commands)))
+    plan = FlightPlan(mission, vehicle, (), (Leg(Mode.SUN_POINTING, 0.0, times[-1]),), ())
+    sources = frozenset(Source)
+    draws = Draws.of(plan, np.zeros(6), len(times), seed, sources)
+    start = Start(mission.initial_state, attitude, np.zeros(3), speeds)
+    sigmas = sensor_sigmas(vehicle.errors, sources)
+    sim = Simulator(plan, commands, start, draws, sigmas, times)
+    sim.run()
+    return sim.flight()
+
+
+def measure_slew(mission: Mission, vehicle: Vehicle, index: int, seed: int) -> Record:
+    """A half turn about a principal axis of the body (the first three) or a random one: a row.
+
+    It ends where the star tracker sees stars, as in every mode: otherwise the gyro's random walk
+    leaves no steady state. The wheels start with a random momentum, below what is dumped; the row has
+    the largest speed over the largest there is, and the error's root mean square in the last five
+    minutes.
+    """
+    rng = np.random.default_rng([seed, index])
+    axis = np.eye(3)[index] if index < 3 else rng.normal(size=3)
+    axis = unit(axis)
+    end, sun = Rotation.random(rng=rng), mission.sun_direction(0.0)
+    exclusion = np.deg2rad(vehicle.sensors.star_tracker_sun_exclusion_deg)
+    while geometry.angle(end.apply(unit(vehicle.sensors.star_tracker)), sun) <= exclusion:
+        end = Rotation.random(rng=rng)
+    begin = end * Rotation.from_rotvec(np.pi * axis)
+    # Speeds that the pseudo-inverse makes: none turn against each other.
+    speeds = np.linalg.pinv(unit(vehicle.wheels.axes).T) @ rng.normal(size=3)
+    share = vehicle.wheels.dump_start * rng.uniform()
+    speeds *= share * vehicle.wheels.speed_max_rad_s / np.abs(speeds).max()
+    commands = Rotation.concatenate([end] * int(SLEW_S))
+    flight = coast(mission, vehicle, commands, begin, speeds, seed + index)
+    error = np.rad2deg(attitude_error(flight))
+    return {
+        **dict(zip(("axis_x", "axis_y", "axis_z"), axis.tolist(), strict=True)),
+        "wheel_share": share,
+        **{column: settling_time(error, limit) for limit, column in SETTLED.items()},
+        "steady_rms_deg": float(np.sqrt((error[-300:] ** 2).mean())),
+    }
+
+
+def measure_recharge(mission: Mission, vehicle: Vehicle, seed: int, extra_w: float = 0.0) -> float:
+    """Time in s until batteries that start empty are full, in sun-pointing mode; inf if never.
+
+    `extra_w` is drawn besides the quiescent load.
+    """
+    battery, loads = vehicle.battery, vehicle.loads
+    empty = vehicle.model_copy(
+        update={
+            "battery": battery.model_copy(update={"initial_charge": 0.0}),
+            "loads": loads.model_copy(update={"quiescent_w": loads.quiescent_w + extra_w}),
+        }
+    )
+    times = np.arange(RECHARGE_S)
+    panels = SolarArray.of(vehicle, irradiance(mission.scenario))
+    sun, position = mission.sun_direction(times), mission.initial_state[:3]
+    commands = Rotation.from_matrix(
+        sun_pointing(panels, unit(vehicle.sensors.camera), sun, position)
+    )
+    speeds = np.zeros(len(vehicle.wheels.axes))
+    flight = coast(mission, empty, commands, commands[0], speeds, seed)
+    full = np.flatnonzero((state_of_charge(flight) >= FULL).all(axis=1))
+    return float(full[0]) if len(full) else np.inf
+
+
+def rules(
+    mission: Mission, vehicle: Vehicle, slews: Sequence[Record], recharges_s: tuple[float, float]
+) -> list[Record]:
+    """The schedule's durations against the measured ones: a row each.
+
+    The recharge stands there twice: quiescent, and with the attitude control's reserve drawn.
+    """
+    allowed, loads = mission.scenario.schedule, vehicle.loads
+    worst = max(slew[SETTLED[STEADY_DEG[-1]]] for slew in slews)
+    heating = vehicle.chemical_thruster.heating_s
+    quiet_w, busy_w = loads.quiescent_w, loads.quiescent_w + loads.attitude_control_w
+    recharge, (quiet_s, busy_s) = "recharge from empty", recharges_s
+    found = (
+        ("slew to steady state", worst, allowed.attitude_s, f"worst of {len(slews)} half turns"),
+        ("thruster heating", heating, allowed.heating_s, "the thruster's data"),
+        (recharge, quiet_s, allowed.recharge_s, f"{quiet_w:g} W drawn"),
+        (recharge, busy_s, allowed.recharge_s, f"{busy_w:g} W drawn"),
+    )
+    names = ("name", "measured_s", "allowed_s", "how", "holds")
+    return [dict(zip(names, (*rule, rule[1] <= rule[2]), strict=True)) for rule in found]
+
+
+def dark_charge(vehicle: Vehicle) -> float:
+    """Charge left when full batteries alone carry a warm-up; below zero if they cannot."""
+    battery = vehicle.battery
+    drawn = vehicle.loads.warm_up_w * vehicle.chemical_thruster.heating_s / 3600.0
+    return 1.0 - drawn / battery.efficiency / (battery.count * battery.capacity_wh)
+
+
+def report(slews: Sequence[Record], vehicle: Vehicle) -> list[str | Table]:
+    """How the half turns settle, and what a warm-up in the dark leaves of the charge."""
+    times = {limit: [slew[column] for slew in slews] for limit, column in SETTLED.items()}
+    settling = [
+        (f"{limit:g} deg", float(np.median(own)) / 60.0, max(own) / 60.0)
+        for limit, own in times.items()
+    ]
+    columns = (
+        "error stays below",
+        Column("median", "min", ".1f"),
+        Column("worst", "min", ".1f"),
+    )
+    steady = max(slew["steady_rms_deg"] for slew in slews)
+    return [
+        f"Of {vehicle.name}.",
+        Table.of("Half turns", columns, settling),
+        f"In steady state the error is at most {steady:.3f} deg in root mean square. A warm-up that no "
+        f"panel helps leaves a charge of {dark_charge(vehicle):.2f}; the floor is "
+        f"{vehicle.battery.floor_charge:.2f}.",
+    ]
+
+
+def claim(rule: Record) -> Claim:
+    """A rule as a claim."""
+    threshold, measured = f"{rule['allowed_s'] / 60:.0f} min", f"{rule['measured_s'] / 60:.1f} min"
+    return Claim(f"{rule['name']}, {rule['how']}", threshold, measured, rule["holds"])
+
+
+def run(session: Session) -> Findings:
+    """Simulate half turns and recharges."""
+    options = session.options
+    mission, vehicle = Mission.from_scenario(load_scenario()), load_vehicle(options.vehicle)
+    finished = session.finished(seed=options.seed, vehicle=repr(vehicle))
+    slews = []
+    with session.steps("slews", options.slews) as done:
+        for index in range(options.slews):
+            measured = partial(measure_slew, mission, vehicle, index, options.seed)
+            slews.append(finished.row(f"{index}", measured))
+            done()
+    recharges = (
+        measure_recharge(mission, vehicle, options.seed),
+        measure_recharge(mission, vehicle, options.seed, vehicle.loads.attitude_control_w),
+    )
+    found = rules(mission, vehicle, slews, recharges)
+    return Findings(
+        report(slews, vehicle),
+        {
+            "timing_rules.csv": records(found),
+            "timing_rules_slews.csv": records(slews),
+        },
+        [claim(rule) for rule in found],
+    )
+
+
+STUDY = Study(
+    "The schedule's durations",
+    __doc__,
+    run,
+    (number("--slews", SLEWS, 3, 10_000, "half turns"), SEED, VEHICLE),
+)

@@ -1,1 +1,0 @@
-"""How long the attitude modes have to be: `python -m experiments.timing_rules`."""

@@ -1,0 +1,10 @@
+"""Names of the array types: one for numbers, one for whole numbers that index, one for truth values."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+Booleans = npt.NDArray[np.bool_]

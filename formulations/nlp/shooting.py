@@ -1,0 +1,296 @@
+"""Two transcriptions of P3 and P2 into nonlinear programs: multiple and single shooting.
+
+In multiple shooting the unknowns are the burns and then, node by node, y_k = (mean, entries of the
+spread), after the burn where one falls on the node. An arc maps the leading part of y_k that its end
+still needs to the leading part of y_{k+1}; what a burn adds comes on top. In single shooting the burns
+alone are unknowns, and the y_k are rolled out of them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from formulations.arrays import Array, Indices
+from formulations.nlp.covariance import Factor, Spread, initial_deviation
+from formulations.nlp.program import (
+    Arcs,
+    Mapped,
+    NlpRows,
+    Program,
+    Start,
+    burn_blocks,
+    final_state_block,
+    state_blocks,
+    total_dv,
+)
+from formulations.problem.facets import Facets
+from formulations.problem.flyby import FlybyProblem
+
+ArcStyle = Literal["called", "mapped", "differentiated"]
+
+
+@dataclass(frozen=True)
+class MultipleShooting:
+    """A transcription; see `program.Transcription`.
+
+    Attributes:
+        spread: the form of the covariance.
+        arcs: one call per arc; or one map over all of them; or that with first and second
+            derivatives formed arc by arc, not by CasADi's sweeps through the whole.
+        printed: cones as the paper prints them, by ratios, unless violations are weighed.
+        whole: carry the spread to the last node, not only to the last that a facet looks at.
+    """
+
+    spread: Callable[[FlybyProblem], Spread]
+    arcs: ArcStyle
+    printed: bool = False
+    whole: bool = False
+
+    def __call__(
+        self, problem: FlybyProblem, arcs: Arcs, facets: Facets | None, start: Start, elastic: bool
+    ) -> Program:
+        """Write the program down."""
+        # Without a facet there is nothing to spread for.
+        spread = self.spread(problem) if facets is not None and len(facets.node) else None
+        layout = _layout(problem, spread, None if facets is None or self.whole else facets.node)
+        x = ca.MX.sym("x", layout.total)
+        burns = ca.reshape(x[: 3 * problem.n_burns], 3, problem.n_burns)
+        node = [x[int(o) : int(o + s)] for o, s in zip(layout.start, layout.size, strict=True)]
+        mean = ca.horzcat(*(y[:6] for y in node))
+        groups = [_Group(layout, arcs, spread, first, last) for first, last in layout.groups()]
+        ends = _stack(layout, groups, x, mapped=self.arcs != "called")
+        smooth = _burn_part(problem, spread, layout, burns) - x[3 * problem.n_burns :]
+        own = None
+        if self.arcs == "differentiated":
+            own = _differentiated(layout, groups, x, ends)
+        else:
+            smooth += ends
+        printed = self.printed and not elastic
+        blocks = (
+            NlpRows("arcs", smooth, weight=0.0, equality=True),
+            final_state_block(problem, mean),
+            *burn_blocks(problem, burns, printed=printed),
+            *state_blocks(problem, facets, spread, node, printed=printed),
+        )
+        point = _pack(problem, spread, layout, start)
+        return Program(x, point, burns, mean, total_dv(burns), blocks, own)
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where each y_k stands among the unknowns.
+
+    Attributes:
+        start: index of its first component, shape (n_nodes,); the rows of the block `arcs` have the
+            same order, less the burns.
+        size: of y_k, shape (n_nodes,).
+        carried: components that arc k maps, shape (n_nodes - 1,).
+    """
+
+    start: Indices
+    size: Indices
+    carried: Indices
+
+    @property
+    def total(self) -> int:
+        """Number of unknowns."""
+        return int(self.start[-1] + self.size[-1])
+
+    @property
+    def row(self) -> Indices:
+        """First row of each node in the block `arcs`."""
+        return self.start - self.start[0]
+
+    def groups(self) -> Iterator[tuple[int, int]]:
+        """Runs of arcs of one size: first and one past the last."""
+        for _, run in itertools.groupby(range(len(self.carried)), lambda k: self.carried[k]):
+            arcs = list(run)
+            yield arcs[0], arcs[-1] + 1
+
+
+def _layout(problem: FlybyProblem, spread: Spread | None, looked_at: Indices | None) -> _Layout:
+    last = problem.n_nodes - 1 if looked_at is None else int(looked_at.max(initial=0))
+    burns = np.searchsorted(problem.burn_nodes, np.arange(problem.n_nodes), side="right")
+    entries = np.array([spread.size(int(b)) if spread else 0 for b in burns])
+    size = 6 + np.where(np.arange(problem.n_nodes) <= last, entries, 0)
+    carried = np.where(np.arange(1, problem.n_nodes) <= last, size[:-1], 6)
+    return _Layout(3 * problem.n_burns + np.cumsum(size) - size, size, carried)
+
+
+class _Group:
+    """Consecutive arcs of one size, as one SX function of y (s,) and h, and its derivatives."""
+
+    def __init__(
+        self, layout: _Layout, arcs: Arcs, spread: Spread | None, first: int, last: int
+    ) -> None:
+        self.count = last - first
+        self.size = int(layout.carried[first])
+        self.start, self.row = layout.start[first:last], layout.row[first + 1 : last + 1]
+        self._durations = ca.DM(arcs.durations[first:last]).T
+        self._y, self._h = ca.SX.sym("y", self.size), ca.SX.sym("h")
+        self._end = step(arcs, spread, self._y, self._h)
+        self._function = ca.Function("arc", [self._y, self._h], [self._end])
+
+    def inputs(self, x: ca.MX) -> ca.MX:
+        """The y of every arc, shape (s, n)."""
+        index = self.start[:, None] + np.arange(self.size)
+        return ca.reshape(x[index.ravel().tolist()], self.size, self.count)
+
+    def value(self, x: ca.MX, *, mapped: bool) -> ca.MX:
+        """Ends of the arcs one after the other, shape (s n,)."""
+        inputs, durations = self.inputs(x), self._durations
+        if mapped:
+            return ca.vec(self._function.map(self.count)(inputs, durations))
+        ends = (self._function(inputs[:, j], durations[j]) for j in range(self.count))
+        return ca.vertcat(*ends)
+
+    def jacobian(self, x: ca.MX, rows: int) -> ca.MX:
+        """Of the value, each arc's block in its place among `rows` rows."""
+        first = ca.jacobian(self._end, self._y)
+        function = ca.Function("jacobian", [self._y, self._h], [first])
+        blocks = function.map(self.count)(self.inputs(x), self._durations)
+        return self._placed(blocks, function.sparsity_out(0), self.row, rows, x.numel())
+
+    def hessian(self, x: ca.MX, multipliers: ca.MX) -> ca.MX:
+        """Upper triangle, each arc's block in its place among the unknowns."""
+        factor = ca.SX.sym("lambda", self.size)
+        second = ca.triu(ca.hessian(ca.dot(factor, self._end), self._y)[0])
+        function = ca.Function("hessian", [self._y, self._h, factor], [second])
+        own = (self.row[:, None] + np.arange(self.size)).ravel().tolist()
+        factors = ca.reshape(multipliers[own], self.size, self.count)
+        blocks = function.map(self.count)(self.inputs(x), self._durations, factors)
+        return self._placed(blocks, function.sparsity_out(0), self.start, x.numel(), x.numel())
+
+    def _placed(
+        self, blocks: ca.MX, pattern: ca.Sparsity, row: Indices, rows: int, columns: int
+    ) -> ca.MX:
+        # Blocks follow each other downwards and to the right, so that the nonzeros of all of them,
+        # column by column, are in order already.
+        i, j = (np.array(index, dtype=np.intp) for index in pattern.get_triplet())
+        place = [(offset[:, None] + index).ravel() for offset, index in ((row, i), (self.start, j))]
+        sparsity = ca.Sparsity.triplet(rows, columns, *(index.tolist() for index in place))
+        return ca.MX(sparsity, blocks.nz[:])
+
+
+def step(arcs: Arcs, spread: Spread | None, y: ca.SX, duration: ca.SX) -> ca.SX:
+    """End of an arc: flow map of the mean and the carried spread of y = (mean, entries)."""
+    mean, entries = y[:6], y[6:]
+    end = arcs.flow(mean, duration)
+    if spread is None or not entries.numel():
+        return end
+    return ca.vertcat(end, spread.carry(ca.jacobian(end, mean), entries))
+
+
+def _stack(layout: _Layout, groups: list[_Group], x: ca.MX, *, mapped: bool) -> ca.MX:
+    """Ends of all arcs, in the rows of the nodes that they lead to."""
+    parts, row = [], 0
+    for group in groups:
+        parts += [ca.MX(int(group.row[0]) - row, 1), group.value(x, mapped=mapped)]
+        row = int(group.row[0]) + group.size * group.count
+    return ca.vertcat(*parts, ca.MX(layout.total - int(layout.start[0]) - row, 1))
+
+
+def _differentiated(layout: _Layout, groups: list[_Group], x: ca.MX, ends: ca.MX) -> Mapped:
+    rows = layout.total - int(layout.start[0])
+    jacobian = sum((group.jacobian(x, rows) for group in groups), ca.MX(rows, x.numel()))
+
+    def hessian(multipliers: ca.MX) -> ca.MX:
+        parts = (group.hessian(x, multipliers) for group in groups)
+        return sum(parts, ca.MX(x.numel(), x.numel()))
+
+    return Mapped(ends, jacobian, hessian)
+
+
+def _burn_part(
+    problem: FlybyProblem, spread: Spread | None, layout: _Layout, burns: ca.MX
+) -> ca.MX:
+    """The initial data and what the burns add, in the rows of their nodes."""
+    parts = [ca.MX(int(size), 1) for size in layout.size]
+    for i, k in enumerate(problem.burn_nodes):
+        parts[k] = kick(spread if layout.size[k] > 6 else None, burns[:, i], i)
+    given = np.zeros(layout.size[0])
+    given[:6] = problem.initial_state
+    if spread is not None:
+        entries = spread.pack(problem.first_factor, 0)
+        given[6 : 6 + len(entries)] = entries
+    parts[0] += given
+    return ca.vertcat(*parts)
+
+
+def kick(spread: Spread | None, burn: ca.MX, burns: int) -> ca.MX:
+    """What a burn (3,) with that many before it adds to y = (mean, entries)."""
+    state = ca.vertcat(ca.MX(3, 1), burn)
+    return state if spread is None else ca.vertcat(state, spread.kick(burn, burns))
+
+
+def _pack(problem: FlybyProblem, spread: Spread | None, layout: _Layout, start: Start) -> Array:
+    """Values of the unknowns at an iterate and its factor."""
+    parts = [start.iterate.burns.ravel()]
+    burns = np.searchsorted(problem.burn_nodes, np.arange(problem.n_nodes), side="right")
+    for k, mean in enumerate(start.iterate.mean):
+        parts.append(mean)
+        if spread is not None and layout.size[k] > 6:
+            if start.factor is None:
+                raise ValueError("P2 needs a start with a covariance factor")
+            parts.append(spread.pack(start.factor[k], int(burns[k])))
+    return np.concatenate(parts)
+
+
+@dataclass(frozen=True)
+class SingleShooting:
+    """A transcription; see `program.Transcription`. Of the start it takes the burns."""
+
+    def __call__(
+        self, problem: FlybyProblem, arcs: Arcs, facets: Facets | None, start: Start, elastic: bool
+    ) -> Program:
+        """Write the program down."""
+        del elastic  # every row is a signed distance in any case
+        spread, last = None, -1
+        if facets is not None and len(facets.node):
+            spread, last = Factor(problem, unit=initial_deviation(problem)), int(facets.node.max())
+        x = ca.MX.sym("x", 3 * problem.n_burns)
+        burns = ca.reshape(x, 3, problem.n_burns)
+        node = _roll_out(problem, arcs, spread, last, burns)
+        mean = ca.horzcat(*(y[:6] for y in node))
+        blocks = (
+            final_state_block(problem, mean),
+            *burn_blocks(problem, burns, printed=False),
+            *state_blocks(problem, facets, spread, node, printed=False),
+        )
+        point = start.iterate.burns.ravel()
+        return Program(x, point, burns, mean, total_dv(burns), blocks)
+
+
+def _roll_out(
+    problem: FlybyProblem, arcs: Arcs, spread: Factor | None, last: int, burns: ca.MX
+) -> list[ca.MX]:
+    """States y = (mean, entries of the factor) of every node after its burn; entries up to `last`."""
+    burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
+    entries = spread.pack(problem.first_factor, 0) if spread else np.zeros(0)
+    y = ca.MX(np.concatenate([problem.initial_state, entries]))
+    node = [y if problem.coasts else _burnt(y, spread, burns[:, 0], 0)]
+    cuts = sorted({0, *burn_at, max(last, 0)})
+    for first, end in itertools.pairwise(cuts):
+        y = node[-1] if end <= last else node[-1][:6]
+        node += ca.horzsplit(_fly(arcs, spread, y, first, end))
+        if end in burn_at:
+            node[-1] = _burnt(node[-1], spread, burns[:, burn_at[end]], burn_at[end])
+    return node
+
+
+def _burnt(y: ca.MX, spread: Factor | None, burn: ca.MX, burns: int) -> ca.MX:
+    after = kick(spread if y.numel() > 6 else None, burn, burns)
+    return after + ca.vertcat(y, ca.MX(after.numel() - y.numel(), 1))
+
+
+def _fly(arcs: Arcs, spread: Factor | None, y: ca.MX, first: int, end: int) -> ca.MX:
+    """The y at the ends of the arcs between two nodes, (s, n)."""
+    symbol, h = ca.SX.sym("y", y.numel()), ca.SX.sym("h")
+    function = ca.Function("arc", [symbol, h], [step(arcs, spread, symbol, h)])
+    return function.mapaccum(end - first)(y, ca.DM(arcs.durations[first:end]).T)

@@ -1,0 +1,184 @@
+"""Rows of P3, and of P2 where risk is split uniformly: the regions themselves, and facets.
+
+A facet holds with its share of the probability.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+
+from formulations.arrays import Array, Booleans
+from formulations.linearisation.condensation import Sensitivity
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import Facets
+from formulations.problem.flyby import FlybyProblem
+from formulations.rows.cones import (
+    NEAR_LENGTH,
+    Cones,
+    FinalSpread,
+    Margins,
+    Pulled,
+    Unit,
+    burn_components_before,
+    pulled_at,
+    triangular_cones,
+)
+
+
+class DeterministicRows:
+    """Deterministic constraints: keep-in sets as cones, keep-out sets by their supporting plane.
+
+    The plane that touches the region nearest to the iterate is its linearisation and an inner
+    approximation of the complement at once.
+    """
+
+    with_factor = False
+    near = NEAR_LENGTH
+    unit: Unit = "length"
+
+    def __init__(self, problem: FlybyProblem, resolution: float = 0.0) -> None:
+        self.problem = problem
+        self.resolution = resolution
+        used = [c.nodes for c in problem.constraints]
+        self.nodes = np.unique(np.concatenate(used)) if used else np.zeros(0, dtype=np.intp)
+        self.count = sum(len(nodes) for nodes in used)
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Signed distances of the mean to the regions."""
+        constraints = self.problem.constraints
+        return {c.name: Margins(c.nodes, c.margin(lin.iterate.mean)) for c in constraints}
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """One cone per keep-in node, one half-space per keep-out node, each kind in one block."""
+        blocks: dict[Literal["in", "out"], list[Cones]] = {"in": [], "out": []}
+        first = 0
+        for c in self.problem.constraints:
+            at = np.searchsorted(self.nodes, c.nodes)
+            position, jacobian = s.mean_constant[at, :3], s.mean_jacobian[at, :3]
+            if c.keep == "out":
+                planes = c.region.supporting(lin.iterate.mean[c.nodes, :3])
+                matrix = planes.normal[:, None]
+                constants = (matrix @ position[:, :, None])[:, :, 0] - planes.offset[:, None]
+            else:
+                cone = c.region.second_order_cone
+                matrix = np.concatenate([cone.linear[:, None], cone.matrix], axis=1)
+                constants = (matrix @ (position - cone.origin)[:, :, None])[:, :, 0]
+                constants[:, 0] += cone.constant
+            rows = first + np.arange(len(c.nodes))
+            values = matrix @ jacobian[:, :, : burn_components_before(self.problem, c.nodes).max()]
+            blocks[c.keep].append(Cones(rows, values, constants))
+            first += len(rows)
+        return [_joined(cones) for cones in blocks.values() if cones]
+
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """Of the keep-in cones and of the keep-out sets' supporting planes; no factor."""
+        by_mean, first = np.zeros((self.problem.n_nodes, 3)), 0
+        for c in self.problem.constraints:
+            position, price = lin.iterate.mean[c.nodes, :3], prices[first : first + len(c.nodes)]
+            if c.keep == "out":
+                slope = -c.region.supporting(position).normal
+            else:
+                cone = c.region.second_order_cone
+                across = np.einsum("nij,nj->ni", cone.matrix, position - cone.origin)
+                size = np.maximum(np.linalg.norm(across, axis=1), 1e-300)
+                slope = np.einsum("ni,nij->nj", across / size[:, None], cone.matrix) - cone.linear
+            np.add.at(by_mean, c.nodes, price[:, None] * slope)
+            first += len(c.nodes)
+        return Pulled(by_mean, np.zeros((self.problem.n_nodes, 3, 0)))
+
+
+def _joined(blocks: list[Cones]) -> Cones:
+    """Blocks of one dimension as one, which feels what the one that feels most does."""
+    rows = np.concatenate([block.rows for block in blocks])
+    _, d, p = np.max([block.values.shape for block in blocks], axis=0)
+    values, first = np.zeros((len(rows), d, p)), 0
+    for block in blocks:
+        last = first + len(block.rows)
+        values[first:last, :, : block.values.shape[2]] = block.values
+        first = last
+    return Cones(rows, values, np.concatenate([block.constants for block in blocks]))
+
+
+class ChanceRows:
+    """Chance constraints on fixed facets: a'mu + q ||S'a|| <= b + buffer, a second-order cone each.
+
+    The convex program carries the included ones, a mask.
+    """
+
+    with_factor = True
+    near = NEAR_LENGTH
+    unit: Unit = "length"
+    resolution = 0.0
+
+    def __init__(self, problem: FlybyProblem, facets: Facets, included: Booleans) -> None:
+        self.problem = problem
+        self.facets = facets
+        self.included = included
+        self.carried = facets.chosen(included)
+        self.final = FinalSpread(problem, len(self.carried.node))
+        self.nodes = np.union1d(self.carried.node, self.final.nodes)
+        self.count = len(self.carried.node) + self.final.count
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """What is left of b - a'mu after q ||S'a||, of the included facets."""
+        margin = self.carried.margin(lin.iterate.mean, lin.factor)
+        ends = np.searchsorted(
+            self.carried.constraint, np.arange(len(self.problem.constraints) + 1)
+        )
+        return {
+            c.name: Margins(self.carried.node[first:last], margin[first:last])
+            for c, first, last in zip(self.problem.constraints, ends, ends[1:], strict=False)
+        } | self.final.margins(lin)
+
+    def missed(self, lin: Linearisation, tolerance: float) -> Booleans:
+        """Facets left out of the program that the iterate violates by more than `tolerance`."""
+        margin = self.facets.margin(lin.iterate.mean, lin.factor)
+        return ~self.included & (margin < -tolerance)
+
+    @cached_property
+    def pick(self) -> sp.csr_array:
+        """Map to a'r of every facet from all positions r at `nodes` stacked, shape (facets, 3 n)."""
+        columns = 3 * np.searchsorted(self.nodes, self.carried.node)[:, None] + np.arange(3)
+        facets = len(self.carried.node)
+        indices = np.repeat(np.arange(facets), 3), columns.ravel()
+        shape = (facets, 3 * len(self.nodes))
+        return sp.csr_array((self.carried.normal.ravel(), indices), shape=shape)
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """All facets, a block for each number of burn components that nodes feel."""
+        del lin
+        blocks, carried = [], self.carried
+        components = burn_components_before(self.problem, self.nodes)
+        for p in np.unique(components):
+            nodes = np.flatnonzero(components == p)
+            rows = np.flatnonzero(np.isin(carried.node, self.nodes[nodes]))
+            if len(rows) == 0:  # the last node, looked at for its spread alone
+                continue
+            pick = self.pick[rows][:, (3 * nodes[:, None] + np.arange(3)).ravel()]
+            c = self.problem.columns_before(int(p) // 3)
+            spread = np.concatenate(
+                [s.factor_jacobian[nodes, :3, :c, :p], s.factor_constant[nodes, :3, :c, None]], -1
+            )
+            spread = (pick @ spread.reshape(3 * len(nodes), -1)).reshape(-1, c, p + 1)
+            spread *= carried.quantile[rows, None, None]
+            mean = np.concatenate(
+                [s.mean_jacobian[nodes, :3, :p], s.mean_constant[nodes, :3, None]], axis=2
+            )
+            room = -(pick @ mean.reshape(3 * len(nodes), -1))
+            room[:, -1] += carried.offset[rows]
+            blocks.append(triangular_cones(rows, room, spread))
+        return blocks + self.final.cones(s)
+
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """Of a'mu + q ||S'a||: a in the mean, q a (S'a)' / ||S'a|| in the factor."""
+        carried, node = self.carried, self.carried.node
+        spread = np.einsum("ri,ric->rc", carried.normal, lin.factor[node, :3])
+        size = np.maximum(np.linalg.norm(spread, axis=1), 1e-300)
+        weighted = prices[: len(node), None] * carried.normal
+        along = (carried.quantile / size)[:, None] * spread
+        by_factor = weighted[:, :, None] * along[:, None]
+        return self.final.pulled(pulled_at(self.problem, node, weighted, by_factor), lin, prices)

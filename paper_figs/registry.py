@@ -1,0 +1,114 @@
+"""Every figure and table by its name: how its input is read, and how it is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from paper_figs import flyby, frames
+from paper_figs.inputs import COMMAND, Source, read_runs
+from paper_figs.paper import (
+    cone_polytopes,
+    control_history,
+    observation_geometry,
+    observation_histories,
+    observation_times,
+    tables,
+    terminal_normality,
+    trajectories,
+)
+from paper_figs.studies import (
+    attitude_and_actuators,
+    battery_cones,
+    flown_plan,
+    frontier,
+    model_fidelity,
+    power_history,
+    solver_comparison,
+    timing_rules,
+    uncertainty_quantiles,
+    uncertainty_sources,
+)
+
+PAPER = Source("paper", COMMAND)
+"""Where the paper's own figures come from."""
+
+Made = Figure | str | Mapping[str, Figure]
+"""A figure, a table in Markdown, or several figures by name."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """A figure or a table.
+
+    Attributes:
+        make: of what `read` has found; nothing is written.
+        caption: what it shows, of the same; without one it is drawn only where it is named.
+        source: the folder that it is drawn from, and the command that writes it.
+        read: of that folder.
+        dpi: of a raster, where it is not the style's.
+    """
+
+    make: Callable[[Any], Made]
+    caption: Callable[[Any], str] | None = None
+    source: Source = PAPER
+    read: Callable[[Path], Any] = read_runs
+    dpi: float | None = None
+
+
+def _study(module: Any) -> Item:
+    """A figure of a study: a module with `draw`, `caption`, `SOURCE` and perhaps its own `read`."""
+    source = module.SOURCE
+    read = source.rows if len(source.tables) == 1 else source.read
+    return Item(module.draw, module.caption, source, getattr(module, "read", read))
+
+
+FIGURES: dict[str, Item] = {
+    module.__name__.rpartition(".")[2]: Item(module.draw, module.caption)
+    for module in (
+        observation_geometry,
+        cone_polytopes,
+        trajectories,
+        control_history,
+        observation_histories,
+        observation_times,
+        terminal_normality,
+    )
+}
+"""Of the paper, in its order."""
+
+TABLES = {
+    "parameters": Item(tables.parameters),
+    "observation_table": Item(tables.observation_table),
+}
+
+STUDIES: dict[str, Item] = {
+    module.__name__.rpartition(".")[2]: _study(module)
+    for module in (
+        frontier,
+        battery_cones,
+        model_fidelity,
+        uncertainty_sources,
+        uncertainty_quantiles,
+        attitude_and_actuators,
+        power_history,
+        flown_plan,
+        timing_rules,
+    )
+}
+"""Drawn with the paper's where their folders are found."""
+
+ALONE = {
+    "flyby": Item(flyby.draw, read=flyby.read, dpi=140),
+    "frames": Item(lambda _: frames.draw(), read=lambda _: None, dpi=120),
+    "solver_comparison": Item(
+        solver_comparison.draw, source=solver_comparison.SOURCE, read=solver_comparison.SOURCE.rows
+    ),
+}
+"""Drawn only where they are named."""
+
+EVERYTHING = FIGURES | TABLES | STUDIES | ALONE

@@ -1,0 +1,283 @@
+"""Many plans: the cases of a study, and what is done with each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from scp_recon.api.designing import design
+from scp_recon.api.files import Opened
+from scp_recon.api.flights import FlyOptions, flown_summary, simulate
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import plan_mission
+from scp_recon.campaigns.cases import Case, changed, solution_name
+from scp_recon.campaigns.checks import check_do
+from scp_recon.campaigns.results import VERIFIED
+from scp_recon.campaigns.run import WORKERS_MAX, Observer, executor_of, run_study
+from scp_recon.campaigns.study import Do, Study, study_of
+from scp_recon.errors import InputError, needing, option, path_of, whole_number
+from scp_recon.jobs.store import Row
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.summary import shortfalls
+from scp_recon.planning.initial_guess import cold
+from scp_recon.planning.plan import Plan, Stage
+from scp_recon.results.facts import Verification
+from scp_recon.results.figures import FINAL_STATE
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import verify
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+
+class CampaignOutput(NamedTuple):
+    """What `campaign` returns.
+
+    Attributes:
+        table: a row a case, as in results.parquet.
+        figures: by name; a map and the shape of sites, else curves.
+    """
+
+    table: pandas.DataFrame
+    figures: dict[str, Figure]
+
+
+def campaign(
+    study: str | Path | Mapping[str, Any],
+    out: str | Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    yes: bool = False,
+) -> CampaignOutput:
+    """Run the cases of a study that have no row in a folder yet; see docs/campaigns.md.
+
+    Needs the extras [campaign] and [report], with a scheduler [cluster].
+
+    Args:
+        study: a file, or its tables, with files relative to the current folder.
+        out: folder for the results.
+        workers: processes; 0 runs the cases in this one, where none can be ended. One by default.
+        scheduler: address of a Dask cluster's, in their place.
+        yes: whether more than 100,000 cases are meant.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    from scp_recon.campaigns import outcome, page
+
+    page.check_extras()
+    folder = path_of(option("out"), out)
+    given = study_of(study, yes=yes)
+    run_campaign(given, folder, workers=workers, scheduler=scheduler)
+    results = outcome.read_campaign(folder)
+    from scp_recon.campaigns.figures import figures
+
+    return CampaignOutput(results.table, figures(results))
+
+
+def run_campaign(
+    study: Study,
+    folder: Path,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    observe: Observer | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> Path:
+    """Run the cases of a study that have no row in a folder yet.
+
+    Args:
+        study: what to run.
+        folder: for the results.
+        workers: processes, one by default; 0 for this one.
+        scheduler: address of a Dask cluster's, in their place.
+        observe: called after each row.
+        say: called with what is worth a line.
+
+    Returns:
+        The file `results.parquet`.
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    if workers is not None:
+        whole_number(option("workers"), workers, 0, WORKERS_MAX)
+        if scheduler is not None:
+            allowed = f"must be left out with {option('scheduler')}"
+            raise InputError(option("workers"), str(workers), allowed)
+    executor = executor_of(study, 1 if workers is None else workers, scheduler, say)
+    return run_study(study, folder, work_of(study), executor, observe)
+
+
+def work_of(study: Study) -> StudyWork:
+    """What the cases of a study come to.
+
+    Raises:
+        InputError: if the extra is missing that it needs.
+    """
+    if study.campaign.do == "simulate":
+        with needing("campaign.do", "sim", "Basilisk"):
+            import scp_recon.simulation.basilisk.simulation  # noqa: F401 -- whether it is there
+    given = study.campaign
+    return StudyWork(
+        study.base, study.folder.absolute(), given.do, given.samples, given.keep_solutions
+    )
+
+
+@dataclass(frozen=True)
+class StudyWork:
+    """Does the same with each case: a `run.CaseWork`.
+
+    Attributes:
+        base: scenario that the cases change.
+        folder: to which files are relative that they name.
+        do: what is done.
+        samples: flights with "fly".
+        keep: whether solutions are kept.
+    """
+
+    base: Scenario
+    folder: Path
+    do: Do
+    samples: int
+    keep: bool
+
+    def __call__(self, case: Case, /) -> Row:
+        """Plan, verify, and what else is to be done.
+
+        Raises:
+            InputError: if the case is no mission.
+            KeyboardInterrupt: if the plan was interrupted.
+        """
+        scenario = changed(self.base, case.changes, self.folder)
+        row: dict[str, Any] = {"asked": scenario.risk.p_chance}
+        check_do(self.do, scenario)
+        if self.do == "design":
+            found, own = designed(scenario)
+            row |= own
+            if found is None:
+                return Row(row)
+        else:
+            found = planned(scenario, certify=self.do == "certify")
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        solution = make_solution(found)
+        verification = verify(found.mission, solution)
+        solution = solution.with_verification(verification)
+        row |= planned_row(solution, verification)
+        if found.status is not Status.CONVERGED:
+            row["binds"] = binding(found.final)
+        if self.do == "certify":
+            row |= certified_row(found)
+        elif self.do == "fly" and found.status is Status.CONVERGED:
+            row |= flown_row(found, solution, self.samples, case.seed)
+        elif self.do == "simulate" and found.status is Status.CONVERGED:
+            row |= simulated_row(solution, case.seed)
+        files = {solution_name(case.number): solution.text().encode()} if self.keep else {}
+        return Row(row, files)
+
+
+def planned(scenario: Scenario, *, certify: bool) -> Plan:
+    """A scenario's plan from a straight line, certified on request only."""
+    mission = Mission.from_scenario(scenario)
+    exact = scenario.risk.allocation == "exact"
+    options = PlanOptions(certify=certify if exact else None)
+    return plan_mission(mission, cold(mission), options, init="cold")
+
+
+def designed(scenario: Scenario) -> tuple[Plan | None, dict[str, Any]]:
+    """The plan of the cheapest pass from the home orbit, with what is known of the pass.
+
+    Where no pass has a plan, there is what stopped the one that came furthest.
+    """
+    exact = scenario.risk.allocation == "exact"
+    found = design(scenario, certify=False if exact else None)
+    if found.plan is None or found.scenario is None:
+        return None, {
+            "status": Status.INFEASIBLE.value.name,
+            "binds": binding(found.best.stage),
+            "message": found.message,
+        }
+    return found.plan, {
+        "departure_tdb": found.scenario.epoch.tdb.isoformat(),
+        "duration_s": found.scenario.duration_s,
+        "burns": len(found.scenario.burns.times_s),
+    }
+
+
+def binding(stage: Stage) -> str:
+    """The limit that is broken most, in the units of the problem; the final state where none is."""
+    least = {name: float(margins.margin.min()) for name, margins in stage.margins.items()}
+    name = min(least, key=least.__getitem__)
+    return name if least[name] < 0.0 else FINAL_STATE
+
+
+def planned_row(solution: Solution, verification: Verification) -> dict[str, Any]:
+    """What a plan is worth."""
+    lowest = min(verification.probabilities, key=lambda p: p.estimate, default=None)
+    failed = ", ".join(verification.failed)
+    return {
+        "status": solution.status,
+        "verdict": VERIFIED if verification.ok else f"not verified: {failed}",
+        "total_dv_m_s": solution.total_dv_m_s,
+        "probability": None if lowest is None else lowest.estimate,
+        "probability_of": None if lowest is None else lowest.name,
+        "iterations": len(solution.iterations),
+        "plan_hash": solution.plan_hash,
+        "warnings": "; ".join(map(str, solution.warnings)) or None,
+        "message": solution.message,
+    }
+
+
+def certified_row(found: Plan) -> dict[str, Any]:
+    """What flights reached."""
+    reached = found.certificate
+    if reached is None:
+        return {"aim": found.target}
+    return {
+        "certified": reached.reached,
+        "certified_low": reached.low,
+        "aim": found.target,
+        "rounds": reached.rounds,
+    }
+
+
+def flown_row(found: Plan, solution: Solution, samples: int, seed: int) -> dict[str, Any]:
+    """What many flights found."""
+    summary = flown_summary(Opened(found.mission, solution), FlyOptions(samples, seed=seed))
+    joint = {name: found for name, found in summary.probability.items() if name != ALL}
+    name, lowest = min(joint.items(), key=lambda item: item[1].estimate.value, default=(None, None))
+    whole = summary.whole_flight
+    return {
+        "flights": samples,
+        "flown_lowest": None if lowest is None else lowest.value,
+        "flown_lowest_of": name,
+        "flown_whole": None if whole is None else whole.value,
+        "flown_whole_low": None if whole is None else whole.low,
+        "flown_whole_high": None if whole is None else whole.high,
+        "flown_shortfalls": "; ".join(shortfalls(summary, solution)) or None,
+    }
+
+
+def simulated_row(solution: Solution, seed: int) -> dict[str, Any]:
+    """How the spacecraft in the loop flew it."""
+    from scp_recon.simulation.record import shortfalls as of_simulation
+    from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
+
+    summary = simulate(solution, seed=seed).summary
+    doubts = check_vehicle(load_vehicle(None), solution.scenario)
+    strange = "; ".join(map(str, [*solution.warnings, *doubts]))
+    return {
+        "least_charge": summary.least_charge,
+        "miss_position_m": summary.terminal_miss.position_m,
+        "miss_velocity_m_s": summary.terminal_miss.velocity_m_s,
+        "simulated_shortfalls": "; ".join(of_simulation(summary, solution)) or None,
+        "warnings": strange or None,
+    }

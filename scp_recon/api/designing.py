@@ -1,0 +1,122 @@
+"""A whole pass from a home orbit: its phases and times found, and then planned as any mission."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import PlanObserver, plan_mission, scenario_of
+from scp_recon.mission.mission import Mission
+from scp_recon.passes.descent import PassResult, why_nothing
+from scp_recon.passes.design import Designer, Trial
+from scp_recon.passes.setting import settled
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.plan import Plan
+from scp_recon.scenario.schema import Scenario
+
+FACET_ROUNDS = 3
+"""Of the plan of the pass, whose facets are chosen as `solve` chooses them."""
+INIT = "design"
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A pass that was looked for.
+
+    Attributes:
+        trials: every plan that was made on the way.
+        best: the cheapest pass; where none has a plan, the one that came furthest.
+        scenario: the given one with the pass's epoch, phases and times; None where none has a plan.
+        plan: of that scenario; None before it is made.
+    """
+
+    trials: tuple[Trial, ...]
+    best: PassResult
+    scenario: Scenario | None
+    plan: Plan | None = None
+
+    @property
+    def message(self) -> str:
+        """What was found, or how far the pass came that came furthest and what stopped it."""
+        if self.scenario is None:
+            return why_nothing(self.best, len(self.trials))
+        return f"a pass for {self.best.dv_m_s:.6f} m/s, in {len(self.trials)} plans"
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<Design: {self.message}>"
+
+
+def design(
+    scenario: Scenario | str | Path,
+    *,
+    certify: bool | None = None,
+    overrides: Sequence[str] = (),
+) -> Design:
+    """Choose epoch, phases and burn times of a pass from a home orbit, and plan it.
+
+    Args:
+        scenario: with `boundary.home`; the name of a packaged one, or a file.
+        certify: with exact risk, whether to plan until flights certify the probability; they do
+            unless it is False.
+        overrides: `section.entry=value` each, as of `load_scenario`.
+
+    Returns:
+        The design; its `plan` is None where no pass has one, and its `message` says what stopped it.
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    given = scenario_of(scenario, overrides)
+    options = design_options(given, certify=certify)
+    found = find_pass(given)
+    if found.scenario is None:
+        return found
+    mission = Mission.from_scenario(found.scenario)
+    plan = plan_pass(found, mission, options)
+    return Design(found.trials, found.best, found.scenario, plan)
+
+
+def design_options(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
+    """How the pass of a design is planned.
+
+    Raises:
+        InputError: if flights cannot certify it.
+    """
+    exact = scenario.risk.allocation == "exact"
+    options = PlanOptions(facet_rounds=0 if exact else FACET_ROUNDS, certify=certify)
+    options.check(scenario)
+    return options
+
+
+def find_pass(scenario: Scenario, observe: Callable[[Trial], None] = lambda _: None) -> Design:
+    """Look for the cheapest pass.
+
+    Args:
+        scenario: with a home orbit.
+        observe: called with every plan on the way.
+
+    Raises:
+        InputError: see `passes.setting.spaces_of`.
+    """
+    designer = Designer(scenario, observe)
+    space, best = designer.run()
+    fixed = settled(scenario, space, best.at) if best.converged else None
+    return Design(tuple(designer.trials), best, fixed)
+
+
+def plan_pass(
+    found: Design, mission: Mission, options: PlanOptions, observe: PlanObserver | None = None
+) -> Plan:
+    """The plan of a pass that was found, begun at its burns.
+
+    Args:
+        found: it.
+        mission: of its scenario.
+        options: see `design_options`.
+        observe: is told how it goes on.
+    """
+    start = from_burns(mission, found.best.burns_m_s, INIT)
+    return plan_mission(mission, start, options, observe, init=INIT)

@@ -1,0 +1,392 @@
+"""A first scenario for a site and a body, or about another tool's trajectory, planned and written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scp_recon.api.options import PlanOptions, date_in_tdb
+from scp_recon.api.planning import plan_mission
+from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
+from scp_recon.drafting.draft import Draft, GivenBody, Tables, draft_text, drafts
+from scp_recon.drafting.draft import scenario_of as drafted
+from scp_recon.drafting.flown import Track, flown_draft, start_csv, start_table
+from scp_recon.errors import InputError, number_between, option, path_of, shortened, whole_number
+from scp_recon.files import check_writable, unwritable, write_atomically
+from scp_recon.interop.tracks import (
+    csv_track,
+    cut,
+    oem_track,
+    pull_doubts,
+    spice_body,
+    spice_track,
+    step_doubts,
+)
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.results.facts import Verification
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import verify
+
+NUMBERS = {"gm": (1e-6, 1e20), "radius": (1.0, 1e7), "period": (0.1, 1000.0)}
+"""Bounds of what a body needs which is not packaged, in m^3/s^2, m and h."""
+LISTS = {"site": 2, "pole": 2, "orbit": 6}
+OF_A_BODY = ("gm", "radius", "period", "pole", "orbit")
+SOURCES = ("from_spice", "from_oem", "from_csv")
+NEEDS = {"from_spice": ("spacecraft", "begin", "end"), "from_csv": ("epoch",)}
+"""What a trajectory needs besides."""
+
+
+@dataclass(frozen=True)
+class NewOptions:
+    """What a scenario is drafted for, and from.
+
+    Attributes:
+        name: of the scenario, written to NAME.toml.
+        body: a packaged one's name; or another, with gm, radius, period, pole and orbit.
+        site: planetocentric latitude and east longitude, deg.
+        epoch: earliest time of the first burn, TDB; where no trajectory is given.
+        gm: of the body, m^3/s^2.
+        radius: of the sphere that stands for it, m.
+        period: sidereal spin period, h, right-handed about the pole.
+        pole: right ascension and declination of the spin pole, deg, J2000.
+        orbit: the body from the Sun at the epoch, km and km/s, J2000.
+        from_spice: a meta-kernel with body, Sun and trajectory.
+        spacecraft: NAIF's number in the kernels.
+        from_oem: a CCSDS OEM with the trajectory.
+        from_csv: a table of states with it, times past the epoch.
+        begin: time of the first burn on the trajectory, TDB.
+        end: time of the last.
+
+    Raises:
+        InputError: if one is out of its range, one is missing, or one goes not with another.
+    """
+
+    name: str
+    body: str
+    site: tuple[float, ...]
+    epoch: datetime | None = None
+    gm: float | None = None
+    radius: float | None = None
+    period: float | None = None
+    pole: tuple[float, ...] | None = None
+    orbit: tuple[float, ...] | None = None
+    from_spice: Path | None = None
+    spacecraft: int | None = None
+    from_oem: Path | None = None
+    from_csv: Path | None = None
+    begin: datetime | None = None
+    end: datetime | None = None
+
+    def __post_init__(self) -> None:
+        for name, count in LISTS.items():
+            if (given := getattr(self, name)) is not None:
+                _check_numbers(option(name), given, count)
+        for name, (low, high) in NUMBERS.items():
+            if (given := getattr(self, name)) is not None:
+                number_between(option(name), given, low, high)
+        latitude, longitude = self.site
+        if not -90.0 <= latitude <= 90.0 or not -360.0 <= longitude <= 360.0:
+            allowed = "must be within 90 deg of latitude and 360 of longitude"
+            raise InputError(option("site"), f"{latitude:g},{longitude:g}", allowed)
+        if self.spacecraft is not None:
+            whole_number(option("spacecraft"), self.spacecraft, -(2**31) + 1, 2**31 - 1)
+        self._check_source()
+
+    def _check_source(self) -> None:
+        """One trajectory at most, with what it needs."""
+        given = [name for name in SOURCES if getattr(self, name) is not None]
+        flags = ", ".join(map(option, given))
+        if len(given) > 1:
+            raise InputError(flags, "more than one", "must be one of them")
+        needs = NEEDS.get(given[0], ()) if given else ()
+        missing = ", ".join(option(name) for name in needs if getattr(self, name) is None)
+        if missing:
+            raise InputError(flags, "not all that it needs", f"needs {missing}")
+        if not given and self.epoch is None:
+            allowed = "must be given, or a trajectory to start from"
+            raise InputError(option("epoch"), "nothing", allowed)
+        if given and given[0] != "from_csv" and self.epoch is not None:
+            allowed = f"must be left out: {flags} has it"
+            raise InputError(option("epoch"), self.epoch.isoformat(), allowed)
+
+    @property
+    def title(self) -> str:
+        """The scenario's name without its folder."""
+        return Path(self.name).name
+
+    @property
+    def file(self) -> Path:
+        """Of the scenario."""
+        return Path(f"{self.name}.toml")
+
+    def draft_at(self, epoch: datetime) -> Draft:
+        """The draft before anything is designed, of a packaged body or of one by numbers.
+
+        Raises:
+            InputError: if the body is packaged and has numbers too, or is not and lacks some.
+        """
+        numbers: dict[str, Any] = {name: getattr(self, name) for name in OF_A_BODY}
+        site = self.site[0], self.site[1]
+        known = packaged_body(self.body)
+        if known is not None:
+            if extra := ", ".join(option(n) for n, value in numbers.items() if value is not None):
+                allowed = f"is packaged: {extra} must be left out"
+                raise InputError(option("body"), self.body, allowed)
+            if not known.covers((epoch - J2000_TDB).total_seconds() / DAY_S):
+                first, last = known.years
+                allowed = (
+                    f"must be from {first} to {last}, for which mean elements of it are packaged"
+                )
+                given = f"{epoch.isoformat()} of {self.body}"
+                raise InputError(option("epoch"), given, allowed)
+            name, radius = known.entries["name"], known.entries["reference_radius_m"]
+            return Draft(self.title, str(name), None, site, epoch, float(radius))
+        if missing := ", ".join(option(name) for name, value in numbers.items() if value is None):
+            allowed = f"must be one of {', '.join(body_names())}, or needs {missing} too"
+            raise InputError(option("body"), self.body, allowed)
+        gm, radius, period, pole, orbit = numbers.values()
+        body = GivenBody(gm, radius, period, pole, orbit[:3], orbit[3:], 0.0)
+        return Draft(self.title, self.body, body, site, epoch, radius)
+
+
+def _check_numbers(entry: str, given: object, count: int) -> None:
+    try:
+        numbers = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.full(0, np.nan)
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise InputError(entry, shortened(given), f"must be {count} numbers")
+
+
+@dataclass(frozen=True, eq=False)
+class NewScenario:
+    """A scenario that was drafted, and what planning it came to.
+
+    Attributes:
+        draft: what its file is written from.
+        mission: of the scenario.
+        solution: its plan.
+        verification: of the plan.
+        files: the scenario's, and with a trajectory the start's.
+    """
+
+    draft: Draft
+    mission: Mission
+    solution: Solution
+    verification: Verification
+    files: tuple[Path, ...] = ()
+
+    @property
+    def scenario(self) -> Scenario:
+        """As the file has it."""
+        return self.mission.scenario
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether planning converged, and the plan is verified."""
+        return self.solution.status == Status.CONVERGED.value.name and self.verification.ok
+
+    @property
+    def verdict(self) -> str:
+        """In a line."""
+        verdict = "verified" if self.verification.ok else "not verified"
+        return f"{self.solution.status}, {verdict}, {self.solution.total_dv_m_s:.4f} m/s"
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<NewScenario {self.draft.name}: {self.verdict}>"
+
+
+def new(
+    name: str,
+    body: str,
+    site: tuple[float, float],
+    epoch: datetime | str | None = None,
+    *,
+    gm: float | None = None,
+    radius: float | None = None,
+    period: float | None = None,
+    pole: tuple[float, float] | None = None,
+    orbit: Sequence[float] | None = None,
+    from_spice: str | Path | None = None,
+    spacecraft: int | None = None,
+    from_oem: str | Path | None = None,
+    from_csv: str | Path | None = None,
+    begin: datetime | str | None = None,
+    end: datetime | str | None = None,
+) -> NewScenario:
+    """Draft a scenario for a site and a body, plan it, and write it to NAME.toml.
+
+    With a trajectory of another tool the start that it gives is written beside it, NAME_start.csv.
+
+    >>> import scp_recon as sr
+    >>> drafted = sr.new("mission", "Bennu", (20.0, 150.0), "2020-01-21T20:33:17")
+    >>> drafted.is_verified, [file.name for file in drafted.files]
+    (True, ['mission.toml'])
+
+    Args:
+        name: of the scenario.
+        body: a packaged one's name; or another, with gm, radius, period, pole and orbit.
+        site: planetocentric latitude and east longitude, deg.
+        epoch: earliest time of the first burn, TDB; where no trajectory is given.
+        gm: of the body, m^3/s^2.
+        radius: of the sphere that stands for it, m.
+        period: sidereal spin period, h, right-handed about the pole.
+        pole: right ascension and declination of the spin pole, deg, J2000.
+        orbit: the body from the Sun at the epoch, km and km/s, J2000.
+        from_spice: a meta-kernel with body, Sun and trajectory; needs spacecraft, begin and end.
+        spacecraft: NAIF's number in the kernels.
+        from_oem: a CCSDS OEM with the trajectory.
+        from_csv: a table of states with it, times past `epoch`.
+        begin: time of the first burn on the trajectory, UTC.
+        end: time of the last, UTC.
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    options = NewOptions(
+        name=str(path_of(option("name"), name)).removesuffix(".toml"),
+        body=body,
+        site=_numbers("site", site),
+        epoch=date_in_tdb(option("epoch"), epoch),
+        gm=gm,
+        radius=radius,
+        period=period,
+        pole=None if pole is None else _numbers("pole", pole),
+        orbit=None if orbit is None else _numbers("orbit", orbit),
+        from_spice=None if from_spice is None else path_of(option("from_spice"), from_spice),
+        spacecraft=spacecraft,
+        from_oem=None if from_oem is None else path_of(option("from_oem"), from_oem),
+        from_csv=None if from_csv is None else path_of(option("from_csv"), from_csv),
+        begin=date_in_tdb(option("begin"), begin, utc=True),
+        end=date_in_tdb(option("end"), end, utc=True),
+    )
+    return draft_into_file(options)
+
+
+def _numbers(name: str, given: object) -> tuple[float, ...]:
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(option(name), shortened(given), f"must be {LISTS[name]} numbers")
+    return tuple(given)
+
+
+def draft_into_file(
+    options: NewOptions, say: Callable[[str], None] = lambda _: None
+) -> NewScenario:
+    """Draft, plan and write a scenario.
+
+    Args:
+        options: what for.
+        say: told of each draft that was planned, in a line.
+
+    Raises:
+        InputError: if a file is there already or cannot be written, or nothing can be drafted.
+    """
+    path = options.file
+    start = path.with_name(f"{path.stem}_start.csv")
+    source = next((name for name in SOURCES if getattr(options, name) is not None), None)
+    for file in (path, start) if source else (path,):
+        if file.exists():
+            raise InputError(option("name"), str(file), "must not exist yet")
+    if source is not None:
+        return _from_track(options, source, path, start)
+    assert options.epoch is not None
+    first = options.draft_at(options.epoch)
+    check_writable(path.parent, path.name, option("name"))
+    tried: list[NewScenario] = []
+    for draft in drafts(first):
+        tried.append(found := _planned(draft))
+        first_s, last_s = found.mission.schedule.window_s
+        hours = f"local solar time {draft.hours[0]:g} to {draft.hours[1]:g} h"
+        say(f"{hours}, window of {last_s - first_s:.0f} s: {found.verdict}")
+        if found.is_verified:
+            break
+    best = min(tried, key=lambda one: (not one.is_verified, one.solution.violation.total))
+    _write(path, draft_text(replace(best.draft, outcome=_outcome(best))))
+    return replace(best, files=(path,))
+
+
+def _planned(draft: Draft) -> NewScenario:
+    mission = Mission.from_scenario(drafted(draft))
+    plan = plan_mission(mission, initial_guess.cold(mission), PlanOptions(), init="cold")
+    solution = make_solution(plan)
+    verification = verify(mission, solution)
+    return NewScenario(draft, mission, solution.with_verification(verification), verification)
+
+
+def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> NewScenario:
+    """A scenario about a trajectory, planned from it, and the start beside it."""
+    flown, track = _track_draft(options, source)
+    mission = Mission.from_scenario(drafted(flown))
+    doubts = (*track.doubts, *step_doubts(track), *pull_doubts(mission, track))
+    mission = replace(mission, warnings=(*mission.warnings, *doubts))
+    check_writable(path.parent, path.name, option("name"))
+    guess = initial_guess.from_states(mission, start_table(track), track.source)
+    solution = make_solution(plan_mission(mission, guess, PlanOptions(), init=start.name))
+    verification = verify(mission, solution)
+    judged = solution.with_verification(verification)
+    found = NewScenario(flown, mission, judged, verification, (path, start))
+    outcome = [
+        *_outcome(found, f" --init {start.name}"),
+        *(f"warning: {doubt}" for doubt in doubts),
+    ]
+    _write(start, start_csv(track, list(initial_guess.COLUMNS.values())))
+    _write(path, draft_text(replace(flown, outcome=outcome)))
+    return found
+
+
+def _track_draft(options: NewOptions, source: str) -> tuple[Draft, Track]:
+    """A draft about a trajectory, and the trajectory.
+
+    Raises:
+        InputError: if a file cannot be used, or there is no window with room for burns.
+    """
+    known: Tables = {}
+    packaged = packaged_body(options.body)
+    if source == "from_spice":
+        given: Any = options  # which has all of these, as was checked
+        number, radius, known = spice_body(given.from_spice, options.body, packaged, given.begin)
+        span = given.begin, given.end
+        track = spice_track(given.from_spice, given.spacecraft, number, span)
+        site = options.site[0], options.site[1]
+        draft = Draft(options.title, options.body, None, site, track.epoch, radius)
+    else:
+        center = str(packaged.entries["name"]) if packaged else options.body
+        if options.from_oem is not None:
+            track = oem_track(options.from_oem, center)
+        else:
+            assert options.from_csv is not None
+            assert options.epoch is not None
+            track = csv_track(options.from_csv, options.epoch)
+        track = cut(track, options.begin, options.end)
+        draft = options.draft_at(track.epoch)  # at which orbit and meridian are
+    return flown_draft(replace(draft, epoch=track.epoch), known, track), track
+
+
+def _outcome(found: NewScenario, options: str = "") -> list[str]:
+    """What the head of the file says of planning it."""
+    lines = [f"python -m scp_recon.solve --scenario FILE{options} ended so: {found.verdict}."]
+    if found.is_verified:
+        return lines
+    broken = ", ".join(found.solution.violation.by_constraint) or "none"
+    return [
+        *lines,
+        f"Constraints that are violated: {broken}. To change, in this order: narrower",
+        "observation.local_solar_time_*_h, wider observation.emission_*_deg and site_distance_*_m, a",
+        "smaller uncertainty.execution_error, a larger burns.dv_max_m_s, another boundary.",
+    ]
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        raise unwritable(path.parent, option("name"), error) from None

@@ -1,0 +1,275 @@
+"""Save, load, verify, compare, export and show plans."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from scp_recon.api.keeping import keep_plan
+from scp_recon.errors import (
+    InputError,
+    number_between,
+    one_of,
+    option,
+    path_of,
+    shortened,
+    whole_number,
+)
+from scp_recon.files import check_writable, unwritable
+from scp_recon.interop.export import SPACECRAFT_ID, UNNAMED_BODY_ID, Export, Ids
+from scp_recon.interop.files import FORMATS, require, stem, write_export
+from scp_recon.interop.path import fly_path
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.plan import Plan
+from scp_recon.results import comparison
+from scp_recon.results.facts import Verification
+from scp_recon.results.read import read_solution
+from scp_recon.results.runs import resolve_run
+from scp_recon.results.solution import FILE_NAME, Solution, make_solution
+from scp_recon.simulation.vehicle import load_vehicle
+from scp_recon.verification import reintegration
+
+AnyPlan = Plan | Solution | str | Path
+"""A plan, a solution, or the file or folder of one."""
+
+SPACECRAFT_MIN = -99_999
+"""NAIF's numbers of spacecraft are below zero; their axes have a thousand times that, and SPICE counts
+to 2^31."""
+FIELD_MAX_DEG, PIXELS_MAX = 170.0, 1_000_000
+CAMPAIGN = "campaign.json"
+
+
+class Opened(NamedTuple):
+    """A plan whatever it was given as.
+
+    Attributes:
+        mission: of its scenario.
+        solution: as its file has it.
+    """
+
+    mission: Mission
+    solution: Solution
+
+
+def open_plan(given: AnyPlan) -> Opened:
+    """A plan with its mission.
+
+    Raises:
+        InputError: if it is no plan and no file of one.
+    """
+    solution = solution_of(given)
+    mission = given.mission if isinstance(given, Plan) else None
+    return Opened(mission or solution.mission, solution)
+
+
+def solution_of(given: AnyPlan) -> Solution:
+    """A plan as its file has it, without a verification that it did not have.
+
+    Raises:
+        InputError: if it is no plan and no file of one.
+    """
+    return make_solution(given) if isinstance(given, Plan) else load(given)
+
+
+def load(plan: AnyPlan) -> Solution:
+    """Read the solution in a file or a folder.
+
+    >>> import scp_recon as sr
+    >>> folder = sr.save(sr.plan(problem="P3"), "runs/mine").parent
+    >>> sr.load(folder).problem
+    'P3'
+
+    Args:
+        plan: the file or folder; a solution is itself, and a plan is verified to become one.
+
+    Raises:
+        InputError: if it is none of these, or cannot be read.
+    """
+    if isinstance(plan, Plan):
+        return verified(plan.mission, make_solution(plan))
+    if isinstance(plan, Solution):
+        return plan
+    if not isinstance(plan, str | Path):
+        raise InputError("plan", shortened(plan), "must be a plan, a solution or its file")
+    return read_solution(resolve_run(Path(plan)))
+
+
+def verified(mission: Mission, solution: Solution) -> Solution:
+    """A solution with its verification."""
+    checked = reintegration.verify(mission, solution)
+    return solution.with_verification(checked)
+
+
+def verify(plan: AnyPlan) -> Verification:
+    """Verify a plan without the solver: `ok`, and what `failed`.
+
+    >>> import scp_recon as sr
+    >>> sr.verify(sr.plan())
+    <Verification: verified>
+
+    Raises:
+        InputError: if it is no plan and no file of one.
+    """
+    return reintegration.verify(*open_plan(plan))
+
+
+def save(plan: AnyPlan, folder: str | Path) -> Path:
+    """Verify a plan and write its `solution.json` into a folder, whole or not at all.
+
+    A plan that is not verified goes beside a verified one that is there, as `solution_unverified.json`;
+    what was made of another plan is set aside (`old_montecarlo.json`).
+
+    >>> import scp_recon as sr
+    >>> sr.save(sr.plan(), "runs/mine").name
+    'solution.json'
+
+    Raises:
+        InputError: if it is no plan, or the folder cannot be written.
+    """
+    if not isinstance(plan, Plan | Solution):
+        raise InputError("plan", shortened(plan), "must be a plan, which `plan` returns")
+    path = path_of("folder", folder)
+    check_writable(path, FILE_NAME, "folder")
+    try:
+        return keep_plan(load(plan), path)[0]
+    except OSError as error:
+        raise unwritable(path, "folder", error) from None
+
+
+def compare(*plans: AnyPlan) -> comparison.Comparison:
+    """Compare plans, solutions or their files; the paths are held against the first one's.
+
+    >>> import scp_recon as sr
+    >>> table = sr.compare(sr.plan(), sr.plan(problem="P3"))
+    >>> print(*(f"{dv:.3f} m/s" for dv in table["total delta-v"]))
+    0.140 m/s 0.108 m/s
+
+    Raises:
+        InputError: if there is none, or one is no plan and no file of a solution.
+    """
+    _require_some(plans)
+    names = [
+        str(given) if isinstance(given, str | Path) else f"plan {number}"
+        for number, given in enumerate(plans, start=1)
+    ]
+    return comparison.compare(names, [load(given) for given in plans])
+
+
+def report(
+    *plans: AnyPlan,
+    out: str | Path = "report.html",
+    field_deg: float | None = None,
+    pixels: int | None = None,
+) -> Path:
+    """Write the page that shows plans, laid over each other; it needs nothing else to be looked at.
+
+    The folder of a campaign, finished or not, gets its own page, `campaign.html`, and pictures.
+
+    Args:
+        plans: one to six, of one body; what lies beside a plan's file is shown with it. Or the folder
+            of a campaign.
+        out: the file to write, for plans.
+        field_deg: full angle of the camera's field of view; DARE's by default.
+        pixels: across the field of view; DARE's by default.
+
+    Raises:
+        InputError: if one is no plan and no file of a solution, the extra [report] is missing, or the
+            file cannot be written.
+    """
+    from scp_recon.reports import write
+    from scp_recon.reports.ground import Camera
+
+    write.check_extra()
+    _require_some(plans)
+    if is_campaign(plans):
+        from scp_recon.campaigns.outcome import read_campaign
+        from scp_recon.campaigns.page import write_pictures
+
+        (folder,) = plans
+        return write_pictures(read_campaign(Path(str(folder))))[0]
+    usual = Camera()
+    camera = Camera(
+        number_between(
+            option("field_deg"),
+            usual.field_deg if field_deg is None else field_deg,
+            0.01,
+            FIELD_MAX_DEG,
+        ),
+        whole_number(option("pixels"), usual.pixels if pixels is None else pixels, 1, PIXELS_MAX),
+    )
+    found = [load(p) if isinstance(p, Plan | Solution) else Path(p) for p in plans]
+    return write.write_report(found, path_of(option("out"), out), camera)
+
+
+def is_campaign(plans: tuple[AnyPlan, ...]) -> bool:
+    """Whether what is to be shown is the folder of a campaign."""
+    return (
+        len(plans) == 1
+        and isinstance(plans[0], str | Path)
+        and (Path(plans[0]) / CAMPAIGN).is_file()
+    )
+
+
+def _require_some(plans: tuple[object, ...]) -> None:
+    if not plans:
+        raise InputError("plans", "none", "must be one or more")
+    for given in plans:
+        if not isinstance(given, Plan | Solution | str | Path):
+            raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
+
+
+class Exported(NamedTuple):
+    """What was exported.
+
+    Attributes:
+        files: that were written.
+        export: what they say of themselves: verdict, frame, path, burns.
+    """
+
+    files: list[Path]
+    export: Export
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<Exported: {', '.join(file.name for file in self.files)}>"
+
+
+def export(
+    plan: AnyPlan,
+    format: str,  # noqa: A002 -- as the command line and every other tool has it
+    out: str | Path = "export",
+    *,
+    spacecraft: int = SPACECRAFT_ID,
+    vehicle: str | Path | None = None,
+) -> Exported:
+    """Write a plan for other tools: its burns are flown again, densely enough for their interpolation.
+
+    >>> import scp_recon as sr
+    >>> files, _ = sr.export(sr.plan(), "csv", "runs/mine/export")
+    >>> [file.suffix for file in files]
+    ['.csv']
+
+    Args:
+        plan: to write.
+        format: "oem" (CCSDS, with an OPM of the burns), "spk" or "ck" (SPICE kernels of the path, or of
+            the attitude; the extra [spice]), "csv" or "parquet" (a table; the extra [parquet]).
+        out: folder for the files.
+        spacecraft: NAIF's number of the spacecraft, below zero.
+        vehicle: a TOML file, for "ck"; the packaged DARE by default.
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    one_of(option("format"), format, FORMATS)
+    whole_number(option("spacecraft"), spacecraft, SPACECRAFT_MIN, -1)
+    require(format)
+    mission, solution = open_plan(plan)
+    craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
+    path = fly_path(mission, solution)
+    ids = Ids(spacecraft, mission.scenario.body.naif_id or UNNAMED_BODY_ID)
+    found, place = Export(solution, mission, path, ids), path_of(option("out"), out)
+    check_writable(place, f"{stem(found)}.{format}", option("out"))
+    try:
+        return Exported(write_export(found, format, place, craft), found)
+    except OSError as error:
+        raise unwritable(place, option("out"), error) from None

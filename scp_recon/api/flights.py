@@ -1,0 +1,239 @@
+"""Flights of a plan: many with errors, to a number or a tolerance, and one of the whole spacecraft."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+from scp_recon.api.files import AnyPlan, Opened, open_plan, solution_of
+from scp_recon.api.keeping import check_holds
+from scp_recon.errors import (
+    InputError,
+    needing,
+    number_between,
+    one_of,
+    option,
+    path_of,
+    whole_number,
+)
+from scp_recon.files import check_writable, only_run_in, unwritable
+from scp_recon.monte_carlo.flights import (
+    LIMITS,
+    SAMPLES_MAX,
+    SAMPLES_MIN,
+    SEED_MAX,
+    WORKERS_MAX,
+    FlightConfig,
+    FlightTally,
+    fly_many,
+    forget_flights,
+    keep_flights,
+    kept_flights,
+)
+from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
+from scp_recon.monte_carlo.summary import FILE_NAME, Summary, summarise
+from scp_recon.results.solution import require_whole_flight
+from scp_recon.simulation import record as records
+from scp_recon.simulation.vehicle import load_vehicle
+
+
+@dataclass(frozen=True)
+class FlyOptions:
+    """How a plan is flown many times.
+
+    Attributes:
+        samples: flights, at most with `until`.
+        until: width of every joint probability's interval at which to stop, if any.
+        truth: dynamics flown, the planner's or harmonics.
+        errors: of the burns, "componentwise" or "gates"; the scenario's without it.
+        seed: of all draws.
+        workers: processes; the result does not depend on their number.
+        scheduler: address of a Dask cluster's, in their place.
+
+    Raises:
+        InputError: if one is out of its range, or goes not with another.
+    """
+
+    samples: int = 10_000
+    until: float | None = None
+    truth: TruthModel = "planner"
+    errors: ErrorModel | None = None
+    seed: int = 0
+    workers: int | None = None
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        whole_number(option("samples"), self.samples, SAMPLES_MIN, SAMPLES_MAX)
+        whole_number(option("seed"), self.seed, 0, SEED_MAX)
+        if (
+            self.until is not None
+            and not 0.0 < number_between(option("until"), self.until, 0, 1) < 1
+        ):
+            raise InputError(option("until"), repr(self.until), "must be a width between 0 and 1")
+        one_of(option("truth"), self.truth, get_args(TruthModel))
+        if self.errors is not None:
+            one_of(option("errors"), self.errors, get_args(ErrorModel))
+        if self.workers is not None:
+            whole_number(option("workers"), self.workers, 1, WORKERS_MAX)
+            if self.scheduler is not None:
+                allowed = f"must be left out with {option('scheduler')}"
+                raise InputError(option("workers"), str(self.workers), allowed)
+
+
+@dataclass(frozen=True)
+class Watcher:
+    """Is told how flights go on, and may stop them.
+
+    Attributes:
+        progress: told how many are flown.
+        stop: asked whether to stop.
+        say: told what is worth a line.
+    """
+
+    progress: Callable[[int], None] | None = None
+    stop: Callable[[], bool] = lambda: False
+    say: Callable[[str], None] = lambda _: None
+
+
+def fly(
+    plan: AnyPlan,
+    samples: int = 10_000,
+    seed: int = 0,
+    *,
+    until: float | None = None,
+    truth: TruthModel = "planner",
+    errors: ErrorModel | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> Summary:
+    """Fly a plan many times with errors.
+
+    >>> import scp_recon as sr
+    >>> emission = sr.fly(sr.plan(), samples=1000).probability["emission"]
+    >>> print(f"{emission.value:.3f}, 95 % interval {emission.low:.3f} to {emission.high:.3f}")
+    0.982, 95 % interval 0.972 to 0.989
+
+    Args:
+        plan: to fly; a solution, or its file.
+        samples: flights, at most with `until`.
+        seed: of all draws.
+        until: stop when every joint probability's interval is this narrow, e.g. 0.005.
+        truth: dynamics flown, "planner" or "harmonics".
+        errors: of the burns, "componentwise" or "gates"; the scenario's without it.
+        workers: processes; the result does not depend on their number. One by default.
+        scheduler: address of a Dask cluster's, in their place; needs the extra [cluster].
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler)
+    return flown_summary(open_plan(plan), how)
+
+
+def flown_summary(plan: Opened, options: FlyOptions) -> Summary:
+    """What the flights of a plan come to."""
+    flown = _fly(_config(plan, options), options, Watcher(), None)
+    return summarise(flown, plan.solution)
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Flights of a plan in a folder.
+
+    Attributes:
+        flights: that were counted.
+        path: of the summary, or of the flights that are kept where they were stopped.
+        summary: of all of them; None where they were stopped.
+    """
+
+    flights: FlightTally
+    path: Path
+    summary: Summary | None
+
+
+def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) -> Flown:
+    """Fly a plan, and write the summary into its folder; what was stopped there is continued.
+
+    Raises:
+        InputError: if the folder cannot be written, or holds another plan.
+    """
+    solution = plan.solution
+    config = _config(plan, options)
+    check_writable(folder, FILE_NAME, "folder")
+    check_holds(folder, solution, "folder")
+    with only_run_in(folder, "folder"):
+        begun = kept_flights(config, solution, folder)
+        if begun is not None and begun.samples > options.samples:
+            begun = None
+        if begun is not None:
+            watcher.say(f"continued after {begun.samples} flights that were stopped")
+        flown = _fly(config, options, watcher, begun)
+        try:
+            if watcher.stop() and flown.samples < options.samples:
+                return Flown(flown, keep_flights(flown, solution, folder), None)
+            summary = summarise(flown, solution)
+            path = summary.write(folder)
+            forget_flights(folder)
+        except OSError as error:
+            raise unwritable(folder, "folder", error) from None
+    return Flown(flown, path, summary)
+
+
+def _config(plan: Opened, options: FlyOptions) -> FlightConfig:
+    burns = plan.solution.burns_m_s
+    return FlightConfig(plan.mission, burns, options.seed, options.truth, options.errors)
+
+
+def _fly(
+    config: FlightConfig, options: FlyOptions, watcher: Watcher, begun: FlightTally | None
+) -> FlightTally:
+    executor = None
+    if options.scheduler is not None:
+        from scp_recon.jobs.cluster import Cluster
+
+        executor = Cluster(options.scheduler, LIMITS, watcher.say)
+    return fly_many(
+        config,
+        samples=options.samples,
+        until=options.until,
+        workers=options.workers or 1,
+        executor=executor,
+        progress=watcher.progress,
+        stop=watcher.stop,
+        begun=begun,
+    )
+
+
+def simulate(
+    plan: AnyPlan,
+    *,
+    seed: int = 0,
+    vehicle: str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> records.Record:
+    """Fly a plan once with the spacecraft in the loop: attitude control, finite burns, power.
+
+    Needs the extra [sim].
+
+    Args:
+        plan: to fly; a solution, or its file.
+        seed: of all errors.
+        vehicle: a TOML file; the packaged DARE by default.
+        progress: told the time of the flight, s.
+
+    Returns:
+        The record of the flight; its `summary` has the figures.
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    with needing("simulate", "sim", "Basilisk"):
+        from scp_recon.simulation.basilisk import simulation
+    whole_number(option("seed"), seed, 0, SEED_MAX)
+    solution = solution_of(plan)
+    craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
+    require_whole_flight(solution.scenario, "plan")
+    flight = simulation.simulate(solution, craft, seed, progress=progress)
+    return records.make_record(flight, solution, seed)

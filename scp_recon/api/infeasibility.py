@@ -1,0 +1,221 @@
+"""Diagnose an infeasible plan: what binds, and which probability would be feasible instead.
+
+What binds is found by freeing one thing at a time: the size of the burns, their directions, the final
+state, the limits. The largest probability is that of exact risk, which leaves out nothing that another
+split of risk allows. Every trial is a local search: what has no plan here may have one elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from formulations.problem.flyby import FlybyProblem, Iterate
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import plan_mission
+from scp_recon.certification.largest import MOST, largest_kept, rounded_down
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import Planner
+from scp_recon.planning.stages import FIRST_STAGE
+from scp_recon.results.solution import make_solution
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import verify
+
+LEAST = 0.501
+"""Least probability that is looked at: a scenario asks for more than one half."""
+
+CLOSE = 0.02
+"""Standard deviations between the largest probability with a plan and the next without: a hint."""
+
+TRIES = ((False, 0.0), (True, 0.0), (True, 0.1), (True, 0.25))
+"""Whether flights certify what is proposed, and standard deviations by which it is less than could be.
+Where flights refute a plan they refute one for less as well, if it aims no higher. Certified ones do.
+"""
+
+FREE = 100.0
+"""How many times as large burns may be where their size is free."""
+
+FREE_CONE, FREE_MISS = 1e-6, 1e-3
+"""Half-angle, rad, of the cones that burns keep out of where their directions are free, and price of a
+miss where the final state is."""
+
+SIZE, DIRECTIONS = "the size of the burns", "the directions of the burns"
+FINAL_STATE, LIMITS = "the final state", "the limits"
+FINAL_SPREAD = "the limits on the final covariance"
+SPLIT = "the polytopes and the split of the risk"
+
+FREED: dict[str, Callable[[FlybyProblem], FlybyProblem]] = {
+    SIZE: lambda problem: replace(problem, dv_max=FREE * problem.dv_max),
+    DIRECTIONS: lambda problem: replace(problem, dv_cone=FREE_CONE),
+    FINAL_STATE: lambda problem: replace(problem, miss_weight=FREE_MISS),
+    LIMITS: lambda problem: replace(problem, constraints=()),
+    FINAL_SPREAD: lambda problem: replace(problem, final_spread=(None, None)),
+}
+"""The problem without one thing."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Why a plan is infeasible, and what would be feasible instead.
+
+    Attributes:
+        without_uncertainty: how P3 ended, at best.
+        binds: limits of which relaxing any one suffices; empty, if none does.
+        violated: constraints that the least violation violates.
+        burn_m_s: largest burn of a plan whose burns may have any size, where that suffices.
+        exact: exact risk's plan for the probability that was asked, if there is one.
+        largest: the plan of the largest probability that was found, which is its `target`, if any.
+        verified: exact risk's plan that ends verified, if any: of the probability that was asked, or of
+            the largest, rounded down. It is certified only if flights refute it otherwise.
+    """
+
+    without_uncertainty: Status
+    binds: tuple[str, ...]
+    violated: tuple[str, ...]
+    burn_m_s: float | None = None
+    exact: Plan | None = None
+    largest: Plan | None = None
+    verified: Plan | None = None
+
+
+def diagnose(failed: Plan, start: Iterate | None = None) -> Diagnosis:
+    """Find what makes a plan infeasible, and what would be feasible instead.
+
+    Args:
+        failed: an infeasible plan.
+        start: where the plan that is proposed begins; at P3's solution without it.
+    """
+    p3 = _without_uncertainty(failed)
+    status, iterate = p3.status, p3.final.result.lin.iterate
+    if failed.final.problem == "P3" or status is Status.INFEASIBLE:
+        some = tuple(name for name in FREED if name != FINAL_SPREAD)
+        freed = {name: plan for name in some if (plan := _freed(p3, name))}
+        return Diagnosis(status, tuple(freed), _violated(p3), _largest_burn(freed))
+    risk = failed.mission.scenario.risk
+    wanted, asked = failed.target or risk.p_chance, min(risk.p_chance, failed.target or 1.0)
+    uniform = risk.allocation == "uniform"
+    tried = None
+    if uniform or wanted > asked:
+        tried = exact_plan(failed.mission, iterate, asked)
+    exact = tried if tried and _has_converged(tried) else None
+    violated, freed = _violated(failed), {}
+    binds: tuple[str, ...] = (SPLIT,)
+    if not (uniform and exact):
+        last = tried if uniform and tried else failed
+        violated = _violated(last)
+        # Whole flights take ten times as long where the final state is free.
+        some = (SIZE, FINAL_STATE) if risk.scope == "node" else (SIZE,)
+        spread = last.mission.problem.final_spread != (None, None)
+        some = (*some, FINAL_SPREAD) if spread else some
+        freed = {name: plan for name in some if (plan := _freed(last, name))}
+        # What is left, where the final covariance alone is not too large.
+        binds = tuple(freed) if FINAL_SPREAD in freed else (*freed, LIMITS)
+    most = asked if exact is None else max(wanted, MOST) if uniform else wanted
+    low = exact or exact_plan(failed.mission, iterate, LEAST)
+    largest = largest_feasible(low, most) if _has_converged(low) else None
+    found = largest and _verified(largest, asked, failed, start or iterate)
+    return Diagnosis(status, binds, violated, _largest_burn(freed), exact, largest, found)
+
+
+def exact_plan(mission: Mission, start: Iterate, target: float) -> Plan:
+    """Exact risk's plan, from one start only; its mission asks for what it aims at."""
+    changes = {"risk.allocation": "exact", "risk.p_chance": target}
+    exact = Mission.from_scenario(mission.scenario.replace(changes))
+    return _uninterrupted(plan_mission(exact, start, PlanOptions(certify=False), once=True))
+
+
+def largest_feasible(low: Plan, most: float) -> Plan:
+    """The plan of the largest probability that is found.
+
+    Args:
+        low: a plan of exact risk, for what it aims at.
+        most: probability beyond which there is no need to look, or no plan.
+    """
+
+    def attempt(best: Plan, target: float) -> Plan:
+        return exact_plan(best.mission, best.final.result.lin.iterate, target)
+
+    return _uninterrupted(largest_kept(low, most, CLOSE, attempt, _has_converged)[0])
+
+
+def _without_uncertainty(failed: Plan) -> Plan:
+    """P3's plan: of those on the way to the infeasible plan one that has converged, or a new one."""
+    own = [s for s in failed.stages if s.problem == "P3" and not s.name.endswith(FIRST_STAGE)]
+    if not own:
+        return _uninterrupted(
+            Planner(failed.mission).plan(failed.final.result.lin.iterate, problem="P3")
+        )
+    order = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED, Status.SOLVER_FAILED)
+    ranked = {status: rank for rank, status in enumerate(order)}
+    # What is infeasible from every start comes last: one that did not end shows nothing.
+    best = min(own, key=lambda stage: ranked.get(stage.result.status, len(order)))
+    return replace(failed, final=best)
+
+
+def _freed(failed: Plan, name: str) -> Plan | None:
+    """The plan where one thing gives way, if there is one."""
+    mission = replace(failed.mission)
+    # No scenario asks for such a problem: it takes the place of the one that this copy would cache.
+    vars(mission)["problem"] = FREED[name](failed.mission.problem)
+    start, problem = failed.final.result.lin.iterate, failed.final.problem
+    found = _uninterrupted(
+        Planner(mission, target=failed.target).plan(start, problem=problem, once=True)
+    )
+    return found if _has_converged(found) else None
+
+
+def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan | None:
+    """Exact risk's plan as the command makes it, if flights do not refute it; else a certified one."""
+    assert largest.target is not None
+    names = failed.provenance if failed.provenance.method == "scp" else largest.provenance
+    most = min(asked, largest.target)
+    for certified, less in TRIES:
+        p = most if most == asked and less == 0.0 else rounded_down(ndtr(ndtri(most) - less))
+        if p <= 0.5:
+            return None
+        mission = Mission.from_scenario(largest.mission.scenario.replace({"risk.p_chance": p}))
+        options = PlanOptions(algorithm=names.algorithm, solver=names.solver, certify=certified)
+        try:
+            found = _uninterrupted(plan_mission(mission, start, options))
+        except InputError:  # no flights certify so much
+            continue
+        if _has_converged(found) and verify(found.mission, make_solution(found)).ok:
+            return found
+    return None
+
+
+def _uninterrupted(plan: Plan) -> Plan:
+    """A plan that was not interrupted.
+
+    Raises:
+        KeyboardInterrupt: if it was.
+    """
+    if plan.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return plan
+
+
+def _has_converged(plan: Plan) -> bool:
+    return plan.status is Status.CONVERGED
+
+
+def _violated(plan: Plan) -> tuple[str, ...]:
+    """Names of the constraints that the least violation violates."""
+    merit, tolerance = plan.final.merit, plan.final.tolerance
+    violations = merit.violations(plan.final.result.lin)
+    return tuple(
+        FINAL_STATE if name == "dynamics" else name
+        for name, amount in violations.items()
+        if amount.max(initial=0.0) > tolerance
+    )
+
+
+def _largest_burn(freed: dict[str, Plan]) -> float | None:
+    if SIZE not in freed:
+        return None
+    return float(np.linalg.norm(freed[SIZE].burns_m_s, axis=1).max())

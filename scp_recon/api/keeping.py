@@ -1,0 +1,145 @@
+"""Write a plan without losing another: what the folder of a run holds belongs to one plan.
+
+A verified plan is overwritten only by a verified one. Another is written beside it, under a name of its
+own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from scp_recon.errors import InputError, option
+from scp_recon.files import check_writable, only_run_in, unwritable
+from scp_recon.monte_carlo import summary
+from scp_recon.results.read import read_solution
+from scp_recon.results.runs import is_pointer, new_run, point_to
+from scp_recon.results.solution import FILE_NAME, Solution
+from scp_recon.scp.status import Status
+from scp_recon.simulation import record
+
+UNVERIFIED = "solution_unverified.json"
+"""Where a plan goes that is not verified, where a verified one is already."""
+OLD = "old_"
+"""Before the name of a result of a plan that was there before."""
+
+RESULTS: dict[str, Callable[[Path], str | None]] = {
+    summary.FILE_NAME: lambda path: summary.read_summary(path).plan_hash,
+    record.FILE_NAME: lambda path: record.read_record(path).plan_hash,
+}
+"""What is made of a plan, and the hash of the plan that it says it is of."""
+
+
+@contextmanager
+def run_folder(out: Path | None, name: str) -> Iterator[Path]:
+    """The folder of a run, which no other run writes to meanwhile; an empty one of ours is removed.
+
+    Args:
+        out: as the user gave it.
+        name: of the scenario, where no folder was given.
+
+    Raises:
+        InputError: if it cannot be written, another run is at work in it, or it is `runs/latest`.
+    """
+    if out is not None and is_pointer(out):
+        raise InputError(
+            option("out"),
+            f"{out}, which points to the last finished run",
+            "must be a folder of its own",
+        )
+    folder = new_run(name) if out is None else out
+    try:
+        check_writable(folder, FILE_NAME, option("out"))
+        with only_run_in(folder, option("out")):
+            yield folder
+    finally:
+        if out is None:
+            with suppress(OSError):  # it is not empty
+                folder.rmdir()
+
+
+def point_latest(out: Path | None, folder: Path, status: int) -> None:
+    """Let `runs/latest` point to a finished run.
+
+    Args:
+        out: as the user gave it; a run in a folder of one's own is not pointed to.
+        folder: of the run.
+        status: its exit status; an interrupted run is not finished.
+
+    Raises:
+        InputError: if the pointer cannot be written.
+    """
+    if out is None and status != Status.INTERRUPTED.value.exit_code:
+        point_to(folder)
+
+
+def keep_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
+    """Write a plan into a folder, and set aside what is there of other plans.
+
+    Returns:
+        The file, and results of other plans under the names that they have now.
+
+    Raises:
+        OSError: if the folder cannot be written.
+    """
+    if not _is_verified(solution) and _holds_verified(folder):
+        return solution.write(folder, UNVERIFIED), []
+    path = solution.write(folder)
+    (folder / UNVERIFIED).unlink(missing_ok=True)
+    return path, _set_aside(solution, folder)
+
+
+def write_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
+    """`keep_plan` for a command, whose --out the folder is.
+
+    Raises:
+        InputError: if the folder cannot be written.
+    """
+    try:
+        return keep_plan(solution, folder)
+    except OSError as error:
+        raise unwritable(folder, option("out"), error) from None
+
+
+def check_holds(folder: Path, solution: Solution, entry: str) -> None:
+    """Refuse to put what is made of a plan beside another plan.
+
+    Args:
+        folder: where it would go.
+        solution: the plan.
+        entry: what to name in a message.
+
+    Raises:
+        InputError: if the folder holds another plan.
+    """
+    if (folder / FILE_NAME).exists() and read_solution(folder).plan_hash != solution.plan_hash:
+        given = f"{folder}, which holds another plan"
+        raise InputError(entry, given, "must be a folder of its own")
+
+
+def _is_verified(solution: Solution) -> bool:
+    return solution.verification is not None and solution.verification.ok
+
+
+def _holds_verified(folder: Path) -> bool:
+    try:
+        return _is_verified(read_solution(folder))
+    except InputError:
+        return False
+
+
+def _set_aside(solution: Solution, folder: Path) -> list[Path]:
+    """Results of other plans, or of nobody knows which, under another name."""
+    moved = []
+    for name, plan_hash in RESULTS.items():
+        path = folder / name
+        if not path.is_file():
+            continue
+        try:
+            same = plan_hash(path) == solution.plan_hash
+        except InputError:
+            same = False
+        if not same:
+            moved.append(path.replace(folder / f"{OLD}{name}"))
+    return moved

@@ -1,0 +1,195 @@
+"""How a plan is to be made: every option of planning, with its range and what it goes with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Literal
+
+from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
+from scp_recon.monte_carlo.estimates import flights_needed
+from scp_recon.physics.time_scales import tdb_of_utc
+from scp_recon.planning.method import (
+    ALGORITHM,
+    FACET_ROUNDS_MAX,
+    FORMULATION,
+    PROBLEMS,
+    SOLVER,
+    ScpMethod,
+    scp_method,
+)
+from scp_recon.planning.starts import SEED_MAX, STARTS_MAX, WORKERS_MAX
+from scp_recon.scenario.schema import Scenario
+
+METHODS = ("scp", "ipopt")
+OBJECTIVES = ("delta-v", "probability")
+VARIANT = "tuned"
+"""Of the nonlinear program, unless another is chosen."""
+BUDGET_MIN_M_S, BUDGET_MAX_M_S = 1e-9, 1e6
+
+_OF_SCP = ("algorithm", "solver", "facet_rounds", "starts", "seed", "workers")
+_OF_STARTS = ("seed", "workers")
+
+
+@dataclass(frozen=True)
+class PlanOptions:
+    """The options of planning; None where the default is to serve.
+
+    Attributes:
+        problem: with uncertainty (P2), or without it (P3).
+        method: sequential convex programming, or the nonlinear programs by IPOPT.
+        formulation: with scp one of `formulations.registry.FORMULATIONS` (condensed); with ipopt one of
+            `formulations.nlp.solve.VARIANTS` (tuned).
+        algorithm: with scp a key of `scp.algorithms.ALGORITHMS` (scvx).
+        solver: with scp a conic solver that CVXPY finds (CLARABEL), in capitals.
+        facet_rounds: how often the facets are chosen again at the solution, while that is better.
+        certify: with exact risk, whether flights have to certify the probability (they have).
+        objective: the least delta-v, or with exact risk the largest probability, whatever
+            p_chance says.
+        dv_budget_m_s: with the largest probability, most delta-v that the plan may cost (any).
+        starts: the plan is the best from the start and from so many random flights less one (1).
+        seed: of the random flights (0).
+        workers: processes for the starts; the plan does not depend on their number (1).
+
+    Raises:
+        InputError: if one is out of its range, or goes not with another.
+    """
+
+    problem: Literal["P3", "P2"] = "P2"
+    method: Literal["scp", "ipopt"] = "scp"
+    formulation: str | None = None
+    algorithm: str | None = None
+    solver: str | None = None
+    facet_rounds: int = 0
+    certify: bool | None = None
+    objective: Literal["delta-v", "probability"] = "delta-v"
+    dv_budget_m_s: float | None = None
+    starts: int | None = None
+    seed: int | None = None
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        one_of(option("problem"), self.problem, PROBLEMS)
+        one_of(option("method"), self.method, METHODS)
+        one_of(option("objective"), self.objective, OBJECTIVES)
+        whole_number(option("facet_rounds"), self.facet_rounds, 0, FACET_ROUNDS_MAX)
+        for name, low, high in (
+            ("starts", 1, STARTS_MAX),
+            ("seed", 0, SEED_MAX),
+            ("workers", 1, WORKERS_MAX),
+        ):
+            if (given := getattr(self, name)) is not None:
+                whole_number(option(name), given, low, high)
+        if self.dv_budget_m_s is not None:
+            number_between(
+                option("dv_budget_m_s"), self.dv_budget_m_s, BUDGET_MIN_M_S, BUDGET_MAX_M_S
+            )
+        if self.certify is not None and not isinstance(self.certify, bool):
+            raise InputError(
+                option("certify"), shortened(self.certify), "must be True, False or None"
+            )
+        if self.method == "ipopt":
+            self._check_ipopt()
+        else:
+            self.scp  # noqa: B018 -- whether its names are known
+            self._check_starts()
+
+    @property
+    def scp(self) -> ScpMethod:
+        """Formulation, algorithm and solver of sequential convex programming.
+
+        Raises:
+            InputError: if one is not known.
+        """
+        names = (self.formulation, self.algorithm, self.solver)
+        usual = (FORMULATION, ALGORITHM, SOLVER)
+        return scp_method(*(b if a is None else a for a, b in zip(names, usual, strict=True)))
+
+    @property
+    def variant(self) -> str:
+        """Of the nonlinear program."""
+        return self.formulation or VARIANT
+
+    def is_certified(self, scenario: Scenario) -> bool:
+        """Whether flights have to certify the probability of a plan of a scenario."""
+        exact = scenario.risk.allocation == "exact" and self.problem == "P2"
+        return exact and self.certify is not False
+
+    def check(self, scenario: Scenario) -> None:
+        """Refuse what does not go with a scenario's risk and burns.
+
+        Raises:
+            InputError: naming the option, what was given and what is allowed.
+        """
+        budget = self.dv_budget_m_s
+        most = len(scenario.burn_times_s) * scenario.burns.dv_max_m_s
+        if budget is not None and self.objective != "probability":
+            allowed = f"goes with {option('objective', 'probability')}"
+            raise InputError(option("dv_budget_m_s"), f"{budget:g}", allowed)
+        if budget is not None and budget > most:
+            allowed = f"must be at most {most:g} m/s, all burns at burns.dv_max_m_s, or any"
+            raise InputError(option("dv_budget_m_s"), f"{budget:g} m/s", allowed)
+        exact = scenario.risk.allocation == "exact"
+        if not exact or self.problem != "P2":
+            others = option("problem", "P2") if exact else "risk.allocation = exact only"
+            if self.certify is not None:
+                raise InputError(option("certify"), str(self.certify), f"goes with {others}")
+            if self.objective == "probability":
+                raise InputError(option("objective"), self.objective, f"goes with {others}")
+        if not exact:
+            return
+        for name, given, only in (
+            ("method", self.method, "scp"),
+            ("formulation", self.formulation or FORMULATION, FORMULATION),
+            ("facet_rounds", self.facet_rounds, 0),
+        ):
+            if given != only:
+                allowed = f"must be {only} with risk.allocation = exact"
+                raise InputError(option(name), shortened(given), allowed)
+        if self.is_certified(scenario) and self.objective == "delta-v":
+            flights_needed(scenario.risk.p_chance)
+
+    def _check_ipopt(self) -> None:
+        """Refuse options of sequential convex programming, and a program that is not known."""
+        usual = PlanOptions()
+        for name in _OF_SCP:
+            if (given := getattr(self, name)) != getattr(usual, name):
+                allowed = f"goes with {option('method', 'scp')} only"
+                raise InputError(option(name), str(given), allowed)
+        if self.formulation is not None:
+            from formulations.nlp.solve import VARIANTS  # CasADi takes a second to import
+
+            one_of(option("formulation"), self.formulation, VARIANTS)
+
+    def _check_starts(self) -> None:
+        """Refuse what goes with several starts only, or not with them."""
+        if (self.starts or 1) == 1:
+            for name in _OF_STARTS:
+                if (given := getattr(self, name)) is not None:
+                    allowed = f"goes with {option('starts')} of 2 or more"
+                    raise InputError(option(name), str(given), allowed)
+        elif self.objective == "probability":
+            allowed = f"goes with {option('objective', 'delta-v')}"
+            raise InputError(option("starts"), str(self.starts), allowed)
+
+
+def date_in_tdb(entry: str, given: datetime | str | None, *, utc: bool = False) -> datetime | None:
+    """A date in TDB, of one in UTC if asked.
+
+    Raises:
+        InputError: if it is none.
+    """
+    if given is None:
+        return None
+    try:
+        date = given if isinstance(given, datetime) else datetime.fromisoformat(given)
+        if utc:
+            return tdb_of_utc(date)
+        if date.tzinfo is not None:
+            raise ValueError
+    except (TypeError, ValueError) as error:
+        scale = "UTC" if utc else "TDB, without a zone"
+        reason = f", {error.allowed}" if isinstance(error, InputError) else ""
+        allowed = f"must be a date and time such as 2020-01-21T20:33:17, {scale}{reason}"
+        raise InputError(entry, shortened(given), allowed) from None
+    return date

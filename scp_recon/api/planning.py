@@ -1,0 +1,342 @@
+"""Planning: the one place that decides by which method, from how many starts, and whether certified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Literal, Protocol, TypedDict, Unpack
+
+import numpy as np
+
+from formulations.arrays import Array
+from formulations.problem.flyby import Iterate
+from scp_recon.api.options import PlanOptions
+from scp_recon.certification.certify import certify
+from scp_recon.certification.largest import LEAST, Search, largest_promise
+from scp_recon.errors import InputError, option, shortened
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess, planner
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.starts import plan_from_several
+from scp_recon.results.read import read_solution
+from scp_recon.results.runs import resolve_run
+from scp_recon.results.solution import Solution
+from scp_recon.scenario.load import load_scenario, override
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.loop import Record
+from scp_recon.scp.status import Status
+
+
+class PlanObserver(Protocol):
+    """Is told how planning goes on."""
+
+    def __call__(self, stage: str, record: Record, /) -> None:
+        """An iteration of a stage is done."""
+
+    def round(self, number: int, plan: Plan, samples: int, flown: int = 0, /) -> None:
+        """Of a round of certification so many flights are flown: see `certification.certify.Watch`."""
+
+
+class Known(TypedDict, total=False):
+    """What is known of a mission's plan before it is made: arguments of `planner.plan`."""
+
+    p3_resolution: float
+    choices: int
+    once: bool
+
+
+def plan_mission(
+    mission: Mission,
+    start: Iterate,
+    options: PlanOptions,
+    observe: PlanObserver | None = None,
+    *,
+    init: str = "given",
+    **known: Unpack[Known],
+) -> Plan:
+    """Plan a mission from a start: every plan of commands, scripts, campaigns and studies.
+
+    Args:
+        mission: to plan.
+        start: where planning begins.
+        options: how.
+        observe: is told how it goes on.
+        init: what the start is called in the solution file.
+        **known: what is known of the plan before it is made, for sequential convex programming.
+
+    Raises:
+        InputError: if an option does not go with the scenario, or the delta-v budget has no plan.
+    """
+    options.check(mission.scenario)
+    if options.method == "ipopt":
+        from scp_recon.planning import ipopt  # CasADi takes a second to import
+
+        return ipopt.plan(
+            mission,
+            start,
+            problem=options.problem,
+            variant=options.variant,
+            init=init,
+            observe=observe,
+        )
+    work = _ByScp(options, observe, known)
+    if options.objective == "probability":
+        return work.largest(mission, start, init)
+    if (options.starts or 1) > 1:
+        return work.from_several(mission, start, init)
+    return work.from_one(mission, start, init)
+
+
+@dataclass(frozen=True)
+class _ByScp:
+    """Planning by sequential convex programming, as options ask for it."""
+
+    options: PlanOptions
+    observe: PlanObserver | None
+    known: Known
+
+    @property
+    def make_plan(self) -> Callable[..., Plan]:
+        """One plan, from one start."""
+        method = self.options.scp
+        return partial(
+            planner.plan,
+            problem=self.options.problem,
+            **method._asdict(),
+            facet_rounds=self.options.facet_rounds,
+            **self.known,
+        )
+
+    def aiming(self, init: str) -> Callable[[Mission, Iterate, float], Plan]:
+        """Plans that aim at a probability, as rounds of flights and searches ask for them."""
+        make_plan = self.make_plan
+        return lambda mission, start, target: make_plan(
+            mission, start, target=target, init=init, observe=self.observe
+        )
+
+    def from_one(self, mission: Mission, start: Iterate, init: str) -> Plan:
+        """From one start, certified where flights have to stand behind the plan."""
+        if not self.options.is_certified(mission.scenario):
+            return self.make_plan(mission, start, init=init, observe=self.observe)
+        watch = self.observe.round if self.observe else None
+        return certify(mission, start, self.aiming(init), watch)
+
+    def from_several(self, mission: Mission, start: Iterate, init: str) -> Plan:
+        """The best of several starts; where flights have to stand behind it, certified from there."""
+        best = plan_from_several(
+            mission,
+            start,
+            self.make_plan,
+            starts=self.options.starts or 1,
+            seed=self.options.seed or 0,
+            workers=self.options.workers or 1,
+            init=init,
+            seen=self._show_start,
+        )
+        if not self.options.is_certified(mission.scenario) or best.status is not Status.CONVERGED:
+            return best
+        start = from_burns(mission, best.burns_m_s)
+        return replace(self.from_one(mission, start, best.provenance.init), starts=best.starts)
+
+    def largest(self, mission: Mission, start: Iterate, init: str) -> Plan:
+        """The plan of the largest probability within the budget.
+
+        Raises:
+            InputError: if the budget has no plan for the least that is looked for.
+        """
+        given = self.options.dv_budget_m_s
+        budget = float("inf") if given is None else given
+        best = largest_promise(
+            mission,
+            start,
+            Search(self.aiming(init), budget),
+            certified=self.options.is_certified(mission.scenario),
+            watch=self.observe.round if self.observe else None,
+        )
+        if best.status is Status.CONVERGED and best.total_dv_m_s > budget:
+            raise InputError(
+                option("dv_budget_m_s"),
+                f"{budget:g} m/s",
+                f"must be at least {best.total_dv_m_s:.6f} m/s, which {LEAST} costs",
+            )
+        return best
+
+    def _show_start(self, number: int, found: Plan) -> None:
+        """The last iteration of each stage, as those of one start are shown one by one."""
+        if self.observe is None:
+            return
+        for stage in found.stages:
+            for record in stage.result.records[-1:]:
+                self.observe(f"{number} {stage.name}", record)
+
+
+def plan(
+    scenario: Scenario | str | Path | None = None,
+    init: Plan | Solution | str | Path | Array = "cold",
+    *,
+    problem: Literal["P3", "P2"] = "P2",
+    method: Literal["scp", "ipopt"] = "scp",
+    formulation: str | None = None,
+    algorithm: str | None = None,
+    solver: str | None = None,
+    facet_rounds: int = 0,
+    certify: bool | None = None,
+    objective: Literal["delta-v", "probability"] = "delta-v",
+    dv_budget_m_s: float | None = None,
+    starts: int | None = None,
+    seed: int | None = None,
+    workers: int | None = None,
+    overrides: Sequence[str] = (),
+) -> Plan:
+    """Plan a flyby.
+
+    >>> import scp_recon as sr
+    >>> found = sr.plan(sr.load_scenario("recon_b").replace({"risk.p_chance": 0.8}))
+    >>> print(found.status.value.name, f"{found.total_dv_m_s:.3f} m/s")
+    converged 0.155 m/s
+
+    Args:
+        scenario: what to plan; the name of a packaged one, or a file. By default that of a plan or a
+            solution to begin at, else recon_b.
+        init: "cold", a straight line; "warm", a ballistic arc; a plan, a solution or its folder; a CSV
+            of states, or such a table as an array (n, 7): t, x, y, z, vx, vy, vz, J2000, SI.
+        problem: with uncertainty (P2) or without (P3).
+        method: sequential convex programming (scp), or the nonlinear programs by IPOPT (ipopt).
+        formulation: condensed (the default), lifted, frozen-stm or frozen-covariance; with ipopt tuned
+            (the default), shooting or printed.
+        algorithm: scvx (the default), ptr or scvx-star.
+        solver: a conic solver that CVXPY finds; CLARABEL by default.
+        facet_rounds: how often to choose the facets again at the solution.
+        certify: with exact risk, whether to plan until flights certify the probability; they do
+            unless it is False.
+        objective: the least "delta-v"; with exact risk "probability" asks for the largest there is,
+            whatever p_chance says.
+        dv_budget_m_s: with objective "probability", most delta-v that the plan may cost, m/s.
+        starts: the plan is the best from `init` and from so many random flights less one; its `starts`
+            lists the distinct local optima. One by default.
+        seed: of the random flights; 0 by default.
+        workers: processes for the starts; the plan does not depend on their number. One by default.
+        overrides: `section.entry=value` each, as of `load_scenario`.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    options = PlanOptions(
+        problem=problem,
+        method=method,
+        formulation=formulation,
+        algorithm=algorithm,
+        solver=solver,
+        facet_rounds=facet_rounds,
+        certify=certify,
+        objective=objective,
+        dv_budget_m_s=dv_budget_m_s,
+        starts=starts,
+        seed=seed,
+        workers=workers,
+    )
+    mission, start = inputs(scenario, init, overrides)
+    options.check(mission.scenario)
+    return plan_mission(mission, start, options, init=_called(init))
+
+
+def inputs(
+    scenario: Scenario | str | Path | None,
+    init: Plan | Solution | str | Path | Array,
+    overrides: Sequence[str] = (),
+) -> tuple[Mission, Iterate]:
+    """The mission and the start of planning that `plan` is asked for: see there.
+
+    Raises:
+        InputError: if there is none of them, or a file cannot be used.
+    """
+    if isinstance(init, str | Path) and init not in ("cold", "warm") and is_solution(Path(init)):
+        init = read_solution(Path(init))
+    if scenario is None:
+        scenario = "recon_b"
+        if isinstance(init, Plan):
+            scenario = init.mission.scenario
+        elif isinstance(init, Solution):
+            scenario = init.scenario
+    mission = Mission.from_scenario(scenario_of(scenario, overrides))
+    return mission, _start(mission, init)
+
+
+def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:
+    """A scenario, by itself, by name, or from its file.
+
+    Args:
+        given: any of these.
+        overrides: `section.entry=value` each.
+
+    Raises:
+        InputError: if it is none of these, or cannot be read.
+    """
+    check_overrides(overrides)
+    if isinstance(given, Scenario):
+        return override(given, overrides)
+    if not isinstance(given, str | Path):
+        raise InputError("scenario", shortened(given), "must be a scenario, its name, or a file")
+    return load_scenario(given, overrides)
+
+
+def check_overrides(given: object) -> None:
+    """Refuse what is no list of changes to a scenario.
+
+    Raises:
+        InputError: if it is none.
+    """
+    if isinstance(given, list | tuple) and all(isinstance(text, str) for text in given):
+        return
+    raise InputError(option("overrides"), shortened(given), "must be a list of section.entry=value")
+
+
+def _called(init: Plan | Solution | str | Path | Array) -> str:
+    """What the solution file calls a start."""
+    if isinstance(init, np.ndarray):
+        return "a table"
+    return {Plan: "a plan", Solution: "a solution"}.get(type(init), str(init))
+
+
+def _start(mission: Mission, init: Plan | Solution | str | Path | Array) -> Iterate:
+    """The initial guess that a name, a plan, a file or a table of states stands for.
+
+    Args:
+        mission: gives the grid and the boundary.
+        init: "cold", a straight line; "warm", a ballistic arc; a plan or a solution, whose burns
+            are flown; a CSV of states, or these as an array t, x, y, z, vx, vy, vz,
+            J2000, SI, shape (n, 7).
+
+    Raises:
+        InputError: if it is none of these, or the file or the table is unusable.
+    """
+    entry = option("init")
+    if isinstance(init, np.ndarray):
+        return initial_guess.from_states(mission, init, entry)
+    if isinstance(init, Plan | Solution):
+        return initial_guess.from_burns(mission, init.burns_m_s, entry)
+    if not isinstance(init, str | Path):
+        allowed = "must be cold, warm, a file, a plan or an array of shape (n, 7)"
+        raise InputError(entry, shortened(init), allowed)
+    if init == "cold":
+        return initial_guess.cold(mission)
+    if init == "warm":
+        return initial_guess.ballistic(mission, entry)
+    return initial_guess.from_table(mission, Path(init), entry)
+
+
+def is_solution(path: Path) -> bool:
+    """A folder, or a file of JSON under whatever name: a table never begins with a brace."""
+    path = resolve_run(path)
+    try:
+        if path.is_dir() or path.suffix == ".json":
+            return True
+        if not path.is_file():  # a pipe can be read only once
+            return False
+        with path.open("rb") as file:
+            return file.read(100).lstrip().startswith(b"{")
+    except (OSError, ValueError):  # which the reader explains
+        return False

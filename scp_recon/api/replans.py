@@ -1,0 +1,137 @@
+"""Plan what is left of a flight, from a state in it and near the plan that is flown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy.typing as npt
+
+from scp_recon.api.options import PlanOptions
+from scp_recon.api.planning import PlanObserver, check_overrides, plan_mission
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import BURNS_TO_MEET
+from scp_recon.planning.method import ALGORITHM, FORMULATION
+from scp_recon.planning.plan import Parent, Plan
+from scp_recon.planning.stages import CHOICES_MAX
+from scp_recon.replanning.delivery import Delivery
+from scp_recon.replanning.flown import FlownPlan
+from scp_recon.replanning.remainder import mission_left, path_planned
+from scp_recon.results.solution import Solution
+
+P3_RESOLUTION = 1e-3
+"""Relative reduction of the merit at which P3 stops in flight where P2 follows: its end only places the
+facets. Newton's steps make of it some 1e-6 of what they begin with, and an iteration less."""
+
+
+def replan(
+    plan: Plan | Solution | str | Path,
+    at_s: float,
+    state: npt.ArrayLike,
+    covariance: npt.ArrayLike | None = None,
+    *,
+    frame: str = "j2000",
+    covariance_frame: str | None = None,
+    measured_burns: Mapping[int, npt.ArrayLike] | None = None,
+    overrides: Sequence[str] = (),
+    certify: bool | None = None,
+) -> Plan:
+    """Plan what is left of a flight from a state in it.
+
+    Burns at or before that time are flown. The next one keeps the scenario's decision lead time; what
+    is left of the observation window counts. With fewer than two burns left the final state is met as
+    nearly as they can: `verify` says how much is missed.
+
+    >>> import scp_recon as sr
+    >>> flown = sr.plan()
+    >>> left = sr.replan(flown, flown.times_s[80], flown.states[80])
+    >>> print(f"{len(left.burns_m_s)} burns, {left.total_dv_m_s:.3f} m/s")
+    2 burns, 0.062 m/s
+
+    Args:
+        plan: that is flown; nodes and spread of a solution, or its file, are held against its burns.
+        at_s: time of the state past the plan's epoch, s.
+        state: after the burns flown, m and m/s, body-centred, shape (6,).
+        covariance: of it, m and m/s, shape (6, 6); the scenario's initial one if not given.
+        frame: axes of state and measured burns, "j2000" or "sun_north", at the epoch.
+        covariance_frame: axes of the covariance, these or "rtn" of the state; `frame` if not given.
+        measured_burns: burns flown as telemetry saw them, by their number in the flight from 1, m/s.
+        overrides: `section.entry=value` each, as of `load_scenario`, for what is left.
+        certify: as in `plan`.
+
+    Returns:
+        A plan of the burns that are left, whose `parent` names the one that is flown.
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    check_overrides(overrides)
+    flown = FlownPlan.of(plan)
+    delivery = Delivery.of(
+        at_s,
+        state,
+        frame=frame,
+        covariance=covariance,
+        covariance_frame=covariance_frame,
+        measured=measured_burns,
+    )
+    mission = mission_left(flown, delivery, overrides)
+    return plan_left(flown, mission, certify=certify)
+
+
+def plan_left(
+    flown: FlownPlan,
+    mission: Mission,
+    *,
+    certify: bool | None = None,
+    observe: PlanObserver | None = None,
+) -> Plan:
+    """Plan what is left of a mission, near the plan that is flown and as that was made.
+
+    With two burns left, or one, the final state leaves no choice of burns. What is infeasible is that
+    wherever planning begins and whichever facets stand for the limits: it ends at once. A method that
+    cannot plan what is left, be it of exact risk or of a miss, gives way to the default.
+
+    Args:
+        flown: that plan.
+        mission: from `mission_left`.
+        certify: as of `PlanOptions`.
+        observe: is told how it goes on.
+
+    Raises:
+        InputError: if there are other burns left than the plan has, or flights cannot certify it.
+    """
+    options = left_options(flown, mission, certify=certify)
+    settled = len(mission.scenario.burn_times_s) <= BURNS_TO_MEET
+    plan = plan_mission(
+        mission,
+        path_planned(flown, mission),
+        options,
+        observe,
+        init=f"the path of {flown.name}",
+        p3_resolution=P3_RESOLUTION if flown.problem == "P2" else 0.0,
+        choices=0 if settled else CHOICES_MAX,
+        once=settled,
+    )
+    warnings = tuple(dict.fromkeys((*plan.mission.warnings, *mission.warnings)))
+    parent = Parent(flown.name, flown.plan_hash, mission.scenario.start_s)
+    return replace(plan, mission=replace(plan.mission, warnings=warnings), parent=parent)
+
+
+def left_options(flown: FlownPlan, mission: Mission, *, certify: bool | None) -> PlanOptions:
+    """How what is left is planned: as the plan that is flown, as far as that can be done.
+
+    Raises:
+        InputError: if flights cannot certify it.
+    """
+    exact = mission.scenario.risk.allocation == "exact"
+    options = PlanOptions(
+        problem=flown.problem,
+        formulation=FORMULATION if exact else flown.method.formulation,
+        algorithm=flown.method.algorithm if mission.must_meet else ALGORITHM,
+        solver=flown.method.solver,
+        certify=certify,
+    )
+    options.check(mission.scenario)
+    return options

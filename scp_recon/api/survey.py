@@ -1,0 +1,104 @@
+"""When a site is lit, and where burns may be then: the windows of a span, as a table and a chart."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from scp_recon.api.options import date_in_tdb
+from scp_recon.api.planning import scenario_of
+from scp_recon.bodies.catalogue import DAY_S
+from scp_recon.errors import InputError, needing, number_between, option
+from scp_recon.files import unwritable, write_atomically
+from scp_recon.mission.survey import Survey, survey
+from scp_recon.results.table import Table
+from scp_recon.scenario.schema import Scenario
+
+SPAN_DAYS, DAYS_MAX = 2.0, 100.0
+"""As a rule, and at most; the span may begin as far from the epoch. The planets, which two-body motion
+leaves out, turn Bennu's direction of the Sun by 0.001 deg in 100 days, and by 0.02 deg in 400."""
+
+
+def windows(
+    scenario: Scenario | str | Path,
+    begin: datetime | str | None = None,
+    span_days: float = SPAN_DAYS,
+    *,
+    csv: str | Path | None = None,
+    chart: str | Path | None = None,
+) -> Survey:
+    """All lighting windows of a span, with where burns may be about each.
+
+    >>> import scp_recon as sr
+    >>> len(sr.windows("recon_b", span_days=1.0).windows)
+    5
+
+    Args:
+        scenario: with the site and its limits; the name of a packaged one, or a file.
+        begin: where the span begins, TDB; the scenario's epoch by default.
+        span_days: how long it is, up to 100 days.
+        csv: file to which they are written as a table.
+        chart: file to which they are drawn, .png, .pdf or .svg; needs the extra [report].
+
+    Raises:
+        InputError: naming the argument, what was given and what is allowed.
+    """
+    number_between(option("span_days"), span_days, 0.01, DAYS_MAX)
+    given = scenario_of(scenario)
+    epoch = given.epoch.tdb
+    first = ((date_in_tdb(option("begin"), begin) or epoch) - epoch).total_seconds()
+    if abs(first) > DAYS_MAX * DAY_S:
+        allowed = (
+            f"must be within {DAYS_MAX:g} days of the scenario's epoch, {epoch.isoformat()}: its orbit "
+            "is two-body motion from there"
+        )
+        raise InputError(option("begin"), str(begin), allowed)
+    if chart is not None:
+        with needing(option("chart"), "report"):
+            from scp_recon.api.charts import draw_windows
+    found = survey(given, (first, first + span_days * DAY_S))
+    if csv is not None:
+        _write_result(Path(csv), option("csv"), survey_csv(given, found))
+    if chart is not None:
+        path = Path(chart)
+        _write_result(path, option("chart"), draw_windows(given, found, path.suffix))
+    return found
+
+
+def _write_result(path: Path, entry: str, content: str | bytes) -> None:
+    try:
+        write_atomically(path, content)
+    except OSError as error:
+        raise unwritable(path.parent, entry, error) from None
+
+
+def tdb(scenario: Scenario, time_s: float) -> str:
+    """Date and time of seconds past the scenario's epoch, TDB, to the second."""
+    date = scenario.epoch.tdb + timedelta(seconds=time_s + 0.5)
+    return date.replace(microsecond=0).isoformat()
+
+
+def survey_csv(scenario: Scenario, survey: Survey) -> str:
+    """One row for each window; times in s past the scenario's epoch, and edges as TDB dates too.
+
+    An interval that is empty has its first above its second.
+    """
+    burns = range(1, len(scenario.burns.times_s) + 1)
+    names = (
+        *("opens_tdb", "closes_tdb", "opens_s", "closes_s", "least_incidence_deg"),
+        *("local_solar_time_opens_h", "local_solar_time_closes_h"),
+        *(f"burn_{i}_{end}_s" for i in burns for end in ("earliest", "latest")),
+    )
+    rows = (
+        [
+            *(tdb(scenario, edge) for edge in w.edges_s),
+            *w.edges_s,
+            float(np.rad2deg(w.least_incidence_rad)),
+            *w.local_solar_time_h,
+            *(edge for interval in w.burns_s for edge in interval),
+        ]
+        for w in survey.windows
+    )
+    return Table.of("Windows", names, rows).csv()

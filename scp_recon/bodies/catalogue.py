@@ -1,0 +1,138 @@
+"""The packaged bodies, and where the Sun is from them by mean elements.
+
+Every number's source stands in `data/bodies/NAME.toml`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from formulations.arrays import Array
+from scp_recon.errors import InputError
+
+GM_SUN_KM3_S2 = 132_712_440_041.279
+"""DE440: Park et al. 2021."""
+OBLIQUITY = np.deg2rad(84_381.448 / 3600.0)
+"""Of the ecliptic of J2000, IAU 1976: the plane of JPL's elements."""
+ECLIPTIC_NORTH = np.array([0.0, -np.sin(OBLIQUITY), np.cos(OBLIQUITY)])
+"""Its pole, J2000."""
+AU_KM = 149_597_870.7
+"""IAU 2012 resolution B2."""
+DAY_S = 86_400.0
+J2000_TDB = datetime(2000, 1, 1, 12)
+
+
+@dataclass(frozen=True)
+class PackagedBody:
+    """What the package knows of a body.
+
+    Attributes:
+        entries: of the table `[body]`, in its units.
+        elements: Kepler orbits, one a year: TDB days past J2000 of its middle, mean motion (deg/day),
+            eccentricity, inclination, node, argument of perihelion, mean anomaly (deg), J2000 ecliptic,
+            heliocentric; shape (n, 7).
+        span: first and last day of the elements, TDB days past J2000.
+        years: first and last year of that.
+        other_meridian: W0, W1, W2 of a second source, where that differs by degrees.
+    """
+
+    entries: dict[str, Any]
+    elements: Array
+    span: tuple[float, float]
+    years: tuple[int, int]
+    other_meridian: tuple[float, float, float] | None = None
+
+    def covers(self, days: float) -> bool:
+        """Whether an epoch, TDB days past J2000, is in the elements' span."""
+        return self.span[0] <= days <= self.span[1]
+
+    def heliocentric(self, days: float) -> tuple[Array, Array]:
+        """Position (km) and velocity (km/s) from the Sun, J2000, shape (3,) each; TDB days past J2000.
+
+        Raises:
+            InputError: outside the elements' span.
+        """
+        if not self.covers(days):
+            raise InputError(
+                "epoch.tdb",
+                f"{J2000_TDB + timedelta(days=days):%Y-%m-%d}",
+                f"must be from {self.years[0]} to {self.years[1]}, for which mean elements of "
+                f"{self.entries['name']} are packaged, or sun.body_position_km and "
+                "sun.body_velocity_km_s be given",
+            )
+        return self.extrapolated(days)
+
+    def extrapolated(self, days: float) -> tuple[Array, Array]:
+        """The same, outside the span on the orbit of the nearest year."""
+        return kepler(self.elements[np.argmin(np.abs(self.elements[:, 0] - days))], days)
+
+
+def kepler(elements: Array, days: float) -> tuple[Array, Array]:
+    """Position (km) and velocity (km/s) on a Kepler orbit, J2000 equatorial, shape (3,) each.
+
+    `elements` is a row of `PackagedBody.elements`, and `days` are TDB past J2000.
+    """
+    middle, motion_deg, e, *angles_deg = elements.tolist()
+    motion = np.deg2rad(motion_deg)
+    inclination, node, perihelion, anomaly = np.deg2rad(angles_deg)
+    mean = anomaly + motion * (days - middle)
+    eccentric = mean
+    for _ in range(50):  # Newton's method: e < 0.4 converges in five
+        eccentric -= (eccentric - e * np.sin(eccentric) - mean) / (1.0 - e * np.cos(eccentric))
+    n = motion / DAY_S
+    a = (GM_SUN_KM3_S2 / n**2) ** (1.0 / 3.0)
+    b, rate = a * np.sqrt(1.0 - e * e), n / (1.0 - e * np.cos(eccentric))
+    in_plane = np.array([a * (np.cos(eccentric) - e), b * np.sin(eccentric), 0.0])
+    moving = rate * np.array([-a * np.sin(eccentric), b * np.cos(eccentric), 0.0])
+    turn = _about_x(OBLIQUITY) @ _about_z(node) @ _about_x(inclination) @ _about_z(perihelion)
+    return turn @ in_plane, turn @ moving
+
+
+def _about_x(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def _about_z(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def body_names() -> list[str]:
+    """Names of the packaged bodies."""
+    return [body.entries["name"] for body in _bodies().values()]
+
+
+def packaged_body(name: object) -> PackagedBody | None:
+    """The packaged body of a name, in whatever case, with its number or not; None if there is none."""
+    return _bodies().get(name.strip(NUMBER).casefold()) if isinstance(name, str) else None
+
+
+NUMBER = " ()0123456789"
+"""What may stand before or behind a name: (101955) Bennu."""
+
+
+@cache
+def _bodies() -> dict[str, PackagedBody]:
+    found = {}
+    folder = files("scp_recon") / "data" / "bodies"
+    for file in sorted(folder.iterdir(), key=lambda file: file.name):
+        if file.name.endswith(".toml"):
+            data = tomllib.loads(file.read_text(encoding="utf-8"))
+            elements = np.array(data["sun"]["elements"])
+            elements[:, 0] -= 2_451_545.0
+            half = 0.5 * np.diff(elements[:2, 0]).item()
+            span = elements[0, 0] - half, elements[-1, 0] + half
+            first, last = data["sun"]["years"]
+            other = data.get("second_source", {}).get("prime_meridian")
+            found[data["body"]["name"].casefold()] = PackagedBody(
+                data["body"], elements, span, (first, last), other and tuple(other)
+            )
+    return found

@@ -1,0 +1,144 @@
+"""The surface of a body, by ellipsoid or mesh: position and normal in a direction, and its solid.
+
+Body-fixed, m. Latitudes are planetocentric: of the position vector, not of the normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from formulations.arrays import Array, Indices
+
+
+def direction_of(latitude_deg: float, longitude_deg: float) -> Array:
+    """Unit vector at a planetocentric latitude and an east longitude, shape (3,)."""
+    latitude, longitude = np.deg2rad([latitude_deg, longitude_deg])
+    across = np.cos(latitude)
+    return np.array([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
+
+
+def coordinates_of(position: Array) -> tuple[float, float]:
+    """Planetocentric latitude and east longitude (-180 to 180) of a position, deg."""
+    x, y, z = position
+    return float(np.rad2deg(np.arctan2(z, np.hypot(x, y)))), float(np.rad2deg(np.arctan2(y, x)))
+
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """Semi-axes along x, y and z, m."""
+
+    radii_m: Array
+
+    def at(self, direction: Array) -> tuple[Array, Array]:
+        """Where |x / radii| = 1 along a unit direction, and the gradient of that, made unit."""
+        position = direction / np.linalg.norm(direction / self.radii_m)
+        gradient = position / self.radii_m**2
+        return position, gradient / np.linalg.norm(gradient)
+
+
+class OpenShapeError(ValueError):
+    """A direction from the centre meets no facet."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles.
+
+    Attributes:
+        vertices_m: shape (n, 3).
+        facets: indices of their corners, all turning the same way, shape (m, 3).
+        normal_radius_m: normals are averaged over facets whose centre is this near; 0 for the facet's.
+    """
+
+    vertices_m: Array
+    facets: Indices
+    normal_radius_m: float = 0.0
+
+    @property
+    def half_extents_m(self) -> Array:
+        """Half of the size along each axis."""
+        return np.ptp(self.vertices_m, axis=0) / 2.0
+
+    @property
+    def facet_size_m(self) -> float:
+        """Root of the mean area of a facet."""
+        a, b, c = np.moveaxis(self.vertices_m[self.facets], 1, 0)
+        return float(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).mean() / 2.0))
+
+    def at(self, direction: Array) -> tuple[Array, Array]:
+        """Outermost position (m) along a unit direction, and unit outward normal; shape (3,) each.
+
+        By intersection with the facets: Moeller & Trumbore 1997, the ray from the origin.
+
+        Raises:
+            OpenShapeError: if there is none.
+        """
+        a, b, c = np.moveaxis(self.vertices_m[self.facets], 1, 0)
+        along_b, along_c = b - a, c - a
+        across = np.cross(direction, along_c)
+        volume = np.einsum("ni,ni->n", along_b, across)
+        hit = np.flatnonzero(np.abs(volume) > 1e-14 * np.abs(volume).max())
+        with np.errstate(over="ignore"):
+            u = -np.einsum("ni,ni->n", a[hit], across[hit]) / volume[hit]
+            turned = np.cross(-a[hit], along_b[hit])
+            v = turned @ direction / volume[hit]
+            distance = np.einsum("ni,ni->n", along_c[hit], turned) / volume[hit]
+        inside = (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1.0 + EDGE) & (distance > 0.0)
+        if not inside.any():
+            raise OpenShapeError("no facet in this direction from the centre")
+        nearest = np.argmax(np.where(inside, distance, -np.inf))
+        position = distance[nearest] * direction
+        # The length of a cross product is twice the facet's area: sums of them are weighted by area.
+        areas = np.cross(along_b, along_c)
+        outward = np.sign(areas[hit[nearest]] @ direction)
+        near = np.linalg.norm((a + b + c) / 3.0 - position, axis=1) <= self.normal_radius_m
+        near[hit[nearest]] = True
+        normal = outward * areas[near].sum(axis=0)
+        return position, normal / np.linalg.norm(normal)
+
+
+EDGE = 1e-9
+"""Share of a facet by which a ray along an edge may seem to miss both its sides."""
+Surface = Ellipsoid | Mesh
+"""A closed surface about the centre of mass."""
+
+
+@dataclass(frozen=True)
+class Solid:
+    """What is inside a closed mesh.
+
+    Attributes:
+        volume_m3: negative where the facets turn inward, as a mirror makes them.
+        centre_m: body-fixed, shape (3,).
+        inertia_m2: about the centre, over the mass; symmetric, shape (3, 3).
+    """
+
+    volume_m3: float
+    centre_m: Array
+    inertia_m2: Array
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> Solid:
+        """Sums over the tetrahedra of facets and origin: Tonon 2004, J. Math. Stat. 1 (1).
+
+        Raises:
+            ValueError: if there is no volume.
+        """
+        corners = mesh.vertices_m[mesh.facets]
+        volumes = np.linalg.det(corners) / 6.0
+        volume = float(volumes.sum())
+        if abs(volume) <= 1e-9 * float(np.ptp(mesh.vertices_m, axis=0).prod()):
+            raise ValueError("no volume")
+        sums = corners.sum(axis=1)
+        centre = volumes @ sums / (4.0 * volume)
+        # Of a tetrahedron with a corner in the origin: the integral of x x' is V / 20 times this.
+        products = np.einsum("nki,nkj->nij", corners, corners) + np.einsum("ni,nj->nij", sums, sums)
+        second = np.tensordot(volumes, products, 1) / (20.0 * volume) - np.outer(centre, centre)
+        return cls(volume, centre, np.trace(second) * np.eye(3) - second)
+
+    @property
+    def radius_m(self) -> float:
+        """Of the sphere of the same volume."""
+        return float(np.cbrt(3.0 * abs(self.volume_m3) / (4.0 * np.pi)))

@@ -1,1 +1,0 @@
-"""What is done with a case, and how all cases come to rows."""

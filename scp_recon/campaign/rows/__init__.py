@@ -1,1 +1,0 @@
-"""A case, what runs one, and the rows that come of cases."""

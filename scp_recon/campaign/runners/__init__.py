@@ -1,1 +1,0 @@
-"""Where cases are run: in this process, in processes of this machine, or on a Dask cluster."""

@@ -1,0 +1,322 @@
+"""Make the rows of a study's axes: what changes from case to case. The key in a table says its kind."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from datetime import timedelta
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, NaiveDatetime, PrivateAttr, model_validator
+
+from formulations.arrays import Array
+from scp_recon.bodies.catalogue import DAY_S
+from scp_recon.campaigns.cases import Changes
+from scp_recon.campaigns.sites import even_sites, noon_s, surface_of
+from scp_recon.errors import InputError
+from scp_recon.mission.survey import survey
+from scp_recon.scenario.fields import Section
+from scp_recon.scenario.schema import Scenario
+
+Entry = Annotated[str, Field(min_length=1, max_length=200)]
+Count = Annotated[int, Field(ge=1, le=1_000_000_000)]
+Real = Annotated[float, Field(ge=-1e15, le=1e15)]
+LATITUDE, LONGITUDE = "site.latitude_deg", "site.longitude_deg"
+NAME, EPOCH = "site.name", "epoch.tdb"
+STRIDE = np.sqrt(2.0)
+"""Its multiples order spread sites; those of the golden ratio are their longitudes."""
+DAYS_MAX = 440.0
+"""Longest search for windows, and farthest from the epoch: two-body motion is off by 0.02 deg there, at
+Bennu."""
+
+
+class Axis(Section):
+    """A table `[[axis]]`."""
+
+    @abstractmethod
+    def count(self, base: Scenario, /) -> int:
+        """Count the rows without making them: there may be a billion."""
+
+    @abstractmethod
+    def rows(self, base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
+        """Make the rows in order, of the study's scenario and the axis's own seed.
+
+        Raises:
+            InputError: if there are none, or a file or an entry cannot be used.
+        """
+
+
+class Values(Axis):
+    """A list of values of an entry, or rows of values of several."""
+
+    entry: Entry | None = None
+    entries: Annotated[tuple[Entry, ...], Field(min_length=1)] | None = None
+    values: Annotated[tuple[Any, ...], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> Self:
+        if (self.entry is None) == (self.entries is None):
+            raise ValueError("must have entry, or entries with a row of values each")
+        if len(set(self.entries or ())) < len(self.entries or ()):
+            raise ValueError("must have each entry once")
+        for row in self.values if self.entries else ():
+            if not isinstance(row, list | tuple) or len(row) != len(self.entries or ()):
+                raise ValueError(f"each row of values must have {len(self.entries or ())} items")
+        return self
+
+    def count(self, _base: Scenario, /) -> int:
+        """One row a value."""
+        return len(self.values)
+
+    def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
+        """Rows as they are listed."""
+        if self.entry is not None:
+            return [{self.entry: value} for value in self.values]
+        return [dict(zip(self.entries or (), row, strict=True)) for row in self.values]
+
+
+class Span(Section):
+    """Numbers from one to another, both included, at even steps or in equal ratios."""
+
+    start: Annotated[Real, Field(alias="from")]
+    to: Real
+    count: Count
+    scale: Literal["linear", "log"] = "linear"
+
+    @model_validator(mode="after")
+    def _sane(self) -> Self:
+        if self.scale == "log" and min(self.start, self.to) <= 0.0:
+            raise ValueError("must be positive on a logarithmic scale")
+        if self.count > 1 and self.start == self.to:
+            raise ValueError("must have different ends, or a count of 1")
+        return self
+
+    def numbers(self) -> list[float]:
+        """All numbers; the ends exactly as they are written."""
+        make = np.geomspace if self.scale == "log" else np.linspace
+        numbers: list[float] = make(self.start, self.to, self.count).tolist()
+        return numbers
+
+
+class Grid(Axis):
+    """Numbers at even steps, of one entry."""
+
+    entry: Entry
+    grid: Span
+
+    def count(self, _base: Scenario, /) -> int:
+        """As said."""
+        return self.grid.count
+
+    def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
+        """One row a number, in the order of the span."""
+        return [{self.entry: number} for number in self.grid.numbers()]
+
+
+class Law(Section):
+    """The law by which an entry is drawn.
+
+    normal and lognormal have mean and sigma (lognormal: of the logarithm), uniform and loguniform have
+    low and high.
+    """
+
+    entry: Entry
+    law: Literal["normal", "lognormal", "uniform", "loguniform"]
+    mean: Real | None = None
+    sigma: Annotated[float, Field(gt=0, le=1e15)] | None = None
+    low: Real | None = None
+    high: Real | None = None
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        by_moments = self.law.endswith("normal")
+        needed, others = ("mean", "sigma"), ("low", "high")
+        if not by_moments:
+            needed, others = others, needed
+        if any(getattr(self, name) is None for name in needed):
+            raise ValueError(f"{self.law} must have {needed[0]} and {needed[1]}")
+        if any(getattr(self, name) is not None for name in others):
+            raise ValueError(f"{self.law} must not have {others[0]} or {others[1]}")
+        if not by_moments and not (self.low or 0.0) < (self.high or 0.0):
+            raise ValueError("low must be less than high")
+        if self.law == "loguniform" and (self.low or 0.0) <= 0.0:
+            raise ValueError("low must be positive")
+        return self
+
+    def drawn(self, rng: np.random.Generator, count: int) -> Array:
+        """Draw `count` values, shape (count,)."""
+        if self.law.endswith("normal"):
+            found = rng.normal(self.mean or 0.0, self.sigma or 0.0, count)
+            return np.exp(found) if self.law == "lognormal" else found
+        low, high = self.low or 0.0, self.high or 0.0
+        if self.law == "uniform":
+            return rng.uniform(low, high, count)
+        return np.exp(rng.uniform(np.log(low), np.log(high), count))
+
+
+class Draws(Axis):
+    """Random rows, all entries drawn independently; a larger count keeps the first ones."""
+
+    draws: Annotated[tuple[Law, ...], Field(min_length=1)]
+    number: Annotated[Count, Field(alias="count")]
+
+    @model_validator(mode="after")
+    def _once(self) -> Self:
+        if len({law.entry for law in self.draws}) < len(self.draws):
+            raise ValueError("must have each entry once")
+        return self
+
+    def count(self, _base: Scenario, /) -> int:
+        """As said."""
+        return self.number
+
+    def rows(self, _base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
+        """Random rows; each entry has a stream of its own."""
+        columns = [
+            law.drawn(np.random.default_rng((*seed, place)), self.number).tolist()
+            for place, law in enumerate(self.draws)
+        ]
+        names = [law.entry for law in self.draws]
+        return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
+
+
+class LatLonGrid(Section):
+    """Every latitude with every longitude."""
+
+    latitude_deg: Span
+    longitude_deg: Span
+
+
+class Sites(Axis):
+    """Sites on a grid of latitude and longitude, row by row."""
+
+    sites: LatLonGrid
+
+    def count(self, _base: Scenario, /) -> int:
+        """Latitudes times longitudes."""
+        return self.sites.latitude_deg.count * self.sites.longitude_deg.count
+
+    def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
+        """Sites of the first latitude, then of the next."""
+        longitudes = self.sites.longitude_deg.numbers()
+        return [
+            {LATITUDE: latitude, LONGITUDE: longitude}
+            for latitude in self.sites.latitude_deg.numbers()
+            for longitude in longitudes
+        ]
+
+
+class WindowSearch(Section):
+    """The span that is searched for lighting windows, and which of them are taken."""
+
+    start: Annotated[NaiveDatetime | None, Field(alias="from")] = None
+    span_days: Annotated[float, Field(ge=0.01, le=DAYS_MAX)]
+    every: Annotated[int, Field(ge=1)] = 1
+
+
+class Windows(Axis):
+    """Epochs that put the base's burns legally about the lighting windows of its site.
+
+    Each window that the span does not cut, and about which the burns can stand as they do about the
+    base's own, gives one: the middle of those allowed, to the second.
+    """
+
+    windows: WindowSearch
+    _found: dict[Scenario, list[Changes]] = PrivateAttr(default_factory=dict)
+
+    def count(self, base: Scenario, /) -> int:
+        """Search for the windows and count them."""
+        return len(self.rows(base, ()))
+
+    def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
+        """Epochs in order of time; the search is made once."""
+        if base not in self._found:
+            self._found[base] = self._epochs(base)
+        return self._found[base]
+
+    def _epochs(self, base: Scenario) -> list[Changes]:
+        epoch, search = base.epoch.tdb, self.windows
+        first = ((search.start or epoch) - epoch).total_seconds()
+        if abs(first) > DAYS_MAX * DAY_S:
+            raise InputError(
+                "windows.from",
+                str(search.start),
+                f"must be within {DAYS_MAX:g} days of the base's epoch, {epoch.isoformat()}",
+            )
+        found = survey(base, (first, first + search.span_days * DAY_S))
+        allowed = [dict(window.shifts_s).get(found.before) for window in found.windows]
+        middles = [round(0.5 * (low + high)) for low, high in filter(None, allowed)]
+        middles = middles[:: search.every]
+        if not middles:
+            raise InputError(
+                "windows",
+                f"{len(found.windows)} lighting windows, none in which the base's burns are legal",
+                "must find one: see python -m scp_recon windows",
+            )
+        return [{EPOCH: (epoch + timedelta(seconds=s)).isoformat()} for s in middles]
+
+
+class Spread(Section):
+    """The number of sites, and the time at which they are seen."""
+
+    count: Annotated[int, Field(ge=4, le=10_000)]
+    """Number of sites; each has nearly the same share of the area."""
+    noon_at_s: Annotated[float | None, Field(ge=-1e7, le=1e7)] = None
+    """Time of local solar noon at the site, s past the epoch, which moves by less than a rotation: each
+    site is then seen at the same time of its flight. Without it the epoch stays."""
+
+
+class ShapeSites(Axis):
+    """Sites spread evenly over the base's shape file, or its ellipsoid.
+
+    They come in an order in which the first ones are spread evenly too: a campaign that was stopped has
+    a coarser map.
+    """
+
+    spread: Spread
+
+    def count(self, _base: Scenario, /) -> int:
+        """As said."""
+        return self.spread.count
+
+    def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
+        """Latitude, longitude, name and, if it moves, the epoch of each."""
+        sites = even_sites(surface_of(base), self.spread.count)
+        order = sorted(range(len(sites)), key=lambda number: number * STRIDE % 1.0)
+        return [self._row(base, *sites[number]) for number in order]
+
+    def _row(self, base: Scenario, latitude: float, longitude: float) -> Changes:
+        latitude, longitude = round(latitude, 2), round(longitude, 2)
+        row: Changes = {
+            NAME: f"{abs(latitude):.1f}{'NS'[latitude < 0]} {longitude % 360:.1f}E",
+            LATITUDE: latitude,
+            LONGITUDE: longitude,
+        }
+        if self.spread.noon_at_s is not None:
+            shift = noon_s(base, longitude) - self.spread.noon_at_s
+            row[EPOCH] = (base.epoch.tdb + timedelta(seconds=round(shift))).isoformat()
+        return row
+
+
+KINDS: dict[str, type[Axis]] = {
+    "values": Values,
+    "grid": Grid,
+    "draws": Draws,
+    "sites": Sites,
+    "spread": ShapeSites,
+    "windows": Windows,
+}
+"""Kinds of axes by their key."""
+
+
+def axis_of(table: Mapping[str, Any]) -> type[Axis]:
+    """Find the kind of an axis.
+
+    Raises:
+        ValueError: if its table has not exactly one key of `KINDS`.
+    """
+    kinds = [key for key in KINDS if key in table]
+    if len(kinds) != 1:
+        raise ValueError(f"must have one of {', '.join(KINDS)}")
+    return KINDS[kinds[0]]

@@ -1,0 +1,76 @@
+"""The cases of a study: the product of its axes, and the scenario of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from scp_recon.scenario.dependencies import layer_of as tables_of
+from scp_recon.scenario.resolve import anchored
+from scp_recon.scenario.schema import Scenario
+
+Changes = dict[str, Any]
+"""Values by entry, set together: a row of an axis."""
+
+
+class Case(NamedTuple):
+    """One case: its number from 0, its seed, and values by dotted entry of the scenario.
+
+    It depends on the study and its number alone.
+    """
+
+    number: int
+    seed: int
+    changes: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Cases(Sequence[Case]):
+    """The product of the axes; the last one changes fastest. A case is made when it is taken."""
+
+    axes: tuple[list[Changes], ...]
+    seed: int
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return prod(len(rows) for rows in self.axes)
+
+    def __getitem__(self, number: Any) -> Any:
+        """The case of that number."""
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        changes: Changes = {}
+        rest = number
+        for rows in reversed(self.axes):
+            rest, place = divmod(rest, len(rows))
+            changes = {**rows[place], **changes}
+        return Case(number, case_seed(self.seed, number), changes)
+
+
+def case_seed(seed: int, number: int) -> int:
+    """Seed of a case, from 0 to 2^63 - 1."""
+    return int(np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0] >> 1)
+
+
+def solution_name(number: int) -> str:
+    """Path of a case's solution, if it is kept, in the campaign's folder: in a folder of its own."""
+    return f"solutions/case-{number:07d}/solution.json"
+
+
+def changed(base: Scenario, changes: Mapping[str, Any], folder: Path) -> Scenario:
+    """Apply a case's changes to the base.
+
+    Raises:
+        InputError: if the result is no valid scenario.
+    """
+    return base.changed(layer_of(changes, folder)) if changes else base
+
+
+def layer_of(changes: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Nested tables of values by entry, the paths of files among them made absolute."""
+    return anchored(tables_of(changes.items()), folder)

@@ -1,0 +1,251 @@
+"""Refuse a study before any work, in one message: what cannot be done, and what no case would do.
+
+An *ineffective* axis or entry changes nothing: nobody asks for it on purpose, so it is refused too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from math import prod
+from numbers import Real
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from scp_recon.campaigns.axes import LATITUDE, LONGITUDE, NAME
+from scp_recon.campaigns.cases import Changes, changed
+from scp_recon.errors import InputError, shortened
+from scp_recon.scenario.schema import Scenario
+
+ROWS_MAX = 1_000_000
+"""Most rows of one axis."""
+CHECKED = 100
+"""Rows of an axis whose scenarios are made before the work, spread evenly from first to last."""
+SHOWN = 5
+CERTIFIED, DESIGN, FLY = "exact", "design", "fly"
+
+
+def check_do(do: str, base: Scenario) -> None:
+    """Refuse a base with which the study's `do` cannot be done.
+
+    Raises:
+        InputError: if not.
+    """
+    home = base.boundary.home
+    if base.in_flight is not None:
+        raise InputError("campaign.base", "a flight under way", "must be a whole flight")
+    if do == "design" and home is None:
+        raise InputError(
+            "campaign.do", "'design' of a base without boundary.home", "must have a home orbit"
+        )
+    if do != "design" and home is not None and home.is_free:
+        raise InputError(
+            "campaign.do",
+            f"{do!r} of a base whose boundary.home has free phases, or is flown",
+            "must be 'design'",
+        )
+    if do == "certify" and base.risk.allocation != CERTIFIED:
+        raise InputError(
+            "campaign.do", "'certify'", 'needs "risk.allocation" = "exact" in campaign.overrides'
+        )
+
+
+def check_count(counts: list[int], ask_from: int, *, yes: bool) -> None:
+    """Refuse more cases than are meant; they are counted, not made.
+
+    Raises:
+        InputError: if there are more.
+    """
+    cases = prod(counts)
+    product = " x ".join(f"{count:,}" for count in counts)
+    if cases > ask_from and not yes:
+        raise InputError(
+            "axis",
+            f"{cases:,} cases ({product})",
+            f"more than {ask_from:,} need --yes, if they are meant",
+        )
+    for number, count in enumerate(counts, start=1):
+        if count > ROWS_MAX:
+            raise InputError(f"axis {number}", f"{count:,} rows", f"must have at most {ROWS_MAX:,}")
+
+
+def check_axes(
+    base: Scenario,
+    folder: Path,
+    axes: Sequence[list[Changes]],
+    random: Sequence[bool],
+    ineffective: Iterable[InputError] = (),
+) -> None:
+    """Refuse an entry on two axes, and values that it cannot have, in up to `CHECKED` rows of each.
+
+    Args:
+        base: that the axes change.
+        folder: to which files are relative that they name.
+        axes: their rows.
+        random: whether an axis is drawn: rows beyond the bounds are refused cases, unless all are.
+        ineffective: what else is wrong, for the same message.
+
+    Raises:
+        InputError: one message of what is wrong.
+    """
+    wrong = [*ineffective, *_twice(axes)]
+    first = {entry: value for rows in axes for entry, value in rows[0].items()}
+    for number, rows in enumerate(axes, start=1):
+        looked = sorted({round(place) for place in np.linspace(0, len(rows) - 1, CHECKED)})
+        refused: list[InputError] = []
+        for place in looked:
+            error = _refusal(base, folder, rows[place])
+            # What it makes of the base alone may be mended by the other axes.
+            if error and _refusal(base, folder, {**first, **rows[place]}):
+                where = f"axis {number}, row {place + 1}: {error.entry}"
+                refused.append(InputError(where, error.given, error.allowed))
+        if not random[number - 1] or len(refused) == len(looked):
+            wrong += refused
+    if not wrong and not any(random) and (error := _refusal(base, folder, first)):
+        last = {entry: value for rows in axes for entry, value in rows[-1].items()}
+        if _refusal(base, folder, last):
+            together = f"all axes together: {error.entry}"
+            raise InputError(together, error.given, error.allowed)
+    if wrong:
+        refuse(wrong)
+
+
+def _twice(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
+    """Entries that are on two axes, by themselves or as part of a table."""
+    seen: list[tuple[str, int]] = []
+    for number, rows in enumerate(axes, start=1):
+        for entry in rows[0]:
+            for other, owner in seen:
+                if owner != number and overlap(entry, other):
+                    given = f"on axis {owner} and axis {number}"
+                    yield InputError(max(other, entry, key=len), given, "must be on one axis")
+            seen.append((entry, number))
+
+
+def _refusal(base: Scenario, folder: Path, changes: Changes) -> InputError | None:
+    """Why changes make no scenario, if they make none."""
+    try:
+        changed(base, changes, folder)
+    except InputError as error:
+        return error
+    return None
+
+
+def refuse(wrong: Sequence[InputError]) -> NoReturn:
+    """Raise all errors as one message.
+
+    Raises:
+        InputError: always.
+    """
+    first, *others = wrong
+    lines = [first.allowed, *map(str, others[: SHOWN - 1])]
+    if len(wrong) > SHOWN:
+        lines.append(f"... and {len(wrong) - SHOWN} more")
+    raise InputError(first.entry, first.given, "\n".join(lines))
+
+
+def ineffective(
+    do: str, given: Mapping[str, Any], axes: Sequence[list[Changes]], windows: Sequence[bool]
+) -> Iterator[InputError]:
+    """Find entries and axes of a study that have no effect, or not the one that is written.
+
+    `given` is the table `[campaign]` as it is written; `windows`: which axes are of lighting windows.
+    """
+    yield from unused(do, given, axes)
+    yield from replaced(given.get("overrides", {}), axes)
+    yield from doubled(axes)
+    if True in windows:
+        yield from elsewhere(windows.index(True), axes)
+
+
+def unused(
+    do: str, given: Mapping[str, Any], axes: Sequence[list[Changes]]
+) -> Iterator[InputError]:
+    """Find entries that belong to another `do`."""
+    if do != FLY and "samples" in given:
+        yield InputError(
+            "campaign.samples", f"{given['samples']} with do = '{do}'", "needs do = 'fly'"
+        )
+    if do == DESIGN:
+        return
+    entries = [("campaign.overrides", entry) for entry in leaves(given.get("overrides", {}))]
+    entries += [
+        (f"axis {number}", entry)
+        for number, rows in enumerate(axes, start=1)
+        for entry in leaves(rows[0])
+    ]
+    for where, entry in entries:
+        if overlap(entry, DESIGN):
+            yield InputError(f"{where}: {entry}", f"with do = '{do}'", "needs do = 'design'")
+
+
+def replaced(overrides: Mapping[str, Any], axes: Sequence[list[Changes]]) -> Iterator[InputError]:
+    """Find overrides that every case replaces, since an axis has the same entry."""
+    for number, rows in enumerate(axes, start=1):
+        for entry in leaves(rows[0]):
+            for other in leaves(overrides):
+                if overlap(entry, other):
+                    given = f"also on axis {number}, which replaces it in every case"
+                    yield InputError(f"campaign.overrides: {other}", given, "must be in one place")
+
+
+def doubled(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
+    """Find the first row of each axis that repeats an earlier one."""
+    for number, rows in enumerate(axes, start=1):
+        seen: dict[Hashable, int] = {}
+        for place, row in enumerate(rows, start=1):
+            first = seen.setdefault(_same(row), place)
+            if first != place:
+                site = LONGITUDE in row
+                yield InputError(
+                    f"axis {number}, row {place}",
+                    f"{shortened(row)}, the {'site' if site else 'value'} of row {first} again",
+                    "must be there once"
+                    + "; 0 and 360 deg are one meridian, and a pole is one site" * site,
+                )
+                break
+
+
+def elsewhere(windowed: int, axes: Sequence[list[Changes]]) -> Iterator[InputError]:
+    """Find an axis of sites beside an axis of lighting windows, which are those of the base's site."""
+    for number, rows in enumerate(axes, start=1):
+        for entry in leaves(rows[0]):
+            if overlap(entry, "site") and entry != NAME:
+                yield InputError(
+                    f"axis {windowed + 1}.windows",
+                    f"beside {entry} on axis {number}",
+                    "are windows of the base's site: needs a study for each site",
+                )
+                return
+
+
+def leaves(changes: Mapping[str, Any], before: str = "") -> Iterator[str]:
+    """Dotted entries of values, of those in tables too."""
+    for entry, value in changes.items():
+        if isinstance(value, Mapping):
+            yield from leaves(value, f"{before}{entry}.")
+        else:
+            yield f"{before}{entry}"
+
+
+def overlap(one: str, other: str) -> bool:
+    """Whether two entries are the same, or one is a table that holds the other."""
+    part, whole = sorted((one, other), key=len, reverse=True)
+    return f"{part}.".startswith(f"{whole}.")
+
+
+def _same(row: Changes) -> Hashable:
+    """A key that is equal for rows of the same meaning."""
+    latitude, longitude = row.get(LATITUDE), row.get(LONGITUDE)
+    if isinstance(latitude, Real) and isinstance(longitude, Real):
+        row = {**row, LONGITUDE: 0.0 if abs(latitude) == 90.0 else longitude % 360.0}
+    return _frozen(row)
+
+
+def _frozen(value: Any) -> Hashable:
+    if isinstance(value, Mapping):
+        return tuple(sorted((key, _frozen(each)) for key, each in value.items()))
+    if isinstance(value, list | tuple):
+        return tuple(map(_frozen, value))
+    return ("bool", value) if isinstance(value, bool) else value

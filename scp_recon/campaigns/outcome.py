@@ -1,0 +1,257 @@
+"""A campaign as it is shown: its rows, how each ended, along what they differ, and remarks on it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE, NAME
+from scp_recon.campaigns.results import VERIFIED, read_results
+from scp_recon.campaigns.run import FILE_NAME, SCHEMA
+from scp_recon.campaigns.study import Campaign
+from scp_recon.errors import InputError
+from scp_recon.jobs.job import REFUSED
+from scp_recon.reports.marks import PLANS
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
+
+if TYPE_CHECKING:
+    import pandas
+FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER = (
+    *("feasible", "infeasible", "no mission"),
+    *("not verified", "no answer"),
+)
+"""How a case ends: a verified plan; none that keeps the limits; refused, as without a lighting window;
+a plan that flights, a simulation or other checks do not bear out; an iteration that ended early, or a
+failure."""
+ENDS = (FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER)
+SHORTFALLS = ("flown_shortfalls", "simulated_shortfalls")
+"""Columns of what a plan's own flights or its simulation did not keep."""
+AXES_DRAWN = 3
+"""Entries for which curves have room: along them, one by one, and in panels."""
+DELTA_V, PROBABILITY = "total delta-v (m/s)", "lowest probability (-)"
+COST, CHANCE = "total_dv_m_s", "probability"
+MEASURES = ((COST, DELTA_V), (CHANCE, PROBABILITY))
+"""Columns that are drawn, and what they are called. The probability is the lowest of the joint
+constraints over the nodes, of 10,000 flights of the nonlinear dynamics."""
+COLOURS = "viridis"
+"""Colormap, here and in Plotly, that is told apart with any colour vision and holds no grey."""
+UNITS = {
+    "deg": "deg",
+    "m": "m",
+    "km": "km",
+    "s": "s",
+    "m_s": "m/s",
+    "h": "h",
+    "kg": "kg",
+    "m2": "m^2",
+    "w_m2": "W/m^2",
+}
+NAMED = {"tdb": "epoch (TDB)", "name": "site"}
+MARKS = {INFEASIBLE: "x", NO_MISSION: ".", NOT_VERIFIED: "+", NO_ANSWER: "*"}
+"""Of cases without a verified plan, in Matplotlib."""
+GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#bcc1c8", NOT_VERIFIED: PLANS[1], NO_ANSWER: PLANS[3]}
+"""Their colours, of sites and of the surface about them."""
+COMMONEST = 3
+"""Reasons that are named of those why cases have no plan."""
+LONGEST = 160
+"""Characters of a reason."""
+
+
+@dataclass(frozen=True)
+class CampaignResults:
+    """What a campaign has found, finished or not: a row a case, of as many as there are to be.
+
+    The base is the scenario of all cases, before the axes change its `entries`.
+    """
+
+    folder: Path
+    table: pandas.DataFrame
+    base: Scenario
+    campaign: Campaign
+    entries: tuple[str, ...]
+    cases: int
+
+    @cached_property
+    def ends(self) -> list[str]:
+        """How each row ended, one of `ENDS`."""
+        rows = self.table.reindex(columns=["status", "verdict"])
+        short = self.table.reindex(columns=list(SHORTFALLS)).notna().any(axis=1)
+        return [
+            _end(status, verdict, kept=not missed)
+            for status, verdict, missed in zip(rows["status"], rows["verdict"], short, strict=True)
+        ]
+
+    @cached_property
+    def feasible(self) -> int:
+        """Cases with a verified plan."""
+        return self.ends.count(FEASIBLE)
+
+    @property
+    def verdict(self) -> str:
+        """How many are feasible of how many."""
+        done = len(self.table)
+        so_far = "" if done == self.cases else f" run so far, of {self.cases:,} in the study"
+        return f"{self.feasible:,} feasible of {done:,} cases{so_far}"
+
+    @property
+    def is_map(self) -> bool:
+        """Whether it has sites by latitude and longitude."""
+        return LATITUDE in self.entries and LONGITUDE in self.entries
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        """The entries along which cases differ, of those that change together the first."""
+        found: list[str] = []
+        for entry in self.entries:
+            if entry == NAME or self.table[entry].nunique() < 2:
+                continue
+            if not any(self._follows(entry, other) for other in found):
+                found.append(entry)
+        return tuple(found)
+
+    @cached_property
+    def varies(self) -> list[str]:
+        """The entries of numbers, or the epoch, in which cases differ."""
+        kinds = self.table.dtypes
+        return [e for e in self.free if e == EPOCH or kinds[e].kind in "if"]
+
+    @cached_property
+    def by_site(self) -> CampaignResults:
+        """Of each site one case: the cheapest feasible one, or else the first that came furthest."""
+        ranks = [ENDS.index(end) for end in self.ends]
+        costs = self.table["total_dv_m_s"].where([end == FEASIBLE for end in self.ends])
+        rows = self.table.assign(rank=ranks, cost=costs).sort_values(["rank", "cost", "case"])
+        kept = rows.drop_duplicates([LATITUDE, LONGITUDE])["case"]
+        return replace(self, table=self.table[self.table["case"].isin(kept)])
+
+    @property
+    def overlaid(self) -> bool:
+        """Whether several cases share a place in the pictures, which show the cheapest of them."""
+        if self.is_map:
+            return len(self.by_site.table) < len(self.table)
+        return bool(self.varies) and not len(self.free) == len(self.varies) <= AXES_DRAWN
+
+    def scatters(self, entry: str) -> bool:
+        """Whether other numbers jump up and down along an entry, as where several are drawn."""
+        along = self.table.sort_values(entry)
+        return any(
+            not (along[other].is_monotonic_increasing or along[other].is_monotonic_decreasing)
+            for other in self.entries
+            if other not in self.free
+            and along[other].dtype.kind in "if"
+            and self._follows(other, entry)
+        )
+
+    def _follows(self, entry: str, other: str) -> bool:
+        return int(self.table.groupby(other)[entry].nunique().max()) == 1
+
+    def counts(self) -> dict[str, int]:
+        """Cases by how they ended, those that there are."""
+        return {end: self.ends.count(end) for end in ENDS if end in self.ends}
+
+
+def _end(status: Any, verdict: Any, *, kept: bool) -> str:
+    if status == Status.CONVERGED.value.name:
+        return FEASIBLE if verdict == VERIFIED and kept else NOT_VERIFIED
+    if status == Status.INFEASIBLE.value.name:
+        return INFEASIBLE
+    return NO_MISSION if status == REFUSED else NO_ANSWER
+
+
+def read_campaign(folder: Path) -> CampaignResults:
+    """Read the folder of a campaign, finished or not.
+
+    Raises:
+        InputError: if it holds none, or the extra [campaign] is missing.
+    """
+    path = folder / FILE_NAME
+    try:
+        found = json.loads(path.read_text("utf-8"))
+        if not isinstance(found, dict) or found.get("schema") != SCHEMA:
+            raise ValueError(f"schema {found.get('schema')!r}" if isinstance(found, dict) else "")
+        base = Scenario.validated(found["base"])
+        campaign = Campaign.model_validate(found["study"].get("campaign", {}))
+        entries, cases = tuple(found["entries"]), int(found["cases"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError("folder", f"{folder} ({error})"[:200], "must hold a campaign") from None
+    return CampaignResults(folder, read_results(folder), base, campaign, entries, cases)
+
+
+def axes_of(results: CampaignResults) -> tuple[str, str | None, str | None]:
+    """The entries by which curves run, differ, and stand in panels: in order of how many values."""
+    counts = {entry: results.table[entry].nunique() for entry in results.varies}
+    ordered = sorted(counts, key=lambda entry: -counts[entry])
+    first, second, third, *_ = *ordered, None, None
+    assert first is not None
+    return first, second, third
+
+
+def cheapest(rows: Any, along: str) -> Any:
+    """Of the rows at each value of an entry the cheapest, in its order."""
+    return rows.sort_values(COST).drop_duplicates(along).sort_values(along)
+
+
+def in_words(value: Any) -> str:
+    """A value of an entry in a legend; of an epoch its date and minute."""
+    return value[:16] if isinstance(value, str) else f"{value:.3g}"
+
+
+def label(entry: str) -> str:
+    """An entry with its unit in brackets, without its section: `radius min (m)`."""
+    key = entry.rpartition(".")[2]
+    for ending in sorted(UNITS, key=len, reverse=True):
+        if key.endswith(f"_{ending}"):
+            return f"{key.removesuffix(f'_{ending}').replace('_', ' ')} ({UNITS[ending]})"
+    if key in NAMED:
+        return NAMED[key]
+    return f"{key.replace('_', ' ')} (-)"
+
+
+def remarks(results: CampaignResults) -> list[str]:
+    """How the cases ended, what the feasible ones cost, what stopped the others."""
+    counts = ", ".join(f"{count:,} {end}" for end, count in results.counts().items())
+    found = [f"Ends: {counts}."]
+    table, ends = results.table, np.array(results.ends)
+    good = table[ends == FEASIBLE]
+    if len(good):
+        low, middle, high = np.percentile(good[COST], (0, 50, 100))
+        found.append(
+            f"{DELTA_V.capitalize()}: least {low:.4f}, median {middle:.4f}, most {high:.4f}. "
+            f"Lowest probability of a joint constraint: {good[CHANCE].min():.3f} to "
+            f"{good[CHANCE].max():.3f}."
+        )
+    doubted = table[ends == NOT_VERIFIED]
+    found += _reasons("Broken most", table.get("binds"))
+    refuted = doubted["verdict"] != VERIFIED
+    found += _reasons("Not borne out", doubted["verdict"][refuted])
+    for column in SHORTFALLS:
+        found += _reasons("Not borne out", doubted[~refuted].get(column))
+    for end in (NO_MISSION, NO_ANSWER):
+        found += _reasons(end.capitalize(), table[ends == end].get("message"))
+    found += _reasons("Warned", table.get("warnings"))
+    if results.overlaid:
+        found.append(
+            "Pictures show the cheapest of the cases that share a place; the table has all."
+        )
+    return found
+
+
+def _reasons(what: str, column: Any) -> Iterator[str]:
+    """The commonest values of a column, if there is any."""
+    counts = {} if column is None else column.value_counts().to_dict()
+    if counts:
+        most = list(counts.items())[:COMMONEST]
+        named = ", ".join(f"{_short(name)} ({count:,})" for name, count in most)
+        yield f"{what}: {named}."
+
+
+def _short(reason: str) -> str:
+    line = " ".join(reason.removeprefix("not verified: ").split())
+    return line if len(line) <= LONGEST else f"{line[: LONGEST - 3]}..."

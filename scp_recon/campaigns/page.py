@@ -1,0 +1,284 @@
+"""A campaign's page, campaign.html, which works without a network, and its pictures as PNG.
+
+The page has a map or curves, and a table from which each case opens. A campaign that is under way, or
+was stopped, is shown as far as it came.
+"""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scp_recon.bodies.surface import direction_of
+from scp_recon.campaigns.axes import EPOCH, LATITUDE, LONGITUDE
+from scp_recon.campaigns.cases import solution_name
+from scp_recon.campaigns.outcome import (
+    COLOURS,
+    COST,
+    DELTA_V,
+    ENDS,
+    FEASIBLE,
+    GREYS,
+    MEASURES,
+    SHORTFALLS,
+    CampaignResults,
+    axes_of,
+    cheapest,
+    in_words,
+    label,
+    remarks,
+)
+from scp_recon.campaigns.results import OWN
+from scp_recon.errors import imported
+from scp_recon.files import unwritable, write_atomically
+from scp_recon.reports.marks import (
+    BODY,
+    DASHES,
+    PLANS,
+    Trace,
+    chart,
+    compact,
+    map_axes,
+    mesh,
+    significant,
+)
+from scp_recon.reports.page import made_by, render_offline
+from scp_recon.reports.surfaces import shape_of
+from scp_recon.results.table import Column
+
+PAGE = "campaign.html"
+EXTRA = ("jinja2", "matplotlib", "pandas", "plotly")
+ROWS_MAX = 5_000
+"""Cases in the page's table."""
+SYMBOLS = {FEASIBLE: "circle"} | dict(
+    zip(ENDS[1:], ("x", "circle-open", "cross", "diamond"), strict=True)
+)
+CURVES_MAX = 60
+"""In one chart."""
+LIFTED = 1.012
+"""Of sites off the surface, so that it does not hide them."""
+POINTS_PX, HEIGHT_PX, VIEW_PX = 11, 430, 560
+ABOVE = {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom"}
+"""Where the legend is."""
+
+
+def has_extras() -> bool:
+    """Whether page and pictures can be made."""
+    return all(find_spec(name) is not None for name in EXTRA)
+
+
+def check_extras() -> None:
+    """Find out before the work whether page and pictures can be made.
+
+    Raises:
+        InputError: if not.
+    """
+    imported("report", "report", "plotly", "jinja2", "matplotlib")
+
+
+def write_pictures(results: CampaignResults) -> list[Path]:
+    """Write the page and the pictures of a campaign into its folder, which it returns.
+
+    Raises:
+        InputError: if the extra [report] is missing, or the folder cannot be written.
+    """
+    check_extras()
+    from scp_recon.campaigns.figures import figures
+    from scp_recon.results.pictures import picture
+
+    try:
+        written = [write_atomically(results.folder / PAGE, render(results, datetime.now(UTC)))]
+        for name, figure in figures(results).items():
+            written.append(write_atomically(results.folder / f"{name}.png", picture(figure)))
+    except OSError as error:
+        raise unwritable(results.folder, "DIR", error) from None
+    return written
+
+
+def render(results: CampaignResults, made: datetime) -> str:
+    """One HTML file that needs nothing else."""
+    charts = charts_of(results)
+    names = [label(entry) for entry in shown(results)]
+    done = len(results.table)
+    return render_offline(
+        "campaign.html",
+        "campaign.js",
+        charts,
+        "scp_recon.campaigns",
+        title=f"{results.campaign.do}, {results.base.name}: {', '.join(names) or 'one case'}",
+        feasible=results.feasible,
+        verdict=results.verdict,
+        lines=remarks(results),
+        identity=made_by(made),
+        charts=charts,
+        heading=["end", *names, *(name for _, name in MEASURES), "limit broken most"],
+        left_out=f"The first {ROWS_MAX:,} of {done:,}; results.parquet has all."
+        * (done > ROWS_MAX),
+        rows=[line_of(results, place) for place in order(results)[:ROWS_MAX]],
+    )
+
+
+def shown(results: CampaignResults) -> list[str]:
+    """Entries of the table: all that change, but epochs that follow from a site."""
+    return [e for e in results.entries if not (results.is_map and e == EPOCH)]
+
+
+def order(results: CampaignResults) -> list[int]:
+    """Places of the rows: feasible ones first, the cheapest first; the others by case."""
+    costs = results.table[COST].to_numpy(dtype=float)
+    good = np.array(results.ends) == FEASIBLE
+    found: list[int] = np.lexsort((np.where(good, costs, 0.0), ~good)).tolist()
+    return found
+
+
+def line_of(results: CampaignResults, place: int) -> dict[str, Any]:
+    """A row of the results as the page has it: cells, and what stands below when it is opened."""
+    row = {key: _plain(value) for key, value in results.table.iloc[place].to_dict().items()}
+    number = int(row["case"])
+    columns = [*shown(results), *(column for column, _ in MEASURES), "binds"]
+    solution = Path(solution_name(number))
+    report = solution.with_name("report.html")
+    said = (row.get(column) for column in ("message", *SHORTFALLS, "warnings"))
+    own = [c for c in OWN[results.campaign.do] if c not in SHORTFALLS and row.get(c) is not None]
+    return {
+        "number": number,
+        "end": results.ends[place],
+        "cells": [Column(name).cell(row.get(name)) for name in columns],
+        "message": " ".join(filter(None, said)),
+        "found": "; ".join(f"{name} {Column(name).cell(row[name]).text}" for name in own),
+        "report": report.as_posix() if (results.folder / report).is_file() else None,
+        "solution": solution.parent.as_posix() if (results.folder / solution).is_file() else None,
+        "changes": "; ".join(f"{entry} = {row[entry]}" for entry in (*results.entries, "seed")),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Python's own number or text; None of what is missing."""
+    value = value.item() if hasattr(value, "item") else value
+    return None if value is None or value != value else value
+
+
+def charts_of(results: CampaignResults) -> list[dict[str, Any]]:
+    """A chart of sites and the shape, or one of each measure along the axes."""
+    if results.is_map:
+        return [map_chart(results.by_site), shape_chart(results.by_site)]
+    return [curve_chart(results, *measure) for measure in MEASURES] if results.varies else []
+
+
+def map_chart(results: CampaignResults) -> dict[str, Any]:
+    """Sites by longitude and latitude, in the colour of their delta-v."""
+    data = [
+        trace
+        | {
+            "type": "scatter",
+            "x": significant(rows[LONGITUDE].to_numpy(dtype=float) % 360.0),
+            "y": significant(rows[LATITUDE]),
+        }
+        for trace, rows in _by_end(results, POINTS_PX)
+    ]
+    axes = map_axes((0, 360), margin_deg=2)
+    axes["yaxis"]["title"] = {"text": "latitude (deg)"}
+    margin = {"l": 55, "r": 10, "t": 36, "b": 50}
+    layout = {"height": HEIGHT_PX, "margin": margin, **axes, "legend": ABOVE}
+    return chart("map", "Sites by latitude and longitude", data, layout)
+
+
+def shape_chart(results: CampaignResults) -> dict[str, Any]:
+    """The sites on the body's shape, body-fixed."""
+    shape = shape_of(results.base)
+    body = mesh(shape, "body", "body", BODY, 1.0) | {
+        "hoverinfo": "skip",
+        "lighting": {"ambient": 0.75, "diffuse": 0.4, "specular": 0.0, "fresnel": 0.0},
+    }
+    data: list[Trace] = [body]
+    for trace, rows in _by_end(results, 6):
+        at = np.array([direction_of(*s) for s in zip(rows[LATITUDE], rows[LONGITUDE], strict=True)])
+        places = (LIFTED * shape.radius(at)[:, None] * at).reshape(-1, 3)
+        data.append(
+            trace | {"type": "scatter3d"} | dict(zip("xyz", compact(places.T, 1), strict=True))
+        )
+    hidden = {f"{axis}axis": {"visible": False} for axis in "xyz"}
+    camera = {"eye": {"x": 1.1, "y": 0.6, "z": 0.6}}
+    layout = {
+        "height": VIEW_PX,
+        "margin": {"l": 0, "r": 0, "t": 30, "b": 0},
+        "legend": ABOVE,
+        "scene": {"aspectmode": "data", **hidden, "camera": camera},
+    }
+    return chart("shape", f"Sites on the shape ({shape.description})", data, layout)
+
+
+def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, Any]:
+    """A measure of the feasible cases along an axis, a curve for each value of the others."""
+    along, *others = axes_of(results)
+    by = [entry for entry in others if entry is not None]
+    table = results.table[np.array(results.ends) == FEASIBLE]
+    groups = [((), table)] if not by else list(table.groupby(by))
+    shown = f", {CURVES_MAX} of {len(groups)} curves" if len(groups) > CURVES_MAX else ""
+    scattered = results.scatters(along)
+    data: list[Trace] = []
+    for number, (values, rows) in enumerate(groups[:CURVES_MAX]):
+        called = ", ".join(f"{label(e)} {in_words(v)}" for e, v in zip(by, values, strict=True))
+        rows = cheapest(rows, along)
+        x = rows[along]
+        data.append(
+            {
+                "type": "scatter",
+                "mode": "markers" if scattered else "lines+markers",
+                "name": called or name,
+                "showlegend": bool(by),
+                "x": x.tolist() if along == EPOCH else significant(x),
+                "y": significant(rows[column]),
+                "customdata": rows["case"].tolist(),
+                "line": {
+                    "color": PLANS[number % len(PLANS)],
+                    "dash": DASHES[number // len(PLANS) % len(DASHES)],
+                },
+            }
+        )
+    layout = {
+        "height": HEIGHT_PX,
+        "margin": {"l": 65, "r": 10, "t": 20, "b": 50},
+        "xaxis": {"title": {"text": label(along)}},
+        "yaxis": {"title": {"text": name}},
+    }
+    return chart(column, f"{name} of the feasible cases{shown}", data, layout)
+
+
+def _by_end(results: CampaignResults, size: int) -> list[tuple[Trace, Any]]:
+    """Markers of the cases that ended alike, without their places, and their rows."""
+    ends, found = np.array(results.ends), []
+    for end in ENDS:
+        rows = results.table[ends == end]
+        if not len(rows):
+            continue
+        marker: dict[str, Any] = {"symbol": SYMBOLS[end], "size": size}
+        if end == FEASIBLE:
+            bar = {"title": {"text": DELTA_V, "side": "right"}}
+            line = {"color": "#333333", "width": 0.5}
+            marker |= {"color": significant(rows[COST]), "colorscale": COLOURS.capitalize()}
+            marker |= {"showscale": True, "colorbar": bar, "line": line}
+        else:
+            marker |= {"color": GREYS[end], "size": size * 0.7}
+        trace: Trace = {
+            "mode": "markers",
+            "name": f"{end}: {len(rows)}",
+            "marker": marker,
+            "customdata": rows["case"].tolist(),
+            "text": [_hover(row) for row in rows.to_dict("records")],
+            "hoverinfo": "text",
+        }
+        found.append((trace, rows))
+    return found
+
+
+def _hover(row: dict[str, Any]) -> str:
+    name = row.get("site.name") or f"{row[LATITUDE]:g}, {row[LONGITUDE]:g} deg"
+    if row[COST] == row[COST] and row[COST] is not None:
+        return f"case {row['case']}, {name}: {row[COST]:.4f} m/s"
+    binds = row.get("binds")
+    return f"case {row['case']}, {name}: {row['status']} {binds if isinstance(binds, str) else ''}"

@@ -1,0 +1,161 @@
+"""Run the cases of a study that have no row yet, anywhere, and keep every row as its case ends."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from scp_recon.campaigns.cases import Case
+from scp_recon.campaigns.results import (
+    FIXED,
+    MEASURED,
+    OWN,
+    RESULTS,
+    ROWS,
+    cell,
+    needing_parquet,
+    open_rows,
+    write_results,
+)
+from scp_recon.campaigns.study import Study
+from scp_recon.errors import InputError, option
+from scp_recon.files import check_writable, only_run_in, unwritable, write_atomically
+from scp_recon.jobs.job import Done, Executor, Job, Key, here
+from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.store import Row, run, versions
+
+SCHEMA, FILE_NAME = "scp_recon.campaign/1", "campaign.json"
+EARLIER = "rows"
+"""Folder in which earlier versions kept the rows of an unfinished campaign."""
+WORKERS_MAX = 256
+
+Observer = Callable[[int, int, Mapping[str, Any] | None], None]
+"""Called with how many rows there are, of how many, and the last one."""
+CaseWork = Callable[[Case], Row]
+"""What is done with a case: its row and its files. It pickles, and depends on the case alone."""
+
+
+def executor_of(
+    study: Study, workers: int, scheduler: str | None, say: Callable[[str], None] = lambda _: None
+) -> Executor:
+    """Choose where a study's cases are run, each within the study's limits.
+
+    In so many processes, with 0 in this one, or on the Dask cluster of a scheduler's address; `say` is
+    called with what is worth a line.
+    """
+    limits = Limits(study.campaign.limit_s, memory_mb=study.campaign.memory_mb)
+    if scheduler is not None:
+        from scp_recon.jobs.cluster import Cluster
+
+        return Cluster(scheduler, limits, say)
+    if workers:
+        return Processes(workers, limits)
+    if asked := sorted(study.campaign.model_fields_set & {"limit_s", "memory_mb"}):
+        say(f"{' and '.join(asked)}: not kept with --workers 0, where no case can be ended")
+    return here
+
+
+def run_study(
+    study: Study,
+    folder: Path,
+    work: CaseWork,
+    executor: Executor | None = None,
+    observe: Observer | None = None,
+) -> Path:
+    """Run the cases of a study that have no row yet, and return the file `results.parquet`.
+
+    What the folder holds of the same study is kept and continued. Without an executor the cases are run
+    in one process of their own.
+
+    Raises:
+        InputError: if the folder cannot be written, is at work, or holds another campaign.
+    """
+    needing_parquet()
+    check_writable(folder, FILE_NAME, option("out"))
+    cases, observe = study.cases, observe or (lambda _done, _total, _row: None)
+    own = FIXED | OWN[study.campaign.do] | MEASURED
+    columns = {"case": int} | study.kinds | {"seed": int} | own
+    with only_run_in(folder, option("out")):
+        _take(folder, study)
+        if (folder / RESULTS).is_file():
+            observe(len(cases), len(cases), None)
+            return folder / RESULTS
+        with open_rows(folder, study.hash, columns) as rows:
+
+            def on_done(_: Key, row: Mapping[str, Any]) -> None:
+                observe(len(rows), len(cases), row)
+
+            observe(len(rows), len(cases), None)
+            jobs = (Job(number, cases[number]) for number in range(len(cases)))
+            executor = executor or executor_of(study, 1, None)
+            run(work, jobs, rows, executor, row_of=partial(_row_of, study), on_done=on_done)
+            if len(rows) != len(cases):
+                raise RuntimeError(f"{len(rows)} rows of {len(cases)} cases")
+            return write_results(folder, rows)
+
+
+def _row_of(study: Study, done: Done) -> Row:
+    """Row of a case that has ended."""
+    case: Case = study.cases[int(done.key)]
+    found: Row = done.value
+    if done.failure is not None:
+        found = Row({"status": done.failure.status, "message": done.failure.message})
+    changes = {entry: cell(case.changes[entry], kind) for entry, kind in study.kinds.items()}
+    took = {"seconds": done.seconds, "cpu_s": done.cpu_s, "tries": done.tries}
+    values = {"case": case.number, **changes, "seed": case.seed, **found.values, **took}
+    return Row(values, found.files)
+
+
+def _take(folder: Path, study: Study) -> None:
+    """Claim a folder for this campaign.
+
+    Raises:
+        InputError: if it holds another, or rows whose campaign is not known.
+    """
+    identity = {
+        "hash": study.hash,
+        "cases": len(study.cases),
+        "entries": list(study.entries),
+        "versions": versions(),
+        "study": study.tables,
+        "base": study.base.model_dump(mode="json", exclude_none=True),
+    }
+    path = folder / FILE_NAME
+
+    def refused(given: str, allowed: str = "") -> InputError:
+        allowed = f"must be a folder of its own{allowed}"
+        return InputError(option("out"), f"{folder}, {given}", allowed)
+
+    for name in (RESULTS, ROWS, EARLIER):
+        if (folder / name).exists() and not path.is_file():
+            raise refused(f"with {name} but no {FILE_NAME}")
+    try:
+        if not path.is_file():
+            content = {"schema": SCHEMA, **identity}
+            write_atomically(path, json.dumps(content, indent=1, default=str) + "\n")
+            return
+        found = json.loads(path.read_text("utf-8"))
+    except OSError as error:
+        raise unwritable(folder, option("out"), error) from None
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or found.get("schema") != SCHEMA:
+        raise refused(f"whose {FILE_NAME} is damaged or of another version")
+    if (folder / EARLIER).exists():
+        raise refused(f"with {EARLIER}/, which an earlier version began and did not finish")
+    if found.get("hash") != identity["hash"]:
+        same = f", or of the same study{_differing(found, identity)}"
+        raise refused("which holds another campaign", same)
+
+
+def _differing(found: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
+    """Say which versions differ from those that the rows were made with."""
+    old, new = found.get("versions", {}), identity.get("versions", {})
+    names = [
+        f"{name} ({old.get(name)}, now {new[name]})" for name in new if old.get(name) != new[name]
+    ]
+    listed = f", and versions: {', '.join(names)}" if names else ""
+    return f" and files that it names{listed}"

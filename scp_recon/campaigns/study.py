@@ -1,0 +1,213 @@
+"""Read a study: a base scenario, what to do with it, and the axes along which it changes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from scp_recon.campaigns.axes import Axis, Draws, Windows, axis_of
+from scp_recon.campaigns.cases import Case, Cases, Changes, changed, layer_of
+from scp_recon.campaigns.checks import check_axes, check_count, check_do, ineffective, refuse
+from scp_recon.campaigns.results import kind_of
+from scp_recon.errors import InputError, shortened
+from scp_recon.files import read_text
+from scp_recon.jobs.store import versions
+from scp_recon.scenario.fields import Section
+from scp_recon.scenario.load import base_names, load_scenario
+from scp_recon.scenario.messages import input_error
+from scp_recon.scenario.schema import Scenario
+
+BYTES_MAX = 50_000_000
+ASK_FROM = 100_000
+"""Number of cases from which on a caller has to say that they are meant."""
+
+Do = Literal["plan", "design", "certify", "fly", "simulate"]
+
+
+class Campaign(Section):
+    """The table `[campaign]`."""
+
+    base: Annotated[str, Field(min_length=1)] = "recon_b"
+    """Packaged scenario, or a file relative to the study."""
+    do: Do = "plan"
+    """plan; design a pass from the home orbit; certify an exact plan; fly a plan often; simulate it."""
+    samples: Annotated[int, Field(ge=20, le=10_000_000)] = 10_000
+    """Flights of a case with do = "fly"."""
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    """Seed of all draws: a case's own follows from it and the case's number."""
+    limit_s: Annotated[float, Field(ge=0.1, le=1e6)] = 600.0
+    """Wall time after which a case is ended, s."""
+    memory_mb: Annotated[int, Field(ge=16, le=1_000_000)] = 4096
+    """Memory that a case may take beyond the program's own, megabytes."""
+    keep_solutions: bool = False
+    """Whether each case's solution.json is kept."""
+    overrides: dict[str, Any] = Field(default_factory=dict)
+    """Entries of the base that differ in all cases."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A base scenario, what is done with it, and the axes along which it changes.
+
+    Files that the study names are relative to its folder; `tables` are as they were written.
+    """
+
+    campaign: Campaign
+    base: Scenario
+    axes: tuple[list[Changes], ...]
+    folder: Path
+    tables: Mapping[str, Any]
+
+    @classmethod
+    def validated(
+        cls, tables: Mapping[str, Any], folder: Path = Path(), *, yes: bool = False
+    ) -> Study:
+        """Make a study of nested tables, as in a file; `yes` if more than `ASK_FROM` cases are meant.
+
+        Raises:
+            InputError: one message of everything that is wrong.
+        """
+        unknown = set(tables) - {"campaign", "axis"}
+        if unknown:
+            raise InputError(
+                ", ".join(sorted(map(str, unknown))), "an unknown entry", "must be campaign or axis"
+            )
+        campaign = _model(Campaign, tables.get("campaign", {}), "campaign")
+        kinds = _axes(tables.get("axis", []))
+        name = campaign.base
+        base = load_scenario(name if name in base_names() else folder / name)
+        base = base.changed(layer_of(campaign.overrides, folder)) if campaign.overrides else base
+        check_do(campaign.do, base)
+        check_count([axis.count(base) for axis in kinds], ASK_FROM, yes=yes)
+        rows = tuple(axis.rows(base, (campaign.seed, place)) for place, axis in enumerate(kinds))
+        study = cls(campaign, base, rows, folder, tables)
+        random, windows = ([isinstance(axis, kind) for axis in kinds] for kind in (Draws, Windows))
+        given = campaign.model_dump(exclude_unset=True)
+        check_axes(base, folder, rows, random, ineffective(campaign.do, given, rows, windows))
+        return study
+
+    @property
+    def cases(self) -> Cases:
+        """All cases, each made when it is taken."""
+        return Cases(self.axes, self.campaign.seed)
+
+    @cached_property
+    def entries(self) -> tuple[str, ...]:
+        """Entries that the axes change, in their order."""
+        return tuple(entry for rows in self.axes for entry in rows[0])
+
+    @cached_property
+    def kinds(self) -> dict[str, type]:
+        """Kinds of the entries' columns."""
+        return {
+            entry: kind_of(row[entry] for row in rows) for rows in self.axes for entry in rows[0]
+        }
+
+    def scenario_of(self, case: Case) -> Scenario:
+        """Make the scenario of a case.
+
+        Raises:
+            InputError: if it is none.
+        """
+        return changed(self.base, case.changes, self.folder)
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of all that decides the rows: base, axes, limits, named files, versions."""
+        parts = {
+            "campaign": self.campaign.model_dump(mode="json", exclude={"base", "overrides"}),
+            "base": self.base.model_dump(mode="json"),
+            "axes": self.axes,
+            "files": dict(_digests(self)),
+            "versions": versions(),
+        }
+        text = json.dumps(parts, sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def read_study(path: Path, *, yes: bool = False) -> Study:
+    """Read a study file.
+
+    Raises:
+        InputError: one message of everything that is wrong.
+    """
+    text = read_text(path, f"study {path}", "study file in TOML", BYTES_MAX)
+    try:
+        tables = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"study {path}", f"no TOML ({str(error)[:120]})", "must be a study file"
+        ) from None
+    return Study.validated(tables, path.parent, yes=yes)
+
+
+def study_of(given: str | Path | Mapping[str, Any], *, yes: bool = False) -> Study:
+    """Read a study from its file or its tables.
+
+    Raises:
+        InputError: one message of everything that is wrong.
+    """
+    if isinstance(given, str | Path):
+        return read_study(Path(given), yes=yes)
+    if not isinstance(given, Mapping):
+        raise InputError("study", shortened(given), "must be a file, or tables as in one")
+    return Study.validated(given, yes=yes)
+
+
+def _model(schema: Any, table: Any, name: str) -> Any:
+    try:
+        return schema.model_validate_json(json.dumps(table, default=str))
+    except ValidationError as error:
+        found = input_error(error, schema)
+        entry = name if found.entry == "scenario" else f"{name}.{found.entry}"
+        raise InputError(entry, found.given, found.allowed) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(name, "values that cannot be read", str(error)[:120]) from None
+
+
+def _axes(tables: Any) -> list[Axis]:
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise InputError("axis", shortened(tables), "must be tables [[axis]]")
+    found, wrong = [], []
+    for number, table in enumerate(tables, start=1):
+        name = f"axis {number}"
+        try:
+            found.append(_model(axis_of(table), table, name))
+        except InputError as error:
+            wrong.append(error)
+        except ValueError as error:
+            wrong.append(InputError(name, ", ".join(table) or "nothing", str(error)))
+    if wrong:
+        refuse(wrong)
+    return found
+
+
+def _digests(study: Study) -> Iterator[tuple[str, str]]:
+    """Names and SHA-256 of the files that the scenarios name."""
+    named: set[str] = set()
+    layers = [study.base.model_dump(mode="json", exclude_none=True)]
+    layers += [layer_of(row, study.folder) for rows in study.axes for row in rows]
+    for tables in layers:
+        named |= set(files_in(tables))
+    for name in sorted(name for name in named if isinstance(name, str)):
+        path = Path(name)
+        if path.is_file():
+            with path.open("rb") as file:
+                yield name, hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def files_in(table: Any) -> Iterator[Any]:
+    """Values of the entries that name files, however deep."""
+    for key, value in table.items() if isinstance(table, dict) else ():
+        if key.endswith(("_file", "_files")):
+            yield from value if isinstance(value, list) else [value]
+        else:
+            yield from files_in(value)

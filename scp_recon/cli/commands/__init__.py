@@ -1,0 +1,1 @@
+"""The commands, one a module: options in, a call of `api`, results rendered."""

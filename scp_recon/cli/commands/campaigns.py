@@ -1,0 +1,121 @@
+"""The command that runs many cases: `campaign`, and what a campaign comes to."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from scp_recon.api.campaigns import run_campaign
+from scp_recon.campaigns.outcome import CampaignResults, read_campaign, remarks
+from scp_recon.campaigns.page import PAGE, has_extras, write_pictures
+from scp_recon.campaigns.results import status_counts
+from scp_recon.campaigns.study import ASK_FROM, read_study
+from scp_recon.cli.command import Answer, Command, progress_console, show_line, show_written
+from scp_recon.cli.options import add_where
+
+
+def _add_campaign(p: argparse.ArgumentParser) -> None:
+    p.add_argument("study", type=Path, metavar="STUDY", help="TOML file; see docs/campaigns.md")
+    p.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder for results.parquet"
+    )
+    add_where(
+        p,
+        "processes for the cases; 0 runs them in this process, where no case can be ended that "
+        "takes too long or too much memory",
+    )
+    p.add_argument(
+        "--yes", action="store_true", help=f"more than {ASK_FROM} cases are what is meant"
+    )
+
+
+def _campaign(options: argparse.Namespace, console: Console) -> Answer:
+    study = read_study(options.study, yes=options.yes)
+    where = {"workers": options.workers, "scheduler": options.scheduler}
+    with _progress(console) as (observe, say):
+        path = run_campaign(study, options.out, **where, observe=observe, say=say)
+    counts = status_counts(path)
+    for status, count in counts.items():
+        show_line(console, f"{count:10,}  {status}")
+    show_written(console, path)
+    results = read_campaign(options.out)
+    pictures = write_pictures(results) if has_extras() else []
+    show_campaign(results, pictures, console)
+    if not pictures:
+        show_line(console, f"no {PAGE}: pip install 'scp_recon[report]' for the page and pictures")
+    document = {
+        "cases": len(study.cases),
+        "hash": study.hash,
+        "statuses": counts,
+        **summary_of(results),
+        "files": [str(file) for file in (path, *pictures)],
+    }
+    return Answer(0, document)
+
+
+def summary_of(results: CampaignResults) -> dict[str, Any]:
+    """What the terminal says of a campaign, for `--json`."""
+    return {
+        "feasible": results.feasible,
+        "ends": results.counts(),
+        "remarks": remarks(results),
+    }
+
+
+def show_campaign(results: CampaignResults, written: Sequence[Path], console: Console) -> None:
+    """Tell of a campaign, and which files show it."""
+    for line in (results.verdict, *remarks(results)):
+        show_line(console, line)
+    for path in written:
+        show_written(console, path)
+
+
+@contextmanager
+def _progress(
+    console: Console,
+) -> Iterator[tuple[Callable[[int, int, Mapping[str, Any] | None], None], Callable[[str], None]]]:
+    """A bar with rate, time left and how cases end; and what says a line above it."""
+    errors = progress_console(console)
+    columns = (
+        *("cases", BarColumn(), MofNCompleteColumn()),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[ends]}"),
+    )
+    ends: Counter[str] = Counter()
+    with Progress(*columns, console=errors, speed_estimate_period=300.0) as bar:
+        task = bar.add_task("cases", total=None, rate="", ends="")
+
+        def observe(done: int, total: int, row: Mapping[str, Any] | None) -> None:
+            if row is None:
+                if done:
+                    show_line(errors, f"continued: {done} of {total} cases have their rows")
+                bar.reset(task, total=total, completed=done)
+                return
+            ends[str(row.get("status"))] += 1
+            speed = bar.tasks[0].speed
+            bar.update(
+                task,
+                completed=done,
+                rate=f"{speed:.3g} a second" if speed else "",
+                ends=", ".join(f"{count} {name}" for name, count in ends.most_common(4)),
+            )
+
+        yield observe, lambda text: show_line(errors, text)
+
+
+campaign = Command(
+    "campaign",
+    "Run many cases, here or on a cluster. A study names a base scenario, axes along which it changes, "
+    "and what to do with each case. Results are one row a case, in DIR/results.parquet. A campaign "
+    "that was stopped goes on with the same command.",
+    _add_campaign,
+    _campaign,
+)

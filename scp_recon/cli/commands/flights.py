@@ -1,0 +1,271 @@
+"""The commands that fly a plan: `montecarlo` many times with errors, `simulate` the spacecraft once."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskProgressColumn,
+    TimeRemainingColumn,
+)
+
+from scp_recon.api.files import open_plan
+from scp_recon.api.flights import FlyOptions, Watcher, fly_into
+from scp_recon.api.flights import simulate as fly_spacecraft
+from scp_recon.api.keeping import check_holds
+from scp_recon.cli.command import (
+    NOT_VERIFIED,
+    Answer,
+    Command,
+    asked_to_stop,
+    progress_console,
+    show_line,
+    show_written,
+)
+from scp_recon.cli.options import add_plan, add_seed, add_vehicle, add_where, whole
+from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
+from scp_recon.errors import needing, option
+from scp_recon.files import check_writable, only_run_in, unwritable
+from scp_recon.monte_carlo.summary import (
+    Spread,
+    Summary,
+    Terminal,
+    required_probability,
+    shortfalls,
+    too_wide,
+)
+from scp_recon.reports.tables import (
+    flown_probabilities_table,
+    interval_cell,
+    legs_table,
+    observation_times_table,
+    simulated_burns_table,
+)
+from scp_recon.results.runs import folder_of, resolve_run
+from scp_recon.results.solution import require_whole_flight
+from scp_recon.scp.status import Status
+from scp_recon.simulation import record as records
+from scp_recon.simulation.record import Angles, FlightSummary
+from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
+
+
+def _add_montecarlo(p: argparse.ArgumentParser) -> None:
+    add_plan(p)
+    p.add_argument(
+        "--samples",
+        type=whole,
+        default=10_000,
+        metavar="N",
+        help="flights, at most with --until (default: 10000)",
+    )
+    p.add_argument(
+        "--until",
+        type=_width,
+        metavar="P%",
+        help="stop when every joint probability's interval is this narrow, e.g. 0.5%%",
+    )
+    p.add_argument(
+        "--truth",
+        metavar="planner|harmonics",
+        default="planner",
+        help="point mass with J2, or harmonics turning with the body: of body.gravity_file, or "
+        "degree 8 of a packaged field (default: planner)",
+    )
+    p.add_argument(
+        "--errors",
+        metavar="componentwise|gates",
+        help="of the burns: by component, or magnitude and pointing (default: the scenario's)",
+    )
+    add_seed(p, "all draws")
+    add_where(p, "processes")
+
+
+def _width(text: str) -> float:
+    try:
+        width = float(text.removesuffix("%")) / 100.0
+    except ValueError:
+        width = 0.0
+    if not text.endswith("%") or not 0.0 < width < 1.0:
+        raise argparse.ArgumentTypeError(f"got {text!r}; must be a percentage such as 0.5%")
+    return width
+
+
+def _montecarlo(options: argparse.Namespace, console: Console) -> Answer:
+    how = FlyOptions(
+        options.samples,
+        options.until,
+        options.truth,
+        options.errors,
+        options.seed,
+        options.workers,
+        options.scheduler,
+    )
+    home = resolve_run(options.plan)
+    plan, folder = open_plan(home), folder_of(home)
+    columns = ("flights", BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with asked_to_stop() as stop, Progress(*columns, console=progress_console(console)) as bar:
+        task = bar.add_task("flights", total=options.samples)
+        watcher = Watcher(
+            lambda done: bar.update(task, completed=done),
+            stop,
+            lambda line: show_line(console, line),
+        )
+        flown = fly_into(folder, plan, how, watcher)
+    summary, document = flown.summary, {"files": [str(flown.path)]}
+    if summary is None:
+        count = flown.flights.samples
+        show_line(console, f"interrupted: {count} flights are kept, and the same command goes on")
+        show_written(console, flown.path)
+        return Answer(Status.INTERRUPTED.value.exit_code, {"samples": count, **document})
+    show_summary(console, summary, required_probability(plan.solution))
+    show_warnings(console, [*plan.solution.warnings, *plan.mission.warnings])
+    failed = [
+        *shortfalls(summary, plan.solution),
+        *too_wide(flown.flights.widest_interval(), how.until),
+    ]
+    show_verdict(console, "as asked", failed)
+    show_written(console, flown.path)
+    found = {"failed": failed, **document, **summary.model_dump(mode="json")}
+    return Answer(NOT_VERIFIED if failed else 0, found)
+
+
+def _add_simulate(p: argparse.ArgumentParser) -> None:
+    add_plan(p, "SOLUTION")
+    add_seed(p, "all errors")
+    p.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder for simulation.npz (default: the solution's)",
+    )
+    add_vehicle(p)
+
+
+def _simulate(options: argparse.Namespace, console: Console) -> Answer:
+    with needing("scp-recon simulate", "sim", "Basilisk"):
+        import scp_recon.simulation.basilisk.simulation  # noqa: F401 -- whether it is there
+    home = resolve_run(options.plan)
+    mission, solution = open_plan(home)
+    vehicle = load_vehicle(options.vehicle)
+    require_whole_flight(solution.scenario, option("plan"))
+    folder = options.out or folder_of(home)
+    check_writable(folder, records.FILE_NAME, option("out"))
+    check_holds(folder, solution, option("out"))
+    columns = ("flight", BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with only_run_in(folder, option("out")):
+        with Progress(*columns, console=progress_console(console)) as bar:
+            task = bar.add_task("flight", total=solution.scenario.duration_s)
+            record = fly_spacecraft(
+                solution,
+                seed=options.seed,
+                vehicle=options.vehicle,
+                progress=lambda time: bar.update(task, completed=time),
+            )
+        try:
+            path = records.write_record(record, folder)
+        except OSError as error:
+            raise unwritable(folder, option("out"), error) from None
+    show_flight(console, record.summary)
+    other = check_vehicle(vehicle, solution.scenario)
+    show_warnings(console, [*solution.warnings, *mission.warnings, *other])
+    failed = records.shortfalls(record.summary, solution)
+    show_verdict(console, "as asked", failed)
+    show_written(console, path)
+    document = {"failed": failed, "files": [str(path)], "summary": record.summary.entries()}
+    return Answer(NOT_VERIFIED if failed else 0, document)
+
+
+def show_summary(console: Console, summary: Summary, asked: float | None = None) -> None:
+    """The figures that matter, with their intervals.
+
+    Args:
+        console: to print to.
+        summary: what to show.
+        asked: probability of every joint constraint, if one was.
+    """
+    first, last = summary.window_s or (0.0, 0.0)
+    window = f"window {last - first:.1f} s" if summary.window_s else "the window is over"
+    console.print(
+        f"{summary.samples} flights, truth {summary.truth}, errors {summary.errors}, "
+        f"{100 * summary.confidence:.0f} % intervals; {window}",
+        highlight=False,
+    )
+    if summary.held_s:
+        console.print(terminal(observation_times_table(summary)))
+    console.print(terminal(flown_probabilities_table(summary, asked)))
+    for label, spread, digits in (
+        ("all hold from", summary.entry_s, 0),
+        ("all hold until", summary.exit_s, 0),
+        ("closest approach m", summary.closest_m, 1),
+        ("executed delta-v m/s", summary.executed_dv_m_s, 5),
+    ):
+        _show_spread(console, label, spread, digits)
+    worst = interval_cell(summary.closest_m.worst, 1).text
+    console.print(f"closest approach, 0.3 % quantile: {worst} m", highlight=False)
+    _show_terminal(console, summary.terminal)
+
+
+def _show_spread(console: Console, label: str, spread: Spread, digits: int) -> None:
+    """One line, and none without flights."""
+    if spread.mean is None or spread.q05 is None or spread.q95 is None:
+        return
+    low, high = spread.q05.estimate.value, spread.q95.estimate.value
+    console.print(
+        f"{label:21} {interval_cell(spread.mean, digits).text}; 90 % of flights {low:.{digits}f} to "
+        f"{high:.{digits}f}",
+        highlight=False,
+    )
+
+
+def _show_terminal(console: Console, terminal: Terminal) -> None:
+    if not terminal.sigma_ratio:
+        console.print("final state: no component spreads", highlight=False)
+        return
+    ratios = ", ".join(
+        f"{name} {interval_cell(r, 3).text}" for name, r in terminal.sigma_ratio.items()
+    )
+    console.print(f"final state, J2000, sampled over predicted sigma: {ratios}", highlight=False)
+    normal = ", ".join(f"{name} {test.p_value:.2g}" for name, test in terminal.normality.items())
+    console.print(f"final state, J2000, p-value of normality: {normal}", highlight=False)
+
+
+def show_flight(console: Console, summary: FlightSummary) -> None:
+    """The figures of a simulated flight."""
+    console.print(terminal(legs_table(summary)))
+    console.print(terminal(simulated_burns_table(summary)))
+    lines = [
+        f"{name:22} {_spread(angles)} deg"
+        for name, angles in (
+            ("camera against command", summary.window_pointing_deg.camera),
+            ("camera against site", summary.window_pointing_deg.site),
+            ("estimated attitude", summary.estimate_deg),
+        )
+    ]
+    miss = summary.terminal_miss
+    lines += [
+        f"least state of charge  {summary.least_charge:.3f} (floor {summary.floor_charge:.2f})",
+        f"energy ledger error    {summary.ledger_error:.1e} of what is generated",
+        f"momentum dumps         {summary.dumps}",
+        f"final state            {miss.position_m:.1f} m and {miss.velocity_m_s:.4f} m/s "
+        "from the planned mean",
+        f"within 3 sigma         at {100 * summary.within_3_sigma:.1f} % of the nodes, "
+        f"at most {summary.largest_sigma_distance:.2f} sigma",
+    ]
+    for line in lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def _spread(angles: Angles) -> str:
+    named = angles.model_dump(by_alias=True)
+    return ", ".join(f"{key} {value:.3f}" for key, value in named.items())
+
+
+montecarlo = Command("montecarlo", "Fly a plan many times.", _add_montecarlo, _montecarlo)
+simulate = Command(
+    "simulate", "Fly a plan with the spacecraft in the loop.", _add_simulate, _simulate
+)

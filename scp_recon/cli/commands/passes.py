@@ -1,0 +1,186 @@
+"""The command `design`: a whole pass from a home orbit, with a table and pictures of its trials."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from scp_recon.api.designing import Design, design_options, find_pass, plan_pass
+from scp_recon.api.keeping import point_latest, run_folder
+from scp_recon.api.planning import scenario_of
+from scp_recon.cli.command import (
+    Answer,
+    Command,
+    show_line,
+    show_written,
+)
+from scp_recon.cli.commands.planning import plan_into
+from scp_recon.cli.options import (
+    add_certify,
+    add_out,
+    add_overrides,
+)
+from scp_recon.errors import option
+from scp_recon.files import unwritable, write_atomically
+from scp_recon.mission.mission import Mission
+from scp_recon.passes.design import Trial
+from scp_recon.planning.primer import WORTH, PrimerHistory
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import FILE_NAME
+from scp_recon.results.table import Table
+from scp_recon.scenario.load import scenario_text
+from scp_recon.scp.status import Status
+
+TABLE, MAP, SCENARIO, PRIMER = "design.csv", "design.png", "scenario.toml", "primer.png"
+"""What a design writes besides its plan."""
+COLUMNS = (
+    "step",
+    "window",
+    "problem",
+    "departure_deg",
+    "arrival_deg",
+    "times_s",
+    "status",
+    "dv_m_s",
+)
+
+
+def _add_design(p: argparse.ArgumentParser) -> None:
+    p.add_argument(
+        "scenario",
+        metavar="SCENARIO",
+        help="TOML file with boundary.home, or a packaged one's name",
+    )
+    add_overrides(p)
+    add_certify(p)
+    add_out(p, f"solution.json, {SCENARIO}, {TABLE} and pictures")
+
+
+def _design(options: argparse.Namespace, console: Console) -> Answer:
+    scenario = scenario_of(options.scenario, options.overrides)
+    how = design_options(scenario, certify=options.certify)
+    with run_folder(options.out, scenario.name) as folder:
+        with _progress(console) as observe:
+            found = find_pass(scenario, observe)
+        _keep(folder, TABLE, _as_csv(found.trials))
+        _keep_map(folder, found, console)
+        if found.scenario is None:
+            show_line(console, found.message)
+            show_written(console, folder / TABLE)
+            return Answer(Status.INFEASIBLE.value.exit_code, {"files": [str(folder / TABLE)]})
+        _keep(folder, SCENARIO, scenario_text(found.scenario))
+        mission = Mission.from_scenario(found.scenario)
+        answer = plan_into(
+            folder, mission, lambda seen: plan_pass(found, mission, how, seen), console
+        )
+        _keep_primer(folder, console)
+    point_latest(options.out, folder, answer.status)
+    return answer
+
+
+def _keep(folder: Path, name: str, content: str | bytes) -> None:
+    try:
+        write_atomically(folder / name, content)
+    except OSError as error:
+        raise unwritable(folder, option("out"), error) from None
+
+
+def _keep_map(folder: Path, found: Design, console: Console) -> None:
+    """The map of the design, if there is matplotlib."""
+    if not any(one.result.converged for one in found.trials):
+        return
+    if not _can_draw():
+        show_line(console, f"no {MAP}, no {PRIMER}: pip install 'scp_recon[report]' for them")
+        return
+    from scp_recon.api.charts import draw_design
+
+    _keep(folder, MAP, draw_design(found.trials, found.best))
+
+
+def _keep_primer(folder: Path, console: Console) -> None:
+    """What the plan's primer says, and its picture if there is matplotlib."""
+    if not (folder / FILE_NAME).exists():
+        return
+    solution = read_solution(folder)
+    show_line(console, primer_says(solution.primer))
+    if solution.primer is not None and _can_draw():
+        from scp_recon.api.charts import draw_primer
+
+        _keep(folder, PRIMER, draw_primer(solution.primer, [burn.t_s for burn in solution.burns]))
+
+
+def _can_draw() -> bool:
+    return importlib.util.find_spec("matplotlib") is not None
+
+
+@contextmanager
+def _progress(console: Console) -> Iterator[Callable[[Trial], None]]:
+    """Count plans as they are made, and leave a line with the best of each step; yields what counts."""
+    counts: dict[str, int] = {}
+    least: dict[str, Trial] = {}
+
+    def line(step: str) -> str:
+        best, count = least[step], f"{step:10} {counts[step]:4} plans"
+        if not best.result.converged:
+            return f"{count}, none that holds"
+        departure, arrival = np.rad2deg(best.result.at.phases) % 360.0
+        return (
+            f"{count}, best {best.result.dv_m_s:.6f} m/s from {departure:.1f} to {arrival:.1f} deg"
+            + (", without uncertainty" if step in ("map", "certain") else "")
+        )
+
+    with console.status("designing") as status:
+
+        def count(tried: Trial) -> None:
+            step = tried.step
+            if step not in counts and counts:
+                console.print(line(next(reversed(counts))), highlight=False)
+            counts[step] = counts.get(step, 0) + 1
+            best = least.setdefault(step, tried)
+            if tried.result.dv_m_s < best.result.dv_m_s:
+                least[step] = tried
+            status.update(line(step))
+
+        yield count
+    if counts:
+        console.print(line(next(reversed(counts))), highlight=False)
+
+
+def _as_csv(tried: Sequence[Trial]) -> str:
+    """A row for each plan; times past the scenario's epoch, no delta-v where there is no plan."""
+    rows = (
+        [
+            one.step,
+            one.window,
+            one.result.stage.problem,
+            *map(float, np.rad2deg(one.result.at.phases) % 360.0),
+            " ".join(f"{one.begin_s + time:.1f}" for time in one.result.at.times_s),
+            one.result.stage.result.status.value.name,
+            one.result.dv_m_s if one.result.converged else None,
+        ]
+        for one in tried
+    )
+    return Table.of("Plans of a design", COLUMNS, rows).csv()
+
+
+def primer_says(primer: PrimerHistory | None) -> str:
+    """What a plan's primer tells of one more burn, in a line."""
+    if primer is None:
+        return "no primer: it takes a plan whose errors shrink with the burns"
+    legal = np.flatnonzero(primer.legal)
+    if len(legal) == 0:
+        return "primer: no time is legal for another burn with these kept: it tells nothing of one"
+    best = legal[np.argmax(np.array(primer.allowed)[legal])]
+    most, when = primer.allowed[best], f"at {primer.t_s[best]:.0f} s"
+    if most <= 1.0 + WORTH:
+        return f"primer at most {most:.3f} at legal times ({when}): no small burn more helps"
+    return f"primer up to {most:.3f} at legal times: a burn more {when} would help"
+
+
+design = Command("design", "Design a whole pass from a home orbit.", _add_design, _design)

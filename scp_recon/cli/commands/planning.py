@@ -1,0 +1,268 @@
+"""The command `solve`; how commands show and write a plan, and what would do where it is infeasible."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+from rich.console import Console
+
+from formulations.problem.flyby import Iterate
+from scp_recon.api.infeasibility import SIZE, Diagnosis, diagnose
+from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder, write_plan
+from scp_recon.api.planning import inputs, plan_mission
+from scp_recon.certification.largest import rounded_down
+from scp_recon.cli import plan_view
+from scp_recon.cli.command import (
+    NOT_VERIFIED,
+    Answer,
+    Command,
+    show_line,
+    show_written,
+)
+from scp_recon.cli.documents import plan_document
+from scp_recon.cli.options import (
+    add_out,
+    add_overrides,
+    add_plan_options,
+    plan_options,
+)
+from scp_recon.cli.plan_view import Progress, live_progress
+from scp_recon.cli.rendering import show_warnings
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.method import FORMULATION
+from scp_recon.planning.plan import Plan
+from scp_recon.results.solution import FILE_NAME, make_solution
+from scp_recon.scenario.load import base_names
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import verify
+
+
+def _add_solve(p: argparse.ArgumentParser) -> None:
+    p.add_argument(
+        "--scenario",
+        type=Path,
+        metavar="FILE",
+        help=f"TOML file, complete or with base = a file or one of {', '.join(base_names())} (default: "
+        "recon_b)",
+    )
+    add_overrides(p)
+    p.add_argument(
+        "--init",
+        default="cold",
+        type=_start,
+        metavar="cold|warm|FILE",
+        help="straight line; ballistic arc; a solution file (and its scenario, unless --scenario is "
+        "given) or a CSV of states t, x, y, z, vx, vy, vz in SI, J2000 (default: cold)",
+    )
+    add_plan_options(p)
+    p.add_argument(
+        "--report",
+        action="store_true",
+        help="write report.html too, a page to look at; the extra [report]",
+    )
+    add_out(p)
+
+
+def _start(text: str) -> str:
+    if not text:
+        raise argparse.ArgumentTypeError("got ''; must be cold, warm or a file")
+    return text
+
+
+def _solve(options: argparse.Namespace, console: Console) -> Answer:
+    how = plan_options(options)
+    if options.report:
+        from scp_recon.reports.write import check_extra
+
+        check_extra()
+    mission, start = inputs(options.scenario, options.init, options.overrides)
+    how.check(mission.scenario)
+    with run_folder(options.out, mission.scenario.name) as folder:
+        answer = plan_into(
+            folder,
+            mission,
+            lambda seen: plan_mission(mission, start, how, seen, init=options.init),
+            console,
+            start=start,
+            instead=undoing(options),
+        )
+        if how.objective == "probability" and answer.status == 0:
+            _show_largest(how.dv_budget_m_s, answer, console)
+        if options.report and answer.status != Status.INTERRUPTED.value.exit_code:
+            _report(folder, console)
+    point_latest(options.out, folder, answer.status)
+    return answer
+
+
+def _show_largest(budget_m_s: float | None, answer: Answer, console: Console) -> None:
+    """The largest probability beside what it was allowed to cost."""
+    plan = answer.document["plan"]
+    most = "any delta-v" if budget_m_s is None else f"at most {budget_m_s:g} m/s"
+    found = f"{plan['risk']['asked']:.5g}, for {plan['total_dv_m_s']:.6f} m/s"
+    show_line(console, f"largest probability found for {most}: {found}")
+
+
+def _report(folder: Path, console: Console) -> None:
+    """Of the plan that was just written, be it the verified one or the one beside it."""
+    from scp_recon.reports import write
+
+    aside = folder / UNVERIFIED
+    if aside.is_file():
+        path = write.write_report([aside], aside.with_name(write.UNVERIFIED_NAME))
+    else:
+        path = write.write_report([folder], folder / write.FILE_NAME)
+    show_written(console, path)
+
+
+def plan_into(
+    folder: Path,
+    mission: Mission,
+    make_plan: Callable[[Progress], Plan],
+    console: Console,
+    *,
+    start: Iterate | None = None,
+    instead: Sequence[str] = (),
+) -> Answer:
+    """Plan, verify, show and write.
+
+    Args:
+        folder: for the files.
+        mission: to plan.
+        make_plan: does it.
+        console: where to show it.
+        start: where the plan begins, if it is known; and so one that is proposed instead.
+        instead: options that the command needs besides to plan what is proposed.
+
+    Returns:
+        The exit status of the plan, and its document.
+
+    Raises:
+        InputError: if its figures are not finite, or the folder cannot be written.
+    """
+    plan_view.show_mission(console, mission)
+    console.print()
+    try:
+        with live_progress(console, mission) as observe:
+            result = make_plan(observe)
+        solution = make_solution(result)
+    except ValidationError:  # which only numbers that are not finite can cause
+        raise InputError(
+            "scenario",
+            "magnitudes for which the dynamics are not finite along the guess",
+            "the units of body, boundary and burns must fit together",
+        ) from None
+    # Written before it is verified, so that an interrupt from here on loses nothing.
+    path, aside = write_plan(solution, folder)
+    plan_view.show_solution(console, solution)
+    status = Status.named(solution.status)
+    if status is Status.INTERRUPTED:
+        show_warnings(console, solution.warnings)
+        show_written(console, path)
+        return Answer(status.value.exit_code, plan_document(solution, [path]))
+    mission = result.mission  # certifying may have added nodes
+    verification = verify(mission, solution)
+    checked = solution.with_verification(verification)
+    path, more = write_plan(checked, folder)
+    plan_view.show_verification(console, mission, verification, mission.warnings)
+    for old in [*aside, *more]:
+        show_line(console, f"set aside, as it is of another plan: {old}")
+    if path.name == UNVERIFIED:
+        show_line(console, f"kept, as it is verified: {folder / FILE_NAME}")
+    show_written(console, path)
+    if status is Status.INFEASIBLE:
+        show_what_would_do(console, result, start, instead)
+    code = status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
+    return Answer(code, plan_document(checked, [path]))
+
+
+SEVERAL = "; relaxing any one of them suffices"
+
+
+def show_what_would_do(
+    console: Console, failed: Plan, start: Iterate | None = None, more: Sequence[str] = ()
+) -> None:
+    """Say what binds, and the options of a plan that is feasible.
+
+    Args:
+        console: where to.
+        failed: the infeasible plan.
+        start: where it began.
+        more: options that undo what the command's own ones say against exact risk.
+    """
+    found = diagnose(failed, start)
+    for line in (what_binds(found), *what_would_do(found, failed, more)):
+        show_line(console, line)
+
+
+def undoing(options: argparse.Namespace) -> list[str]:
+    """Options after those of a command that make it one for exact risk and a probability."""
+    undone = []
+    for name, only in (("method", "scp"), ("formulation", FORMULATION), ("facet-rounds", 0)):
+        if getattr(options, name.replace("-", "_")) not in (only, None):
+            undone += [f"--{name}", str(only)]
+    if options.objective != "delta-v":
+        undone += ["--objective", "delta-v"]
+    if options.dv_budget_m_s is not None:
+        undone += ["--dv-budget", "any"]
+    return undone
+
+
+def what_binds(found: Diagnosis) -> str:
+    """In one line."""
+    names = ", ".join(found.violated) or "none"
+    if not found.binds:
+        alone = (
+            "of the size and the directions of the burns, the final state and the limits none alone"
+        )
+        return f"what binds: {alone}; violated: {names}"
+    words = [
+        f"{name} (up to {found.burn_m_s:.4f} m/s would do)" if name == SIZE else name
+        for name in found.binds
+    ]
+    line = f"what binds: {', '.join(words)}"
+    return f"{line}{SEVERAL if len(words) > 1 else ''}; violated: {names}"
+
+
+def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[str]:
+    """Of exact risk: whether it solves what was asked, what it can at most, and the options for it."""
+    without = found.without_uncertainty
+    if without is Status.INFEASIBLE or failed.final.problem == "P3":
+        word = "no lower probability helps" if without is Status.INFEASIBLE else "not asked for"
+        return [f"without uncertainty it is infeasible too: {word}"]
+    lines = []
+    risk, largest = failed.mission.scenario.risk, found.largest
+    what = "whole flights" if risk.scope == "flight" else "each constraint at each node"
+    if found.exact is not None:
+        cost = f"{found.exact.total_dv_m_s:.4f} m/s"
+        if risk.allocation == "uniform":
+            word = f"exact risk solves what the uniform split cannot: {risk.p_chance} for {cost}"
+        else:
+            p = f"{found.exact.target}"
+            word = f"{p} has a plan under the normal law, for {cost}, but none that flights certify"
+        lines.append(word)
+    if largest is None or largest.target is None:
+        lines.append("no probability of more than one half was found to have a plan")
+        if without is not Status.CONVERGED:
+            lines[-1] += (
+                f", which shows little: without uncertainty planning ended {without.value.name}"
+            )
+        return lines
+    lines.append(
+        f"the largest probability found feasible, of {what}: {rounded_down(largest.target):g} "
+        f"for {largest.total_dv_m_s:.4f} m/s"
+    )
+    if found.verified is None:
+        return [*lines, "of exact risk no plan was found that ends verified"]
+    asked = found.verified.mission.scenario.risk.p_chance
+    certify = "no" if found.verified.certificate is None else "yes"
+    options = [*more, "--set 'risk.allocation=\"exact\"'", f"--set risk.p_chance={asked}"]
+    cost = f"{found.verified.total_dv_m_s:.4f} m/s"
+    lines.append(f"feasible, for {cost}, with: {' '.join([*options, f'--certify {certify}'])}")
+    return lines
+
+
+solve = Command("solve", "Plan a flyby.", _add_solve, _solve)

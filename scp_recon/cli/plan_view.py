@@ -1,0 +1,241 @@
+"""A plan on the terminal: the case, iterations as they come, burns, and its verification."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from formulations.arrays import Array
+from scp_recon.cli.command import show_line
+from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.geometry import angle
+from scp_recon.physics.time_scales import instant, iso_utc
+from scp_recon.planning.plan import Plan
+from scp_recon.reports.tables import (
+    ITERATION_COLUMNS,
+    burns_table,
+    constraints_table,
+    iteration_row,
+    mean_margins_table,
+    probabilities_table,
+    reintegration_table,
+    starts_table,
+)
+from scp_recon.results.facts import Risk, Verification
+from scp_recon.results.solution import Solution, iteration_record
+from scp_recon.results.table import Cell, Table
+from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.loop import Record
+from scp_recon.scp.status import Status
+
+
+def show_mission(console: Console, mission: Mission) -> None:
+    """Scenario, window, schedule and grid."""
+    scenario, schedule = mission.scenario, mission.schedule
+    first, last = mission.observed_s or schedule.window_s
+    origin = "given" if scenario.observation.window_s else "from incidence and local solar time"
+    console.print(
+        Text(scenario.name, style="bold")
+        + Text(
+            f": {scenario.body.name}, site {scenario.site.name}, "
+            f"boundary states in {scenario.boundary.frame}, p_chance {scenario.risk.p_chance:g}, "
+            f"{scenario.uncertainty.execution}",
+            style="not bold",
+        )
+    )
+    if mission.observed_s is None:
+        origin += "; over, nothing is observed any more"
+    show_line(console, f"window    {first:.1f} to {last:.1f} s ({last - first:.1f} s, {origin})")
+    start, end = mission.times_s[[0, -1]]
+    places = (
+        _place(mission, start, mission.initial_state),
+        _place(mission, end, mission.final_state),
+    )
+    show_line(console, f"boundary  {'; '.join(places)}")
+    legs = ", ".join(f"{leg.mode} {leg.start_s:.0f}-{leg.end_s:.0f}" for leg in schedule.legs)
+    show_line(console, f"schedule  {legs} s")
+    burns = "; ".join(
+        f"{time:g} ({_interval(*interval)})" if time else "0"
+        for time, interval in zip(scenario.burn_times_s, schedule.firing_intervals_s, strict=True)
+    )
+    show_line(console, f"burns     {burns} s, in brackets where each may be moved")
+    if scenario.in_flight is not None:
+        flown = f"{scenario.burns_flown} burns flown"
+        show_line(console, f"in flight from {scenario.start_s:g} s on, {flown}")
+    arcs = np.diff(mission.times_s)
+    show_line(
+        console,
+        f"grid      {len(mission.times_s)} nodes, {len(mission.window_nodes)} of them in the "
+        f"window, arcs of {arcs.min():.0f} to {arcs.max():.0f} s",
+    )
+
+
+def _place(mission: Mission, time_s: float, state: Array) -> str:
+    """Of a boundary state what does not depend on axes: wrong ones show here, and nowhere else."""
+    position, velocity = state[:3], state[3:]
+    distance, speed = np.linalg.norm(position), np.linalg.norm(velocity)
+    off_sun = np.rad2deg(angle(position, mission.sun_direction(time_s)))
+    climb = velocity @ position / distance
+    return (
+        f"at {time_s:g} s {distance:.0f} m from the centre, {off_sun:.1f} deg off the Sun, "
+        f"{speed:.4f} m/s of which {climb:+.4f} upwards"
+    )
+
+
+def _interval(early: float, late: float) -> str:
+    return f"{early:.0f} to {late:.0f}" if np.isfinite(late) else f"from {early:.0f}"
+
+
+def show_solution(console: Console, solution: Solution) -> None:
+    """Verdict, burns, constraints."""
+    status = Status.named(solution.status)
+    colour = "green" if status is Status.CONVERGED else "red"
+    iterations = ", ".join(f"{s.name} {s.iterations}" for s in solution.stages)
+    console.print(
+        Text(f"\n{solution.problem}: ", style=f"bold {colour}")
+        + Text(solution.message, style="not bold")
+    )
+    console.print(terminal(burns_table(solution).without("UTC")))
+    show_line(console, frame_and_time(solution.scenario), "dim")
+    console.print(
+        Text.assemble(
+            "total delta-v ",
+            (f"{solution.total_dv_m_s:.6f} m/s", "bold"),
+            f"; iterations: {iterations}; {solution.timing_s.total:.2f} s, of which "
+            f"{solution.timing_s.conic_solver:.2f} s in the conic solver\n",
+        )
+    )
+    console.print(terminal(constraints_table(solution).without("kind")))
+    _show_risk(console, solution.risk)
+    if solution.starts is not None:
+        console.print()
+        console.print(terminal(starts_table(solution.starts)))
+
+
+def frame_and_time(scenario: Scenario) -> str:
+    """What the components and the times of a plan's tables count along and from."""
+    epoch = scenario.epoch.tdb
+    said = f"x, y, z along J2000; times from {epoch.isoformat(timespec='milliseconds')} TDB"
+    with suppress(InputError):  # there is no UTC before 1972
+        said += f", {iso_utc(instant(epoch))[:-6]} UTC"
+    return said
+
+
+def _show_risk(console: Console, risk: Risk | None) -> None:
+    """What was asked, aimed at and reached, in one line."""
+    if risk is None:
+        return
+    what = "of whole flights" if risk.scope == "flight" else "of each constraint at each node"
+    line = f"\nprobability {what}: asked {risk.required:g}, aimed at {risk.target:.5g}"
+    reached = risk.certificate
+    if reached is None:
+        line += "; not certified: the normal law alone promises it"
+    else:
+        word = "certified" if reached.low >= risk.required else "NOT reached"
+        line += (
+            f"; {word}: {reached.samples} flights reached {reached.reached:.4f} "
+            f"({reached.low:.4f} to {reached.high:.4f}) in round {reached.rounds}"
+        )
+    show_line(console, line)
+
+
+def show_verification(
+    console: Console,
+    mission: Mission,
+    verification: Verification,
+    warnings: Iterable[ScenarioWarning] = (),
+) -> None:
+    """Re-integration, mean margins between the nodes, joint probabilities, warnings and the verdict."""
+    v = verification
+    console.print()
+    console.print(terminal(reintegration_table(mission, v)))
+    console.print(terminal(mean_margins_table(mission, v)))
+    probabilities = probabilities_table(v, mission.scenario.risk.p_chance)
+    console.print(terminal(probabilities))
+    show_line(console, probabilities.note, "dim")
+    show_warnings(console, warnings)
+    show_verdict(console, "verified", v.failed)
+    if v.missed is not None:
+        show_line(console, str(v.missed))
+    if v.failed and "status" not in v.failed and _between_nodes(mission, v):
+        console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
+
+
+def _between_nodes(mission: Mission, v: Verification) -> bool:
+    """Whether a constraint on the mean, or a probability, fails at its worst where no node is."""
+    worst = {m.name: m.worst_t_s for m in v.mean_margins}
+    worst |= {f"P({p.name})": p.worst_t_s for p in v.probabilities}
+    return any(
+        np.abs(mission.times_s - worst[name]).min() > 1.0 for name in v.failed if name in worst
+    )
+
+
+@dataclass
+class Progress:
+    """The planner's observer: a table that grows by a row per iteration, and a line per round above it.
+
+    Attributes:
+        mission: that is planned.
+        live: where it is shown.
+        table: of the iterations.
+        rounds: lines by their number.
+    """
+
+    mission: Mission
+    live: Live
+    table: Table
+    rounds: dict[int, Text] = field(default_factory=dict)
+
+    def __call__(self, stage: str, record: Record) -> None:
+        """An iteration is done."""
+        r = iteration_record(self.mission, stage, record)
+        row = iteration_row(r)
+        if record.failure:
+            row[2:] = [Cell("solver failed", style="doubtful"), *[None] * (len(row) - 3)]
+        elif not r.accepted:
+            row[4] = Cell(f"({r.actual:.2e})", r.actual)
+        self.table = self.table.with_rows([row])
+        self._refresh()
+
+    def round(self, number: int, plan: Plan, samples: int, flown: int = 0) -> None:
+        """So many flights of a round of certification are flown, or all of them."""
+        reached = plan.certificate
+        said = (
+            f"{flown} flown"
+            if reached is None
+            else f"{reached.reached:.4f}, at least {reached.low:.4f}"
+        )
+        self.rounds[number] = Text(
+            f"round {number}: aimed at {plan.target:.5g}, {plan.total_dv_m_s:.6f} m/s, "
+            f"{len(plan.times_s)} nodes; {samples} flights: {said}"
+        )
+        self._refresh()
+
+    def _refresh(self) -> None:
+        self.live.update(Group(*self.rounds.values(), self._shown()), refresh=True)
+
+    def _shown(self) -> RichTable:
+        return terminal(self.table.without("step"), narrow=True)
+
+
+@contextmanager
+def live_progress(console: Console, mission: Mission) -> Iterator[Progress]:
+    """Show what planning is at, until it ends."""
+    # Redrawn on every row and never from a thread, so that a captured log holds the table once.
+    with Live(console=console, auto_refresh=False) as live:
+        yield Progress(mission, live, Table.of("Iterations", ITERATION_COLUMNS, ()))
+    console.print(
+        "\nmerit: total delta-v plus penalties; in brackets: step rejected; violation and defect: "
+        "velocities count as metres per unit of time",
+        style="dim",
+    )

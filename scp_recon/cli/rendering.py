@@ -1,0 +1,67 @@
+"""The terminal's renderer: tables without lines, warnings and verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from rich.console import Console
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from scp_recon.results.table import Table
+from scp_recon.scenario.fields import ScenarioWarning
+
+STYLES = {"bad": "red", "doubtful": "yellow"}
+"""Rich's styles of the cells' by name."""
+
+
+def terminal(table: Table, *, narrow: bool = False) -> RichTable:
+    """A table as the terminal shows it, without its title and note.
+
+    Args:
+        table: what to show.
+        narrow: whether units stand below their headings and cells stay on one line, for a table that
+            would not fit otherwise.
+    """
+    shown = RichTable(box=None, header_style="bold", pad_edge=False)
+    gap = "\n" if narrow else " "
+    for column, side in zip(table.columns, table.sides, strict=True):
+        heading = (
+            column.heading if column.unit in ("", "1") else f"{column.heading}{gap}{column.unit}"
+        )
+        shown.add_column(Text(heading), justify=side, no_wrap=narrow, overflow="fold")
+    for row in table.rows:
+        shown.add_row(*(Text(cell.text, STYLES.get(cell.style, "")) for cell in row))
+    return shown
+
+
+def show_warnings(console: Console, warnings: Iterable[ScenarioWarning], of: str = "") -> None:
+    """One line each, however long; each once.
+
+    Args:
+        console: to print to.
+        warnings: of one plan, or of its file and what its mission says today.
+        of: whose they are, where there are several plans.
+    """
+    head = f"warning of {of}" if of else "warning"
+    for warning in dict.fromkeys(warnings):
+        console.print(
+            f"{head}: {warning}", style="yellow", markup=False, highlight=False, soft_wrap=True
+        )
+
+
+def show_verdict(console: Console, word: str, failed: Sequence[str]) -> None:
+    """The last word.
+
+    Args:
+        console: to print to.
+        word: of what is well, such as "verified".
+        failed: names of what is not, or sentences that say what was asked; if empty all is well.
+    """
+    if failed:
+        text = Text(f"not {word}", style="bold red") + Text(
+            f": {', '.join(failed)}", style="default"
+        )
+    else:
+        text = Text(word, style="bold green")
+    console.print(text, soft_wrap=True)

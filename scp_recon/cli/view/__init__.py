@@ -1,1 +1,0 @@
-"""What the commands show: tables in the terminal, and charts beside a plan."""

@@ -1,0 +1,281 @@
+"""Drafts of a scenario: from a body and a site to flybys, longest window first, and to their files."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime, timedelta
+from importlib.resources import files
+from string import Template
+
+import numpy as np
+
+from scp_recon.bodies.catalogue import DAY_S
+from scp_recon.drafting.flyby import (
+    HOME_RADII,
+    SLACK_S,
+    Design,
+    burn_times,
+    design_flyby,
+    window_opens_s,
+)
+from scp_recon.errors import InputError, option
+from scp_recon.mission.scene import Scene
+from scp_recon.mission.survey import survey
+from scp_recon.mission.windows import Window, all_windows, scan_step_s, whole_windows
+from scp_recon.physics.two_body import two_body
+from scp_recon.scenario.load import validate_scenario
+from scp_recon.scenario.schema import Scenario
+
+INCIDENCE_MAX_DEG, ROOM_DEG = 60.0, 10.0
+"""Limit as a rule; where the least at a site is nearer to it than the room, it is that much above."""
+
+
+@dataclass(frozen=True)
+class GivenBody:
+    """A body that is not packaged, a sphere, by numbers at the epoch of the file.
+
+    The pole is its right ascension and declination, J2000, the state heliocentric, J2000, the period
+    sidereal, and the meridian the angle W of the prime one.
+    """
+
+    gm_m3_s2: float
+    radius_m: float
+    period_h: float
+    pole_deg: tuple[float, float]
+    position_km: tuple[float, float, float]
+    velocity_km_s: tuple[float, float, float]
+    meridian_deg: float
+
+
+Entry = tuple[str, object, str]
+"""Key, value, comment: a line of a scenario file."""
+Tables = Mapping[str, Sequence[Entry]]
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What a scenario file is written from."""
+
+    name: str
+    body: str
+    given: GivenBody | None
+    """None for a packaged body."""
+    site_deg: tuple[float, float]
+    """Planetocentric latitude and east longitude."""
+    epoch: datetime
+    """TDB of the first burn."""
+    radius_m: float
+    """Reference radius of the body."""
+    incidence_max_deg: float = INCIDENCE_MAX_DEG
+    hours: tuple[float, float] = (8.0, 16.0)
+    """Local solar times between which to observe."""
+    window_s: Window | None = None
+    """Where it has to be written, because an earlier one is in the flight."""
+    design: Design | None = None
+    outcome: Sequence[str] = ()
+    """What planning it came to, in lines."""
+    instead: Tables = field(default_factory=dict)
+    """Tables by name that come from elsewhere, in place of the template's."""
+
+
+TEMPLATES = files("scp_recon") / "data" / "drafts"
+DISTANCES, SAFETY = (1.7, 2.6), 1.5
+"""In reference radii, about what Reconnaissance B keeps: to the site, and from the centre."""
+
+
+def draft_text(draft: Draft) -> str:
+    """The scenario file: every entry with its unit, its frame and where its value came from."""
+    tables = _tables("scenario", _values(draft), _words(draft))
+    if draft.given is not None:
+        tables |= _tables("given_body", _values_given(draft.body, draft.given))
+    for title, entries in draft.instead.items():
+        tables[title] = "\n".join(
+            f"{key} = {json.dumps(value)}  # {c}" for key, value, c in entries
+        )
+    head = [f"# A flyby of {draft.body}, drafted by scp-recon new."]
+    head += [f"# {line}" for line in draft.outcome]
+    top, *others = tables.items()
+    return "\n".join([*head, top[1], *(f"\n[{title}]\n{lines}" for title, lines in others)]) + "\n"
+
+
+def _tables(
+    name: str, values: Mapping[str, object], words: Mapping[str, str] | None = None
+) -> dict[str, str]:
+    """The lines of a template's tables, by their titles; what stands above them has none.
+
+    What JSON writes of a value is TOML; a date is a string in the file, too.
+    """
+    template = Template((TEMPLATES / f"{name}.template").read_text(encoding="utf-8"))
+    written = {key: json.dumps(value) for key, value in values.items()}
+    parts = re.split(r"^\[(\w+)\]\n", template.substitute(written, **(words or {})), flags=re.M)
+    tables = zip(["", *parts[1::2]], parts[::2], strict=True)
+    return {title: lines.strip() for title, lines in tables if lines.strip()}
+
+
+def _values(draft: Draft) -> dict[str, object]:
+    """What the template of a scenario leaves open."""
+    design, radius = draft.design, draft.radius_m
+    home = np.array([HOME_RADII * radius, 0.0, 0.0, 0.0, 0.0, 0.0])
+    states = (home, home) if design is None else (design.initial_state, design.final_state)
+    values: dict[str, object] = {}
+    for which, state in zip(("initial", "final"), states, strict=True):
+        values[f"{which}_position"] = _rounded(state[:3], 3)
+        values[f"{which}_velocity"] = _rounded(state[3:], 7)
+    return values | {
+        "name": draft.name,
+        "epoch": draft.epoch.isoformat(),
+        "body": draft.body,
+        "site": f"{draft.site_deg[0]:g}, {draft.site_deg[1]:g}",
+        "latitude": draft.site_deg[0],
+        "longitude": draft.site_deg[1],
+        "times": (0.0, 1e5) if design is None else design.times_s,
+        "largest_burn": 1.0 if design is None else _three(2.0 * float(design.burns_m_s.max())),
+        "least_distance": _three(DISTANCES[0] * radius),
+        "greatest_distance": _three(DISTANCES[1] * radius),
+        "incidence": draft.incidence_max_deg,
+        "first_hour": draft.hours[0],
+        "last_hour": draft.hours[1],
+        "safety": _three(SAFETY * radius),
+    }
+
+
+def _words(draft: Draft) -> dict[str, str]:
+    """What the template's comments leave open, and the line of a window that has to be written."""
+    why, window = "recon_b's", ""
+    if draft.incidence_max_deg != INCIDENCE_MAX_DEG:  # the site is never so well lit
+        least = f"{draft.incidence_max_deg - ROOM_DEG:.0f}"
+        why = f"more than recon_b's {INCIDENCE_MAX_DEG:g}, because the least here is about {least}"
+    if draft.window_s is not None:
+        edges = [round(draft.window_s[0] + 0.5, 1), round(draft.window_s[1] - 0.5, 1)]
+        why_window = "from the lighting, because one comes before it"
+        window = f"window_s = {edges}  # s past epoch.tdb; {why_window}\n"
+    numbers = {
+        "home_radii": HOME_RADII,
+        "slack": SLACK_S,
+        "least_radii": DISTANCES[0],
+        "greatest_radii": DISTANCES[1],
+        "safety_radii": SAFETY,
+    }
+    return {key: f"{x:g}" for key, x in numbers.items()} | {"why_incidence": why, "window": window}
+
+
+def _values_given(name: str, body: GivenBody) -> dict[str, object]:
+    """What the template of a body that is not packaged leaves open."""
+    ra, dec = body.pole_deg
+    radii = 3 * [body.radius_m]
+    return asdict(body) | {"body": name, "radii_m": radii, "pole_ra_deg": ra, "pole_dec_deg": dec}
+
+
+def _three(value: float) -> float:
+    """To three digits."""
+    return float(f"{value:.3g}")
+
+
+HALF_WIDTHS_H = (4.0, 1.0, 0.5, 0.25)
+"""Of the local solar time about the site's best hour, tried in turn; the first is 8 to 16 h."""
+DARK_DEG = 80.0
+"""Least incidence of a site that is not worth a visit."""
+WINDOW_MIN_S, WINDOW_MAX_S = 120.0, 7200.0
+"""Shorter ones show little; a pass leaves the limits of longer ones."""
+
+
+def scenario_of(draft: Draft) -> Scenario:
+    """The scenario that a draft's file holds."""
+    return validate_scenario(tomllib.loads(draft_text(draft)))
+
+
+def drafts(first: Draft) -> Iterator[Draft]:
+    """Flybys of a site, designed: the whole window first, then shorter ones about its best hour.
+
+    The first burn is at the epoch of `first`, which has no design, or later.
+
+    Raises:
+        InputError: if the site has no window, be its limit raised to what the site allows.
+    """
+    scenario = scenario_of(first)
+    period = abs(2.0 * np.pi / max(abs(Scene.of(scenario).rotation.rate), 1e-12))
+    opens, known = window_opens_s(scenario.schedule), set[Window]()
+    for limited, windows in under_limits(first, (0.0, 2.2 * period + opens)):
+        later = [
+            w for w in windows if w[0] >= opens and WINDOW_MIN_S <= w[1] - w[0] <= WINDOW_MAX_S
+        ]
+        if not later or later[0] in known:
+            continue
+        known.add(later[0])
+        moved = _moved(limited, float(round(later[0][0] - opens)))
+        yield _designed(moved, opens)
+    if not known:
+        raise InputError(
+            option("site"),
+            f"latitude {first.site_deg[0]:g} deg, longitude {first.site_deg[1]:g} deg",
+            f"must have a lighting window of {WINDOW_MIN_S:g} to {WINDOW_MAX_S:g} s about the epoch",
+        )
+
+
+def under_limits(draft: Draft, span: Window) -> Iterator[tuple[Draft, list[Window]]]:
+    """A draft under limits on the local solar time, widest first, with the site's windows under each.
+
+    The limit on the incidence is raised where the site is never in it by far. The widest limits are
+    about noon, the others about the site's best hour.
+
+    Raises:
+        InputError: if the site is dark.
+    """
+    scenario = scenario_of(draft)
+    lighting, looks = Scene.of(scenario).lighting, np.linspace(*span, 4000)
+    incidence = np.rad2deg(lighting.incidence(looks))
+    least, limit = float(incidence.min()), scenario.observation.incidence_max_deg
+    if least > DARK_DEG:
+        raise InputError(
+            option("site"),
+            f"a least incidence of {least:.1f} deg",
+            f"must be lit at the epoch, at {DARK_DEG:g} deg or less: take another site or date",
+        )
+    limit = max(limit, float(np.ceil(least + ROOM_DEG)))
+    best_hour = lighting.local_solar_time(looks[np.array([int(np.argmin(incidence))])]).item()
+    for half in HALF_WIDTHS_H:
+        middle = 12.0 if half == HALF_WIDTHS_H[0] else best_hour
+        hours = max(0.0, round(middle - half, 2)), min(24.0, round(middle + half, 2))
+        limited = replace(draft, hours=hours, incidence_max_deg=limit)
+        yield limited, [w.edges_s for w in survey(scenario_of(limited), span).windows]
+
+
+def _moved(draft: Draft, shift_s: float) -> Draft:
+    """The draft with a later epoch, and what a given body has become by then."""
+    epoch = draft.epoch + timedelta(seconds=shift_s)
+    if (body := draft.given) is None:
+        return replace(draft, epoch=epoch)
+    motion = two_body(body.position_km, body.velocity_km_s, (0.0, shift_s))
+    around = motion(np.array([shift_s - 1.0, shift_s, shift_s + 1.0]))
+    velocity = 0.5 * (around[2] - around[0])
+    turned = body.meridian_deg + 360.0 * shift_s / (3600.0 * body.period_h)
+    given = replace(
+        body,
+        position_km=_rounded(around[1], 2),
+        velocity_km_s=_rounded(velocity, 8),
+        meridian_deg=round(turned % 360.0, 6),
+    )
+    return replace(draft, epoch=epoch, given=given)
+
+
+def _rounded(vector: np.ndarray, digits: int) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), digits) + 0.0 for value in vector)  # no -0.0
+    return x, y, z
+
+
+def _designed(draft: Draft, opens: float) -> Draft:
+    """The draft with its flyby through the window that opens about a time."""
+    scenario = scenario_of(draft)
+    lighting = Scene.of(scenario).lighting
+    slack = lighting.slack(scenario.observation)
+    search = 0.0, opens + WINDOW_MAX_S + DAY_S
+    found = all_windows(slack, search, scan_step_s(lighting.rotation.rate, search))
+    window = min(whole_windows(found, search), key=lambda w: abs(w[0] - opens))
+    flight = 0.0, burn_times(window, scenario.schedule)[-1]
+    alone = whole_windows(found, flight)[0] == window
+    design = design_flyby(scenario, window)
+    return replace(draft, design=design, window_s=None if alone else window)

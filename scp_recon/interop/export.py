@@ -1,0 +1,107 @@
+"""A plan that is exported, and what every file says of it: whose plan, how good, frame, units, time."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from scp_recon.errors import printable, version_of
+from scp_recon.interop.path import MARGIN_S, WITHIN_M, FlownPath
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.time_scales import instant, iso_tdb, iso_utc
+from scp_recon.results.solution import Solution
+
+SPACECRAFT_ID = -999
+"""NAIF's numbers of spacecraft are negative; it has given this one to nobody."""
+UNNAMED_BODY_ID = 9_999_999
+"""For a body whose scenario has no `body.naif_id`."""
+LINE = 100
+
+
+class Ids(NamedTuple):
+    """NAIF's numbers in the files."""
+
+    spacecraft: int
+    body: int
+
+
+@dataclass(frozen=True, eq=False)
+class Export:
+    """What is exported: a solution as its file has it, and the path on which its burns lead."""
+
+    solution: Solution
+    mission: Mission
+    path: FlownPath
+    ids: Ids
+
+    @property
+    def burns_flown(self) -> int:
+        """Before a plan that is made in flight."""
+        return self.mission.scenario.burns_flown
+
+    @property
+    def shortfalls(self) -> list[str]:
+        """Why the plan is not verified; empty where it is."""
+        checked = self.solution.verification
+        if checked is None:
+            return [f"{self.solution.status}, and never checked"]
+        if not checked.ok:
+            return [f"{self.solution.status}; failed: {', '.join(checked.failed)}"]
+        return []
+
+    @property
+    def verdict(self) -> str:
+        """In one line."""
+        return "; ".join(f"NOT VERIFIED: {why}" for why in self.shortfalls) or "verified"
+
+    def instant(self, time_s: float) -> int:
+        """Nanoseconds of TDB past J2000 at a time past the scenario's epoch."""
+        return instant(self.mission.scenario.epoch.tdb, time_s)
+
+    def et(self, times_s: np.ndarray) -> np.ndarray:
+        """TDB seconds past J2000, as SPICE counts, of times past the scenario's epoch."""
+        return self.instant(0.0) / 1e9 + times_s
+
+
+def maker() -> str:
+    """The program and its version."""
+    return f"scp_recon {version_of('scp_recon')}"
+
+
+def heading(export: Export) -> list[str]:
+    """Lines of plain ASCII, none longer than a message's line may be."""
+    scenario, solution, path = export.mission.scenario, export.solution, export.path
+    end = solution.burns[-1].t_s
+    lines = [
+        f"scenario {scenario.name}, {solution.problem}, by {maker()}",
+        f"plan {solution.plan_hash}",
+        f"{export.verdict}",
+        *(f"warning: {warning}" for warning in solution.warnings),
+        f"center {scenario.body.name} (NAIF {export.ids.body}), spacecraft NAIF "
+        f"{export.ids.spacecraft}; axes J2000 (EME2000), inertial",
+        f"t_s = 0 is {iso_tdb(export.instant(0.0))} TDB, {iso_utc(export.instant(0.0))} UTC",
+        f"mean and covariance of the planner's model; coasting {MARGIN_S:g} s before the first burn "
+        "and after the last is not part of the plan",
+        f"a straight line between neighbouring states is within {path.linear_error_m:.1e} m of the "
+        f"flight (asked: {WITHIN_M:g}), a cubic of both states within {path.cubic_error_m:.1e} m",
+        f"{len(solution.burns)} burns, impulses; {solution.total_dv_m_s:.6f} m/s in all, the last at "
+        f"t_s = {end:g}:",
+        *(burn_line(export, number) for number in range(1, len(solution.burns) + 1)),
+    ]
+    plain = [printable(line).encode("ascii", "replace").decode() for line in lines]
+    return [part for line in plain for part in textwrap.wrap(line, LINE) or [""]]
+
+
+def burn_line(export: Export, number: int) -> str:
+    """When and how much a burn of the plan is, counted from 1; its own number is the flight's."""
+    burn = export.solution.burns[number - 1]
+    when = export.instant(burn.t_s)
+    x, y, z = burn.dv_m_s
+    named = f"burn {export.burns_flown + number}"
+    return (
+        f"{named}: t_s = {burn.t_s:g}, {iso_tdb(when)} TDB, {iso_utc(when)} UTC, "
+        f"{x:+.9f} {y:+.9f} {z:+.9f} m/s along J2000 x, y, z"
+    )

@@ -1,0 +1,157 @@
+"""Files that a plan is exported to, written whole and beside each other.
+
+A table, CSV or Parquet, has a row a state with its covariance, in SI, J2000, body-centred; at a burn's
+time there are two: the last of one coast and the first of the next. `--init` and `scp-recon new
+--from-csv` take the CSV.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Callable, Mapping
+from itertools import combinations_with_replacement
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scp_recon.errors import imported, option
+from scp_recon.files import write_atomically
+from scp_recon.interop import ccsds, kernels
+from scp_recon.interop.export import Export, heading
+from scp_recon.physics.time_scales import iso_tdb, iso_utc
+from scp_recon.simulation.guidance import FlightPlan
+from scp_recon.simulation.vehicle import Vehicle
+
+FORMATS = ("oem", "spk", "ck", "csv", "parquet")
+BINARY = (".bsp", "_body.bsp", ".bc")
+TEXTS = {
+    ".tls": kernels.leap_seconds,
+    ".tpc": kernels.body_constants,
+    ".tf": kernels.frames,
+    ".tsc": kernels.clock,
+}
+NAME_MAX = 60
+AXES = ("x", "y", "z", "vx", "vy", "vz")
+STATE = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
+COVARIANCE_UNITS = ("m2", "m2_s", "m2_s2")
+
+
+def stem(export: Export) -> str:
+    """Of all names: scenario, first digits of the plan's hash, spacecraft."""
+    name = re.sub(r"[^A-Za-z0-9_-]+", "_", export.mission.scenario.name)[:NAME_MAX]
+    return f"{name}_{export.solution.plan_hash[:8]}_{abs(export.ids.spacecraft)}"
+
+
+def require(form: str) -> None:
+    """Find out before the work whether a format's extra is there.
+
+    Raises:
+        InputError: if not.
+    """
+    if form in ("spk", "ck"):
+        kernels.needing_spice()
+    elif form == "parquet":
+        needing_pyarrow()
+
+
+def columns(export: Export) -> dict[str, list[Any]]:
+    """Names with units to values: time in three ways, coast, state, upper triangle of the covariance.
+
+    `coast` counts the burns before: 0 until the first one.
+    """
+    coasts = export.path.coasts
+    times = np.concatenate([coast.times_s for coast in coasts])
+    instants = [export.instant(time) for time in times.tolist()]
+    states = np.concatenate([coast.states for coast in coasts])
+    matrices = np.concatenate([coast.covariances for coast in coasts])
+    found: dict[str, list[Any]] = {
+        "t_s": times.tolist(),
+        "tdb": [iso_tdb(when) for when in instants],
+        "utc": [iso_utc(when) for when in instants],
+        "coast": [i for i, coast in enumerate(coasts) for _ in coast.times_s],
+        **{name: states[:, i].tolist() for i, name in enumerate(STATE)},
+    }
+    for i, j in combinations_with_replacement(range(6), 2):
+        unit = COVARIANCE_UNITS[(i > 2) + (j > 2)]
+        found[f"cov_{AXES[i]}_{AXES[j]}_{unit}"] = matrices[:, i, j].tolist()
+    return found
+
+
+def csv_text(export: Export) -> str:
+    """With the heading in lines that begin with #."""
+    found = columns(export)
+    text = io.StringIO()
+    text.writelines(f"# {line}\n" for line in heading(export))
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(found)
+    writer.writerows(zip(*found.values(), strict=True))
+    return text.getvalue()
+
+
+def parquet_bytes(export: Export) -> bytes:
+    """With the heading as metadata `scp_recon`.
+
+    Raises:
+        InputError: if pyarrow is missing.
+    """
+    pyarrow = needing_pyarrow()
+    about: Mapping[str, str] = {"scp_recon": "\n".join(heading(export))}
+    table = pyarrow.table(columns(export)).replace_schema_metadata(about)
+    buffer = io.BytesIO()
+    pyarrow.parquet.write_table(table, buffer)
+    return buffer.getvalue()
+
+
+def needing_pyarrow() -> Any:
+    """The package pyarrow, with its module for Parquet.
+
+    Raises:
+        InputError: if there is none.
+    """
+    return imported(option("format"), "parquet", "pyarrow", "pyarrow.parquet")
+
+
+CONTENTS: dict[str, dict[str, Callable[[Export], str | bytes]]] = {
+    "oem": {".oem": ccsds.oem_text, ".opm": ccsds.opm_text},
+    "csv": {".csv": csv_text},
+    "parquet": {".parquet": parquet_bytes},
+}
+
+
+def write_export(export: Export, form: str, folder: Path, vehicle: Vehicle) -> list[Path]:
+    """Write a plan in one of `FORMATS` into a folder that is there; of kernels first the one to load.
+
+    A CK has the vehicle's attitude.
+
+    Raises:
+        InputError: if an extra is missing, or the vehicle cannot fly the plan.
+        OSError: if a file cannot be written.
+    """
+    home = folder / stem(export)
+    if form in ("spk", "ck"):
+        return _kernels(export, form, home, vehicle)
+    contents = CONTENTS[form].items()
+    return [write_atomically(_named(home, end), content(export)) for end, content in contents]
+
+
+def _kernels(export: Export, form: str, home: Path, vehicle: Vehicle) -> list[Path]:
+    """The binary kernels, the texts that go with them, and the list of all that are there."""
+    if form == "spk":
+        kernels.write_spk(export, _named(home, ".bsp"))
+        kernels.write_body_spk(export, _named(home, "_body.bsp"))
+        written = [_named(home, ".bsp"), _named(home, "_body.bsp")]
+    else:
+        flight = FlightPlan.of(export.solution, export.mission, vehicle)
+        kernels.write_ck(export, flight, _named(home, ".bc"))
+        written = [_named(home, ".bc")]
+    written += [write_atomically(_named(home, end), text(export)) for end, text in TEXTS.items()]
+    there = [path for end in (*TEXTS, *BINARY) if (path := _named(home, end)).is_file()]
+    listed = write_atomically(_named(home, ".tm"), kernels.meta_kernel(export, there))
+    return [listed, *written]
+
+
+def _named(home: Path, end: str) -> Path:
+    return home.with_name(home.name + end)

@@ -1,0 +1,300 @@
+"""SPICE kernels of a plan: SPK of path and body, CK of the attitude, and the texts that go with them.
+
+SPK type 13, cubic Hermite, one segment a coast: at a burn's epoch SPICE answers with the state after
+it, just before it with one that leads there. CK type 3, one segment a mode: within a mode SPICE turns
+evenly between attitudes, and nothing spans the slew from one mode's attitude to the next one's, which
+is the controller's; a mode begins a microsecond early, so that its first instant is its own. Needs
+the extra [spice].
+
+With the list (NAME.tm) alone SPICE knows the plan's bodies, times and frames. Rotation, size and the
+body's way about the Sun are those that the planner used. A mission's own kernels may know better: load
+them after the plan's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+from uuid import uuid4
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from formulations.arrays import Array
+from scp_recon.errors import imported, option
+from scp_recon.interop.export import Export, heading, maker
+from scp_recon.interop.path import MARGIN_S
+from scp_recon.mission.schedule import Leg
+from scp_recon.physics.time_scales import (
+    EB,
+    FIRST_TAI_MINUS_UTC_S,
+    K_S,
+    LEAPS,
+    M0,
+    M1,
+    TT_MINUS_TAI_S,
+)
+from scp_recon.simulation.guidance import FlightPlan
+
+Value = float | str | Sequence[float | str]
+
+TICKS_PER_S = 1_000_000
+"""Of the spacecraft's clock, which runs with TDB."""
+CLOCK_STARTS_S = -86_400.0
+"""Past the scenario's epoch: a clock counts no negative seconds."""
+STRING_MAX = 70
+"""Characters of a string in a kernel: 80 at most."""
+MONTHS = {1: "JAN", 7: "JUL"}
+PUBLIC_FRAMES, PUBLIC_COUNT = 1_400_000, 600_000
+"""From here on so many frame numbers are free for anyone."""
+SUN, CUBIC = 10, 3
+WITHIN_RAD, STEP_MAX_S = 1e-6, 60.0
+"""Even turns between neighbouring attitudes are so near to what is commanded; and the longest step."""
+TICK_S = 1.0 / TICKS_PER_S
+
+
+def write_spk(export: Export, path: Path) -> None:
+    """The spacecraft about the body, km and km/s, J2000.
+
+    Raises:
+        InputError: if spiceypy is missing.
+        OSError: if it cannot be written.
+    """
+    with _written(path, export, "spk") as (spice, handle):
+        for number, coast in enumerate(export.path.coasts):
+            et, burn = export.et(coast.times_s), export.burns_flown + number
+            spice.spkw13(
+                handle, export.ids.spacecraft, export.ids.body, "J2000",
+                et[0], et[-1], f"AFTER BURN {burn}" if number else f"BEFORE BURN {burn + 1}",
+                CUBIC, len(et), np.ascontiguousarray(coast.states / 1e3), et,
+            )  # fmt: skip
+
+
+def write_body_spk(export: Export, path: Path) -> None:
+    """The body about the Sun as the planner has it: on a straight line, km and km/s, J2000.
+
+    Raises:
+        InputError: if spiceypy is missing.
+        OSError: if it cannot be written.
+    """
+    sun = export.mission.scenario.sun
+    times = np.array([-MARGIN_S, export.path.coasts[-1].times_s[-1]])
+    position, velocity = np.array(sun.body_position_km), np.array(sun.body_velocity_km_s)
+    states = np.hstack([position + np.outer(times, velocity), np.tile(velocity, (2, 1))])
+    et = export.et(times)
+    with _written(path, export, "spk") as (spice, handle):
+        spice.spkw13(
+            handle, export.ids.body, SUN, "J2000", et[0], et[-1], "STRAIGHT LINE",
+            CUBIC, len(et), states, et,
+        )  # fmt: skip
+
+
+def write_ck(export: Export, flight: FlightPlan, path: Path) -> None:
+    """The attitude that is commanded, of the vehicle's axes, and its rates, from the first burn on.
+
+    Raises:
+        InputError: if spiceypy is missing.
+        OSError: if it cannot be written.
+    """
+    with _written(path, export, "ck") as (spice, handle):
+        for leg in flight.legs:
+            times = command_times(flight, leg)
+            times = np.append(times[0], times)
+            to_axes = np.ascontiguousarray(commanded(flight, leg, times).inv().as_matrix())
+            clock = ticks(times)
+            clock[0] -= 1.0  # so that its first instant, however it is rounded, has this mode
+            if leg is flight.legs[-1]:  # whose end no next one takes over
+                clock[-1] += 1.0
+            spice.ckw03(
+                handle, clock[0], clock[-1], attitude_id(export), "J2000", True, leg.mode.upper(),
+                len(times), clock, np.array([spice.m2q(matrix) for matrix in to_axes]),
+                _rates(flight, leg, times), 1, clock[:1],
+            )  # fmt: skip
+
+
+def commanded(flight: FlightPlan, leg: Leg, times: Array) -> Rotation:
+    """Attitudes of a mode, from the vehicle's axes to J2000; at its end those of a tick before."""
+    return flight.attitudes(np.clip(times, leg.start_s, leg.end_s - TICK_S))
+
+
+def command_times(flight: FlightPlan, leg: Leg) -> Array:
+    """From a mode's start to its end, as dense as its turning needs, s."""
+    count = max(int(np.ceil((leg.end_s - leg.start_s) / STEP_MAX_S)), 1)
+    while True:
+        times = np.linspace(leg.start_s, leg.end_s, count + 1)
+        at = commanded(flight, leg, times)
+        middle = commanded(flight, leg, 0.5 * (times[:-1] + times[1:]))
+        half = Rotation.from_rotvec(0.5 * (at[1:] * at[:-1].inv()).as_rotvec()) * at[:-1]
+        if float((half * middle.inv()).magnitude().max()) <= WITHIN_RAD:
+            return times
+        count *= 2
+
+
+def _rates(flight: FlightPlan, leg: Leg, times: Array) -> Array:
+    """Angular velocities of the axes, J2000, rad/s, shape (n, 3), by differences of a second."""
+    early = np.maximum(times - 0.5, leg.start_s)
+    late = np.minimum(times + 0.5, leg.end_s - TICK_S)
+    turned = commanded(flight, leg, late) * commanded(flight, leg, early).inv()
+    return turned.as_rotvec() / (late - early)[:, None]
+
+
+@contextmanager
+def _written(path: Path, export: Export, kind: Literal["spk", "ck"]) -> Iterator[tuple[Any, int]]:
+    """SPICE and a kernel's handle: it is written beside the target first, and then in its place."""
+    spice, beside = needing_spice(), path.with_name(f".{uuid4().hex}")
+    lines = heading(export)
+    try:
+        room = sum(len(line) + 1 for line in lines)
+        handle = getattr(spice, f"{kind}opn")(str(beside), maker(), room)
+        try:
+            spice.dafac(handle, lines)
+            yield spice, handle
+        except BaseException:
+            spice.dafcls(handle)
+            raise
+        getattr(spice, f"{kind}cls")(handle)
+        beside.replace(path)
+    except spice.SpiceyError as error:
+        raise OSError(f"{path}: {error.short}") from None
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def needing_spice() -> Any:
+    """The module spiceypy.
+
+    Raises:
+        InputError: if there is none.
+    """
+    return imported(option("format"), "spice", "spiceypy")
+
+
+def frame_names(export: Export) -> tuple[str, str]:
+    """Of the spacecraft's axes and of the body's, in the frame kernel."""
+    return f"SC{abs(export.ids.spacecraft)}_AXES", f"B{export.ids.body}_FIXED"
+
+
+def attitude_id(export: Export) -> int:
+    """Of the spacecraft's axes in a CK."""
+    return 1000 * export.ids.spacecraft
+
+
+def leap_seconds(export: Export) -> str:
+    """LSK."""
+    dates: list[float | str] = []
+    for offset, (year, month) in enumerate(LEAPS, start=FIRST_TAI_MINUS_UTC_S):
+        dates += [float(offset), f"@{year}-{MONTHS[month]}-1"]
+    entries: dict[str, Value] = {
+        "DELTET/DELTA_T_A": TT_MINUS_TAI_S,
+        "DELTET/K": K_S,
+        "DELTET/EB": EB,
+        "DELTET/M": (M0, M1),
+        "DELTET/DELTA_AT": dates,
+    }
+    return _kernel("LSK", export, entries, ["Leap seconds by the IERS's Bulletin C 52 of 2016."])
+
+
+def body_constants(export: Export) -> str:
+    """PCK: the planner's rotation, gravitational parameter and size."""
+    body, of = export.mission.scenario.body, f"BODY{export.ids.body}"
+    radii = body.radii_m or (body.reference_radius_m,) * 3
+    entries: dict[str, Value] = {
+        f"{of}_POLE_RA": (body.pole_ra_deg, 0.0, 0.0),
+        f"{of}_POLE_DEC": (body.pole_dec_deg, 0.0, 0.0),
+        f"{of}_PM": (
+            body.prime_meridian_deg,
+            body.prime_meridian_rate_deg_day,
+            body.prime_meridian_acceleration_deg_day2,
+        ),
+        f"{of}_RADII": [radius / 1e3 for radius in radii],
+        f"{of}_GM": body.gm_m3_s2 / 1e9,
+    }
+    return _kernel("PCK", export, entries, ["Angles in deg, deg/day, deg/day^2; km; km^3/s^2."])
+
+
+def frames(export: Export) -> str:
+    """FK: the spacecraft's axes by the CK, the body's by the PCK, and the names of both bodies."""
+    craft, fixed = frame_names(export)
+    ids, number = export.ids, attitude_id(export)
+    body_frame = PUBLIC_FRAMES + ids.body % PUBLIC_COUNT
+    entries: dict[str, Value] = {
+        f"FRAME_{craft}": number,
+        f"FRAME_{number}_NAME": craft,
+        f"FRAME_{number}_CLASS": 3,
+        f"FRAME_{number}_CLASS_ID": number,
+        f"FRAME_{number}_CENTER": ids.spacecraft,
+        f"CK_{number}_SCLK": ids.spacecraft,
+        f"CK_{number}_SPK": ids.spacecraft,
+        f"FRAME_{fixed}": body_frame,
+        f"FRAME_{body_frame}_NAME": fixed,
+        f"FRAME_{body_frame}_CLASS": 2,
+        f"FRAME_{body_frame}_CLASS_ID": ids.body,
+        f"FRAME_{body_frame}_CENTER": ids.body,
+        f"OBJECT_{ids.body}_FRAME": fixed,
+        "NAIF_BODY_NAME": (
+            _name(export.mission.scenario.name),
+            _name(export.mission.scenario.body.name),
+        ),
+        "NAIF_BODY_CODE": (ids.spacecraft, ids.body),
+    }
+    return _kernel("FK", export, entries, [f"{craft}: the vehicle's axes. {fixed}: body-fixed."])
+
+
+def clock(export: Export) -> str:
+    """SCLK: a clock that counts microseconds of TDB from a day before the scenario's epoch on."""
+    of = f"_{abs(export.ids.spacecraft)}"
+    start = float(export.et(np.array([CLOCK_STARTS_S]))[0])
+    entries: dict[str, Value] = {
+        "SCLK_KERNEL_ID": "@2000-JAN-1",
+        f"SCLK_DATA_TYPE{of}": 1,
+        f"SCLK01_TIME_SYSTEM{of}": 1,
+        f"SCLK01_N_FIELDS{of}": 2,
+        f"SCLK01_MODULI{of}": (1e10, TICKS_PER_S),
+        f"SCLK01_OFFSETS{of}": (0, 0),
+        f"SCLK01_OUTPUT_DELIM{of}": 1,
+        f"SCLK_PARTITION_START{of}": 0.0,
+        f"SCLK_PARTITION_END{of}": 1e10 * TICKS_PER_S,
+        f"SCLK01_COEFFICIENTS{of}": (0.0, start, 1.0),
+    }
+    return _kernel("SCLK", export, entries, ["Seconds and microseconds of TDB."])
+
+
+def ticks(times_s: np.ndarray) -> np.ndarray:
+    """Encoded clock of times past the scenario's epoch."""
+    return np.round((times_s - CLOCK_STARTS_S) * TICKS_PER_S)
+
+
+def meta_kernel(export: Export, files: Sequence[Path]) -> str:
+    """MK: loads files, by their full paths."""
+    parts: list[float | str] = []
+    for file in files:
+        path = str(file.resolve())
+        pieces = [path[i : i + STRING_MAX] for i in range(0, len(path), STRING_MAX)]
+        parts += [f"{piece}+" for piece in pieces[:-1]] + pieces[-1:]
+    return _kernel("MK", export, {"KERNELS_TO_LOAD": parts}, ["furnsh this one alone."])
+
+
+def _name(name: str) -> str:
+    """Letters, digits and underscores, short enough for SPICE."""
+    return re.sub(r"[^A-Z0-9]+", "_", name.upper()).strip("_")[:36] or "UNNAMED"
+
+
+def _kernel(kind: str, export: Export, entries: Mapping[str, Value], words: Sequence[str]) -> str:
+    lines = [f"KPL/{kind}", "", *heading(export), *words, "", "\\begindata", ""]
+    for key, value in entries.items():
+        values = [value] if isinstance(value, str | int | float) else value
+        shown = [_shown(item) for item in values]
+        if len(shown) == 1:
+            lines.append(f"{key} = {shown[0]}")
+        else:
+            lines += [f"{key} = (", *(f"  {item}" for item in shown), ")"]
+    return "\n".join([*lines, "", "\\begintext", ""])
+
+
+def _shown(value: float | str) -> str:
+    if isinstance(value, str):
+        return value if value.startswith("@") else "'{}'".format(value.replace("'", "''"))
+    return repr(value)

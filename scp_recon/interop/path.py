@@ -1,0 +1,186 @@
+"""A plan's mean and covariance between its burns, flown again and sampled for whoever interpolates.
+
+A burn is a jump of the velocity, so that the path comes in coasts: one before the first burn, one from
+each burn to the next, one after the last. Neighbours share their edge's time and position. Before the
+first and after the last burn there is nothing planned: ten minutes of coasting give both sides of them.
+
+The flight is the verification's: the planner's acceleration by DOP853 at a relative tolerance of 1e-12,
+the STM by its variational equations. It is sampled so that straight lines between neighbouring states
+are within a centimetre of it. What interpolates better is closer by orders of magnitude.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import OdeSolution, solve_ivp
+
+from formulations.arrays import Array
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import interpolate
+from scp_recon.results.solution import Solution
+from scp_recon.verification.reintegration import DEFECT_LIMIT_M, Spread, variational_rate
+
+WITHIN_M = 0.01
+"""Of the flight, straight lines between neighbours."""
+STEP_MAX_S, MARGIN_S = 60.0, 600.0
+"""Longest step; and how long the coasts before the first and after the last burn are."""
+STATES_MAX = 200_000
+"""Of one path: a file of a hundred megabytes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Coast:
+    """States between burns, SI, J2000, body-centred.
+
+    Attributes:
+        times_s: past the epoch, ascending, shape (n,).
+        states: mean, shape (n, 6).
+        covariances: shape (n, 6, 6).
+        linear_error_m: largest distance of straight lines between neighbours from the flight.
+        cubic_error_m: the same of cubics of neighbours' positions and velocities.
+    """
+
+    times_s: Array
+    states: Array
+    covariances: Array
+    linear_error_m: float
+    cubic_error_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class FlownPath:
+    """The coasts of a plan, in order: before burn 1, after burn 1, ..., after the last."""
+
+    coasts: tuple[Coast, ...]
+
+    @property
+    def linear_error_m(self) -> float:
+        """Largest distance from the flight of straight lines between neighbours."""
+        return max(coast.linear_error_m for coast in self.coasts)
+
+    @property
+    def cubic_error_m(self) -> float:
+        """Largest distance from the flight of cubics between neighbours."""
+        return max(coast.cubic_error_m for coast in self.coasts)
+
+    @property
+    def size(self) -> int:
+        """Number of states, two at a burn."""
+        return sum(len(coast.times_s) for coast in self.coasts)
+
+
+def fly_path(mission: Mission, solution: Solution) -> FlownPath:
+    """Fly a plan's burns and sample what they lead to.
+
+    Raises:
+        InputError: if its nodes are not where its burns lead, or it needs too many states.
+    """
+    nodes, firing = np.array(solution.nodes.t_s), [burn.t_s for burn in solution.burns]
+    begin, state = float(nodes[0]), mission.initial_state.copy()
+    spread = Spread.before_burns(mission)
+    back = _flight(mission, state, begin, begin - MARGIN_S)
+    coasts = [_sampled(back, np.array([begin - MARGIN_S, begin]), spread.covariance)]
+    # Each time at which a coast ends, and the burn there; the first may begin with one.
+    ends = [*zip(firing, solution.burns_m_s, strict=True), (firing[-1] + MARGIN_S, None)]
+    for end, burn in ends:
+        if end > begin:
+            flown = _flight(mission, state, begin, end)
+            edges = np.array([begin, *nodes[(nodes > begin) & (nodes < end)], end])
+            coast = _sampled(flown, edges, spread.covariance)
+            if begin == nodes[0] and firing[0] > begin:  # it coasts before its first burn
+                coasts = [_joined(coasts[0], coast)]
+            else:
+                coasts.append(coast)
+            state, spread = flown(end)[:6], spread.carried(flown(end)[6:].reshape(6, 6))
+        if burn is not None:
+            state[3:] += burn
+            begin, spread = end, spread.after_burn(mission, burn)
+    path = FlownPath(tuple(coasts))
+    _check(path, solution)
+    return path
+
+
+def _joined(one: Coast, other: Coast) -> Coast:
+    """Two that follow each other without a burn."""
+    return Coast(
+        np.concatenate([one.times_s, other.times_s[1:]]),
+        np.concatenate([one.states, other.states[1:]]),
+        np.concatenate([one.covariances, other.covariances[1:]]),
+        max(one.linear_error_m, other.linear_error_m),
+        max(one.cubic_error_m, other.cubic_error_m),
+    )
+
+
+def _flight(mission: Mission, state: Array, begin: float, end: float) -> OdeSolution:
+    """State and STM from one time to another, be it an earlier one; shape (42,) of a time."""
+    flown = solve_ivp(
+        lambda _, y: variational_rate(y, mission.forces),
+        (begin, end),
+        np.concatenate([state, np.eye(6).ravel()]),
+        method="DOP853",
+        dense_output=True,
+        rtol=1e-12,
+        atol=1e-13 * np.concatenate([mission.units.state, np.ones(36)]),
+    )
+    if not flown.success or flown.sol is None:
+        raise InputError("solution", "a path that falls into the body", "must be one that flies on")
+    return flown.sol
+
+
+def _sampled(flown: OdeSolution, edges: Array, covariance: Array) -> Coast:
+    """Each arc between edges in even steps, more until straight lines do."""
+    ascending = np.sort(edges)
+    step = STEP_MAX_S
+    while True:
+        pieces = np.maximum(np.ceil(np.diff(ascending) / step - 1e-9), 1.0).astype(int)
+        if pieces.sum() > STATES_MAX:
+            raise InputError(
+                "solution",
+                f"a path of more than {STATES_MAX} states {step:.2g} s apart",
+                f"must be one that straight lines of so many follow within {WITHIN_M:g} m",
+            )
+        times = np.concatenate(
+            [
+                np.linspace(a, b, n, endpoint=False)
+                for a, b, n in zip(ascending[:-1], ascending[1:], pieces, strict=True)
+            ]
+            + [ascending[-1:]]
+        )
+        linear, cubic = _errors_m(flown, times)
+        if linear <= WITHIN_M:
+            break
+        step *= 0.9 * float(np.sqrt(WITHIN_M / linear))
+    y = flown(times).T
+    stm = y[:, 6:].reshape(-1, 6, 6)
+    return Coast(times, y[:, :6], stm @ covariance @ stm.transpose(0, 2, 1), linear, cubic)
+
+
+def _errors_m(flown: OdeSolution, times: Array) -> tuple[float, float]:
+    """Of a line and a cubic half-way between neighbours, where both are largest."""
+    at, middle = flown(times)[:6].T, flown(0.5 * (times[:-1] + times[1:]))[:3].T
+    start, end = at[:-1], at[1:]
+    line = 0.5 * (start[:, :3] + end[:, :3])
+    cubic, _ = interpolate(
+        (start[:, :3], start[:, 3:]), (end[:, :3], end[:, 3:]), np.diff(times)[:, None], 0.5
+    )
+    off = [np.linalg.norm(found - middle, axis=1).max() for found in (line, cubic)]
+    return float(off[0]), float(off[1])
+
+
+def _check(path: FlownPath, solution: Solution) -> None:
+    """What the file says must be what is exported."""
+    nodes = np.array(solution.nodes.t_s)
+    stored = np.array(solution.nodes.state)
+    times = np.concatenate([coast.times_s for coast in path.coasts])
+    states = np.concatenate([coast.states for coast in path.coasts])
+    flown = states[np.searchsorted(times, nodes, side="right") - 1]  # after the burn
+    off = float(np.linalg.norm(flown[:, :3] - stored[:, :3], axis=1).max())
+    if not off <= DEFECT_LIMIT_M:
+        raise InputError(
+            "solution",
+            f"nodes up to {off:.3g} m from where its burns lead",
+            f"must be within {DEFECT_LIMIT_M:g} m, as those of a plan that is flown are",
+        )

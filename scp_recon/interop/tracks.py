@@ -1,0 +1,284 @@
+"""Trajectories and bodies from other tools' files: SPICE kernels, CCSDS OEM, tables.
+
+What is read is held to J2000 axes about the body that was asked for: another frame or centre is
+refused. What is strange about a trajectory and cannot be refused is a warning that goes with the plan.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, PackagedBody
+from scp_recon.bodies.kernels import number_of, read_gm, read_heliocentric, read_pck, read_states
+from scp_recon.drafting.draft import Entry, Tables
+from scp_recon.drafting.flown import Track
+from scp_recon.errors import InputError, needing, option
+from scp_recon.interop.ccsds import plain_name
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import propagate
+from scp_recon.planning.initial_guess import read_table
+from scp_recon.scenario.fields import ScenarioWarning
+
+SPICE, OEM, CSV = (option(f"from_{form}") for form in ("spice", "oem", "csv"))
+STEP_S, STATES_MAX = 30.0, 100_000
+"""Between states that are read from kernels."""
+FRAMES = ("EME2000", "J2000", "ICRF", "GCRF")
+"""What CCSDS calls J2000 axes, or what is within 0.02 arcseconds of them."""
+SCALES = ("UTC", "TDB", "TT", "TAI")
+STATES, SUBSTEPS = 60, 20
+"""Of a trajectory, carried from each to the next; and steps of RK4 between two."""
+PULL_OFF_MAX = 0.3
+"""Of the change of velocity, in the middle of all: how far the planner's may be from it."""
+GAP_MAX = 10.0
+"""Of the usual step, what is no gap."""
+SPREAD_MAX, APART_MAX = 0.5, 1e-3
+"""Of the way, and of the distance from the centre: how far off velocities may lead."""
+LATE_MAX_S = 1.0
+"""From the asked ends of a trajectory to those that it has."""
+BESIDE_S, JUMP_MAX_M_S = 1.0, 1e-3
+"""How near an end a burn is looked for, and what is none."""
+
+
+def spice_track(meta: Path, spacecraft: int, body: int, span: tuple[datetime, datetime]) -> Track:
+    """From kernels, between two dates in TDB.
+
+    Raises:
+        InputError: if they cannot be read, do not cover the dates, or these are not ascending.
+    """
+    begin, end = span
+    duration = (end - begin).total_seconds()
+    count = int(np.ceil(duration / STEP_S)) + 1
+    if not 1 < count <= STATES_MAX:
+        raise InputError(
+            option("end"),
+            f"{duration:g} s after --from",
+            f"must be later by {STEP_S:g} to {STEP_S * STATES_MAX:g} s",
+        )
+    times = np.linspace(0.0, duration, count)
+    states = read_states([meta], spacecraft, body, _et(begin) + times, SPICE)
+    doubts = tuple(jump_doubts(meta, spacecraft, body, (_et(begin), _et(end)), SPICE))
+    return Track(begin, times, states, f"from {meta.name}, spacecraft {spacecraft}", doubts)
+
+
+def spice_body(
+    meta: Path, name: str, known: PackagedBody | None, when: datetime
+) -> tuple[int, float, Tables]:
+    """Number, reference radius in m, and the tables `[body]` and `[sun]` of a body, from kernels.
+
+    What the kernels lack of gravity is taken from a packaged body of that name; J2, which no kernel of
+    its kind has, is zero without one.
+
+    Raises:
+        InputError: if they cannot be read or lack rotation, GM, size or the way about the Sun.
+    """
+    number = known.entries["naif_id"] if known else number_of([meta], name, SPICE)
+    if number is None:
+        raise InputError(option("body"), name, f"must be a packaged body, or one that {meta} names")
+    days = _et(when) / DAY_S
+    try:
+        rotation = read_pck(meta, number, days)
+        position, velocity = read_heliocentric([meta], number, _et(when))
+    except InputError as error:
+        raise InputError(SPICE, error.given, error.allowed) from None
+    gm, source = read_gm([meta], number, SPICE), f"from {meta.name}"
+    packaged = known.entries if known else {}
+    radii = rotation.radii_m or packaged.get("radii_m")
+    if (gm is None and not packaged) or radii is None:
+        lacking = f"BODY{number}_GM" if gm is None else f"BODY{number}_RADII"
+        raise InputError(SPICE, str(meta), f"must hold {lacking}")
+    radius = float(packaged.get("reference_radius_m", max(radii)))
+    own = f"packaged, of {packaged['name']}" if packaged else "unknown here"
+    w0, w1, w2 = rotation.prime_meridian
+    body: list[Entry] = [
+        ("name", packaged.get("name", name), "as given"),
+        ("naif_id", number, "NAIF's number"),
+        (
+            "gm_m3_s2",
+            packaged["gm_m3_s2"] if gm is None else gm,
+            f"m^3/s^2; {own if gm is None else source}",
+        ),
+        ("j2", packaged.get("j2", 0.0), f"unnormalised, at reference_radius_m; {own}"),
+        ("reference_radius_m", radius, f"m; {own if packaged else 'the largest of radii_m'}"),
+        ("radii_m", list(radii), f"m, semi-axes body-fixed; {source if rotation.radii_m else own}"),
+        ("pole_ra_deg", rotation.pole_ra_deg, f"deg, J2000; {source}"),
+        ("pole_dec_deg", rotation.pole_dec_deg, f"deg, J2000; {source}"),
+        ("prime_meridian_deg", w0, f"deg; {source}"),
+        ("prime_meridian_rate_deg_day", w1, f"deg/day; {source}"),
+        ("prime_meridian_acceleration_deg_day2", w2, f"deg/day^2; {source}"),
+    ]
+    how = f"J2000, body from the Sun at epoch.tdb; {source}"
+    sun: list[Entry] = [
+        ("body_position_km", position, f"km, {how}"),
+        ("body_velocity_km_s", velocity, f"km/s, {how}"),
+        ("solar_constant_w_m2", 1361.0, "W/m^2 at 1 au"),
+    ]
+    return number, radius, {"body": body, "sun": sun}
+
+
+def oem_track(path: Path, body: str) -> Track:
+    """All segments of an OEM, in order; two states at a burn.
+
+    Raises:
+        InputError: if the extra [oem] is missing, or the message is none, of another frame, centre or
+            time scale, or its segments are not in order.
+    """
+    entry = f"{OEM} {path}"
+    with needing(OEM, "oem"):
+        from astropy.time import Time
+        from oem import OrbitEphemerisMessage
+    if not path.is_file():
+        raise InputError(entry, "no such file", "must be a readable OEM")
+    rows = []
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore")  # of leap seconds that nobody knows yet
+        warnings.filterwarnings("error", message="Unsupported TIME_SYSTEM")
+        try:
+            segments = list(OrbitEphemerisMessage.open(str(path)))
+        except Exception as error:  # of whatever kind: the library has none of its own
+            raise InputError(entry, f"no OEM ({str(error)[:120]})", "must be a CCSDS OEM") from None
+        for segment in segments:
+            about = segment.metadata
+            _one_of(entry, "REF_FRAME", about["REF_FRAME"], FRAMES)
+            _one_of(entry, "CENTER_NAME", about["CENTER_NAME"], (body.upper(), plain_name(body)))
+            _one_of(entry, "TIME_SYSTEM", about["TIME_SYSTEM"], SCALES)
+            rows += [(s.epoch.tdb, 1e3 * s.position, 1e3 * s.velocity) for s in segment.states]
+    first = rows[0][0]
+    since = (first - Time(J2000_TDB, scale="tdb")).sec
+    epoch = J2000_TDB + timedelta(microseconds=round(since * 1e6))  # as fine as a scenario's
+    times = np.round([(row[0] - first).sec for row in rows], 9)
+    states = np.array([np.concatenate(row[1:]) for row in rows])
+    return Track(epoch, times, states, f"from {path.name}")
+
+
+def csv_track(path: Path, epoch: datetime) -> Track:
+    """A table of states as `--init` takes it; `t_s` counts from the epoch, TDB.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    table = read_table(path, f"{CSV} {path}")
+    begin = epoch + timedelta(seconds=float(table[0, 0]))
+    return Track(begin, table[:, 0] - table[0, 0], table[:, 1:], f"from {path.name}")
+
+
+def cut(track: Track, begin: datetime | None, end: datetime | None) -> Track:
+    """The part between two of a track's own times; to the nearest state within them.
+
+    Raises:
+        InputError: if fewer than two states are left, or times are not ascending.
+    """
+    low = 0.0 if begin is None else (begin - track.epoch).total_seconds()
+    high = track.duration_s if end is None else (end - track.epoch).total_seconds()
+    if np.any(np.diff(track.times_s) < 0.0):
+        raise InputError("times", track.source, "must be ascending")
+    inside = (track.times_s >= low - 1e-6) & (track.times_s <= high + 1e-6)
+    times = track.times_s[inside]
+    if len(times) < 2 or times[0] == times[-1]:
+        raise InputError(
+            f"{option('begin')}, {option('end')}",
+            f"{low:g} to {high:g} s of {track.duration_s:g} s",
+            "must have two states of the trajectory between them",
+        )
+    first, last = (track.epoch + timedelta(seconds=float(time)) for time in times[[0, -1]])
+    doubts = (*track.doubts, *late_doubts(begin, end, (first, last)))
+    return Track(first, times - times[0], track.states[inside], track.source, doubts)
+
+
+def _et(when: datetime) -> float:
+    """TDB seconds past J2000."""
+    return (when - J2000_TDB).total_seconds()
+
+
+def _one_of(entry: str, key: str, given: str, known: Sequence[str]) -> None:
+    if given.strip().upper() not in known:
+        raise InputError(f"{entry}: {key}", given, f"must be {' or '.join(dict.fromkeys(known))}")
+
+
+def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:
+    """Whether the body pulls as the trajectory bends: not so another body's, or axes that turn.
+
+    States are carried to later ones by the planner's forces; half of them have to arrive with about the
+    change of velocity that the trajectory has. Axes that stand still and are turned look the same.
+    """
+    chosen = np.unique(np.linspace(0, len(track.times_s) - 1, STATES + 1).astype(int))
+    times, states = track.times_s[chosen], track.states[chosen]
+    took = np.diff(times)
+    later = took > 0.0
+    arrived = propagate(states[:-1][later], took[later], mission.forces, SUBSTEPS)
+    gained = np.linalg.norm((states[1:] - states[:-1])[later, 3:], axis=1)
+    off = np.linalg.norm(arrived[:, 3:] - states[1:][later, 3:], axis=1)
+    share = float(np.median(off) / max(float(np.median(gained)), 1e-12))
+    if not share <= PULL_OFF_MAX:
+        yield ScenarioWarning.of(
+            "trajectory",
+            f"{track.source}, whose velocity changes by {100.0 * share:.3g} % of itself otherwise than "
+            f"{mission.scenario.body.name} and sunlight would change it",
+            f"expected below {100.0 * PULL_OFF_MAX:g} %: body, inertial axes, m and s?",
+        )
+
+
+def step_doubts(track: Track) -> Iterator[ScenarioWarning]:
+    """Whether there is a gap, or a state that is not where its neighbours' velocities lead."""
+    times, position, velocity = track.times_s, track.states[:, :3], track.states[:, 3:]
+    took = np.diff(times)
+    usual, k = float(np.median(took[took > 0.0])), int(np.argmax(took))
+    if took[k] > GAP_MAX * usual:
+        yield ScenarioWarning.of(
+            "trajectory",
+            f"{track.source}, without a state from {times[k]:g} to {times[k + 1]:g} s",
+            f"states are usually {usual:.3g} s apart",
+        )
+    way = 0.5 * (velocity[1:] + velocity[:-1]) * took[:, None]
+    off = np.linalg.norm(np.diff(position, axis=0) - way, axis=1)
+    speed = np.linalg.norm(velocity, axis=1)
+    allowed = SPREAD_MAX * np.maximum(speed[1:], speed[:-1]) * took
+    off -= allowed + APART_MAX * np.linalg.norm(position[1:], axis=1)
+    off[took > GAP_MAX * usual] = 0.0
+    if off.max() > 0.0:
+        k = int(np.argmax(off))
+        yield ScenarioWarning.of(
+            "trajectory",
+            f"{track.source}, whose positions jump between {times[k]:g} and {times[k + 1]:g} s",
+            "they are usually where the velocities lead",
+        )
+
+
+def late_doubts(
+    begin: datetime | None, end: datetime | None, got: tuple[datetime, datetime]
+) -> Iterator[ScenarioWarning]:
+    """Whether a trajectory begins and ends where it was asked to (TDB)."""
+    for entry, asked, found in (("--from", begin, got[0]), ("--to", end, got[1])):
+        off = 0.0 if asked is None else (found - asked).total_seconds()
+        if abs(off) > LATE_MAX_S:
+            yield ScenarioWarning.of(
+                entry,
+                f"a time {abs(off):.3f} s {'before' if off > 0.0 else 'after'} the nearest state",
+                "the trajectory is taken from state to state: the plan "
+                f"{'begins' if entry == '--from' else 'ends'} at that one",
+            )
+
+
+def jump_doubts(
+    meta: Path, spacecraft: int, body: int, ends: tuple[float, float], entry: str
+) -> Iterator[ScenarioWarning]:
+    """Whether kernels have a burn just outside of a trajectory's ends, TDB seconds past J2000."""
+    for flag, at, out in (("--from", ends[0], -BESIDE_S), ("--to", ends[1], BESIDE_S)):
+        beside = at + out * np.array([1.0, 0.5, 0.0])
+        try:
+            outside, between, here = read_states([meta], spacecraft, body, beside, entry)[:, 3:]
+        except InputError:  # they have nothing there
+            continue
+        jump = float(np.linalg.norm(2.0 * between - outside - here))
+        if jump > JUMP_MAX_M_S:
+            side, beyond = ("before", "earlier") if out < 0.0 else ("after", "later")
+            yield ScenarioWarning.of(
+                flag,
+                f"a time with a jump of {jump:.4f} m/s within {BESIDE_S:g} s {side} it",
+                f"the boundary state is without it: {BESIDE_S:g} s {beyond} if that is a burn of the "
+                "plan",
+            )

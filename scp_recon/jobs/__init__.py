@@ -1,0 +1,18 @@
+"""Work that is done in many pieces, anywhere, and kept: executors and one store.
+
+A *job* is a key and its inputs; the *work* is a function of the inputs that pickles: one of a module, a
+`partial` of one, or an instance of a dataclass. What it returns depends on the inputs alone.
+
+    from scp_recon.jobs.job import Job, here, in_order
+    from scp_recon.jobs.processes import Limits, Processes
+    from scp_recon.jobs.store import Store, run, sources, versions
+
+    jobs = [Job("cold", 0.9), Job("warm", 0.8)]
+    with Store(out / "study.jsonl", {"sources": sources(__name__), "seed": 1}) as store:
+        run(work, jobs, store, Processes(2, Limits(seconds=600.0)))   # those that have no row yet
+        rows = [store[job.key] for job in jobs]
+
+Executors are called with the work and the jobs and yield a `Done` for each as it ends: `here` (this
+process), `Processes` (local ones with limits of time and memory), `Cluster` (Dask). `in_order` yields
+them in the jobs' order without a store. A job that raises, hangs or dies is a `Done` with a `Failure`.
+"""

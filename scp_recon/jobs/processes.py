@@ -1,0 +1,334 @@
+"""Run jobs on processes of this machine: a job that hangs, eats memory or dies takes nothing with it.
+
+The parent writes pickles to a child's standard input and reads them from its standard output: first the
+work, then job by job. The kernel ends a child that takes too long, whatever it is stuck in: the default
+action of SIGALRM and SIGPROF needs no Python. A child ends itself when its parent is gone.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import queue
+import resource
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Generator, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from math import inf, isfinite
+from pathlib import Path
+from signal import SIGALRM, SIGKILL, SIGPROF
+from typing import IO, Any
+
+from scp_recon.errors import InputError, option
+from scp_recon.jobs.job import (
+    DIED,
+    FAILED,
+    OUT_OF_MEMORY,
+    TIMED_OUT,
+    Done,
+    Failure,
+    Job,
+    Stopwatch,
+    Work,
+    attempt,
+)
+
+SERVE = "from scp_recon.jobs.processes import serve; serve()"
+READY = "ready"
+TRIES = 3
+"""Number of tries of a job that kills its process."""
+GRACE_S = 5.0
+"""Seconds past a job's limit after which the parent ends a child that its alarm has not ended."""
+START_S = 600.0
+"""Seconds that a process may take to import its modules: a busy file server is slow."""
+LOOK_S = 1.0
+"""Seconds between a child's looks whether its parent is there."""
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1"
+)
+"""A process works on one core: many share a machine, and no sum depends on how many cores it has."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a job: wall and processor time, s, and megabytes beyond the process's own memory."""
+
+    seconds: float = inf
+    cpu_s: float = inf
+    memory_mb: int | None = None
+
+
+class StoppedError(Exception):
+    """The child was ended because nobody wants its job any more."""
+
+
+class UnfitError(Exception):
+    """A process cannot run any job: it lacks modules, or has other versions than the caller."""
+
+
+@dataclass(frozen=True)
+class Processes:
+    """An executor on so many processes."""
+
+    workers: int
+    limits: Limits = Limits()
+
+    def __call__(self, work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
+        """Run jobs as processes become free; they are yielded as they end.
+
+        Raises:
+            InputError: if the processes cannot load the work.
+        """
+        pickled = pickle.dumps(work)
+        children = [Child(pickled, self.limits) for _ in range(self.workers)]
+        # A few ahead of who takes them: memory stays bounded.
+        ended: queue.Queue[Done | BaseException | None] = queue.Queue(4 * self.workers)
+        left, taking, stopped = iter(jobs), threading.Lock(), threading.Event()
+
+        def put(item: Done | BaseException | None) -> None:
+            while not stopped.is_set():
+                try:
+                    return ended.put(item, timeout=0.5)
+                except queue.Full:
+                    continue
+            return None
+
+        def look_after(child: Child) -> None:
+            try:
+                while not stopped.is_set():
+                    with taking:
+                        job = next(left, None)
+                    if job is None:
+                        break
+                    put(child.run(job))
+            except StoppedError:
+                return
+            except UnfitError as error:
+                put(InputError(option("workers"), str(error), "must be able to run the work"))
+            except BaseException as error:  # of the jobs' source, or of this machine
+                put(error)
+            put(None)
+
+        threads = [threading.Thread(target=look_after, args=(c,), daemon=True) for c in children]
+        try:
+            for thread in threads:
+                thread.start()
+            working = len(threads)
+            while working:
+                item = ended.get()
+                if isinstance(item, BaseException):
+                    raise item
+                if item is None:
+                    working -= 1
+                else:
+                    yield item
+        finally:
+            stopped.set()
+            for child in children:
+                child.stop()
+            for thread in threads:
+                if thread.is_alive():
+                    thread.join()
+            for child in children:
+                child.end()
+
+
+class Child:
+    """A process for jobs, begun with the first one and again after it has died."""
+
+    def __init__(self, pickled_work: bytes, limits: Limits) -> None:
+        self.work, self.limits = pickled_work, limits
+        self._process: subprocess.Popen[bytes] | None = None
+        self._used = False
+        self._stopped = threading.Event()
+
+    def run(self, job: Job) -> Done:
+        """Run a job, up to `TRIES` times while it kills the process.
+
+        Raises:
+            StoppedError: if `stop` was called meanwhile.
+            UnfitError: if no job can be run here.
+        """
+        watch, status, tries = Stopwatch(), 0, 0
+        limits = self.limits
+        too_long = {
+            -SIGALRM: f"took longer than {limits.seconds:g} s",
+            -SIGPROF: f"took longer than {limits.cpu_s:g} s of the processor",
+        }
+        while tries < TRIES:
+            tries += 1
+            used = self._used
+            done, status = self._try(job)
+            if self._stopped.is_set():
+                raise StoppedError
+            if done is not None and done.failure and done.failure.status == OUT_OF_MEMORY:
+                self.end()  # what it could not finish may be half done
+                if used:  # and earlier jobs may have left it less than their due
+                    continue
+            if done is not None:
+                return done._replace(tries=tries)
+            if status in too_long:
+                failure = Failure(TIMED_OUT, too_long[status])
+                return Done(job.key, None, failure, watch.read()[0], None, tries)
+        message = f"ended its process in each of {TRIES} tries, at last with status {status}"
+        return Done(job.key, None, Failure(DIED, message), watch.read()[0], None, tries)
+
+    def _try(self, job: Job) -> tuple[Done | None, int]:
+        """Try a job once: what it came to, or else how the process ended."""
+        process = self._process
+        try:
+            if process is None:
+                process = self._begun()
+                if (answer := self._answer(process, START_S)) != READY:
+                    raise UnfitError(answer)
+            self._used = True
+            write_message(process.stdin, job)
+            return self._answer(process, self.limits.seconds + GRACE_S), 0
+        except TimeoutError:
+            late = -SIGALRM if self._used else -SIGKILL
+            self.end()
+            return None, late
+        except (OSError, EOFError, pickle.UnpicklingError):
+            return None, self.end(patience_s=GRACE_S)
+
+    def _answer(self, process: subprocess.Popen[bytes], limit_s: float) -> Any:
+        assert process.stdout is not None
+        timeout = limit_s if isfinite(limit_s) else None
+        if not select.select([process.stdout], [], [], timeout)[0]:
+            raise TimeoutError
+        return read_message(process.stdout)
+
+    def _begun(self) -> subprocess.Popen[bytes]:
+        """Begin a process, which sends READY once it can run jobs."""
+        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-c", SERVE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, **ONE_THREAD, "PYTHONPATH": paths},
+            start_new_session=True,  # Ctrl-C is the parent's to handle
+        )
+        if self._stopped.is_set():  # meanwhile
+            self._process.kill()
+        write_message(self._process.stdin, (self.work, self.limits))
+        return self._process
+
+    def stop(self) -> None:
+        """End the process for good, from any thread; the result of its job is dropped."""
+        self._stopped.set()
+        process = self._process
+        if process is not None:
+            process.kill()
+
+    def end(self, patience_s: float = 0.0) -> int:
+        """Wait for the process to end, then kill it; its exit status. The next job begins another."""
+        process, self._process, self._used = self._process, None, False
+        if process is None:
+            return 0
+        for pipe in (process.stdin, process.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        with suppress(subprocess.TimeoutExpired):
+            return process.wait(patience_s)
+        process.kill()
+        return process.wait()
+
+
+def serve() -> None:
+    """Run jobs until there are no more: the main function of a child."""
+    source = os.fdopen(os.dup(0), "rb")
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a job prints is no answer
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    signal.signal(SIGALRM, signal.SIG_DFL)
+    signal.signal(SIGPROF, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+    pickled, limits = read_message(source)
+    try:
+        work = pickle.loads(pickled)
+    except Exception as error:  # a module that is not here, or is another
+        write_message(answers, f"{type(error).__name__}: {error}")
+        sys.exit(1)
+    write_message(answers, READY)
+    _limit_memory(limits)
+    timers = ((signal.ITIMER_REAL, limits.seconds), (signal.ITIMER_PROF, limits.cpu_s))
+    kept = [(timer, limit_s) for timer, limit_s in timers if isfinite(limit_s)]
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", category=RuntimeWarning)  # as `run_command` does
+        while True:
+            try:
+                job = read_message(source)
+            except EOFError:
+                return
+            for timer, limit_s in kept:
+                signal.setitimer(timer, limit_s)
+            done = attempt(work, job)
+            for timer, _ in kept:
+                signal.setitimer(timer, 0.0)
+            write_message(answers, _portable(done))
+
+
+def _portable(done: Done) -> Done:
+    """Drop an exception or a result that does not pickle."""
+    try:
+        if done.failure and done.failure.error:
+            pickle.loads(pickle.dumps(done.failure.error))
+        pickle.dumps(done.value)
+    except Exception as error:  # whatever a class does there
+        failure = done.failure or Failure(FAILED, f"{type(error).__name__}: {error}")
+        return done._replace(value=None, failure=failure._replace(error=None))
+    return done
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(LOOK_S)
+    os._exit(1)
+
+
+def _limit_memory(limits: Limits) -> None:
+    """Allow so much beyond what the process has now, where the system keeps the limit (Linux)."""
+    own = Path("/proc/self/statm")
+    if limits.memory_mb is not None and own.exists():
+        pages = int(own.read_text("ascii").split()[0])
+        most = pages * resource.getpagesize() + limits.memory_mb * 1_000_000
+        hard = resource.getrlimit(resource.RLIMIT_AS)[1]
+        if hard == resource.RLIM_INFINITY or most < hard:
+            resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+
+
+def write_message(pipe: IO[bytes] | None, content: object) -> None:
+    """Send a pickle.
+
+    Raises:
+        OSError: if the other side is gone.
+    """
+    assert pipe is not None
+    data = pickle.dumps(content, pickle.HIGHEST_PROTOCOL)
+    pipe.write(len(data).to_bytes(8, "little") + data)
+    pipe.flush()
+
+
+def read_message(pipe: IO[bytes]) -> Any:
+    """Receive one.
+
+    Raises:
+        EOFError: if the other side is gone.
+    """
+    return pickle.loads(_exactly(pipe, int.from_bytes(_exactly(pipe, 8), "little")))
+
+
+def _exactly(pipe: IO[bytes], size: int) -> bytes:
+    data = pipe.read(size)
+    if len(data) < size:
+        raise EOFError
+    return data

@@ -1,0 +1,307 @@
+"""Keep rows of finished work in one file: none is lost or doubled, wherever the work stops.
+
+The file has a line of JSON a row, each with its checksum, below a line that says what they depend on. A
+file of anything else is begun anew with the first row. A row is on the disk when `put` returns, but for
+what a power cut may cost; a torn last line is cut off and its job done again.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import json
+import os
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, closing, suppress
+from functools import cache
+from pathlib import Path
+from time import monotonic
+from types import TracebackType
+from typing import IO, Any, NamedTuple, Self
+
+from scp_recon.errors import InputError, option, version_of
+from scp_recon.files import only_run_in, unwritable, write_atomically
+from scp_recon.jobs.job import Done, Executor, Job, Key, Work, here
+
+SCHEMA = "scp_recon.jobs/1"
+SYNC_S = 1.0
+"""Seconds of work that a power cut may cost; what the process alone loses is nothing."""
+PACKAGES = ("scp_recon", "numpy", "scipy", "cvxpy", "clarabel")
+"""Packages on whose versions the last bits of a result depend."""
+WINGS = frozenset({"formulations", "scp_recon"})
+
+Values = Mapping[str, Any]
+
+
+class Row(NamedTuple):
+    """A job's row: values as JSON has them, and contents of files in the store's folder, by path.
+
+    The files are written before the row.
+    """
+
+    values: Values
+    files: Mapping[str, bytes] = {}
+
+
+class Store:
+    """Rows by key in a file, which one process at a time has open; its folder is made.
+
+    `depends_on` is all that the rows depend on besides their jobs: scenario, options, `versions()`,
+    `sources(...)`; as JSON. Rows of a file that depends on anything else do not count. Messages call
+    the folder `entry`.
+
+    Raises:
+        InputError: if another process has it open, or the folder cannot be written.
+    """
+
+    def __init__(self, path: Path, depends_on: Values, entry: str = option("out")) -> None:
+        self.path, self._entry = path, entry
+        head = {"schema": SCHEMA, "depends_on": depends_on}
+        self._head = json.dumps(head, sort_keys=True, default=str).encode() + b"\n"
+        self._places: dict[Key, int] = {}
+        self._end = 0  # of the last whole line; 0 where there are no rows of ours
+        self._file: IO[bytes] | None = None
+        self._synced = monotonic()
+        self._open = ExitStack()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise unwritable(path.parent, entry, error) from None
+        self._open.enter_context(only_run_in(path.parent, entry, f".{path.name}.lock"))
+        try:
+            with suppress(FileNotFoundError), path.open("rb") as file:
+                if file.readline() == self._head:
+                    self._end = file.tell()
+                    for key, _, place, self._end in _lines(file):
+                        self._places[key] = place
+        except OSError as error:
+            self.close()
+            raise unwritable(path.parent, entry, error) from None
+
+    def __enter__(self) -> Self:
+        """The store itself, closed at the end."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        at: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        """How many rows there are."""
+        return len(self._places)
+
+    def __contains__(self, key: Key) -> bool:
+        """Whether a job has its row."""
+        return key in self._places
+
+    def __getitem__(self, key: Key) -> dict[str, Any]:
+        """A row's values.
+
+        Raises:
+            KeyError: if there are none.
+        """
+        place = self._places[key]
+        with self.path.open("rb") as file:
+            file.seek(place)
+            row: dict[str, Any] = json.loads(file.readline())["row"]
+        return row
+
+    def rows(self) -> Iterator[tuple[Key, dict[str, Any]]]:
+        """Yield keys and values, in the order in which they came."""
+        return ((key, self[key]) for key in list(self._places))
+
+    def row(self, key: Key, make: Callable[[], Values]) -> dict[str, Any]:
+        """The values of a row, which is made and kept if it is not there."""
+        if key not in self:
+            self.put(key, make())
+        return self[key]
+
+    def put(self, key: Key, values: Values, files: Mapping[str, bytes] | None = None) -> None:
+        """Keep a row, in place of one of the same key, and before it the files that belong to it.
+
+        Raises:
+            InputError: if the folder cannot be written; the row counts as not done.
+        """
+        try:
+            for name, content in (files or {}).items():
+                path = self.path.parent / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(path, content)
+            self._append(key, _line(key, values))
+        except OSError as error:
+            found = unwritable(self.path.parent, self._entry, error)
+            allowed = f"{found.allowed}; every row until then is kept, and the same command goes on"
+            raise InputError(found.entry, found.given, allowed) from None
+
+    def _append(self, key: Key, line: bytes) -> None:
+        if self._file is None:
+            if not self._end:
+                write_atomically(self.path, self._head)
+                self._end = len(self._head)
+            self._file = self.path.open("r+b")
+            self._file.truncate(self._end)
+            self._file.seek(self._end)
+        try:
+            self._file.write(line)
+            self._file.flush()
+            if monotonic() - self._synced > SYNC_S:
+                os.fsync(self._file.fileno())
+                self._synced = monotonic()
+        except OSError:
+            with suppress(OSError):  # which tries to write the rest
+                self._file.close()
+            self._file = None
+            with suppress(OSError):
+                os.truncate(self.path, self._end)
+            raise
+        self._places[key] = self._end
+        self._end += len(line)
+
+    def forget(self) -> None:
+        """Delete the file: its rows are somewhere else now."""
+        self._leave()
+        self._places, self._end = {}, 0
+        self.path.unlink(missing_ok=True)
+
+    def _leave(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            with suppress(OSError):
+                os.fsync(file.fileno())
+            with suppress(OSError):
+                file.close()
+
+    def close(self) -> None:
+        """Close the file, and leave it to another process."""
+        self._leave()
+        self._open.close()
+
+
+def run(
+    work: Work,
+    jobs: Iterable[Job],
+    store: Store,
+    executor: Executor | None = None,
+    *,
+    row_of: Callable[[Done], Row] = lambda done: Row(done.result()),
+    on_done: Callable[[Key, Values], None] | None = None,
+) -> None:
+    """Run the jobs that have no row in a store, and keep each row as its job ends.
+
+    In this process without an executor. Without `row_of` the work returns the row's values, and a
+    failure is raised. `on_done` is called with the key and the values of each row once it is kept.
+
+    Raises:
+        InputError: if the store cannot be written, or the executor cannot run the work.
+    """
+    missing = (job for job in jobs if job.key not in store)
+    with closing((executor or here)(work, missing)) as ended:
+        for done in ended:
+            row = row_of(done)
+            store.put(done.key, row.values, row.files)
+            if on_done:
+                on_done(done.key, row.values)
+
+
+def read_head(path: Path) -> dict[str, Any]:
+    """Read what the rows of a file depend on.
+
+    Raises:
+        OSError: if it cannot be read.
+        ValueError: if it is no store.
+    """
+    with path.open("rb") as file:
+        head = json.loads(file.readline())
+    if not isinstance(head, dict) or head.get("schema") != SCHEMA:
+        raise ValueError(f"{path} is no store of jobs")
+    found: dict[str, Any] = head["depends_on"]
+    return found
+
+
+def read_rows(path: Path) -> Iterator[tuple[Key, dict[str, Any]]]:
+    """Yield keys and values of a file that may be at work; of a key the last counts."""
+    with path.open("rb") as file:
+        file.readline()
+        for key, row, _, _ in _lines(file):
+            yield key, row
+
+
+def _lines(file: IO[bytes]) -> Iterator[tuple[Key, dict[str, Any], int, int]]:
+    """Yield key, values, start and end of every line that is whole and has its checksum."""
+    end = file.tell()
+    for line in file:
+        place, end = end, end + len(line)
+        if not line.endswith(b"\n"):
+            return
+        try:
+            entry = json.loads(line)
+            key, row = entry["key"], entry["row"]
+            if line == _line(key, row):
+                yield key, row, place, end
+        except (ValueError, KeyError, TypeError):
+            continue  # damaged: its job is done again
+
+
+def _line(key: Key, values: Values) -> bytes:
+    row = json.dumps(values)
+    return (
+        f'{{"key": {json.dumps(key)}, "crc": {zlib.crc32(row.encode())}, "row": {row}}}\n'.encode()
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions by name of the packages on which the last bits of a result depend."""
+    return {name: version_of(name) for name in PACKAGES}
+
+
+@cache
+def sources(*names: str) -> str:
+    """Hash the source of modules and of all that they import of this project; hexadecimal.
+
+    Args:
+        names: of modules (`__name__`), of packages for all their files, or of folders with data
+            (`scp_recon.data`).
+    """
+    root, digest = Path(__file__).parents[2], hashlib.sha256()
+    wings = WINGS | {name.partition(".")[0] for name in names}
+    known: set[Path] = set()
+    left = [path for name in names for path in _files(root, name)]
+    while left:
+        path = left.pop()
+        if path not in known:
+            known.add(path)
+            left += _imported(root, path, wings) if path.suffix == ".py" else []
+    for path in sorted(known):
+        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _files(root: Path, name: str) -> list[Path]:
+    """The file of a module, or the files of a folder."""
+    path = root.joinpath(*name.split("."))
+    if path.is_dir():
+        return [file for file in path.rglob("*") if file.is_file() and file.suffix != ".pyc"]
+    return [path.with_suffix(".py")]
+
+
+def _imported(root: Path, path: Path, wings: frozenset[str]) -> list[Path]:
+    """Files of the modules that a module imports, wherever in it, and of the packages around them."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        for name in names:
+            parts = name.split(".")
+            if parts[0] in wings:
+                module = root.joinpath(*parts).with_suffix(".py")
+                found += [module, root.joinpath(*parts, "__init__.py")]
+    return [file for file in found if file.is_file()]

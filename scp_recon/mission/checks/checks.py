@@ -1,0 +1,117 @@
+"""Runs every check of a mission: units, axes, and entries that contradict each other.
+
+A check computes what the other entries make of one of them. What no body and no flight about one
+reaches is refused, as kilometres in the place of metres are; what is unlikely becomes a warning. A
+quantity that is held to an interval is a row of `intervals`, anything else a function. Physics cannot
+tell a probability, and the axes of the boundary states only where wrong ones lead into the body's
+shadow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from scp_recon.errors import InputError
+from scp_recon.mission.checks import body, stale, sun
+from scp_recon.mission.checks.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
+from scp_recon.mission.scene import Scene
+from scp_recon.mission.windows import SCAN_STEP_S, Window
+from scp_recon.scenario.fields import ScenarioWarning
+
+Check = Callable[[Scene], Iterator[ScenarioWarning]]
+
+
+def shadow(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of a flight that begins or ends in the body's shadow: swapped axes may lead there.
+
+    That is a cylinder of the reference radius; the planner's forces know of none.
+    """
+    scenario, radius = scene.scenario, scene.scenario.body.reference_radius_m
+    for which, time_s in (("initial", 0.0), ("final", scenario.duration_s)):
+        position, light = scene.boundary_state(which)[:3], scene.sun_direction(time_s)
+        along, across = float(position @ light), float(np.linalg.norm(np.cross(position, light)))
+        if along < 0.0 and across < radius:
+            yield ScenarioWarning.of(
+                f"boundary.{which}_position_m",
+                f"a place in the body's shadow, {across:.0f} m off its axis",
+                f"expected in the light, at least {radius:g} m off it: the frame and its axes?",
+            )
+
+
+CHECKS: tuple[Check, ...] = (
+    stale.stale_entries,
+    *(row.check for row in INTERVALS),
+    body.known_body,
+    body.oblateness,
+    body.site_angles,
+    body.named_site,
+    sun.axes_of_the_ecliptic,
+    sun.known_orbit,
+    shadow,
+)
+"""What a mission is held to before its window is known, in this order."""
+WINDOW_SLACK = 0.05
+"""In degrees, or hours: a window given to the nearest second is no other one."""
+
+
+def check_plausible(scene: Scene) -> None:
+    """Refuse what would never end, or end in figures that are not finite: `PLANNER_INTERVALS`.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    for row in PLANNER_INTERVALS:
+        tuple(row.check(scene))
+
+
+def check_scene(scene: Scene) -> tuple[ScenarioWarning, ...]:
+    """Run every check of `CHECKS`.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    return tuple(found for check in CHECKS for found in check(scene))
+
+
+def check_state(scene: Scene) -> tuple[ScenarioWarning, ...]:
+    """Hold the state where planning begins, and its sigmas, to `STATE_INTERVALS`."""
+    return tuple(found for row in STATE_INTERVALS for found in row.check(scene))
+
+
+def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
+    """Hold a window to the light, and one that was given to the limits it stands in for.
+
+    Between its edges too.
+
+    Raises:
+        InputError: if the site is dark at some time in it; of a window that was computed it names the
+            limit.
+    """
+    limits, entry, lighting = scene.scenario.observation, "observation.window_s", scene.lighting
+    computed, (first, last) = limits.window_s is None, window
+    times = np.linspace(first, last, int(np.ceil((last - first) / SCAN_STEP_S)) + 1)
+    angles, hours = np.rad2deg(lighting.incidence(times)), lighting.local_solar_time(times)
+    worst, given = float(angles.max()), f"[{first:g}, {last:g}] s"
+    at = float(times[np.argmax(angles)])
+    if worst >= 90.0:
+        dark = f"{given}, in which incidence reaches {worst:.1f} deg at {at:.0f} s"
+        limit = f"the limit is {limits.incidence_max_deg:g} deg"
+        if computed:
+            dark = f"{limits.incidence_max_deg:g} deg, which makes a window of {dark}"
+        entry = "observation.incidence_max_deg" if computed else entry
+        raise InputError(entry, dark, f"must keep the site in the light, below 90 deg; {limit}")
+    if computed:
+        return ()
+    found = []
+    if worst > limits.incidence_max_deg + WINDOW_SLACK:
+        text = f"{given}, in which incidence reaches {worst:.1f} deg at {at:.0f} s"
+        expected = f"observation.incidence_max_deg is {limits.incidence_max_deg:g} deg"
+        found.append(ScenarioWarning.of(entry, text, expected))
+    low, high = limits.local_solar_time_min_h, limits.local_solar_time_max_h
+    if hours.min() < low - WINDOW_SLACK or hours.max() > high + WINDOW_SLACK:
+        text = f"{given}, in which it is {hours.min():.2f} to {hours.max():.2f} h local solar time"
+        expected = f"observation.local_solar_time_min_h and _max_h are {low:g} and {high:g} h"
+        found.append(ScenarioWarning.of(entry, text, expected))
+    return tuple(found)

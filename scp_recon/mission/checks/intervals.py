@@ -1,0 +1,423 @@
+"""Checks of a scenario that hold one quantity to an interval, as rows of data.
+
+Beyond the wider interval a row refuses what no body and no flight about one reaches, as kilometres in
+the place of metres are; beyond the narrower one it warns. docs/warnings.md shows these rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.constants import G
+
+from formulations.rows.flight_probability import PROBABILITY_MAX
+from scp_recon.bodies.catalogue import AU_KM, ECLIPTIC_NORTH, GM_SUN_KM3_S2, packaged_body
+from scp_recon.errors import InputError
+from scp_recon.mission.checks.body import J2_ENDS
+from scp_recon.mission.checks.sun import Orbit
+from scp_recon.mission.grid import RK4_STEP_MAX_S
+from scp_recon.mission.scene import Scene
+from scp_recon.scenario.fields import ScenarioWarning, Section
+from scp_recon.scenario.resolution.agreement import angle_deg, shown
+from scp_recon.scenario.schema import Battery, Observation, ScheduleRules
+
+Ends = tuple[float, float]
+"""Of an interval; an infinite one bounds nothing."""
+INF = math.inf
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A quantity, and between which ends it is expected.
+
+    Attributes:
+        entries: dotted paths, spaces between them; the quantity is found of each of them.
+        quantity: what is bounded, in words; the entry itself, or its length, if empty.
+        value: the quantity of an entry; None where the row does not apply.
+        unit: of the quantity.
+        refuse: ends beyond which it is refused.
+        warn: ends beyond which it is warned about.
+        hint: the likely slip, or the reason.
+        or_zero: whether zero is meant, and never in question.
+        scale: what the ends count in, in the unit, and what that is called; None where the row does not
+            apply. One if left out.
+    """
+
+    entries: str
+    quantity: str = ""
+    value: Callable[[Scene, str], float | None] = lambda scene, entry: _size(_given(scene, entry))
+    unit: str = ""
+    refuse: Ends | None = None
+    warn: Ends | None = None
+    hint: str = ""
+    or_zero: bool = False
+    scale: tuple[Callable[[Scene, str], float | None], str] | None = None
+
+    def check(self, scene: Scene) -> Iterator[ScenarioWarning]:
+        """Hold a scene to the row.
+
+        Raises:
+            InputError: naming the entry, what was given and what is allowed.
+        """
+        for entry in self.entries.split():
+            value = self.value(scene, entry)
+            if value is None or (self.or_zero and value == 0.0):
+                continue
+            scale = self.scale[0](scene, entry) if self.scale else 1.0
+            if scale is None:
+                continue
+            if self.refuse and not self.refuse[0] <= value / scale <= self.refuse[1]:
+                allowed = f"must be {self._expected(self.refuse, scale)}"
+                raise InputError(entry, self._shown(_given(scene, entry), value), allowed)
+            if self.warn and not self.warn[0] <= value / scale <= self.warn[1]:
+                expected = f"expected {self._expected(self.warn, scale)}"
+                given = self._shown(_given(scene, entry), value)
+                yield ScenarioWarning.of(entry, given, expected)
+
+    def _shown(self, given: Any, value: float) -> str:
+        """What the quantity is, and of which number or vector."""
+        if not self.quantity:
+            digits = 12 if isinstance(given, float) else 4
+            return f"{value:.{digits}g} {self.unit}".rstrip()
+        number = f"{self.quantity}: {value:.3g} {self.unit}".rstrip()
+        if isinstance(given, tuple) and (len(given) > 3 or isinstance(given[0], tuple)):
+            return number
+        return f"{f'{given:.12g}' if isinstance(given, float) else shown(given)} ({number})"
+
+    def _expected(self, ends: Ends, scale: float) -> str:
+        if self.scale is None:
+            return f"{self.within(ends)}{self.hint}"
+        absolute = _within((ends[0] * scale, ends[1] * scale), self.unit)
+        relative = _within(ends, self.scale[1]).removeprefix("at least ").removeprefix("at most ")
+        return f"{'0, or ' if self.or_zero else ''}{absolute} ({relative}){self.hint}"
+
+    def within(self, ends: Ends) -> str:
+        """An interval in words: "300 to 8000 kg/m^3", "0, or at least 60 s", "at most 2 radii"."""
+        words = _within(ends, self.scale[1] if self.scale else self.unit)
+        return f"{'0, or ' if self.or_zero else ''}{words}"
+
+
+def _within(ends: Ends, unit: str) -> str:
+    low, high = ends
+    words = f"{low:.4g} to {high:.4g}"
+    if high == INF:
+        words = f"at least {low:.4g}"
+    elif low == -INF:
+        words = f"at most {high:.4g}"
+    return f"{words} {unit}".rstrip()
+
+
+def _given(scene: Scene, entry: str) -> Any:
+    """What a scenario holds at a dotted path; None below a table that it lacks."""
+    found: Any = scene.scenario
+    for key in entry.split("."):
+        found = getattr(found, key, None)
+    return found
+
+
+def _size(given: Any) -> float | None:
+    """A number, or the length of a vector."""
+    if given is None:
+        return None
+    return math.hypot(*given) if isinstance(given, tuple) else float(given)
+
+
+def _density(scene: Scene, _: str) -> float:
+    body = scene.scenario.body
+    return body.gm_m3_s2 / (G * 4.0 / 3.0 * np.pi * body.reference_radius_m**3)
+
+
+def _period_h(scene: Scene, _: str) -> float:
+    rate = abs(scene.rotation.rate)
+    return 2.0 * np.pi / rate / 3600.0 if rate else INF
+
+
+def _period_of_rubble_h(scene: Scene, entry: str) -> float | None:
+    large = scene.scenario.body.reference_radius_m > RUBBLE_RADIUS_M
+    return _period_h(scene, entry) if large else None
+
+
+def _polar(scene: Scene, _: str) -> float | None:
+    radii = scene.scenario.body.radii_m
+    return None if radii is None else radii[2] / min(radii[:2])
+
+
+def _slope_deg(scene: Scene, _: str) -> float:
+    return angle_deg(scene.site.position_body, scene.site.normal_body)
+
+
+def _slope_without_shape_deg(scene: Scene, entry: str) -> float | None:
+    """Where there is a shape, the normal was held to that."""
+    return _slope_deg(scene, entry) if scene.scenario.body.radii_m is None else None
+
+
+def _solar_escape_km_s(scene: Scene, _: str) -> float:
+    return math.sqrt(2.0 * GM_SUN_KM3_S2 / math.hypot(*scene.scenario.sun.body_position_km))
+
+
+def _nearest_to_site_m(scene: Scene, _: str) -> float | None:
+    """The least distance from the site outside the safety radius."""
+    clear = scene.scenario.safety.radius_min_m - float(np.linalg.norm(scene.site.position_body))
+    return clear if clear > 0.0 else None
+
+
+def _escape_m_s(scene: Scene, entry: str) -> float:
+    """Speed of escape at the position beside a velocity."""
+    distance = math.hypot(*_given(scene, entry.replace("velocity_m_s", "position_m")))
+    return math.sqrt(2.0 * scene.scenario.body.gm_m3_s2 / distance)
+
+
+def _largest_speed_m_s(scene: Scene, _: str) -> float:
+    body, boundary = scene.scenario.body, scene.scenario.boundary
+    escape = math.sqrt(2.0 * body.gm_m3_s2 / body.reference_radius_m)
+    ends = boundary.initial_velocity_m_s, boundary.final_velocity_m_s
+    return max(escape, *(math.hypot(*end) for end in ends))
+
+
+def _outside_m(scene: Scene, entry: str) -> float | None:
+    """Boundary states that follow from a home orbit have its radius."""
+    of_home = entry.startswith("boundary.") and scene.scenario.boundary.home is not None
+    return None if of_home and entry != HOME else _size(_given(scene, entry))
+
+
+def _followed_m3_s2(scene: Scene, _: str) -> float:
+    """GM with which a flight turns by a radian in a step where it begins or ends."""
+    boundary = scene.scenario.boundary
+    ends = boundary.initial_position_m, boundary.final_position_m
+    return float(min(math.hypot(*end) for end in ends) ** 3 / RK4_STEP_MAX_S**2)
+
+
+def _followed_m(scene: Scene, _: str) -> float:
+    """Distance at which a flight turns by a radian in a step."""
+    return float((scene.scenario.body.gm_m3_s2 * RK4_STEP_MAX_S**2) ** (1.0 / 3.0))
+
+
+def _risk_of_flights(scene: Scene, _: str) -> float | None:
+    risk = scene.scenario.risk
+    return 1.0 - risk.p_chance if risk.scope == "flight" else None
+
+
+def _sigma(scene: Scene, entry: str, part: int) -> float | None:
+    """The largest 1-sigma error where planning begins, m or m/s, if this entry says it."""
+    given, flight = scene.scenario.uncertainty, scene.scenario.in_flight
+    said = f"uncertainty.initial_sigma_{('position_m', 'velocity_m_s')[part]}"
+    if flight is not None and flight.covariance is not None:
+        said = "in_flight.covariance"
+    elif given.initial_sigma_fraction is not None:
+        said = "uncertainty.initial_sigma_fraction"
+    elif given.initial_covariance is not None:
+        said = "uncertainty.initial_covariance"
+    if entry != said:
+        return None
+    sigma = np.linalg.norm(scene.initial_factor(scene.initial_state), axis=1)
+    return float(sigma.reshape(2, 3)[part].max())
+
+
+def _entries(table: str, model: type[Section], ending: str) -> str:
+    return " ".join(f"{table}.{key}" for key in model.model_fields if key.endswith(ending))
+
+
+RUBBLE_RADIUS_M = 150.0
+"""Above it a body without strength breaks up where it turns too fast: Pravec & Harris 2000."""
+RADIAN_DEG = 0.5 * math.pi
+"""What every angle of a cone is below that was given in radians."""
+SPREADS = "in_flight.covariance uncertainty.initial_sigma_fraction uncertainty.initial_covariance"
+SPREAD = (1e-4, 0.0999)
+"""1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown. The ends are less than a
+factor of 1000 apart, so that nothing between them is there in kilometres, or millimetres, too."""
+SPIN, SUN_SPEED = "body.prime_meridian_rate_deg_day", "sun.body_velocity_km_s"
+HOME, FLIGHT = "boundary.home.radius_m", "in_flight.position_m"
+STEPS = f": the planner's steps are {RK4_STEP_MAX_S:g} s"
+RADII = (lambda scene, _: scene.scenario.body.reference_radius_m), "reference radii"
+ESCAPE = _escape_m_s, "times the speed of escape there"
+
+PLANNER_INTERVALS = (
+    Interval(
+        "grid.nodes_s", "the last", lambda s, entry: max(_given(s, entry), default=0.0), "s",
+        refuse=(-INF, 1.0), scale=(lambda s, _: s.scenario.duration_s, "times the flight"),
+    ),
+    # Beyond it a plan would take minutes and gigabytes.
+    Interval(
+        "grid.step_max_s", "nodes in the flight",
+        lambda s, entry: s.scenario.duration_s / float(_given(s, entry)), refuse=(-INF, 3000.0),
+    ),
+    # The body moves on a straight line, which must not lead to the Sun.
+    Interval(
+        SUN_SPEED, unit="km/s", refuse=(-INF, 0.5),
+        scale=(
+            lambda s, _: math.hypot(*s.scenario.sun.body_position_km) / s.scenario.duration_s,
+            "times the way to the Sun in the flight",
+        ),
+    ),
+    Interval(
+        f"boundary.initial_position_m boundary.final_position_m {HOME} {FLIGHT}",
+        "from the centre", _outside_m, "m", refuse=(math.nextafter(1.0, 2.0), INF),
+        hint=", outside the body", scale=RADII,
+    ),
+    Interval(
+        "body.gm_m3_s2", unit="m^3/s^2", refuse=(-INF, 1.0), hint=STEPS,
+        scale=(_followed_m3_s2, "times what can be planned about from the boundary"),
+    ),
+    Interval(
+        FLIGHT, "from the centre", unit="m", refuse=(1.0, INF), hint=STEPS,
+        scale=(_followed_m, "times the least distance that can be planned from"),
+    ),
+)  # fmt: skip
+"""Beyond which a plan would never end, or end in figures that are not finite."""
+INTERVALS = (
+    # From the most porous comet to iron; a reference radius may be well above the body's own.
+    Interval(
+        "body.gm_m3_s2", "density at body.reference_radius_m", _density, "kg/m^3",
+        refuse=(3.0, 1e6), warn=(300.0, 8000.0),
+    ),
+    # Below any body that has been flown to: Dimorphos has 75 m. In kilometres throughout, GM included,
+    # a body is a smaller one of the same density.
+    Interval("body.reference_radius_m", unit="m", warn=(50.0, INF), hint="; all of it in metres?"),
+    Interval(
+        SPIN, "a turn of a body above 150 m", _period_of_rubble_h, "h", warn=(2.0, INF),
+        hint=": it breaks up",
+    ),
+    Interval(SPIN, "a turn", _period_h, "h", warn=(-INF, 2000.0), hint="; degrees a day?"),
+    # What turns freely ends turning about its shortest axis, which is body-fixed z; 2 % are rounding
+    # of nearly round bodies.
+    Interval(
+        "body.radii_m", "the last over the shortest", _polar, warn=(-INF, 1.02),
+        hint=", as bodies turn about the shortest; are the axes in order?",
+    ),
+    Interval(
+        "body.j2", "of a body that is not packaged",
+        lambda s, _: None if packaged_body(s.scenario.body.name) else s.scenario.body.j2,
+        warn=J2_ENDS, hint="; unnormalised, which is -sqrt(5) C20?",
+    ),
+    # Of a surface point: an elongated body reaches beyond its mean radius.
+    Interval(
+        "site.position_body_m", "from the centre",
+        lambda s, _: float(np.linalg.norm(s.site.position_body)), "m",
+        refuse=(0.1, 5.0), warn=(0.3, 2.0), scale=RADII,
+    ),
+    Interval(
+        "site.normal_body", "off the direction from the centre to the site", _slope_deg, "deg",
+        refuse=(-INF, 90.0), hint=": it points out of the body",
+    ),
+    # An ellipsoid of axes 2 to 1 has up to 37 deg.
+    Interval(
+        "site.normal_body", "without a shape off the direction from the centre",
+        _slope_without_shape_deg, "deg", warn=(-INF, 30.0),
+    ),
+    Interval(
+        "sun.body_position_km", "from the Sun", unit="km", refuse=(0.1, 50.0),
+        scale=(lambda _, __: AU_KM, "au"), hint=", in kilometres",
+    ),
+    # Its square is 2: beyond it nothing in the Solar System moves.
+    Interval(
+        SUN_SPEED, unit="km/s", refuse=(-INF, math.sqrt(2.0)),
+        scale=(_solar_escape_km_s, "times the speed of escape from the Sun"),
+    ),
+    # The orbits of what is flown to.
+    Interval(
+        SUN_SPEED, "semi-major axis of the orbit", lambda s, _: Orbit.of_body(s).axis_au, "au",
+        warn=(0.5, 6.0),
+    ),
+    # Few asteroids are beyond either; a Sun whose axes are swapped often is.
+    Interval(
+        SUN_SPEED, "eccentricity of the orbit",
+        lambda s, _: float(np.linalg.norm(Orbit.of_body(s).eccentricity)),
+        warn=(-INF, 0.9), hint="; are the axes in order?",
+    ),
+    Interval(
+        SUN_SPEED, "the orbit's plane off the ecliptic",
+        lambda s, _: angle_deg(Orbit.of_body(s).normal, ECLIPTIC_NORTH), "deg",
+        warn=(-INF, 50.0), hint="; J2000, axes in order?",
+    ),
+    Interval(
+        "safety.radius_min_m", unit="m", refuse=(1.0, INF), hint=": below it is the inside",
+        scale=RADII,
+    ),
+    Interval(
+        "observation.site_distance_max_m", unit="m", refuse=(1.0, INF),
+        scale=(_nearest_to_site_m, "times the least distance outside the safety radius"),
+    ),
+    Interval("observation.site_distance_min_m", unit="m", warn=(-INF, 100.0), scale=RADII),
+    Interval(
+        "observation.site_distance_min_m", "the largest distance over it",
+        lambda s, entry: s.scenario.observation.site_distance_max_m / float(_given(s, entry)),
+        warn=(-INF, 100.0), hint="; metres both?",
+    ),
+    Interval(
+        "boundary.initial_position_m boundary.final_position_m", "from the centre", unit="m",
+        warn=(-INF, 100.0), scale=RADII,
+    ),
+    Interval(
+        "boundary.initial_velocity_m_s boundary.final_velocity_m_s", unit="m/s",
+        warn=(0.01, 20.0), or_zero=True, scale=ESCAPE,
+    ),
+    # A limit on the burns is one only where it can bind: more than that turns any flight here round.
+    Interval(
+        "burns.dv_max_m_s", unit="m/s", warn=(-INF, 20.0),
+        scale=(_largest_speed_m_s, "times the largest speed at the ends, or that of escape"),
+    ),
+    Interval(
+        f"{_entries('observation', Observation, '_deg')} {_entries('battery', Battery, '_deg')}",
+        unit="deg", warn=(RADIAN_DEG, INF), hint="; degrees?", or_zero=True,
+    ),
+    # From a solid block to a solar sail.
+    Interval(
+        "spacecraft.srp_area_m2", "over the mass",
+        lambda s, entry: float(_given(s, entry)) / s.scenario.spacecraft.mass_kg, "m^2/kg",
+        warn=(1e-4, 1.0), or_zero=True,
+    ),
+    # Of what is between a mirror that sends the light on and one that sends it back.
+    Interval(
+        "spacecraft.reflectivity_coefficient", warn=(0.5, 2.0), or_zero=True,
+        hint=": 1 absorbs, 2 reflects everything",
+    ),
+    # 1361 and what was once measured of it.
+    Interval("sun.solar_constant_w_m2", unit="W/m^2", warn=(1300.0, 1420.0), hint=" at 1 au"),
+    Interval(
+        _entries("schedule", ScheduleRules, "_s"), unit="s", warn=(60.0, INF), hint="; seconds?",
+        or_zero=True,
+    ),
+    # Beyond it a per cent was meant, or there is nothing to plan with.
+    Interval(
+        "uncertainty.execution_error "
+        "uncertainty.gates.magnitude_proportional uncertainty.gates.magnitude_bias",
+        unit="of a burn", warn=(-INF, 0.3), hint=": it is a share, not in per cent",
+    ),
+    # Pointing included: no thruster is known to a tenth of a degree.
+    Interval(
+        "uncertainty.execution_error", unit="of a burn", warn=(1e-3, INF), or_zero=True,
+        hint="; divided by a hundred once too often?",
+    ),
+    Interval(
+        "risk.p_chance", 'the risk left with risk.scope = "flight"', _risk_of_flights,
+        refuse=(1.0 - PROBABILITY_MAX, INF),
+        hint=": below it the estimate errs by as much as is left",
+    ),
+)  # fmt: skip
+"""Of a scenario before its window is known, in the order in which they are held."""
+STATE_INTERVALS = (
+    Interval(FLIGHT, "from the centre", unit="m", warn=(-INF, 100.0), scale=RADII),
+    Interval(
+        "in_flight.velocity_m_s", unit="m/s", warn=(0.01, 20.0), or_zero=True, scale=ESCAPE
+    ),
+    Interval(
+        f"{SPREADS} uncertainty.initial_sigma_position_m", "1 sigma",
+        lambda s, entry: _sigma(s, entry, 0), "m", warn=SPREAD, hint="; metres and seconds?",
+        or_zero=True,
+        scale=(lambda s, _: s.sizes(s.initial_state)[0][0], "times the distance from the centre"),
+    ),
+    Interval(
+        f"{SPREADS} uncertainty.initial_sigma_velocity_m_s", "1 sigma",
+        lambda s, entry: _sigma(s, entry, 1), "m/s", warn=SPREAD, hint="; metres and seconds?",
+        or_zero=True,
+        scale=(
+            lambda s, _: s.sizes(s.initial_state)[1][0],
+            "times the speed, or that of a circular orbit",
+        ),
+    ),
+)  # fmt: skip
+"""Of the state where planning begins, which is another one for a flight that is under way."""

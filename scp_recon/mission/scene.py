@@ -1,0 +1,264 @@
+"""The scene of a scenario, resolved once: body, site, Sun, axes, boundary states; errors and truth.
+
+J2000, body-centred, SI.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.arrays import Array
+from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
+from scp_recon.bodies.catalogue import packaged_body
+from scp_recon.errors import InputError, option
+from scp_recon.mission.windows import Lighting
+from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
+from scp_recon.physics.geometry import Site
+from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.scenario.body import Body
+from scp_recon.scenario.schema import Scenario
+
+ALONG = 1e-6
+"""Sine of the angle between position and velocity below which they span no plane."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What of a scenario is known before its window is; time zero is the epoch."""
+
+    scenario: Scenario
+    rotation: Rotation
+    site: Site
+
+    @classmethod
+    def of(cls, scenario: Scenario) -> Scene:
+        """The scene of a scenario."""
+        body, site = scenario.body, scenario.site
+        rotation = Rotation.from_iau(
+            body.pole_ra_deg,
+            body.pole_dec_deg,
+            (
+                body.prime_meridian_deg,
+                body.prime_meridian_rate_deg_day,
+                body.prime_meridian_acceleration_deg_day2,
+            ),
+            scenario.epoch.tdb,
+        )
+        return cls(scenario, rotation, Site(np.array(site.position_body_m), unit(site.normal_body)))
+
+    def sun_direction(self, time_s: npt.ArrayLike) -> Array:
+        """Unit vectors from the body to the Sun, shape (..., 3).
+
+        The body moves on a straight line: over ten hours the curvature of its orbit is 2e-5 rad of
+        mostly radial displacement.
+        """
+        sun = self.scenario.sun
+        position, velocity = np.array(sun.body_position_km), np.array(sun.body_velocity_km_s)
+        return unit(-(position + np.multiply.outer(np.asarray(time_s, dtype=float), velocity)))
+
+    @property
+    def lighting(self) -> Lighting:
+        """The site in this Sun."""
+        return Lighting(self.site, self.rotation, self.sun_direction)
+
+    def axes(self, frame: str) -> Array:
+        """From "j2000", "sun_north" or "body_fixed" to J2000 at the epoch, shape (3, 3)."""
+        if frame == "sun_north":
+            return sun_north_to_j2000(self.sun_direction(0.0), self.rotation.pole)
+        return self.rotation.body_to_j2000(0.0) if frame == "body_fixed" else np.eye(3)
+
+    @cached_property
+    def boundary_axes(self) -> Array:
+        """From boundary.frame to J2000 at the epoch, shape (3, 3)."""
+        return self.axes(self.scenario.boundary.frame)
+
+    def boundary_state(self, which: str) -> Array:
+        """The state, shape (6,), that is "initial" or "final"."""
+        boundary = self.scenario.boundary
+        position = self.boundary_axes @ np.array(getattr(boundary, f"{which}_position_m"))
+        velocity = self.boundary_axes @ np.array(getattr(boundary, f"{which}_velocity_m_s"))
+        return np.concatenate([position, velocity])
+
+    @cached_property
+    def initial_state(self) -> Array:
+        """Where planning begins, shape (6,): in flight, or before the first burn."""
+        flight = self.scenario.in_flight
+        if flight is None:
+            return self.boundary_state("initial")
+        axes = self.axes(flight.frame)
+        return np.concatenate([axes @ flight.position_m, axes @ flight.velocity_m_s])
+
+    def initial_factor(self, state: Array) -> Array:
+        """Factor S of the covariance S S' where planning begins, m and m/s, shape (6, 6).
+
+        In flight it is the scenario's initial covariance, unless another is given: its figures, in axes
+        of the mean state, shape (6,), if they are radial, transverse and normal.
+
+        Raises:
+            InputError: if the state has no plane to be normal to, or its sigma is as large as itself.
+        """
+        given, flight = self.scenario.uncertainty, self.scenario.in_flight
+        if flight is not None and flight.covariance is not None:
+            root = _root(np.array(flight.covariance))
+            entries = ("in_flight.covariance",) * 2
+            return self._turned(
+                root, state, flight.covariance_frame, entries, "in_flight.covariance_frame"
+            )
+        if flight is not None and given.initial_frame != "rtn":
+            state = self.boundary_state("initial")
+        if given.initial_sigma_fraction is not None:
+            return np.diag(given.initial_sigma_fraction * np.abs(state))
+        entries = "uncertainty.initial_sigma_position_m", "uncertainty.initial_sigma_velocity_m_s"
+        if given.initial_covariance is None:
+            assert given.initial_sigma_position_m is not None
+            assert given.initial_sigma_velocity_m_s is not None
+            root = np.diag([*given.initial_sigma_position_m, *given.initial_sigma_velocity_m_s])
+        else:
+            root = _root(np.array(given.initial_covariance))
+            entries = ("uncertainty.initial_covariance",) * 2
+        frame = str(given.initial_frame)
+        return self._turned(root, state, frame, entries, "uncertainty.initial_frame")
+
+    def _turned(
+        self, root: Array, state: Array, frame: str, entries: tuple[str, str], frame_entry: str
+    ) -> Array:
+        """A factor in the axes of a frame at the epoch, in J2000.
+
+        Beyond the state's own size a spread is no spread about a flight: a slip of units, most likely.
+        """
+        sigma, sizes = np.linalg.norm(root, axis=1), self.sizes(state)
+        for entry, unit_name, given, (most, what) in zip(
+            entries, ("m", "m/s"), (sigma[:3], sigma[3:]), sizes, strict=True
+        ):
+            if given.max() >= most:
+                raise InputError(
+                    entry,
+                    f"a 1-sigma error of {given.max():g} {unit_name}",
+                    f"must be below the initial {what}, {most:g} {unit_name}",
+                )
+        axes = _rtn_to_j2000(state, frame_entry) if frame == "rtn" else self.axes(frame)
+        return np.vstack([axes @ root[:3], axes @ root[3:]])
+
+    def sizes(self, state: Array) -> tuple[tuple[float, str], tuple[float, str]]:
+        """What sigmas of a state's position (m) and velocity (m/s) are held against, and its name."""
+        distance = float(np.linalg.norm(state[:3]))
+        circular = float(np.sqrt(self.scenario.body.gm_m3_s2 / distance))
+        speed = max(float(np.linalg.norm(state[3:])), circular)
+        return (distance, "distance from the centre"), (speed, "speed, or that of a circular orbit")
+
+
+def _root(covariance: Array) -> Array:
+    """Square root by the eigenvalues of the correlations; what rounding made negative is zero."""
+    sigma = np.sqrt(np.diag(covariance))
+    known = np.where(sigma > 0.0, sigma, 1.0)
+    scaled = covariance / np.outer(known, known)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    return known[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def _rtn_to_j2000(state: Array, entry: str) -> Array:
+    """Radial, transverse (towards the velocity) and normal axes of a state, as columns."""
+    radial, momentum = unit(state[:3]), np.cross(state[:3], state[3:])
+    size = np.linalg.norm(state[:3]) * np.linalg.norm(state[3:])
+    if np.linalg.norm(momentum) <= ALONG * size:
+        raise InputError(
+            entry,
+            "rtn",
+            "must be another frame: the initial velocity points along the position or is zero",
+        )
+    normal = unit(momentum)
+    return np.stack([radial, np.cross(normal, radial), normal], axis=1)
+
+
+def execution_errors(scenario: Scenario, speed_m_s: float = 1.0) -> ExecutionErrors:
+    """The model of the burns' errors, for burns in units of a speed.
+
+    Raises:
+        InputError: if a fixed error is as large as the largest burn.
+    """
+    u, most = scenario.uncertainty, scenario.burns.dv_max_m_s
+    if u.gates is None:
+        assert u.execution_error is not None
+        return ComponentwiseErrors(u.execution_error)
+    gates = u.gates
+    for name in ("magnitude_fixed_m_s", "pointing_fixed_m_s"):
+        if getattr(gates, name) >= most:
+            raise InputError(
+                f"uncertainty.gates.{name}",
+                f"{getattr(gates, name):g}",
+                f"must be below burns.dv_max_m_s, {most:g} m/s",
+            )
+    return GatesErrors(
+        magnitude_fixed=gates.magnitude_fixed_m_s / speed_m_s,
+        magnitude_proportional=gates.magnitude_proportional,
+        pointing_fixed=gates.pointing_fixed_m_s / speed_m_s,
+        pointing_proportional=gates.pointing_proportional_rad,
+        magnitude_bias=gates.magnitude_bias,
+    )
+
+
+def errors_of_kind(scenario: Scenario, kind: str | None) -> ExecutionErrors:
+    """The scenario's model for burns in m/s, or, of the same size, "componentwise" or "gates".
+
+    Raises:
+        InputError: if the scenario gives Gates' errors, which no componentwise ones stand for.
+    """
+    own = execution_errors(scenario)
+    if kind is None or kind == scenario.uncertainty.errors:
+        return own
+    if isinstance(own, ComponentwiseErrors):
+        # The isotropic counterpart: a magnitude error of beta, and a pointing error of beta rad.
+        return GatesErrors(0.0, own.fraction, 0.0, own.fraction)
+    raise InputError(
+        "errors", repr(kind), "must be 'gates', or not given: the scenario's errors are Gates'"
+    )
+
+
+HARMONICS_DEGREE = 8
+"""Of the packaged field: the paper's ground truth."""
+FIELD_BODY, FIELD_GM_M3_S2 = "Bennu", 4.89044967462
+"""Of the packaged field: Chesley et al. 2020."""
+SAME_GM, SAME_J2 = 0.01, 0.1
+"""How far a scenario's GM and J2 may be off the packaged field's, relative."""
+
+
+def truth_field(scenario: Scenario) -> HarmonicField:
+    """The field of `body.gravity_file` in full, else that of the packaged body to degree 8; SI.
+
+    Raises:
+        InputError: if the body has neither, or its GM, reference radius or J2 is not that of the
+            packaged field: no other body's field is flown in its place.
+    """
+    body = scenario.body
+    if body.gravity is not None:
+        rows = body.gravity.coefficients
+        degree = max(n for n, _, _, _ in rows)
+        return HarmonicField.of_rows(body.gm_m3_s2, body.gravity.reference_radius_m, degree, rows)
+    if packaged_body(body.name) is packaged_body(FIELD_BODY):
+        field = HarmonicField.bennu(body.gm_m3_s2, HARMONICS_DEGREE)
+        _check_is_packaged(body, field)
+        return field
+    raise InputError(
+        "body.gravity_file",
+        f"nothing for {body.name}",
+        "must name a gravity field (.gfc, or a PDS SHA table) for harmonics of this body to be flown",
+    )
+
+
+def _check_is_packaged(body: Body, field: HarmonicField) -> None:
+    for entry, given, own, share in (
+        ("gm_m3_s2", body.gm_m3_s2, FIELD_GM_M3_S2, SAME_GM),
+        ("reference_radius_m", body.reference_radius_m, field.radius, 0.0),
+        ("j2", body.j2, -float(field.c[2, 0]), SAME_J2),
+    ):
+        if abs(given - own) > share * own:
+            within = f"within {100 * share:g} % of " if share else ""
+            raise InputError(
+                option("truth", "harmonics"),
+                f"body.{entry} {given:g}",
+                f"must be {within}{own:g}: the packaged gravity field is that of {FIELD_BODY}",
+            )

@@ -1,0 +1,252 @@
+"""Descend to the cheapest pass near a given one: SLSQP over phases and times, in rounds.
+
+The cost of a pass is the delta-v of its plan, made by `Near` with the grid, the facets and the
+compiled program of the round's start, and begun where the last plan ended: a smooth function of phases
+and times. `Near.slope` gives its derivative from the multipliers of the plan's constraints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, minimize
+
+from formulations.arrays import Array, Booleans
+from formulations.linearisation.linearisation import Linearisation, step_mean
+from formulations.problem.facets import choose_facets
+from formulations.problem.flyby import Iterate
+from formulations.program.multipliers import multipliers
+from formulations.rows.cones import Rows
+from formulations.rows.uniform import ChanceRows
+from scp_recon.mission.mission import Mission
+from scp_recon.passes.space import Pass, Space
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.plan import Stage, scales
+from scp_recon.planning.planner import CLEARANCE_AGAIN_M, Planner, ScpStages
+from scp_recon.planning.stages import StageRunner
+from scp_recon.scp.status import Status
+
+REACH = 0.3
+"""Of a round, in rad and in units of time: facets and grid are those of its start."""
+ROUNDS_MAX, STEPS_MAX = 12, 20
+"""Rounds, and steps of SLSQP in each."""
+WORTH = 1e-4
+"""Relative gain of a round for which another is worth its time."""
+FREE_SPAN = 1e-9
+DIFFERENCE = 1e-6
+"""Step of the derivatives by phase (rad) and time; the flown deviation has an error of its square."""
+
+Observe = Callable[["PassResult"], None]
+
+
+@dataclass(frozen=True, eq=False)
+class PassResult:
+    """A pass with its mission and what was planned for it, the stage of P3 or P2 as it ended."""
+
+    at: Pass
+    mission: Mission
+    stage: Stage
+
+    @property
+    def converged(self) -> bool:
+        """Whether there is a plan."""
+        return self.stage.result.status is Status.CONVERGED
+
+    @property
+    def dv_m_s(self) -> float:
+        """Total delta-v of the plan; infinite where there is none."""
+        total = self.stage.result.lin.iterate.total_dv * self.mission.units.speed_m_s
+        return total if self.converged else float("inf")
+
+    @property
+    def burns_m_s(self) -> Array:
+        """Burns, J2000, shape (m, 3)."""
+        return self.stage.result.lin.iterate.burns * self.mission.units.speed_m_s
+
+
+def uninterrupted(stage: Stage) -> Stage:
+    """A stage that ended by itself: an interrupted one is no pass without a plan.
+
+    Raises:
+        KeyboardInterrupt: if Ctrl-C ended it, as it is to end the design.
+    """
+    if stage.result.status is Status.INTERRUPTED:
+        raise KeyboardInterrupt
+    return stage
+
+
+class Near:
+    """Plans P2 near a pass, with facets that `Planner.plan` would choose there, and keeps them.
+
+    With exact risk there are no facets. Without uncertainty, if `certain`, P3 is planned. `first` is
+    the plan at the pass itself, begun at the given burns (m, 3), J2000.
+    """
+
+    def __init__(self, space: Space, at: Pass, burns_m_s: Array, *, certain: bool = False) -> None:
+        self.space, self._mission = space, space.mission_of(at)
+        self._planner = planner = Planner(self._mission)
+        self._stages = ScpStages(planner, self._mission, planner.algorithm)
+        self._exact = self._mission.scenario.risk.allocation == "exact"
+        runner = self._runner(self._mission)
+        start = runner.start(from_burns(self._mission, burns_m_s))
+        if not (self._exact or certain):
+            p3 = runner.solver.solve("P3", planner.p3_rows, start, lambda *_: None)
+            start = uninterrupted(p3).result.lin
+        self._rows: Rows = planner.p3_rows if certain else self._rows_at(start)
+        self._name: Literal["P3", "P2"] = "P3" if certain else "P2"
+        self.first = self.plan(space.vector(at), start)
+
+    def plan(self, x: Array, start: Linearisation | None = None) -> PassResult:
+        """P2 at x, begun at the burns of another iterate, or where the first plan ended."""
+        at = self.space.at(x)
+        mission = self.space.moved(self._mission, at)
+        runner, begun = self._runner(mission), start or self.first.stage.result.lin
+        lin = runner.start(begun.iterate)
+        if isinstance(self._rows, ChanceRows):
+            return PassResult(at, mission, runner.restore("P2", self._rows, lin))
+        stage = runner.solver.solve(self._name, self._rows, lin, lambda *_: None)
+        return PassResult(at, mission, uninterrupted(stage))
+
+    def slope(self, result: PassResult, free: Booleans) -> Array:
+        """Derivative of the least delta-v by x, nondimensional, shape (2 + m,); zero where not free.
+
+        By the envelope theorem it is that of the Lagrangian with burns and multipliers kept. Only what
+        the flight misses and violates depends on x then, and flying the same burns from elsewhere, or
+        at other times, tells it. Fiacco, Introduction to Sensitivity and Stability Analysis, 1983,
+        section 3.4.
+        """
+        space, stage, x = self.space, result.stage, self.space.vector(result.at)
+        lin, merit = stage.result.lin, stage.merit
+        prices = multipliers(merit.problem, merit.rows, lin)
+        base, by_x = float(prices @ merit.excess(lin)), np.zeros(len(x))
+        for j in np.flatnonzero(free):
+            step = DIFFERENCE * np.eye(len(x))[j]
+            flown = reflown(space.moved(result.mission, space.at(x + step)), lin)
+            by_x[j] = (float(prices @ merit.excess(flown)) - base) / DIFFERENCE
+        return by_x
+
+    def _runner(self, mission: Mission) -> StageRunner:
+        stages = ScpStages(self._planner, mission, self._planner.algorithm)
+        return StageRunner(mission, stages)
+
+    def _rows_at(self, lin: Linearisation) -> Rows:
+        if self._exact:
+            ways = self._stages.exact_rows()
+            return ways[min(1, len(ways) - 1)][1]  # of whole flights those of few directions
+        problem, polytopes = self._mission.problem, self._mission.polytopes
+        facets = choose_facets(problem, polytopes, lin.iterate.mean, lin.factor)
+        return self._planner.p2_rows(facets, lin, CLEARANCE_AGAIN_M)
+
+
+def reflown(mission: Mission, lin: Linearisation) -> Linearisation:
+    """The same burns flown in a mission that hardly differs, its defects closed to first order.
+
+    The problem is the iterate's with the mission's boundary, its constraints kept.
+    """
+    units, dynamics, iterate = mission.units, mission.dynamics, lin.iterate
+    problem = replace(
+        lin.problem,
+        initial_state=mission.initial_state / units.state,
+        final_state=mission.final_state / units.state,
+        initial_factor=mission.initial_factor / units.state[:, None],
+    )
+    mean = iterate.mean.copy()
+    mean[0] = problem.initial_state
+    mean[0, 3:] += iterate.burns[0]
+    near = dynamics.linearise(problem, Iterate(iterate.burns, mean))
+    return dynamics.linearise(problem, Iterate(iterate.burns, step_mean(near, iterate.burns)))
+
+
+def descend(
+    space: Space,
+    at: Pass,
+    burns_m_s: Array,
+    observe: Observe,
+    rounds_max: int = ROUNDS_MAX,
+    worth: float = WORTH,
+    *,
+    certain: bool = False,
+) -> PassResult:
+    """The best pass that rounds of SLSQP find from one; never a worse one than P2 at the start.
+
+    The first plan begins at the given burns (m, 3), J2000; where it does not converge, it is what is
+    returned. `worth` is the relative gain of a round for which there is another. If `certain`,
+    uncertainty is left out: P3 in the place of P2.
+    """
+    near = Near(space, at, burns_m_s, certain=certain)
+    best = near.first
+    observe(best)
+    if not best.converged:
+        return best
+    for _ in range(rounds_max):
+        x, burns = _round(space, near, observe)
+        near = Near(space, space.at(x), burns, certain=certain)
+        gain = 1.0 - near.first.dv_m_s / best.dv_m_s
+        observe(near.first)
+        if gain > 0.0:
+            best = near.first
+        if gain < worth:
+            break
+    return best
+
+
+def _round(space: Space, near: Near, observe: Observe) -> tuple[Array, Array]:
+    """The cheapest x that SLSQP finds within reach, and the burns there."""
+    start, low, high = space.vector(near.first.at), *space.bounds.T
+    free = high - low > FREE_SPAN
+    matrix, least = space.rules(space.before(near.first.at.times_s))
+    before = near.first
+    unit, scale = before.mission.units.speed_m_s, before.dv_m_s
+    best, last = before, before
+
+    def cost(y: Array) -> tuple[float, Array]:
+        nonlocal best, last
+        x = start.copy()
+        x[free] = y
+        result = near.plan(x, last.stage.result.lin)
+        observe(result)
+        if not result.converged:  # the line search turns back
+            return 10.0, np.zeros(len(y))
+        last = result
+        best = min(best, result, key=lambda one: one.dv_m_s)
+        return result.dv_m_s / scale, near.slope(result, free)[free] * (unit / scale)
+
+    reach = Bounds(
+        np.maximum(low, start - REACH)[free], np.minimum(high, start + REACH)[free], True
+    )
+    felt = np.any(matrix[:, free], axis=1)  # the others hold, for times that are given
+    room = least - matrix[:, ~free] @ start[~free]
+    rules = [LinearConstraint(matrix[felt][:, free], room[felt], np.inf)] if felt.any() else []
+    minimize(
+        cost,
+        start[free],
+        jac=True,
+        method="SLSQP",
+        bounds=reach,
+        constraints=rules,
+        options={"maxiter": STEPS_MAX, "ftol": 0.1 * WORTH},
+    )
+    return space.vector(best.at), best.burns_m_s
+
+
+def why_nothing(result: PassResult, plans: int) -> str:
+    """How far a design without a pass came, which limit stopped it and for which departure."""
+    stage, mission = result.stage, result.mission
+    worst, most = "the final state", 0.0
+    for name, margins in stage.margins.items():
+        least = int(np.argmin(margins.margin))
+        amount = -float(margins.margin[least])
+        if amount > most:
+            most, unit = amount, stage.unit(name)
+            short = f"{amount * scales(mission.units)[unit]:.3g} {unit}"
+            at = mission.times_s[margins.nodes[least]]
+            worst = f"{name}, short by {short} {at:.0f} s after the begin"
+    departure, arrival = np.rad2deg(result.at.phases) % 360.0
+    return (
+        f"no pass found in {plans} plans; the one that came furthest, of {stage.problem} from "
+        f"{departure:.1f} to {arrival:.1f} deg with burns at "
+        f"{', '.join(f'{time:.0f}' for time in result.at.times_s)} s, was stopped by {worst}"
+    )

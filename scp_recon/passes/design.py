@@ -1,0 +1,272 @@
+"""Design a pass: a map over both phases, descents from its valleys, and the best one refined.
+
+Refining also changes the number of burns. Where errors shrink with the burns, the primer says where one
+more helps, and a burn that does not help vanishes. Errors that do not shrink leave no such derivative:
+then one more between any two burns, and one less, is tried.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from formulations.arrays import Array, Booleans
+from scp_recon.passes.descent import ROUNDS_MAX, WORTH, PassResult, descend
+from scp_recon.passes.ring import TURN
+from scp_recon.passes.scan import scan, starts
+from scp_recon.passes.setting import BURNS_MAX, spaces_of
+from scp_recon.passes.space import Pass, Space, nearest_legal
+from scp_recon.planning.primer import WORTH as PRIMER_WORTH
+from scp_recon.planning.primer import PrimerHistory, primer_history
+from scp_recon.scenario.schema import Scenario
+
+STARTS_MAX = 4
+"""Valleys of the map from which descents begin."""
+FIRST, LAST, EXACT = (2, 1e-2), (ROUNDS_MAX, WORTH), (3, 1e-3)
+"""Effort (rounds at most, gain worth another one) of descents that are only to be compared, of the last
+ones, and under exact risk, where plans take ten times as long."""
+SURROGATE = {
+    "risk": {"allocation": "uniform", "scope": "node"},
+    "polytopes": {"ball": "tangent", "cone": 12},
+}
+"""What stands for exact risk until the last descent: quicker, and near it."""
+
+PLACES_MAX = 3
+"""Peaks of the primer at which another burn is tried."""
+VANISHED_M_S = 1e-6
+"""Size of a burn that is none."""
+
+Step = Literal["map", "descent", "certain", "window", "refinement", "fewer", "number", "exact"]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A plan that was made on the way, and about which lighting window, from 0.
+
+    The pass's own times begin at `begin_s` past the scenario's epoch.
+    """
+
+    step: Step
+    window: int
+    begin_s: float
+    result: PassResult
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """A space, its number, when its times begin past the scenario's epoch, and legal times in it."""
+
+    space: Space
+    number: int
+    begin_s: float
+    times_s: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A pass with another number of burns, to begin with at given burns, J2000, shape (m, 3)."""
+
+    space: Space
+    at: Pass
+    burns_m_s: Array
+
+
+Best = tuple[Around, PassResult]
+"""The best pass so far, and about which window."""
+
+
+@dataclass
+class Designer:
+    """A design at work, for a scenario with a home orbit; every plan is kept and shown."""
+
+    scenario: Scenario
+    observe: Callable[[Trial], None]
+    trials: list[Trial] = field(default_factory=list)
+
+    def run(self) -> tuple[Space, PassResult]:
+        """The cheapest pass found, with its space; where none has a plan, the furthest that one came.
+
+        Raises:
+            InputError: see `spaces_of`.
+        """
+        exact = self.scenario.risk.allocation == "exact"
+        given = self.scenario.changed(SURROGATE) if exact else self.scenario
+        around = [
+            Around(space, number, times[0], tuple(time - times[0] for time in times))
+            for number, (space, times) in enumerate(spaces_of(given))
+        ]
+        begun = []
+        for first in around:
+            begun.append(self._begun(first))
+            if begun[-1][1].converged:
+                break
+        where, best = begun[-1]
+        if not best.converged:
+            where, best = min(begun, key=lambda one: violation(one[1]))
+            if exact:  # which requires less than what stands for it
+                where, best = self._exactly(where, best)
+            return where.space, best
+        others = around[len(begun) :]  # about those before there is no pass
+        where, best = cheapest([(where, best), *self._elsewhere(others, best)])
+        best = self._descent(where, "refinement", best.at, best, LAST)
+        where, best = self._numbered(where, best)
+        if exact:
+            where, best = self._exactly(where, best)
+        return where.space, best
+
+    def _exactly(self, where: Around, best: PassResult) -> Best:
+        """From a pass, under the scenario's own risk."""
+        space, update = (
+            where.space,
+            {"risk": self.scenario.risk, "polytopes": self.scenario.polytopes},
+        )
+        own = space.mission.scenario.model_copy(update=update)
+        where = replace(where, space=replace(space, mission=replace(space.mission, scenario=own)))
+        return where, self._descent(where, "exact", best.at, best, EXACT)
+
+    def _begun(self, first: Around) -> Best:
+        """The best of descents from the valleys of a map about one window; if none, the furthest."""
+        mapped = scan(first.space, first.times_s, self._seen("map", first))
+        tries = [
+            self._descent(first, "descent", one.at, one, FIRST)
+            for one in starts(mapped, STARTS_MAX)
+        ]
+        best = min(tries, key=lambda one: one.dv_m_s, default=None)
+        if best is not None and best.converged:
+            return first, best
+        return first, min(tries or mapped, key=violation)
+
+    def _elsewhere(self, others: Iterable[Around], best: PassResult) -> Iterable[Best]:
+        """The best pass about the other windows, at their own legal times."""
+        for other in others:
+            at = Pass(best.at.phases, other.times_s)
+            yield other, self._descent(other, "window", at, best, FIRST)
+
+    def _numbered(self, where: Around, best: PassResult) -> Best:
+        """With burns left out that have vanished and others added, as long as that helps."""
+        if self.scenario.design is not None and self.scenario.design.burn_times == "given":
+            return where, best
+        for _ in range(BURNS_MAX):
+            fewer = vanished(where.space, best)
+            if fewer is not None:
+                there, result = self._try("fewer", where, fewer)
+                if result.dv_m_s <= (1.0 + WORTH) * best.dv_m_s:
+                    where, best = there, result
+            tries = [self._try("number", where, other) for other in others(where.space, best)]
+            there, result = cheapest([(where, best), *tries])
+            if result.dv_m_s > (1.0 - WORTH) * best.dv_m_s:
+                break
+            where, best = there, result
+        return where, best
+
+    def _try(self, step: Step, where: Around, other: Candidate) -> Best:
+        """From a pass with another number of burns."""
+        there = replace(where, space=about(other.space, other.at))
+        seen = self._seen(step, there)
+        return there, descend(there.space, other.at, other.burns_m_s, seen, *LAST)
+
+    def _descent(
+        self, where: Around, step: Step, at: Pass, known: PassResult, effort: tuple[int, float]
+    ) -> PassResult:
+        """From a pass, begun at the burns of a known plan.
+
+        Where there is no plan, from a pass near by that is cheaper without uncertainty, and errs less.
+        """
+        space, seen = about(where.space, at), self._seen(step, where)
+        result = descend(space, at, known.burns_m_s, seen, *effort)
+        if result.converged:
+            return result
+        sure = descend(
+            space, at, known.burns_m_s, self._seen("certain", where), *effort, certain=True
+        )
+        if not sure.converged:
+            return result
+        return descend(space, sure.at, sure.burns_m_s, seen, *effort)
+
+    def _seen(self, step: Step, where: Around) -> Callable[[PassResult], None]:
+        def seen(result: PassResult) -> None:
+            self.trials.append(Trial(step, where.number, where.begin_s, result))
+            self.observe(self.trials[-1])
+
+        return seen
+
+
+def cheapest(tries: Iterable[Best]) -> Best:
+    """The cheapest of some passes that have a plan, or any."""
+    return min(tries, key=lambda one: one[1].dv_m_s)
+
+
+def violation(result: PassResult) -> float:
+    """The largest of a try."""
+    return result.stage.merit.worst_violation(result.stage.result.lin)
+
+
+def about(space: Space, one: Pass) -> Space:
+    """The same space, a whole turn of phases laid about a pass."""
+    spans = [
+        (phase - 0.5 * TURN, phase + 0.5 * TURN) if high - low >= TURN - 1e-9 else (low, high)
+        for phase, (low, high) in zip(one.phases, space.phase_spans, strict=True)
+    ]
+    return replace(space, phase_spans=(spans[0], spans[1]))
+
+
+def vanished(space: Space, result: PassResult) -> Candidate | None:
+    """The pass without inner burns that have vanished and their rules; None if all count."""
+    there = np.linalg.norm(result.burns_m_s, axis=1) > VANISHED_M_S
+    there[[0, -1]] = True
+    return None if there.all() else _chosen(space, result, there)
+
+
+def others(space: Space, result: PassResult) -> list[Candidate]:
+    """Passes with one burn more, and without a primer also with one less."""
+    history = primer_history(result.mission, result.stage)
+    times, every = result.at.times_s, np.arange(space.n_burns)
+    if history is not None:
+        places, fewer = peaks(history), []
+    else:
+        places = [0.5 * (first + second) for first, second in itertools.pairwise(times)]
+        fewer = [_chosen(space, result, every != gone) for gone in every[1:-1]]
+    room = space.n_burns < BURNS_MAX
+    more = [_with(space, result, place) for place in places if room]
+    return [one for one in more if one is not None] + fewer
+
+
+def peaks(history: PrimerHistory) -> list[float]:
+    """Times at which the allowed part of the primer exceeds one and is largest near by, s.
+
+    Where the others leave no room for a burn they have to give way.
+    """
+    allowed = np.array(history.allowed)
+    size = np.r_[-np.inf, allowed, -np.inf]
+    peak = (size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:]) & (size[1:-1] > 1.0 + PRIMER_WORTH)
+    places = np.flatnonzero(peak)
+    best = places[np.argsort(-allowed[places], kind="stable")][:PLACES_MAX]
+    return [history.t_s[at] for at in best.tolist()]
+
+
+def _with(space: Space, result: PassResult, time_s: float) -> Candidate | None:
+    """The pass with a burn at a time, the others moved by as little as the rules ask."""
+    times, spans = result.at.times_s, space.time_spans
+    place = int(np.clip(np.searchsorted(times, time_s), 1, len(times) - 1))
+    inner = spans[1] if len(spans) > 2 else (spans[0][0], spans[-1][1])
+    wanted = (*times[:place], time_s, *times[place:])
+    wider = replace(space, time_spans=(*spans[:place], inner, *spans[place:]))
+    rules = space.mission.scenario.schedule
+    before = space.before(wanted)
+    legal = nearest_legal(wanted, wider.time_spans, space.window_s, before, rules)
+    if legal is None:
+        return None
+    burns = np.insert(result.burns_m_s, place, 0.0, axis=0)
+    return Candidate(wider, Pass(result.at.phases, legal), burns)
+
+
+def _chosen(space: Space, result: PassResult, there: Booleans) -> Candidate:
+    spans = tuple(itertools.compress(space.time_spans, there))
+    times = tuple(itertools.compress(result.at.times_s, there))
+    return Candidate(
+        replace(space, time_spans=spans), Pass(result.at.phases, times), result.burns_m_s[there]
+    )

@@ -1,0 +1,199 @@
+"""The home orbit as a ring of states by phase: a circle, a revolution under forces, or of an ephemeris.
+
+An ephemeris is a table of states, a CCSDS OEM or SPICE kernels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
+from formulations.arrays import Array
+from scp_recon.bodies.catalogue import J2000_TDB
+from scp_recon.bodies.kernels import read_states
+from scp_recon.errors import InputError
+from scp_recon.interop.ccsds import plain_name
+from scp_recon.interop.tracks import csv_track, oem_track
+from scp_recon.physics.forces import ForceModel, acceleration
+from scp_recon.scenario.boundary import HomeOrbit
+from scp_recon.scenario.schema import Scenario
+
+TURN = 2.0 * np.pi
+LONGEST, SAMPLES = 3.0, 3001
+"""Revolutions of the circle in which the flown one has to come round, and looks at it."""
+ENTRY = "boundary.home.ephemeris_file"
+LONG, STATES = 1.25, 2001
+"""Circle's revolutions that are read from kernels, and states."""
+APART = np.deg2rad(15.0)
+"""Angle between neighbouring states, at most: cubics err by less than 2e-5 of the radius there."""
+WITHIN = 2.0
+"""Factor of the radius that is said."""
+LOOKS = 8
+"""Between neighbouring states."""
+
+
+@dataclass(frozen=True)
+class Ring:
+    """States by phase, whose waiting spacecraft may be at any of them at any time.
+
+    Of a phase in [0, 2 pi), rad: position and velocity, J2000, body-centred, m and m/s, shape (6,).
+    """
+
+    state: Callable[[float], Array]
+
+    def __call__(self, phase_rad: float) -> Array:
+        """The state at a phase of any turn."""
+        return self.state(float(np.mod(phase_rad, TURN)))
+
+
+def home_ring(home: HomeOrbit, gm: float, axes: Array) -> Ring:
+    """The home orbit of a scenario, a circle; axes (3, 3) lead from boundary.frame to J2000."""
+
+    def state(phase: float) -> Array:
+        position, velocity = home.state(phase, gm).reshape(2, 3)
+        return np.concatenate([axes @ position, axes @ velocity])
+
+    return Ring(state)
+
+
+def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
+    """Unit vectors of phase zero and of a quarter turn, J2000, and 1 or -1: the way it is flown."""
+    first, second = (
+        axes @ home.state(phase, 1.0)[:3] / home.radius_m for phase in (0.0, 0.25 * TURN)
+    )
+    return first, second, 1.0 if home.sense == "right_handed" else -1.0
+
+
+def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
+    """One revolution under a mission's forces, from the circle's state at phase zero on.
+
+    Phases are angles about the circle's normal, as on the circle; the ends of the revolution meet at
+    phase zero only nearly. Axes (3, 3) lead from boundary.frame to J2000.
+
+    Raises:
+        InputError: if it does not come round within three of the circle's revolutions.
+    """
+    start = home_ring(home, forces.gm, axes)(0.0)
+    first, second, sense = directions(home, axes)
+    period = TURN * np.sqrt(home.radius_m**3 / forces.gm)
+
+    def rate(_: float, y: Array) -> Array:
+        return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces)])
+
+    flown = solve_ivp(
+        rate, (0.0, LONGEST * period), start, "DOP853", dense_output=True, rtol=1e-10, atol=1e-6
+    )
+    track = flown.sol
+    assert track is not None  # of a dense output
+    times, last = np.linspace(0.0, LONGEST * period, SAMPLES), float(flown.t[-1])
+    ring = ring_of(track, times[times <= last], first, second, sense)
+    if ring is None:
+        raise InputError(
+            "boundary.home.flown",
+            f"a circle of {home.radius_m:g} m",
+            f"must come round under the mission's forces within {LONGEST:g} of its revolutions",
+        )
+    return ring
+
+
+def ring_of(
+    track: Callable[[Array], Array], times_s: Array, first: Array, second: Array, sense: float
+) -> Ring | None:
+    """The first revolution of a track, if it goes round in one sense.
+
+    The track gives states (6, n) at times (n,), or a single one; it is looked at at ascending times,
+    near to each other. Unit vectors are of phase zero and of a quarter of a turn; the sense is 1
+    towards growing phases, -1 the other way.
+    """
+    places = track(times_s)[:3]
+    angle = sense * np.unwrap(np.arctan2(second @ places, first @ places))
+    begin = angle[0]
+    once = int(np.argmax(angle - begin >= TURN)) + 1
+    if once == 1 or np.any(np.diff(angle[:once]) <= 0.0):
+        return None
+    when = PchipInterpolator(angle[:once], times_s[:once])
+
+    def state(phase: float) -> Array:
+        ahead = np.mod(sense * phase - begin, TURN)
+        return np.asarray(track(when(begin + ahead)))
+
+    return Ring(state)
+
+
+def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
+    """The first revolution of a file; axes (3, 3) lead from boundary.frame to J2000.
+
+    Raises:
+        InputError: if the file cannot be read, is of another frame or centre, has no whole revolution
+            without a burn, or does not go about the circle that is said.
+    """
+    path = Path(home.ephemeris_file or "")
+    times, states = _states(scenario, home, path)
+    distances = np.linalg.norm(states[:, :3], axis=1)
+    low, high = float(distances.min()), float(distances.max())
+    if not home.radius_m / WITHIN <= low <= high <= home.radius_m * WITHIN:
+        raise InputError(
+            "boundary.home.radius_m",
+            f"{home.radius_m:g} m",
+            f"must be within a factor of {WITHIN:g} of {low:.4g} to {high:.4g} m in {path.name}",
+        )
+    first, second, sense = directions(home, axes)
+    angle = sense * np.unwrap(np.arctan2(second @ states[:, :3].T, first @ states[:, :3].T))
+    turned, steps = angle - angle[0], np.diff(angle)
+    once = int(np.argmax(turned >= TURN)) + 1 if np.any(turned >= TURN) else 0
+    ring = None
+    if once and np.all(np.diff(times[:once]) > 0.0) and steps[: once - 1].max() <= APART:
+        track = Track(times[:once], states[:once])
+        looks = np.interp(np.arange(LOOKS * (once - 1) + 1) / LOOKS, np.arange(once), times[:once])
+        ring = ring_of(track, looks, first, second, sense)
+    if ring is None:
+        raise InputError(
+            ENTRY,
+            f"{path.name}, {np.rad2deg(turned[-1]):.0f} deg about boundary.home.normal the way that "
+            f"boundary.home.sense says, in {len(times)} states",
+            f"must go round once without a burn, by at most {np.rad2deg(APART):g} deg between states",
+        )
+    return ring
+
+
+class Track:
+    """Cubics between states (n, 6) at ascending times (n,), whose velocities are their slopes."""
+
+    def __init__(self, times_s: Array, states: Array) -> None:
+        self._place = CubicHermiteSpline(times_s, states[:, :3], states[:, 3:])
+        self._speed = self._place.derivative()
+
+    def __call__(self, time_s: Array) -> Array:
+        """States (6, n) at times (n,), or one."""
+        return np.concatenate([self._place(time_s).T, self._speed(time_s).T])
+
+
+def _states(scenario: Scenario, home: HomeOrbit, path: Path) -> tuple[Array, Array]:
+    """Times in s past any epoch, and states in J2000, m and m/s."""
+    body, kind = scenario.body, path.suffix.lower()
+    if kind in (".csv", ".oem"):
+        if home.spacecraft_id is not None:
+            raise InputError(
+                "boundary.home.spacecraft_id",
+                str(home.spacecraft_id),
+                f"must be left out: {path.name} is no kernel",
+            )
+        try:
+            if kind == ".csv":
+                track = csv_track(path, scenario.epoch.tdb)
+            else:
+                track = oem_track(path, plain_name(body.name))
+        except InputError as error:
+            raise InputError(ENTRY, f"{path.name}, {error.given}", error.allowed) from None
+        return track.times_s, track.states
+    if home.spacecraft_id is None or body.naif_id is None:
+        lacking = "boundary.home.spacecraft_id" if home.spacecraft_id is None else "body.naif_id"
+        raise InputError(lacking, "nothing", f"must be given for kernels, as {path.name} is")
+    begin = (scenario.epoch.tdb - J2000_TDB).total_seconds()
+    times = np.linspace(0.0, LONG * TURN * float(np.sqrt(home.radius_m**3 / body.gm_m3_s2)), STATES)
+    return times, read_states([path], home.spacecraft_id, body.naif_id, begin + times, ENTRY)

@@ -1,0 +1,101 @@
+"""The map over both phases: least delta-v without uncertainty, each cell begun at its neighbour's plan.
+
+Uncertainty only adds constraints, so that where P3 costs much P2 does too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from formulations.arrays import Array
+from formulations.problem.flyby import Iterate
+from scp_recon.mission.mission import Mission
+from scp_recon.passes.descent import PassResult, uninterrupted
+from scp_recon.passes.ring import TURN
+from scp_recon.passes.space import Pass, Space
+from scp_recon.planning.initial_guess import circular, from_burns
+from scp_recon.planning.planner import Planner, ScpStages
+from scp_recon.planning.stages import StageRunner
+
+STEP = float(np.deg2rad(40.0))
+"""Between phases, at most."""
+COARSER = 2.0
+"""Than the scenario's: the map's grid."""
+ROUGH = 1e-3
+"""Relative reduction of the merit at which a plan of the map stops."""
+
+
+def phases(span: tuple[float, float]) -> Array:
+    """Evenly spaced phases of a span in rad, at most `STEP` apart; the ends of a whole turn are one."""
+    low, high = span
+    if high - low >= TURN - 1e-9:
+        return low + np.linspace(0.0, TURN, round(TURN / STEP), endpoint=False)
+    return np.linspace(low, high, int(np.ceil((high - low) / STEP - 1e-9)) + 1)
+
+
+def scan(
+    space: Space, times_s: tuple[float, ...], observe: Callable[[PassResult], None]
+) -> list[PassResult]:
+    """P3 at every pair of phases for one set of times, row by row of departure and back again."""
+    space = space.on_grid(COARSER * space.mission.scenario.grid.step_max_s)
+    planner: Planner | None = None
+    cells: list[PassResult] = []
+    last: PassResult | None = None
+    for departure, arrival in _to_and_fro(*map(phases, space.phase_spans)):
+        at = Pass((departure, arrival), times_s)
+        mission = space.mission_of(at)
+        planner = planner or Planner(mission)
+        best = _cheapest(planner, at, mission, last)
+        cells.append(best)
+        observe(best)
+        last = best if best.converged else last
+    return cells
+
+
+def _cheapest(planner: Planner, at: Pass, mission: Mission, last: PassResult | None) -> PassResult:
+    """P3 from the neighbour's burns, and where that ends nowhere from turns about the body."""
+    algorithm = planner.algorithm.resolving(ROUGH)
+    runner = StageRunner(mission, ScpStages(planner, mission, algorithm))
+    for guess in _guesses(mission, last):
+        stage = runner.solver.solve("P3", planner.p3_rows, runner.start(guess), lambda *_: None)
+        result = PassResult(at, mission, uninterrupted(stage))
+        if result.converged:
+            break
+    return result
+
+
+def _guesses(mission: Mission, last: PassResult | None) -> Iterator[Iterate]:
+    yield ahead(mission)
+    if last is not None:
+        yield from_burns(mission, last.burns_m_s)
+    yield circular(mission, 1.0)
+    yield circular(mission, -1.0)
+
+
+def ahead(mission: Mission) -> Iterate:
+    """A steady turn about the body that begins the way in which the home orbit leads."""
+    first, last = mission.initial_state, mission.final_state[:3]
+    shorter = np.cross(first[:3], first[3:]) @ np.cross(first[:3], last) >= 0.0
+    return circular(mission, 1.0 if shorter else -1.0)
+
+
+def _to_and_fro(rows: Array, columns: Array) -> Iterator[tuple[float, float]]:
+    for number, row in enumerate(rows.tolist()):
+        yield from ((row, column) for column in columns.tolist()[:: -1 if number % 2 else 1])
+
+
+def starts(cells: Sequence[PassResult], most: int) -> list[PassResult]:
+    """Cells cheaper than all around them, the cheapest first; phases of a whole turn are around."""
+    rows, columns = (sorted({one.at.phases[k] for one in cells}) for k in (0, 1))
+    cost = np.full((len(rows), len(columns)), np.inf)
+    cell = {(rows.index(one.at.phases[0]), columns.index(one.at.phases[1])): one for one in cells}
+    for (i, j), one in cell.items():
+        cost[i, j] = one.dv_m_s
+    around = [
+        np.roll(cost, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)
+    ]
+    least = np.isfinite(cost) & np.all([cost <= other for other in around], axis=0)
+    kept = [cell[int(i), int(j)] for i, j in np.argwhere(least)]
+    return sorted(kept, key=lambda one: one.dv_m_s)[:most]

@@ -1,0 +1,207 @@
+"""From a scenario with a home orbit to the spaces of its passes, one about each lighting window."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import timedelta
+
+import numpy as np
+
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import Scene
+from scp_recon.mission.survey import survey
+from scp_recon.mission.windows import Window
+from scp_recon.passes.ring import ephemeris_ring, flown_ring, home_ring
+from scp_recon.passes.space import Pass, Space, Span, nearest_legal, unchecked
+from scp_recon.physics.two_body import two_body
+from scp_recon.scenario.boundary import Design
+from scp_recon.scenario.schema import Scenario
+
+BURNS_MAX = 8
+"""Of a design."""
+WINDOWS_MAX = 24
+"""In the span of dates; passes are planned about each."""
+WINDOW_AT = 0.43
+"""Share of the flight at which the window's middle is to begin with, as in Reconnaissance B."""
+SECOND = 1.0
+
+
+def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
+    """The spaces of a scenario's passes in order of time, and legal burn times to begin with in each.
+
+    Raises:
+        InputError: if there is no home orbit, no window in the span of dates, too many, or none about
+            which burns can be placed by the schedule's rules; and as `Mission.from_scenario`.
+    """
+    home, design = scenario.boundary.home, scenario.design or Design()
+    if home is None:
+        raise InputError("boundary.home", "nothing", "must be a home orbit for a design")
+    if scenario.in_flight is not None:
+        raise InputError("in_flight", "a flight under way", "must be left out of a design")
+    _check_size(scenario)
+    departure = design.departure_s or (0.0, 0.0)
+    arrival = design.arrival_s or (scenario.duration_s,) * 2
+    if arrival[1] <= departure[0]:
+        raise InputError(
+            "design.arrival_s", _text(arrival), f"must be after departure, {_text(departure)}"
+        )
+    axes, known = Scene.of(scenario).boundary_axes, None
+    if home.ephemeris_file is not None:
+        known = ephemeris_ring(scenario, home, axes)
+    windows = _windows(scenario, (departure[0], arrival[1]))
+    spaces = []
+    for window in windows:
+        times = _first_times(scenario, window, departure, arrival)
+        if times is not None:
+            space = _space(scenario, window, times, departure, arrival)
+            spaces.append((replace(space, ring=known or space.ring), times))
+    if not spaces:
+        raise InputError(
+            "design",
+            f"departure in {_text(departure)} and arrival in {_text(arrival)}",
+            f"must leave a legal schedule of {len(scenario.burns.times_s)} burns about a whole "
+            f"lighting window; those there: {'; '.join(map(_text, windows)) or 'none'}",
+        )
+    return spaces
+
+
+def _check_size(scenario: Scenario) -> None:
+    """Refuse a home orbit that no plan may begin on, and more burns than a design has."""
+    home, least = scenario.boundary.home, scenario.safety.radius_min_m
+    assert home is not None
+    if home.ephemeris_file is None and home.radius_m <= least:
+        raise InputError(
+            "boundary.home.radius_m",
+            f"{home.radius_m:g}",
+            f"must exceed safety.radius_min_m, {least:g} m",
+        )
+    count = len(scenario.burns.times_s)
+    if count > BURNS_MAX:
+        raise InputError(
+            "burns.times_s", f"{count} burns", f"must be at most {BURNS_MAX} in a design"
+        )
+
+
+def _windows(scenario: Scenario, span: Span) -> list[Window]:
+    given = scenario.observation.window_s
+    if given is not None:
+        return [given]
+    windows = [window.edges_s for window in survey(scenario, span).windows]
+    if len(windows) > WINDOWS_MAX:
+        raise InputError(
+            "design",
+            f"{len(windows)} lighting windows in {_text(span)}",
+            f"must have at most {WINDOWS_MAX}: shorten the span of dates",
+        )
+    return windows
+
+
+def _first_times(
+    scenario: Scenario, window: Window, departure: Span, arrival: Span
+) -> tuple[float, ...] | None:
+    """Legal times nearest to the scenario's own, moved so that the window falls where it falls there.
+
+    As many burns come before the window as there, or where that is not legal any other number.
+    """
+    times, rules = np.array(scenario.burns.times_s), scenario.schedule
+    middle = 0.5 * (window[0] + window[1])
+    begin = float(np.clip(middle - WINDOW_AT * times[-1], *departure))
+    given = (scenario.design or Design()).burn_times == "given"
+    wanted = times if given else times + begin
+    free = (departure[0], arrival[1])
+    spans = [departure, *([(t, t) for t in wanted[1:-1]] if given else [free] * (len(times) - 2))]
+    own = min(int(np.sum(wanted[1:] <= middle)), len(times) - 2)
+    for before in sorted(range(len(times) - 1), key=lambda count: abs(count - own)):
+        legal = nearest_legal(wanted.tolist(), [*spans, arrival], window, before, rules)
+        if legal is not None:
+            return legal
+    return None
+
+
+def _space(
+    scenario: Scenario,
+    window: Window,
+    times: tuple[float, ...],
+    departure: Span,
+    arrival: Span,
+) -> Space:
+    """About a window, its times past the first burn of some legal ones."""
+    home, begin = scenario.boundary.home, times[0]
+    assert home is not None
+    circle = {"flown": False, "ephemeris_file": None, "spacecraft_id": None} | {
+        f"{end}_deg": (getattr(home, f"{end}_deg")[0],) * 2 for end in ("departure", "arrival")
+    }
+    circling = unchecked(scenario, boundary={"home": home.model_copy(update=circle)})
+    fixed = at_epoch(circling, begin).replace(
+        {
+            "burns.times_s": [time - begin for time in times],
+            "observation.window_s": [edge - begin for edge in window],
+        }
+    )
+    free = (scenario.design or Design()).burn_times == "free"
+    inner = [(departure[0], arrival[1]) if free else (time, time) for time in times[1:-1]]
+    spans = [(low - begin, high - begin) for low, high in (departure, *inner, arrival)]
+    phases = [tuple(np.deg2rad(span).tolist()) for span in (home.departure_deg, home.arrival_deg)]
+    mission, axes = Mission.from_scenario(fixed), Scene.of(scenario).boundary_axes
+    gm = scenario.body.gm_m3_s2
+    ring = flown_ring(home, mission.forces, axes) if home.flown else home_ring(home, gm, axes)
+    return Space(mission, ring, mission.schedule.window_s, (phases[0], phases[1]), tuple(spans))
+
+
+def at_epoch(scenario: Scenario, shift_s: float) -> Scenario:
+    """The same scenario from a later epoch on: the body by two-body motion, given times moved along."""
+    if shift_s == 0.0:
+        return scenario
+    sun, grid = scenario.sun, scenario.grid
+    way = two_body(
+        sun.body_position_km, sun.body_velocity_km_s, (min(shift_s, 0.0), max(shift_s, 0.0))
+    )
+    velocity = (way(shift_s + SECOND) - way(shift_s - SECOND)) / (2.0 * SECOND)
+    return scenario.replace(
+        {
+            "epoch.tdb": (scenario.epoch.tdb + timedelta(seconds=shift_s)).isoformat(),
+            "sun.body_position_km": way(shift_s).tolist(),
+            "sun.body_velocity_km_s": velocity.tolist(),
+            "grid.nodes_s": [node - shift_s for node in grid.nodes_s if node >= shift_s],
+        }
+    )
+
+
+def settled(scenario: Scenario, space: Space, one: Pass) -> Scenario:
+    """A pass as a scenario of its own: boundary states and times fixed, no home orbit, nothing free."""
+    begin = one.times_s[0]
+    base = at_epoch(space.mission.scenario, begin)
+    axes = Scene.of(base).boundary_axes
+    ends = {}
+    for which, phase in zip(("initial", "final"), one.phases, strict=True):
+        position, velocity = space.ring(phase).reshape(2, 3)
+        ends[f"{which}_position_m"] = tuple((axes.T @ position).tolist())
+        ends[f"{which}_velocity_m_s"] = tuple((axes.T @ velocity).tolist())
+    times = tuple(
+        time - begin if low == high else round(time - begin, 1)
+        for time, (low, high) in zip(one.times_s, space.time_spans, strict=True)
+    )
+    window = space.window_s[0] - begin, space.window_s[1] - begin
+    fixed = unchecked(
+        base.model_copy(update={"design": None}),
+        boundary={**ends, "home": None},
+        burns={"times_s": times},
+        observation={"window_s": None},
+    )
+    if scenario.observation.window_s is not None or not _finds(fixed, window):
+        fixed = unchecked(fixed, observation={"window_s": window})
+    return Scenario.validated(fixed.model_dump(mode="json", exclude_none=True))
+
+
+def _finds(scenario: Scenario, window: Window) -> bool:
+    """Whether a mission takes this window by itself, not another one earlier in the flight."""
+    try:
+        own = Mission.from_scenario(scenario).schedule.window_s
+    except InputError:  # about an earlier window the burns break a rule
+        return False
+    return bool(np.allclose(own, window, rtol=0.0, atol=SECOND))
+
+
+def _text(span: Span) -> str:
+    return f"{span[0]:.6g} to {span[1]:.6g} s"

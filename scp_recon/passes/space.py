@@ -1,0 +1,164 @@
+"""The choices of a design: two phases on the ring and the times of all burns, within their spans.
+
+The schedule's rules are linear inequalities on the times (`timing_rules`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.optimize import linprog
+
+from formulations.arrays import Array
+from scp_recon.mission.grid import make_grid
+from scp_recon.mission.legal_burns import before_burn_s, burns_before, sun_leg_s
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Schedule
+from scp_recon.mission.windows import Window
+from scp_recon.passes.ring import Ring
+from scp_recon.scenario.schema import Scenario, ScheduleRules
+
+Span = tuple[float, float]
+
+ROOM_S = 1.0
+"""By which times that are free keep the rules, so that they may be rounded."""
+
+
+@dataclass(frozen=True)
+class Pass:
+    """One choice: phases of departure and arrival on the ring, rad, and the times of all burns.
+
+    Times are past the design's epoch, s, the first the departure's and the last the arrival's.
+    """
+
+    phases: tuple[float, float]
+    times_s: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Space:
+    """All choices with as many burns about one window, as vectors x = (phases, times / unit of time).
+
+    Attributes:
+        mission: any pass of the design; gives body, limits, units and rules.
+        ring: home orbit.
+        window_s: observation window, past the design's epoch.
+        phase_spans: least and greatest phase of departure and of arrival, rad.
+        time_spans: earliest and latest time of each burn, s; equal where it is fixed.
+    """
+
+    mission: Mission
+    ring: Ring
+    window_s: Window
+    phase_spans: tuple[Span, Span]
+    time_spans: tuple[Span, ...]
+
+    @property
+    def n_burns(self) -> int:
+        """Number of burns."""
+        return len(self.time_spans)
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Of x, shape (2 + m, 2)."""
+        return np.vstack([self.phase_spans, np.array(self.time_spans) / self.mission.units.time_s])
+
+    def rules(self, before: int) -> tuple[Array, Array]:
+        """A and b of `timing_rules` on x, A x >= b, with some room; `before` as there."""
+        rules, unit = self.mission.scenario.schedule, self.mission.units.time_s
+        matrix, least = timing_rules(self.n_burns, self.window_s, before, rules)
+        return np.pad(matrix, ((0, 0), (2, 0))), (least + ROOM_S) / unit
+
+    def before(self, times_s: tuple[float, ...]) -> int:
+        """Burns between departure and window."""
+        return burns_before(times_s, self.window_s)
+
+    def vector(self, one: Pass) -> Array:
+        """Point x of a pass."""
+        return np.r_[one.phases, np.array(one.times_s) / self.mission.units.time_s]
+
+    def at(self, x: Array) -> Pass:
+        """The pass of x."""
+        times = x[2:] * self.mission.units.time_s
+        return Pass((float(x[0]), float(x[1])), tuple(map(float, times)))
+
+    def on_grid(self, step_max_s: float) -> Space:
+        """The same space with another longest spacing of nodes."""
+        scenario = unchecked(self.mission.scenario, grid={"step_max_s": step_max_s})
+        return replace(self, mission=replace(self.mission, scenario=scenario))
+
+    def mission_of(self, one: Pass) -> Mission:
+        """The mission of a pass, unchecked, its times past the design's epoch."""
+        step = self.mission.scenario.grid.step_max_s
+        return self._on_grid(one, make_grid((*one.times_s, *self.window_s), step))
+
+    def moved(self, mission: Mission, one: Pass) -> Mission:
+        """The mission of a near pass on the grid of another one, whose nodes move along.
+
+        Nodes in the window stay, so that both have the same constraints there.
+        """
+        old = np.unique([*mission.scenario.burns.times_s, *self.window_s])
+        new = np.unique([*one.times_s, *self.window_s])
+        return self._on_grid(one, np.interp(mission.times_s, old, new))
+
+    def _on_grid(self, one: Pass, times_s: Array) -> Mission:
+        return replace(
+            self.mission,
+            scenario=unchecked(self.mission.scenario, burns={"times_s": one.times_s}),
+            initial_state=self.ring(one.phases[0]),
+            final_state=self.ring(one.phases[1]),
+            schedule=Schedule(self.window_s, (), ()),
+            times_s=times_s,
+        )
+
+
+def unchecked(scenario: Scenario, **tables: Mapping[str, object]) -> Scenario:
+    """The same scenario with other entries in some tables, neither checked nor with what follows."""
+    changed = {
+        name: getattr(scenario, name).model_copy(update=dict(entries))
+        for name, entries in tables.items()
+    }
+    return scenario.model_copy(update=changed)
+
+
+def timing_rules(
+    n_burns: int, window_s: Window, before: int, rules: ScheduleRules
+) -> tuple[Array, Array]:
+    """A and b of A t >= b, shapes (m, m) and (m,), for the times t of m burns in s.
+
+    A burn comes a cycle after the burn or the window before it: slew and recharge, then slew and
+    heating. Slew, recharge and another slew part a burn from the window after it. Echigo et al.,
+    section V.A. The window is in the burns' time; `before` counts burns between the first one and the
+    window, at most m - 2.
+    """
+    sun_leg = sun_leg_s(rules)
+    cycle = sun_leg + before_burn_s(rules)
+    rows = np.eye(n_burns - 1, n_burns, 1) - np.eye(n_burns - 1, n_burns)
+    least = np.full(n_burns - 1, cycle)
+    rows[before, before] = 0.0  # the window lies between these two
+    least[before] += window_s[1]
+    rows = np.vstack([rows, -np.eye(n_burns)[before]])
+    return rows, np.r_[least, rules.attitude_s + sun_leg - window_s[0]]
+
+
+def nearest_legal(
+    times_s: Sequence[float],
+    spans_s: Sequence[Span],
+    window_s: Window,
+    before: int,
+    rules: ScheduleRules,
+) -> tuple[float, ...] | None:
+    """Times within spans and rules, the sum of their differences from given ones the least, or None."""
+    n, wanted = len(times_s), np.array(times_s)
+    matrix, least = timing_rules(n, window_s, before, rules)
+    apart = np.vstack([np.hstack([s * np.eye(n), -np.eye(n)]) for s in (1.0, -1.0)])
+    result = linprog(
+        np.r_[np.zeros(n), np.ones(n)],
+        A_ub=np.vstack([apart, np.hstack([-matrix, np.zeros((n, n))])]),
+        b_ub=np.r_[wanted, -wanted, -least],
+        bounds=[*spans_s, *[(0.0, None)] * n],
+    )
+    return None if result.x is None else tuple(map(float, result.x[:n]))

@@ -1,0 +1,199 @@
+"""A state that orbit determination delivers in flight, and checks that it is of the plan flown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from numbers import Real
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from formulations.arrays import Array
+from scp_recon.errors import InputError, one_of, option, shortened, whole_number
+from scp_recon.mission.scene import execution_errors
+from scp_recon.replanning.flown import Prediction
+from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.scenario.schema import Scenario
+
+UNITS_RATIO_MAX = 30.0
+"""Of distances or speeds: kilometres are a thousand metres, and no flight errs by the root of that."""
+UNLIKELY = 1e-4
+"""Probability of a state as far from the prediction, below which it hardly is that of this flight."""
+SURE_SIGMAS = 5.0
+"""Multiple of a burn's errors beyond which a measurement is unlikely to be of the planned burn."""
+LEAST_SPREAD = 1e-6
+"""In units of length and speed, added to every spread: a millimetre is no contradiction."""
+
+FRAMES = ("j2000", "sun_north")
+MEASURED = option("measured_burns")
+WORDS = {
+    (6,): "six numbers, m and m/s",
+    (3,): "three numbers, m/s",
+    (6, 6): "six rows of six numbers",
+}
+
+
+def numbers(entry: str, given: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+    """An array of finite numbers.
+
+    Raises:
+        InputError: if it is none, or of another shape.
+    """
+    try:
+        array = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        array = np.full(0, np.nan)
+    if array.shape != shape or not np.isfinite(array).all():
+        words = " ".join(shortened(given).replace("\\n", " ").split())
+        raise InputError(entry, words, f"must be {WORDS[shape]}, all finite")
+    return array
+
+
+def _time(entry: str, given: object) -> float:
+    """A finite time, whatever type of number it is."""
+    if isinstance(given, Real) and not isinstance(given, bool):
+        with suppress(OverflowError):
+            if np.isfinite(time := float(given)):
+                return time
+    raise InputError(entry, shortened(given), "must be a time past the epoch, s")
+
+
+@dataclass(frozen=True, eq=False)
+class Delivery:
+    """A state in flight, as it was delivered.
+
+    Attributes:
+        at_s: time past the plan's epoch, s; burns at or before it are flown.
+        state: after them, m and m/s, body-centred, shape (6,).
+        frame: axes of state and measured burns, at the epoch.
+        covariance: m and m/s, shape (6, 6); the scenario's initial one if there is none.
+        covariance_frame: its axes.
+        measured: flown burns as telemetry saw them, m/s, shape (3,), by their number in the flight
+            from 1.
+    """
+
+    at_s: float
+    state: Array
+    frame: str = "j2000"
+    covariance: Array | None = None
+    covariance_frame: str = "j2000"
+    measured: Mapping[int, Array] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        at_s: float,
+        state: npt.ArrayLike,
+        *,
+        frame: str = "j2000",
+        covariance: npt.ArrayLike | None = None,
+        covariance_frame: str | None = None,
+        measured: Mapping[int, npt.ArrayLike] | None = None,
+    ) -> Delivery:
+        """From what a user gives, every entry checked by itself; see the attributes.
+
+        Raises:
+            InputError: naming the entry, what was given and what is allowed.
+        """
+        burns = {} if measured is None else measured
+        if not isinstance(burns, Mapping):
+            raise InputError(MEASURED, shortened(burns), "must be burns by number")
+        axes = frame if covariance_frame is None else covariance_frame
+        matrix = None if covariance is None else numbers(option("covariance"), covariance, (6, 6))
+        return cls(
+            at_s=_time(option("at_s"), at_s),
+            state=numbers(option("state"), state, (6,)),
+            frame=one_of(option("frame"), frame, FRAMES),
+            covariance=matrix,
+            covariance_frame=one_of(option("covariance_frame"), axes, (*FRAMES, "rtn")),
+            measured={n: numbers(MEASURED, burn, (3,)) for n, burn in burns.items()},
+        )
+
+    def measured_in(self, axes: Array) -> Delivery:
+        """The same with measured burns in J2000, whose axes from the frame's are given, (3, 3)."""
+        return replace(self, measured={n: axes @ burn for n, burn in self.measured.items()})
+
+    def burns_flown(self, scenario: Scenario, planned: Array) -> list[list[float]]:
+        """Every burn of the flight so far, m/s: measured, or as planned, of a plan's burns (m, 3).
+
+        Raises:
+            InputError: if a burn was measured that has not been flown.
+        """
+        before = [] if scenario.in_flight is None else list(scenario.in_flight.flown_m_s)
+        ahead = zip(scenario.burn_times_s, planned.tolist(), strict=True)
+        flown = [*before, *(burn for time, burn in ahead if time <= self.at_s)]
+        for number, burn in self.measured.items():
+            if not 1 <= whole_number(MEASURED, number, 1, 64) <= len(flown):
+                allowed = f"must be one of those flown by {self.at_s:g} s, 1 to {len(flown)}"
+                raise InputError(MEASURED, f"burn {number}", allowed)
+            flown[number - 1] = burn.tolist()
+        return [list(burn) for burn in flown]
+
+    def strange_burns(self, scenario: Scenario, planned: Array) -> Iterator[ScenarioWarning]:
+        """Measured burns that are far from those of the plan that is flown, shape (m, 3), m/s.
+
+        Raises:
+            InputError: if one is no burn of this flight in metres per second.
+        """
+        errors, first = execution_errors(scenario), scenario.burns_flown + 1
+        for number, burn in sorted(self.measured.items()):
+            if not 0 <= number - first < len(planned):
+                continue
+            expected = planned[number - first]
+            sigma = float(np.linalg.norm(errors.columns(expected[None])[0]))
+            off = float(np.linalg.norm(burn - expected))
+            size, planned_size = float(np.linalg.norm(burn)), float(np.linalg.norm(expected))
+            if size > max(UNITS_RATIO_MAX * planned_size, scenario.burns.dv_max_m_s):
+                raise InputError(
+                    MEASURED,
+                    f"burn {number} of {size:.4g}",
+                    f"must be in m/s: the plan has {planned_size:.4g} m/s then",
+                )
+            if off > SURE_SIGMAS * sigma and off > 0.0:
+                yield ScenarioWarning.of(
+                    "measured_burns",
+                    f"burn {number} {off:.3g} m/s from the one planned",
+                    f"expected at most {SURE_SIGMAS * sigma:.3g} m/s, {SURE_SIGMAS:g} sigma of its "
+                    "errors: check unit and frame",
+                )
+
+    def strange_state(
+        self, state: Array, factor: Array, predicted: Prediction, units: Array
+    ) -> Iterator[ScenarioWarning]:
+        """Hold the state against what the plan that is flown predicts for the same time.
+
+        The state (6,), m and m/s, and the factor (6, 6) of its covariance are in J2000; units (6,) are
+        those of length and speed.
+
+        Raises:
+            InputError: if it is not in metres and seconds.
+        """
+        spread = (factor @ factor.T + predicted.covariance) / np.outer(units, units)
+        spread += LEAST_SPREAD**2 * np.eye(6)
+        off = (state - predicted.state) / units
+        for part, noun, unit_name in (
+            (slice(3), "position", "m"),
+            (slice(3, 6), "velocity", "m/s"),
+        ):
+            given, expected = (float(np.linalg.norm(s[part])) for s in (state, predicted.state))
+            low, high = sorted((given, expected))
+            sigma = float(np.sqrt(np.trace(spread[part, part])))
+            if high > UNITS_RATIO_MAX * low and np.linalg.norm(off[part]) > SURE_SIGMAS * sigma:
+                raise InputError(
+                    option("state"),
+                    f"a {noun} of {given:.4g}",
+                    f"must be in {unit_name}: the plan has {expected:.4g} {unit_name} then",
+                )
+        distance2 = float(off @ np.linalg.solve(spread, off))
+        if chi2.sf(distance2, 6) < UNLIKELY:
+            apart = state - predicted.state
+            yield ScenarioWarning.of(
+                "state",
+                f"{np.linalg.norm(apart[:3]):.4g} m and {np.linalg.norm(apart[3:]):.3g} m/s from what "
+                f"the plan predicts at {self.at_s:g} s",
+                f"expected at most {np.sqrt(chi2.isf(UNLIKELY, 6)):.1f} sigma, and it is "
+                f"{np.sqrt(distance2):.1f}: check units, frame and the burns flown",
+            )

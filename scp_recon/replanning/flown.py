@@ -1,0 +1,232 @@
+"""The plan that is flown, from memory or from its file, and the state that it predicts for a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from formulations.arrays import Array, Indices
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import Iterate
+from scp_recon.errors import InputError, shortened
+from scp_recon.mission.grid import RK4_STEP_MAX_S, Units
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.scene import execution_errors
+from scp_recon.physics.flow import differentiate
+from scp_recon.physics.forces import ForceModel
+from scp_recon.planning.method import ScpMethod, scp_method
+from scp_recon.planning.plan import Plan, Provenance
+from scp_recon.results.figures import strange_times
+from scp_recon.results.read import read_solution
+from scp_recon.results.runs import resolve_run
+from scp_recon.results.solution import Solution, burns_of_plan, plan_hash
+from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.scp.status import Status
+
+PATH_ERROR_M, COVARIANCE_ERROR = 1e-2, 1e-6
+"""Of a file's nodes: in metres with speeds over one unit of time, and relative in scaled units."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """A state (6,), J2000, m and m/s, and a factor (6, c) of its covariance."""
+
+    state: Array
+    factor: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Shape (6, 6)."""
+        return self.factor @ self.factor.T
+
+    def carried(self, duration_s: float, forces: ForceModel) -> Prediction:
+        """After a coast."""
+        state, factor = self.state, self.factor
+        steps = int(np.ceil(duration_s / RK4_STEP_MAX_S))
+        for _ in range(steps):
+            arc = differentiate(state[None], np.array([duration_s / steps]), forces)
+            state, factor = arc.state[0], arc.stm[0] @ factor
+        return Prediction(state, factor)
+
+    def burnt(self, burn: Array, errors: Array, columns: Indices) -> Prediction:
+        """After a burn in m/s, shape (3,), whose errors (3, k) go into those columns of the factor."""
+        factor = self.factor.copy()
+        factor[3:, columns] += errors
+        return Prediction(self.state + np.r_[np.zeros(3), burn], factor)
+
+
+@dataclass(frozen=True, eq=False)
+class FlownPlan:
+    """A plan that is flown.
+
+    Attributes:
+        name: what the new plan's file calls it.
+        mission: its.
+        burns_m_s: its burns, shape (m, 3).
+        times_s: its nodes, shape (n,).
+        states: means there, after the burns, J2000, m and m/s, shape (n, 6).
+        factors: S with S S' the covariances there, shape (n, 6, c).
+        problem: with uncertainty, or without it.
+        method: how it was made, as far as that can be done again.
+        status: how it ended.
+        plan_hash: see `Solution.plan_hash`.
+        failed: what is not right by its file, or in it.
+        warnings: that go with it.
+    """
+
+    name: str
+    mission: Mission
+    burns_m_s: Array
+    times_s: Array
+    states: Array
+    factors: Array
+    problem: Literal["P3", "P2"]
+    method: ScpMethod
+    status: str
+    plan_hash: str
+    failed: tuple[str, ...]
+    warnings: tuple[ScenarioWarning, ...]
+
+    @classmethod
+    def of(cls, given: Plan | Solution | str | Path, name: str | None = None) -> FlownPlan:
+        """From a plan; or from a solution, or its file or folder.
+
+        What a new plan builds on, nodes and spread, is held against scenario and burns of a solution;
+        what else its file says of its verification is believed. By the name the new plan's file calls
+        it, if not by its path.
+
+        Raises:
+            InputError: if it is none of these, or cannot be used.
+        """
+        if isinstance(given, Plan):
+            return cls._of_plan(given, name or "a plan")
+        if not isinstance(given, Solution | str | Path):
+            raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
+        if isinstance(given, Solution):
+            return cls._of_solution(given, name or "a solution")
+        home = resolve_run(Path(given))  # runs/latest will point to another
+        return cls._of_solution(read_solution(home), name or str(home))
+
+    @classmethod
+    def _of_plan(cls, plan: Plan, name: str) -> FlownPlan:
+        mission, made = plan.mission, plan.provenance
+        return cls(
+            name=name,
+            mission=mission,
+            burns_m_s=plan.burns_m_s,
+            times_s=plan.times_s,
+            states=plan.states,
+            factors=plan.final.result.lin.factor * mission.units.state[:, None],
+            problem=plan.final.problem,
+            method=_method(made),
+            status=plan.status.value.name,
+            plan_hash=plan_hash(mission.scenario, burns_of_plan(plan)),
+            failed=(),
+            warnings=mission.warnings,
+        )
+
+    @classmethod
+    def _of_solution(cls, solution: Solution, name: str) -> FlownPlan:
+        mission = solution.mission
+        times = [burn.t_s for burn in solution.burns], solution.nodes.t_s
+        if strange := strange_times(mission, *times):
+            given = f"{strange[0]} that contradict its scenario"
+            raise InputError("plan", given, "must be of one plan")
+        units, states = mission.units, np.array(solution.nodes.state)
+        path = Iterate(solution.burns_m_s / units.speed_m_s, states / units.state)
+        lin = mission.dynamics.linearise(mission.problem, path)
+        failed = () if solution.verification is None else solution.verification.failed
+        return cls(
+            name=name,
+            mission=mission,
+            burns_m_s=solution.burns_m_s,
+            times_s=np.array(solution.nodes.t_s),
+            states=states,
+            factors=lin.factor * units.state[:, None],
+            problem=solution.problem,
+            method=_method(solution),
+            status=solution.status,
+            plan_hash=solution.plan_hash,
+            failed=tuple(dict.fromkeys((*failed, *_contradictions(solution, lin, units)))),
+            warnings=solution.warnings,
+        )
+
+    def columns_of(self, burn: int) -> Indices:
+        """The factors' columns of one burn's errors, those first that all burns share."""
+        problem = self.mission.problem
+        every = np.arange(problem.factor_columns)
+        return np.r_[every[problem.shared_columns], every[problem.columns_of_burn(burn)]]
+
+    def strange(self) -> Iterator[ScenarioWarning]:
+        """What a new plan has to say of it."""
+        converged = Status.CONVERGED.value.name
+        if self.failed:
+            yield ScenarioWarning.of(
+                "parent",
+                f"{self.name}, which is not verified: {', '.join(self.failed)}",
+                "expected a verified plan: the flight so far is known for sure of that only",
+            )
+        elif self.status != converged:
+            yield ScenarioWarning.of(
+                "parent", f"{self.name}, which is {self.status}", f"expected {converged}"
+            )
+
+
+def _method(made: Provenance | Solution) -> ScpMethod:
+    """As it was made, or the default: of what SCP did not make, and for a solver that is not here.
+
+    Raises:
+        InputError: if a formulation or an algorithm is not known.
+    """
+    if made.method not in (None, "scp"):
+        return scp_method()
+    try:
+        return scp_method(made.formulation, made.algorithm, made.solver)
+    except InputError:
+        return scp_method(made.formulation, made.algorithm)
+
+
+def _contradictions(solution: Solution, lin: Linearisation, units: Units) -> Iterator[str]:
+    """Parts of the nodes that contradict scenario and burns, by the verification's names."""
+    first = lin.problem.initial_state.copy()
+    if not lin.problem.coasts:
+        first[3:] += lin.iterate.burns[0]
+    off = max(np.abs(lin.defects[:-1]).max(), np.abs(lin.iterate.mean[0] - first).max())
+    if not off * units.length_m <= PATH_ERROR_M:
+        yield "max_defect"
+    expected = lin.factor @ lin.factor.swapaxes(1, 2)
+    stored = np.array(solution.nodes.covariance) / np.outer(units.state, units.state)
+    size = np.abs(expected).max(axis=(1, 2), initial=np.finfo(float).tiny)
+    if not (np.abs(stored - expected).max(axis=(1, 2)) / size).max() <= COVARIANCE_ERROR:
+        yield "covariance_error"
+
+
+def predict(flown: FlownPlan, at_s: float, measured: Mapping[int, Array]) -> Prediction:
+    """The state that a plan predicts for a time, after a burn there, with linear spread.
+
+    It starts at the plan's last node before that time or before the first measured burn, and flies from
+    there. A measured burn adds no error, and what it tells of errors that all burns share is not used:
+    the others err as before. Measured burns are by their number in the flight from 1, m/s, shape (3,).
+    """
+    scenario, forces, times = flown.mission.scenario, flown.mission.forces, flown.times_s
+    first = scenario.burns_flown + 1
+    burns = [(t, i) for i, t in enumerate(scenario.burn_times_s) if t <= at_s]
+    again = [(t, i) for t, i in burns if i + first in measured]
+    node = int(np.searchsorted(times, again[0][0] if again else at_s, side="right")) - 1
+    now, state = times[node], Prediction(flown.states[node], flown.factors[node])
+    if again:
+        errors, i = execution_errors(scenario).columns(flown.burns_m_s), again[0][1]
+        took = measured[i + first] - flown.burns_m_s[i]
+        state = state.burnt(took, -errors[i], flown.columns_of(i))
+        for time, i in burns:
+            if time > now:
+                known = measured.get(i + first)
+                burn = flown.burns_m_s[i] if known is None else known
+                kept = errors[i] if known is None else 0.0 * errors[i]
+                state = state.carried(time - now, forces).burnt(burn, kept, flown.columns_of(i))
+                now = time
+    return state.carried(at_s - now, forces)

@@ -1,1 +1,0 @@
-"""The 3-D view of the report."""

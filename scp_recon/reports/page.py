@@ -1,0 +1,236 @@
+"""The page: verdicts, charts and tables as one HTML file that needs no network."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from formulations.rows.exact import FLIGHT
+from scp_recon.errors import version_of
+from scp_recon.physics.time_scales import instant, iso_utc, shown_utc
+from scp_recon.reports.flights import SO_FAR, Shown
+from scp_recon.reports.marks import BODY, Trace, script
+from scp_recon.reports.subject import Subject
+from scp_recon.results.table import Table
+from scp_recon.scp.status import Status
+
+OWN = "scp_recon.reports"
+SHOWN = 12
+"""Digits of a plan's hash on a sheet."""
+CURSORS = ("observation", "probability", "ranges", "lighting", "resolution", "timeline", "craft")
+"""Charts over time, in which the time that the view shows is marked."""
+NOTES = {
+    "observation": "Line: planned mean. Bands: where 68.3 % and 95.4 % of the sampled flights are. "
+    "Dashed: limits.",
+    "probability": "Of sampled flights, with 95 % intervals. Shaded: observation window.",
+    "ranges": "To the surface along the line to the centre. Bands: 1 and 3 sigma (99.7 %) of the "
+    "sampled flights. Shaded: observation window.",
+    "lighting": "Certain: both follow from the body's rotation alone. Shaded: observation window.",
+    "ground": "Planned mean, body-fixed. Outlines: field of view at five times of the window, the "
+    "camera pointed to the site. Ring: the time that the 3-D view shows.",
+    "resolution": "Ground that a pixel sees at the site; along the slope it is stretched by the "
+    "emission angle. Bands: 68.3 % and 95.4 % of the flights.",
+    "timeline": "Triangles: burns. Lines below them: where each may be moved, the others kept.",
+    "budget": "Bars: planned. Whiskers: what 99 % of the executions stay below.",
+    "craft": "One flight of the spacecraft's simulation. Shaded: observation window.",
+    "convergence": "Magnitudes. Hover names stage and iteration.",
+}
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What stands at the head of the page, in words: probability required and achieved, delta-v."""
+
+    good: bool
+    word: str
+    required: str
+    achieved: str
+    cost: str
+    remarks: tuple[str, ...]
+
+
+def verdict_of(plan: Shown) -> Verdict:
+    """The verdict on a plan; one that was not verified is judged by the sampled flights."""
+    subject = plan.subject
+    solution = subject.solution
+    checked, status = solution.verification, Status.named(solution.status)
+    good = checked is not None and checked.ok and status is Status.CONVERGED
+    word = "verified" if good else "not verified"
+    if checked is None:
+        word = "not checked"
+    elif checked.failed:
+        word = f"not verified: {', '.join(checked.failed)}"
+    return Verdict(
+        good,
+        word,
+        _required(subject),
+        _achieved(plan),
+        f"{solution.total_dv_m_s:.6f} m/s in {len(solution.burns)} burns; 99 % of the flights stay "
+        f"below {plan.budget.total_high_m_s:.6f} m/s",
+        _remarks(subject, status),
+    )
+
+
+def _required(subject: Subject) -> str:
+    risk = subject.solution.scenario.risk
+    if subject.solution.problem == "P3":
+        return "no probability (P3: the problem without uncertainty)"
+    if risk.scope == "flight":
+        return f"at least {risk.p_chance:g} of whole flights keep every limit"
+    return f"every limit at every node with at least {risk.p_chance:g}"
+
+
+def _achieved(plan: Shown) -> str:
+    solution = plan.subject.solution
+    whole = solution.scenario.risk.scope == "flight"
+    checked, by = solution.verification, "sampled flights"
+    if checked is not None and checked.probabilities:
+        chosen = [p for p in checked.probabilities if (p.name == FLIGHT) == whole]
+        p = min(chosen or checked.probabilities, key=lambda p: p.estimate)
+        name, at, value, low, high = p.name, p.worst_t_s, p.estimate, p.low, p.high
+        by = f"{checked.samples} flights"
+    else:
+        fitting = (one for one in plan.achieved if (one.name == SO_FAR) == whole)
+        one = min(fitting, key=lambda one: one.value.min())
+        name, worst = one.name, int(np.argmin(one.value))
+        at, value, low, high = (x[worst] for x in (one.times_s, one.value, one.low, one.high))
+    interval = f"(95 % interval {low:.4f} to {high:.4f}, by {by})"
+    if whole:
+        return f"{value:.4f} of whole flights {interval}"
+    return f"{value:.4f} where it is least, {name} at {at:.0f} s {interval}"
+
+
+def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
+    solution = subject.solution
+    said = [] if status is Status.CONVERGED else [solution.message]
+    said += [
+        f"{name}: violated by up to {amount.max:.4g} {amount.unit}"
+        for name, amount in solution.violation.by_constraint.items()
+    ]
+    risk = solution.risk
+    if risk is not None and risk.certificate is None:
+        said.append("not certified by flights: the normal law alone promises the probability")
+    elif risk is not None and risk.certificate is not None:
+        c = risk.certificate
+        said.append(
+            f"certificate: {c.samples} flights reached {c.reached:.4f} ({c.low:.4f} to {c.high:.4f})"
+        )
+    warned = dict.fromkeys([*solution.warnings, *subject.mission.warnings])
+    said += [f"warning: {w.entry}: {w.given}; {w.expected}" for w in warned]
+    return (*said, *subject.passed_over)
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """Everything on it; tables are one tuple a plan, charts in their order, `made` is UTC."""
+
+    plans: tuple[Shown, ...]
+    tables: tuple[tuple[Table, ...], ...]
+    comparison: Table | None
+    scene: dict[str, Any]
+    charts: tuple[dict[str, Any], ...]
+    made: datetime
+
+
+def identity(page: Page) -> str:
+    """What every sheet says: scenarios, their epochs in UTC, plans, version, and when it was made."""
+    plans = "; ".join(
+        f"{s.solution.scenario.name}, "
+        f"t = 0 at {shown_utc(instant(s.solution.scenario.epoch.tdb))} UTC, "
+        f"plan {s.solution.plan_hash[:SHOWN]}"
+        for s in (plan.subject for plan in page.plans)
+    )
+    return f"{plans} | {made_by(page.made)}"
+
+
+def render(page: Page) -> str:
+    """One HTML file that needs nothing else."""
+    subjects = [plan.subject for plan in page.plans]
+    first = subjects[0]
+    data = {
+        "scene": page.scene,
+        "charts": page.charts,
+        "cursors": CURSORS,
+        "epoch_utc": iso_utc(instant(first.solution.scenario.epoch.tdb))[:23] + "Z",
+        "file": f"{first.solution.scenario.name}-{first.solution.plan_hash[:SHOWN]}",
+    }
+    return render_offline(
+        "page.html",
+        "report.js",
+        data,
+        page=page,
+        first=page.plans[0],
+        names=[subject.name for subject in subjects],
+        verdicts=map(verdict_of, page.plans),
+        title=", ".join(dict.fromkeys(s.solution.scenario.name for s in subjects)),
+        identity=identity(page),
+        notes=NOTES,
+        groups=_groups(page),
+    )
+
+
+def _groups(page: Page) -> list[tuple[str, bool, str]]:
+    """What may be shown and hidden in the view: name, whether it is shown at first, and colour."""
+    found: dict[str, tuple[bool, str]] = {}
+    for trace in page.scene["traces"]:
+        shown = trace.get("visible", True) is not False
+        colour = next((c for c in _colours(trace) if c), BODY)
+        found.setdefault(trace["meta"]["group"], (shown, colour))
+    return [(name, shown, colour) for name, (shown, colour) in found.items()]
+
+
+def _colours(trace: Trace) -> list[str | None]:
+    return [part.get("color") for part in (trace, trace.get("line", {}), trace.get("marker", {}))]
+
+
+def made_by(made: datetime) -> str:
+    """What made a page, and when."""
+    return f"scp_recon {version_of('scp_recon')} | made {made:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def render_offline(
+    template: str, javascript: str, data: Any, package: str = OWN, **shown: Any
+) -> str:
+    """A template's HTML with all that it needs; its charts are begun once it can be read.
+
+    Template and script are files in the package's `page_files`; the style and `scripts.html` are the
+    report's. The script is given `data`, the template what is `shown`.
+    """
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    loader = ChoiceLoader([PackageLoader(name, "page_files") for name in (package, OWN)])
+    pages = Environment(
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+    def text(name: str) -> str:
+        return loader.get_source(pages, name)[0]
+
+    return pages.get_template(template).render(
+        **shown,
+        css=text("report.css"),
+        js=text(javascript),
+        plotly=plotly_script(),
+        data=script(data),
+    )
+
+
+def plotly_script() -> str:
+    """Plotly's script without the loader about it.
+
+    The loader is handed all of the script as one function, which a browser therefore reads twice:
+    first to find its end, then to run it.
+    """
+    from plotly.offline import get_plotlyjs
+
+    whole = get_plotlyjs()
+    bare = re.search(r'"use strict";var Plotly=.*window\.Plotly = Plotly;', whole, re.DOTALL)
+    return whole if bare is None else whole[: whole.index("*/") + 2] + bare[0]

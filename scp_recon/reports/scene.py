@@ -1,0 +1,339 @@
+"""The 3-D view: Plotly's traces, and what the page needs to move them in time.
+
+Axes: Sun-North at the first plan's epoch, inertial, m. A trace's `meta.moves` says in what its
+coordinates are given: `body` turns with the body, `site` travels with the site, `craft`, `view` and
+`cloud` are made anew at each time; without it they stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from formulations.arrays import Array
+from scp_recon.mission.constraints import observation_limits
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.frames import sun_north_to_j2000, unit
+from scp_recon.reports.flights import Shown
+from scp_recon.reports.marks import (
+    BURN,
+    DASHES,
+    FLIGHTS,
+    GREY,
+    KEEP_IN,
+    KEEP_OUT,
+    NIGHT_TO_DAY,
+    PLANS,
+    SITE,
+    SUN,
+    VIEW,
+    Trace,
+    compact,
+    lines,
+    mesh,
+    moved,
+    spots,
+)
+from scp_recon.reports.subject import Subject
+from scp_recon.reports.surfaces import Shape, Solid, cone, shell, sphere, tube
+
+ARROW = 0.13
+"""Length of the largest burn's arrow, over the longest edge of what the paths fill."""
+ROOM = 0.04
+"""Around what is drawn, over its longest edge."""
+PATHS = 40
+"""Sampled flights whose paths are drawn, of all plans together."""
+SUN_FROM, SUN_TO = 1.15, 1.75
+"""Ends of the line to the Sun, in radii of the body."""
+X_NAME, Z_NAME = "X, to the Sun (m)", "Z, north (m)"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """From J2000 to the axes of the view, and the box that it shows.
+
+    Attributes:
+        to_j2000: shape (3, 3).
+        low_m: least of each coordinate that is in the box, shape (3,).
+        high_m: largest of each.
+        arrow_m: length of the largest burn's arrow.
+    """
+
+    to_j2000: Array
+    low_m: Array
+    high_m: Array
+    arrow_m: float
+
+    def seen(self, vectors: Array) -> Array:
+        """Vectors (..., 3) in J2000 in the view's axes."""
+        return vectors @ self.to_j2000
+
+
+def frame_of(plans: Sequence[Shown]) -> Frame:
+    """Of the first plan, with room for the mean paths of all, burns, and the safety radius.
+
+    The box ends at whole metres, as it is written: what stands on its edge is in it.
+    """
+    mission = plans[0].subject.mission
+    axes = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
+    paths = np.vstack([one.subject.positions(one.subject.fine_s) @ axes for one in plans])
+    safety = mission.scenario.safety.radius_min_m
+    low, high = np.minimum(paths.min(axis=0), -safety), np.maximum(paths.max(axis=0), safety)
+    edge = float((high - low).max())
+    bare = Frame(axes, low, high, ARROW * edge)
+    tips = np.vstack([arrows_of(bare, one.subject)[1] for one in plans])
+    low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+    low, high = np.floor(low - ROOM * edge), np.ceil(high + ROOM * edge)
+    return replace(bare, low_m=low, high_m=high)
+
+
+def arrows_of(frame: Frame, subject: Subject) -> tuple[Array, Array]:
+    """Where the burns' arrows start and end, shape (m, 3) each."""
+    solution = subject.solution
+    sizes = np.linalg.norm(solution.burns_m_s, axis=1)
+    scale = frame.arrow_m / max(float(sizes.max()), 1e-12)
+    starts = frame.seen(subject.positions(np.array([burn.t_s for burn in solution.burns])))
+    return starts, starts + scale * frame.seen(solution.burns_m_s)
+
+
+def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
+    """Traces, layout and what moves them, as the page's script takes them."""
+    frame, mission = frame_of(plans), plans[0].subject.mission
+    sites = {tuple(m.site.position_body): m for m in (one.subject.mission for one in plans)}
+    traces = [
+        *_body(frame, mission, shape),
+        *(_site(each, shape) for each in sites.values()),
+        *keep_sets(frame, plans[0].subject),
+    ]
+    for number, one in enumerate(plans):
+        traces += _plan(frame, one, number, PATHS // len(plans))
+    nodes = [one.subject.nodes_s for one in plans]
+    ends = [float(min(each[0] for each in nodes)), float(max(each[-1] for each in nodes))]
+    return {
+        "traces": traces,
+        "layout": _layout(frame, plans[0].subject, shape),
+        "motion": {
+            "rotation": _rotation(frame, mission),
+            "site": compact(mission.site.position_body, 3),
+            "site_normal": compact(mission.site.normal_body, 9),
+            "sun": [compact(frame.seen(mission.sun_direction(t)), 8) for t in ends],
+            "ends_s": ends,
+            "normals": compact(shape.normals, 3),
+            "plans": [_moving(frame, one) for one in plans],
+        },
+    }
+
+
+def _rotation(frame: Frame, mission: Mission) -> dict[str, Any]:
+    """The attitude at angle W is `axes` turned by W about their third."""
+    rotation = mission.rotation
+    still = rotation.body_to_j2000(0.0)
+    c, s = np.cos(rotation.meridian), np.sin(rotation.meridian)
+    axes = still @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+    return {
+        "axes": compact(frame.to_j2000.T @ axes, 9),
+        "meridian": rotation.meridian,
+        "rate": rotation.rate,
+        "acceleration": rotation.acceleration,
+    }
+
+
+def _moving(frame: Frame, one: Shown) -> dict[str, Any]:
+    subject, ground = one.subject, one.ground
+    times = subject.fine_s
+    legs = [[leg.mode.value, leg.start_s, leg.end_s] for leg in subject.mission.schedule.legs]
+    return {
+        "name": subject.name,
+        "t_s": compact(times, 3),
+        "position": compact(frame.seen(subject.positions(times)).T, 2),
+        "nodes_s": compact(subject.nodes_s, 3),
+        "window_s": list(subject.window_s),
+        "legs": legs,
+        "site": compact(subject.mission.site.position_body, 3),
+        "looks_s": compact(ground.looks_s, 2),
+        "outlines": compact(ground.outlines_m, 1),
+    }
+
+
+def _body(frame: Frame, mission: Mission, shape: Shape) -> list[Trace]:
+    name = mission.scenario.body.name
+    surface = mesh(shape, name, name, "", 1.0)
+    del surface["color"]
+    surface |= {
+        "intensity": [0.0] * len(shape.vertices_m),
+        "cmin": -1.0,
+        "cmax": 1.0,
+        "colorscale": NIGHT_TO_DAY,
+        "showscale": False,
+        "lighting": {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0},
+    }
+    pole = frame.seen(mission.rotation.pole) * np.array([[-1.4], [1.4]]) * shape.size_m
+    sun = frame.seen(mission.sun_direction(0.0)) * np.array([[SUN_FROM], [SUN_TO]]) * shape.size_m
+    rays = lines(sun, "to the Sun", "Sun and spin axis", SUN, width=6)
+    axis = lines(pole, "spin axis", "Sun and spin axis", GREY, dash="dash")
+    return [moved(surface, "body", lit=True), rays, axis]
+
+
+def _site(mission: Mission, shape: Shape) -> Trace:
+    """A mark on the ground with the normal there."""
+    site = mission.site
+    normal = site.position_body + np.outer([0.005, 0.35], shape.size_m * site.normal_body)
+    trace = lines(normal, f"site {mission.scenario.site.name}", "site", SITE, width=6)
+    trace["mode"] = "lines+markers"
+    trace["marker"] = {"size": [6, 0.1], "color": SITE, "symbol": "diamond"}
+    return moved(trace, "body")
+
+
+def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
+    """What positions and burns of the first plan have to keep in or out of; shown on demand."""
+    mission = subject.mission
+    scenario, site = mission.scenario, mission.site
+    limits = {limit.name: limit.value for limit in observation_limits(scenario)}
+    distances = limits["site_distance_min"], limits["site_distance_max"]
+    emissions = limits["emission_min"], limits["emission_max"]
+    keep_in = shell(site.normal_body, site.position_body, distances, emissions)
+    sun = frame.seen(mission.sun_direction(float(np.mean(mission.schedule.window_s))))
+
+    def about_the_sun(angle: float) -> Solid:
+        return cone(sun, np.zeros(3), angle, distances[1])
+
+    safety, seen = "keep out: safety radius", "keep in: distance and emission"
+    phase = about_the_sun(max(limits["phase_min"], limits["battery_observation"]))
+    lit = "keep out: phase and battery"
+    traces = [
+        mesh(sphere(scenario.safety.radius_min_m), safety, safety, KEEP_OUT, 0.16),
+        moved(mesh(keep_in, f"{seen}, in the window", seen, KEEP_IN, 0.22), "body"),
+        moved(mesh(phase, f"{lit}, in the window", f"{lit} cone", KEEP_OUT, 0.22), "site"),
+        _burn_cones(frame, subject),
+    ]
+    if "phase_max" in limits:
+        name, most = "keep in: phase at most", about_the_sun(limits["phase_max"])
+        traces.append(moved(mesh(most, name, name, KEEP_IN, 0.22), "site"))
+    return [trace | {"visible": False} for trace in traces]
+
+
+def _burn_cones(frame: Frame, subject: Subject) -> Trace:
+    """The double cone about the Sun line that every burn keeps out of."""
+    mission, burns = subject.mission, subject.solution.burns
+    times = np.array([burn.t_s for burn in burns])
+    angle = float(np.deg2rad(mission.scenario.battery.delta_v_cone_deg))
+    places, suns = subject.positions(times), mission.sun_direction(times)
+    parts = [
+        cone(side * unit(frame.seen(sun)), at, angle, frame.arrow_m)
+        for at, sun in zip(frame.seen(places), suns, strict=True)
+        for side in (1.0, -1.0)
+    ]
+    name = "keep out: burns' battery cones"
+    return mesh(Solid.joined(parts), name, name, KEEP_OUT, 0.22)
+
+
+def _plan(frame: Frame, one: Shown, number: int, flights: int) -> list[Trace]:
+    subject, colour = one.subject, PLANS[number]
+    name, times = subject.name, subject.fine_s
+    path = frame.seen(subject.positions(times))
+    first, last = subject.mission.schedule.window_s
+    seen = (times >= first) & (times <= last)
+    edge = {"color": "#ffffff", "width": 2}
+    dot = {"size": 7, "color": colour, "symbol": "circle", "line": edge}
+    craft = spots(path[:1], f"{name}: spacecraft", "spacecraft", **dot)
+    view = lines(path[:1], f"{name}: field of view", "field of view", VIEW, width=4)
+    return [
+        lines(path, name, "planned path", colour, width=5, dash=DASHES[number]),
+        lines(path[seen], f"{name}: window", "observation window", colour, width=11),
+        *_sampled(frame, one, number, flights),
+        *_tubes(frame, subject, number),
+        *_burns(frame, subject),
+        moved(craft, "craft", plan=number),
+        moved(view, "view", plan=number),
+    ]
+
+
+def _sampled(frame: Frame, one: Shown, number: int, flights: int) -> list[Trace]:
+    """Paths of some flights at the nodes, broken between them; and where they are at a time."""
+    nodes = np.isin(one.flown.times_s, one.subject.mission.times_s)
+    paths = frame.seen(one.flown.positions[nodes][:, :flights]).swapaxes(0, 1)
+    broken = np.concatenate([paths, np.full((len(paths), 1, 3), np.nan)], axis=1).reshape(-1, 3)
+    name, group = f"{one.subject.name}: {len(paths)} sampled flights", "sampled flights"
+    drawn = lines(broken, name, group, FLIGHTS[number], width=1)
+    marker = {"size": 2.5, "color": PLANS[number], "opacity": 0.6}
+    cloud = spots(paths[:, 0], f"{name}, now", group, **marker)
+    for trace in (drawn, cloud):
+        trace["hoverinfo"] = "skip"
+    return [moved(drawn, "", paths=number), moved(cloud, "cloud", plan=number)]
+
+
+def _tubes(frame: Frame, subject: Subject, number: int) -> list[Trace]:
+    states = np.array(subject.solution.nodes.state)
+    covariance = np.array(subject.solution.nodes.covariance)[:, :3, :3]
+    turned = frame.to_j2000.T @ covariance @ frame.to_j2000
+    path = frame.seen(states[:, :3])
+    apart = np.linalg.norm(np.gradient(path, axis=0), axis=1) > 0.0
+    traces = []
+    for sigmas, opacity in ((1, 0.3), (3, 0.14)):
+        solid = tube(path[apart], turned[apart], sigmas)
+        name, group = f"{subject.name}: {sigmas} sigma", f"{sigmas} sigma tube"
+        trace = mesh(solid, name, group, PLANS[number], opacity)
+        traces.append(trace | {"visible": sigmas == 3})
+    return traces
+
+
+def _burns(frame: Frame, subject: Subject) -> list[Trace]:
+    """An arrow from where each is, as long as it is large."""
+    starts, ends = arrows_of(frame, subject)
+    gaps, name = np.full_like(starts, np.nan), f"{subject.name}: burns"
+    shafts = np.stack([starts, ends, gaps], axis=1).reshape(-1, 3)
+    tips = spots(ends, name, "burns", size=5, color=BURN, symbol="diamond")
+    return [lines(shafts, name, "burns", BURN, width=7), tips]
+
+
+def _layout(frame: Frame, subject: Subject, shape: Shape) -> dict[str, Any]:
+    # What is written stands in annotations: letters in WebGL would take longer than all the rest.
+    ends = zip("xyz", compact(frame.low_m, 0), compact(frame.high_m, 0), strict=True)
+    axes = {f"{x}axis": {"title": {"text": ""}, "range": [a, b], "nticks": 4} for x, a, b in ends}
+    # One scale for all axes and for good: "data" would take another when a set is shown.
+    size = frame.high_m - frame.low_m
+    camera = {
+        "eye": {"x": 1.5, "y": -1.25, "z": 0.5},
+        "center": {"x": 0, "y": 0, "z": -0.15},  # the X axis's name is below the box
+        "up": {"x": 0, "y": 0, "z": 1},
+    }
+    return {
+        "scene": {
+            **axes,
+            "aspectmode": "manual",
+            "aspectratio": dict(zip("xyz", compact(size / np.cbrt(size.prod()), 6), strict=True)),
+            "camera": camera,
+            "dragmode": "orbit",
+            "annotations": _words(frame, subject, shape),
+        },
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "showlegend": False,
+    }
+
+
+def _words(frame: Frame, subject: Subject, shape: Shape) -> list[dict[str, Any]]:
+    """Names of axes, Sun, north, and the first plan's burns."""
+    mission, low, high = subject.mission, frame.low_m, frame.high_m
+    middle = 0.5 * (low + high)
+    named: list[tuple[Any, str]] = [
+        ((middle[0], low[1], low[2]), X_NAME),
+        ((high[0], middle[1], low[2]), "Y (m)"),
+        ((low[0], low[1], middle[2]), Z_NAME),
+        (SUN_TO * shape.size_m * frame.seen(mission.sun_direction(0.0)), "Sun"),
+        (1.5 * shape.size_m * frame.seen(mission.rotation.pole), "N"),
+    ]
+    sizes = 1000.0 * np.linalg.norm(subject.solution.burns_m_s, axis=1)
+    burns = zip(arrows_of(frame, subject)[1], sizes, strict=True)
+    first = 1 + mission.scenario.burns_flown
+    named += [(at, f"{number}: {size:.1f} mm/s") for number, (at, size) in enumerate(burns, first)]
+    found = []
+    for at, text in named:
+        where = dict(zip("xyz", compact(np.array(at), 1), strict=True))
+        # The first two are at the view's left: to their right there is room.
+        anchor = "left" if text in (X_NAME, Z_NAME) else "center"
+        style = {"showarrow": False, "yshift": 10, "xanchor": anchor, "font": {"size": 12}}
+        found.append(where | {"text": text} | style)
+    return found

@@ -1,0 +1,245 @@
+"""Surfaces that pages draw: the body, tubes about paths, cones, shells and spheres.
+
+The body is its shape file, or its ellipsoid, or a sphere through the site.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from formulations.arrays import Array, Indices
+from formulations.problem.regions import perpendicular
+from scp_recon.bodies.shape_file import read_shape
+from scp_recon.bodies.surface import Mesh
+from scp_recon.errors import InputError
+from scp_recon.physics.frames import unit
+from scp_recon.scenario.schema import Scenario
+
+TURNS = 36
+"""Parts of a full turn."""
+RING = 14
+"""Points of a tube's cross section."""
+FACETS_MAX = 12_000
+"""Of a mesh as it is drawn: more would make the file heavy and the view slow."""
+ACROSS, DOWN = 72, 36
+"""Parts of an ellipsoid in longitude and latitude."""
+NEIGHBOURS = 3
+"""Vertices between which the radius along a direction is averaged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """Triangles: vertices (n, 3) in m, and their corners (m, 3)."""
+
+    vertices_m: Array
+    facets: Indices
+
+    @classmethod
+    def joined(cls, solids: list[Solid]) -> Solid:
+        """Several as one."""
+        starts = np.cumsum([0, *(len(solid.vertices_m) for solid in solids[:-1])])
+        return cls(
+            np.vstack([solid.vertices_m for solid in solids]),
+            np.vstack([s.facets + start for s, start in zip(solids, starts, strict=True)]),
+        )
+
+
+def _sheet(rows: int, columns: int) -> Indices:
+    """Facets of a sheet of points, closed across."""
+    here = np.arange(columns)
+    there = (here + 1) % columns
+    facets = []
+    for k in range(rows - 1):
+        low, high = k * columns, (k + 1) * columns
+        facets.append(np.column_stack([low + here, low + there, high + here]))
+        facets.append(np.column_stack([low + there, high + there, high + here]))
+    return np.vstack(facets)
+
+
+def tube(path: Array, covariance: Array, sigmas: float) -> Solid:
+    """Around a path, the ellipses of the position's covariance across it.
+
+    Args:
+        path: m, shape (n, 3), of points apart from each other.
+        covariance: of the position in the same axes, m^2, shape (n, 3, 3).
+        sigmas: semi-axes over standard deviations.
+    """
+    plane = planes_along(path)
+    across = plane @ covariance @ np.swapaxes(plane, 1, 2)
+    values, vectors = np.linalg.eigh(across)
+    # The symmetric root: it turns no faster than the covariance does, so that rings do not twist.
+    sizes = np.sqrt(np.maximum(values, 0.0))[:, None]
+    root = (vectors * sizes) @ np.swapaxes(vectors, 1, 2)
+    turn = np.arange(RING) * 2.0 * np.pi / RING
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    rings = sigmas * np.einsum("nij,jk,nil->nkl", root, circle, plane)
+    return Solid((path[:, None] + rings).reshape(-1, 3), _sheet(len(path), RING))
+
+
+def planes_along(path: Array) -> Array:
+    """Two unit vectors across a path (n, 3), carried along it without a turn: shape (n, 2, 3).
+
+    Each pair is the one before, less what of it lies along the path there.
+    """
+    along = unit(np.gradient(path, axis=0))
+    planes = []
+    side = perpendicular(along[:1])[0]
+    for direction in along:
+        left = side - (side @ direction) * direction
+        side = left / np.linalg.norm(left)
+        planes.append(np.stack([side, np.cross(direction, side)]))
+    return np.array(planes)
+
+
+def revolved(profile: Array, axis: Array, apex: Array) -> Solid:
+    """A profile of points (along, across) turned about an axis through an apex, m, shape (k, 2)."""
+    axis = unit(axis)
+    side = perpendicular(axis[None])[0]
+    turn = np.arange(TURNS) * 2.0 * np.pi / TURNS
+    rim = np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(axis, side)
+    points = profile[:, :1, None] * axis + profile[:, 1:, None] * rim
+    return Solid(apex + points.reshape(-1, 3), _sheet(len(profile), TURNS))
+
+
+def sphere(radius: float) -> Solid:
+    """About the origin, m."""
+    angle = np.linspace(0.0, np.pi, TURNS // 2 + 1)
+    profile = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return revolved(profile, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+
+
+def cone(axis: Array, apex: Array, half_angle: float, length: float) -> Solid:
+    """The lateral surface of a cone; its edge is at `length` from the apex, m."""
+    edge = length * np.array([np.cos(half_angle), np.sin(half_angle)])
+    return revolved(np.array([[0.0, 0.0], edge]), axis, apex)
+
+
+def shell(
+    axis: Array, apex: Array, distances: tuple[float, float], angles: tuple[float, float]
+) -> Solid:
+    """All points at distances and at angles from the axis, seen from the apex: m and rad."""
+    (near, far), (narrow, wide) = distances, angles
+    sweep = np.linspace(narrow, wide, 9)
+    arc = np.column_stack([np.cos(sweep), np.sin(sweep)])
+    profile = np.vstack([near * arc, far * arc[::-1], near * arc[:1]])
+    return revolved(profile, axis, apex)
+
+
+@dataclass(frozen=True, eq=False)
+class Shape(Solid):
+    """A body's surface, body-fixed, its facets turning outward.
+
+    Attributes:
+        description: what it is of.
+        radius: how far it is from the centre along unit directions, m, (..., 3) to (...); of a mesh
+            averaged between the nearest vertices of the file.
+    """
+
+    description: str
+    radius: Callable[[Array], Array]
+
+    @property
+    def size_m(self) -> float:
+        """Largest distance from the centre."""
+        return float(np.linalg.norm(self.vertices_m, axis=1).max())
+
+    @property
+    def normals(self) -> Array:
+        """Unit outward normals at the vertices: of the facets around, by their area; shape (n, 3)."""
+        a, b, c = np.moveaxis(self.vertices_m[self.facets], 1, 0)
+        areas = np.cross(b - a, c - a)
+        sums = np.zeros_like(self.vertices_m)
+        for corner in self.facets.T:
+            np.add.at(sums, corner, areas)
+        lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+        return np.where(lengths > 0.0, sums / np.maximum(lengths, 1e-300), unit(self.vertices_m))
+
+
+def shape_of(scenario: Scenario) -> Shape:
+    """What is known of the body's shape; a file that is no longer there is said to be missing."""
+    body, site = scenario.body, scenario.site
+    missing = ""
+    if body.shape_file is not None:
+        try:
+            mesh = read_shape(Path(body.shape_file), body.shape_unit)
+        except InputError:
+            missing = " (its shape file is not to be read here)"
+        else:
+            return _of_mesh(mesh)
+    if body.radii_m is not None:
+        axes = " x ".join(f"{radius:g}" for radius in body.radii_m)
+        return ellipsoid(np.array(body.radii_m), f"ellipsoid of semi-axes {axes} m{missing}")
+    size = float(np.linalg.norm(site.position_body_m))
+    return ellipsoid(np.full(3, size), f"sphere of {size:g} m through the site{missing}")
+
+
+def ellipsoid(radii_m: Array, description: str) -> Shape:
+    """By semi-axes along x, y and z, m."""
+    longitude = np.arange(ACROSS) * 2.0 * np.pi / ACROSS
+    latitude = (np.arange(1, DOWN) / DOWN - 0.5) * np.pi
+    ring = np.stack([np.cos(longitude), np.sin(longitude)], axis=1)
+    belts = [np.column_stack([np.cos(b) * ring, np.full(ACROSS, np.sin(b))]) for b in latitude]
+    directions = np.vstack([*belts, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    here, there = np.arange(ACROSS), (np.arange(ACROSS) + 1) % ACROSS
+    south, north = np.full((2, ACROSS), [[len(directions) - 2], [len(directions) - 1]])
+    top = (DOWN - 2) * ACROSS
+    caps = [
+        np.column_stack([south, there, here]),
+        np.column_stack([north, top + here, top + there]),
+    ]
+    facets = np.vstack([caps[0], _sheet(DOWN - 1, ACROSS), caps[1]])
+
+    def radius(directions: Array) -> Array:
+        return 1.0 / np.linalg.norm(directions / radii_m, axis=-1)
+
+    return Shape(directions * radii_m, facets, description, radius)
+
+
+def _of_mesh(mesh: Mesh) -> Shape:
+    vertices, facets = mesh.vertices_m, mesh.facets
+    description = f"shape file of {len(facets)} facets"
+    used = vertices[np.unique(facets)]
+    sizes = np.linalg.norm(used, axis=1)
+    tree = cKDTree(unit(used))
+
+    def radius(directions: Array) -> Array:
+        apart, nearest = tree.query(unit(directions), k=min(NEIGHBOURS, len(sizes)))
+        weights = 1.0 / np.maximum(apart, 1e-9)
+        return np.sum(weights * sizes[nearest], axis=-1) / weights.sum(axis=-1)
+
+    parts = 40
+    drawn = vertices, facets
+    while len(drawn[1]) > FACETS_MAX and parts > 4:
+        drawn = clustered(vertices, facets, parts)
+        parts = parts * 9 // 10
+    if len(drawn[1]) < len(facets):
+        description += f", drawn with {len(drawn[1])}"
+    return Shape(drawn[0], _outward(*drawn), description, radius)
+
+
+def clustered(vertices: Array, facets: Indices, parts: int) -> tuple[Array, Indices]:
+    """A mesh with all vertices of a cell made one: Rossignac and Borrel 1993.
+
+    Vertices (n, 3), facets (m, 3); the longest side has so many parts, each a cell.
+    """
+    low = vertices.min(axis=0)
+    cell = np.floor((vertices - low) / (np.ptp(vertices, axis=0).max() / parts)).astype(np.intp)
+    _, which, counts = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    sums = np.zeros((len(counts), 3))
+    np.add.at(sums, which.ravel(), vertices)
+    merged = which.ravel()[facets]
+    a, b, c = merged.T
+    whole = merged[(a != b) & (b != c) & (c != a)]
+    _, first = np.unique(np.sort(whole, axis=1), axis=0, return_index=True)
+    return sums / counts[:, None], whole[np.sort(first)]
+
+
+def _outward(vertices: Array, facets: Indices) -> Indices:
+    """With the corners so ordered that the volume about the origin is positive."""
+    a, b, c = np.moveaxis(vertices[facets], 1, 0)
+    return facets if np.einsum("ni,ni->", a, np.cross(b, c)) >= 0.0 else facets[:, ::-1]

@@ -1,0 +1,325 @@
+"""The tables of a plan: burns, margins, verification, iterations, flights, simulation.
+
+Each is built here once; the terminal shows it, the report has it on its page, and its values are those
+of the files to the last digit.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from scp_recon.mission.constraints import limits_in_words
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.physics.time_scales import instant, shown_utc
+from scp_recon.planning.plan import Starts
+from scp_recon.results.facts import IterationRecord, Verification
+from scp_recon.results.solution import Solution
+from scp_recon.results.table import Cell, Column, Table
+from scp_recon.verification.reintegration import FIGURES, limits_of
+
+if TYPE_CHECKING:
+    from scp_recon.monte_carlo.summary import Interval, Summary
+    from scp_recon.simulation.record import FlightSummary
+
+AT = Column("at", "s", ".0f")
+ITERATION_COLUMNS = (
+    "stage",
+    "k",
+    Column("merit", "m/s", ".6f"),
+    Column("predicted", "m/s", ".2e"),
+    Column("actual", "m/s", ".2e"),
+    "step",
+    Column("radius", "m/s", ".1e"),
+    Column("violation", "m", ".1e"),
+    Column("defect", "m", ".1e"),
+    Column("solver", "s", ".3f"),
+)
+STARTS_NAMED = 6
+"""Starts of a local optimum that are listed by number."""
+
+
+def burns_table(solution: Solution) -> Table:
+    """Times, components along J2000 and sizes of the burns."""
+    start = solution.scenario.epoch.tdb
+    return Table.of(
+        "Burns, J2000",
+        (
+            "burn",
+            Column("time", "s"),
+            "UTC",
+            *(Column(axis, "m/s", "+.6f") for axis in "xyz"),
+            Column("size", "m/s", ".6f"),
+        ),
+        (
+            [
+                str(number),
+                burn.t_s,
+                shown_utc(instant(start, burn.t_s)),
+                *burn.dv_m_s,
+                float(np.linalg.norm(burn.dv_m_s)),
+            ]
+            for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown)
+        ),
+        key="burns",
+    )
+
+
+def constraints_table(solution: Solution) -> Table:
+    """Worst margins at the nodes; and what is violated without having one, as the final state is."""
+    by, violated = Column("violated by"), solution.violation.by_constraint
+    amounts = {name: by.cell(amount.max, "bad") for name, amount in violated.items()}
+    worst = "worst chance margin" if solution.problem == "P2" else "worst margin"
+    rows = [
+        [
+            c.name,
+            c.kind.replace("_", " "),
+            c.worst_margin,
+            c.unit,
+            c.worst_t_s,
+            c.facets or None,
+            amounts.pop(c.name, None),
+        ]
+        for c in solution.constraints
+    ]
+    rows += [
+        [name, "", None, violated[name].unit, None, None, cell] for name, cell in amounts.items()
+    ]
+    return Table.of(
+        "Margins at the nodes",
+        ("constraint", "kind", Column(worst, form="+.4f"), "unit", AT, "facets", by),
+        rows,
+        key="constraints",
+        note="A margin of 0 or more is satisfied.",
+    )
+
+
+def mean_margins_table(mission: Mission, v: Verification) -> Table:
+    """Worst margins of the original constraints on the mean, each beside its limit."""
+    limits = limits_in_words(mission.scenario)
+    rows = []
+    for m in v.mean_margins:
+        scale, unit = (float(np.rad2deg(1.0)), "deg") if m.unit == "rad" else (1.0, m.unit)
+        rows.append([m.name, limits.get(m.name, ""), scale * m.worst_margin, unit, m.worst_t_s])
+    return Table.of(
+        "Margins of the mean, between the nodes too",
+        (
+            "original constraint on the mean",
+            "asked",
+            Column("worst margin", form="+.4f"),
+            "unit",
+            AT,
+        ),
+        rows,
+        key="mean_margins",
+    )
+
+
+def reintegration_table(mission: Mission, v: Verification) -> Table:
+    """What a flight by another integrator differs by; no limit where it is not judged."""
+    limits = limits_of(mission)
+    return Table.of(
+        "Integrated again without the solver",
+        ("re-integrated", Column("off by", form=".1e"), Column("allowed", form=".1e"), "unit"),
+        (
+            [
+                name,
+                getattr(v, figure),
+                limits[figure] if np.isfinite(limits[figure]) else None,
+                unit or "1",
+            ]
+            for figure, (name, unit) in FIGURES.items()
+        ),
+        key="reintegration",
+    )
+
+
+def probabilities_table(v: Verification, required: float) -> Table:
+    """Lowest probabilities of the joint constraints, with their intervals."""
+    return Table.of(
+        "Lowest probabilities, by the verification's flights",
+        (
+            "joint constraint",
+            *(Column(name, form=".4f") for name in ("lowest probability", "low", "high")),
+            AT,
+            Column("asked", form="g"),
+        ),
+        ([p.name, p.estimate, p.low, p.high, p.worst_t_s, required] for p in v.probabilities),
+        key="probabilities",
+        note=f"Monte Carlo, {v.samples} flights, {100 * v.confidence:.0f} % intervals.",
+    )
+
+
+def starts_table(starts: Starts) -> Table:
+    """The distinct local optima of several starts."""
+    return Table.of(
+        "Local optima",
+        (
+            f"local optima of {starts.number} starts, seed {starts.seed}",
+            Column("delta-v", "m/s", ".6f"),
+            "starts",
+            "which",
+        ),
+        (
+            [
+                f"{optimum.problem} {optimum.status}",
+                optimum.total_dv_m_s,
+                len(optimum.starts),
+                ", ".join(map(str, optimum.starts[:STARTS_NAMED]))
+                + (", ..." if len(optimum.starts) > STARTS_NAMED else ""),
+            ]
+            for optimum in starts.optima
+        ),
+    )
+
+
+def observation_times_table(summary: Summary) -> Table:
+    """How long flights observe, in seconds, and the probability that a limit holds throughout."""
+    return Table.of(
+        "Observation times",
+        ("time held", *(Column(name, "s") for name in ("mean", "worst 1 sigma", "worst 2 sigma")),
+         Column("throughout", "1")),
+        (
+            [
+                called(name),
+                *(
+                    interval_cell(x, 1, "\n")
+                    for x in (held.mean, held.worst_1_sigma, held.worst_2_sigma)
+                ),
+                interval_cell(held.throughout, 4, "\n"),
+            ]
+            for name, held in summary.held_s.items()
+        ),
+        key="flights",
+        note=f"{summary.samples} flights, seed {summary.seed}, truth: {summary.truth}, "
+        f"{summary.errors} errors, as in montecarlo.json.",
+    )  # fmt: skip
+
+
+def flown_probabilities_table(summary: Summary, required: float | None) -> Table:
+    """Lowest probabilities of the joint constraints and of whole flights, with their intervals."""
+    rows: list[list[object]] = [
+        [
+            called(name),
+            interval_cell(lowest, 4),
+            lowest.worst_t_s,
+            None if name == ALL else required,
+        ]
+        for name, lowest in summary.probability.items()
+    ]
+    if summary.whole_flight is not None:
+        rows.append(
+            ["all limits, whole flight", interval_cell(summary.whole_flight, 4), None, None]
+        )
+    columns = ("joint constraint", "lowest probability", AT, Column("asked", form="g"))
+    return Table.of("Lowest probabilities", columns, rows)
+
+
+def called(constraint: str) -> str:
+    """A constraint's name in a table of flights."""
+    return "all at once" if constraint == ALL else constraint
+
+
+def interval_cell(interval: Interval, digits: int, gap: str = " ") -> Cell:
+    """A value, with its interval if it has both ends."""
+    text = f"{interval.estimate.value:.{digits}f}"
+    if interval.low is not None and interval.high is not None:
+        text += f"{gap}({interval.low:.{digits}f} to {interval.high:.{digits}f})"
+    return Cell(text, interval.value)
+
+
+def simulated_burns_table(summary: FlightSummary) -> Table:
+    """Burns as planned and as the spacecraft's simulation executed them."""
+    return Table.of(
+        f"Burns in the simulation ({summary.vehicle}, seed {summary.seed})",
+        (
+            "burn",
+            AT,
+            *(Column(name, "m/s", ".6f") for name in ("planned", "executed")),
+            *(Column(name, "deg", ".3f") for name in ("off at start", "off")),
+        ),
+        (
+            [
+                str(number),
+                burn.t_s,
+                *(float(np.linalg.norm(dv)) for dv in (burn.planned_m_s, burn.executed_m_s)),
+                burn.pointing_deg,
+                burn.executed_pointing_deg,
+            ]
+            for number, burn in enumerate(summary.burns, start=1)
+        ),
+        key="simulated_burns",
+    )
+
+
+def legs_table(summary: FlightSummary) -> Table:
+    """Attitude modes as they were flown, and what is wrong with any."""
+    rows = []
+    for leg in summary.legs:
+        faults = ("" if leg.ok else " too short") + (
+            "" if leg.settled_in_time else " not steady in time"
+        )
+        settled = "never" if leg.settled_s is None else leg.settled_s
+        rows.append([leg.mode + faults, leg.start_s, leg.duration_s, leg.required_s, settled])
+    times = ("from", "for", "at least", "steady after")
+    return Table.of("Attitude modes", ("mode", *(Column(name, "s", ".0f") for name in times)), rows)
+
+
+def simulated_table(summary: FlightSummary) -> Table:
+    """Charge, pointing and final state in the spacecraft's simulation."""
+    miss = summary.terminal_miss
+    rows = (
+        ("least state of charge", 100.0 * summary.least_charge, ".1f", "%"),
+        ("floor of it", 100.0 * summary.floor_charge, ".1f", "%"),
+        ("camera off the site, 99.7 %", summary.window_pointing_deg.site.q997, ".3f", "deg"),
+        ("final position off the mean", miss.position_m, ".1f", "m"),
+        ("final velocity off the mean", miss.velocity_m_s, ".4f", "m/s"),
+        ("largest distance in the planned spread", summary.largest_sigma_distance, ".2f", "sigma"),
+        ("momentum dumps", summary.dumps, "d", ""),
+    )
+    return Table.of(
+        f"In the simulation ({summary.vehicle}, seed {summary.seed})",
+        ("figure", "value", "unit"),
+        ([name, Cell(format(value, form), value), unit] for name, value, form, unit in rows),
+        key="simulated",
+    )
+
+
+def stages_table(solution: Solution) -> Table:
+    """How each stage of planning ended."""
+    return Table.of(
+        "Stages",
+        ("stage", "status", "iterations", Column("total delta-v", "m/s", ".6f")),
+        ([s.name, s.status, s.iterations, s.total_dv_m_s] for s in solution.stages),
+        key="stages",
+    )
+
+
+def iteration_row(r: IterationRecord) -> list[object]:
+    """A row of `ITERATION_COLUMNS`."""
+    return [
+        r.stage,
+        r.k,
+        r.merit,
+        r.predicted,
+        r.actual,
+        "accepted" if r.accepted else "rejected",
+        r.trust_radius,
+        r.max_violation,
+        r.max_defect,
+        r.solver_s,
+    ]
+
+
+def iterations_table(solution: Solution) -> Table:
+    """Every iteration of every stage."""
+    return Table.of(
+        "Iterations",
+        ITERATION_COLUMNS,
+        map(iteration_row, solution.iterations),
+        key="iterations",
+        note="Merit: total delta-v plus penalties. Violation and defect: velocities count as metres "
+        "per unit of time.",
+    )

@@ -1,0 +1,141 @@
+"""From plans to the file: everything worked out, put on the page, written whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from scp_recon.errors import InputError, imported, option
+from scp_recon.files import unwritable, write_atomically
+from scp_recon.reports import charts, tables
+from scp_recon.reports.charts import history_chart
+from scp_recon.reports.flights import (
+    Budget,
+    Shown,
+    budget_table,
+    lighting_histories,
+    observation_histories,
+    range_histories,
+    resolution_histories,
+)
+from scp_recon.reports.ground import Camera
+from scp_recon.reports.page import Page, render
+from scp_recon.reports.scene import scene
+from scp_recon.reports.subject import Subject, subjects_of
+from scp_recon.reports.surfaces import shape_of
+from scp_recon.results.comparison import compare
+from scp_recon.results.solution import Solution
+from scp_recon.results.table import Table
+
+FILE_NAME, UNVERIFIED_NAME = "report.html", "report_unverified.html"
+"""Beside a plan, and beside one that a verified one keeps from its place."""
+
+
+def check_extra() -> None:
+    """Find out before the work whether the report can be made.
+
+    Raises:
+        InputError: if not.
+    """
+    imported("report", "report", "plotly", "jinja2")
+
+
+def write_report(
+    given: Sequence[Solution | Path],
+    file: Path,
+    camera: Camera | None = None,
+    now: Callable[[], datetime] = lambda: datetime.now(UTC),
+) -> Path:
+    """Write the report of some plans.
+
+    Args:
+        given: solutions, their files or folders; what lies beside a file of the same plan is shown too.
+        file: to write; ends in .html.
+        camera: whose view is laid on the ground; DARE's by default.
+        now: the clock, UTC.
+
+    Raises:
+        InputError: if an extra is missing, a plan cannot be read, or the file cannot be written.
+    """
+    check_extra()
+    if file.is_dir() or file.suffix.lower() not in (".html", ".htm"):
+        raise InputError(option("out"), str(file), "must be a file that ends in .html")
+    page = page_of(subjects_of(given), camera or Camera(), now())
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        return write_atomically(file, render(page))
+    except OSError as error:
+        raise unwritable(file.parent, option("out"), error) from None
+
+
+def page_of(subjects: Sequence[Subject], camera: Camera, made: datetime) -> Page:
+    """All that the page shows."""
+    shape = shape_of(subjects[0].solution.scenario)
+    plans = [Shown.of(subject, shape, camera) for subject in subjects]
+    comparison = compare([s.name for s in subjects], [s.solution for s in subjects]).table
+    return Page(
+        plans=tuple(plans),
+        tables=tuple(tuple(tables_of(plan.subject, plan.budget)) for plan in plans),
+        comparison=comparison if len(subjects) > 1 else None,
+        scene=scene(plans, shape),
+        charts=tuple(_charts(plans)),
+        made=made,
+    )
+
+
+def tables_of(subject: Subject, budget: Budget) -> list[Table]:
+    """The tables of a plan, those that have any rows."""
+    solution, mission = subject.solution, subject.mission
+    burns, v = tables.burns_table(solution), solution.verification
+    total = burns.columns[-1].cell(solution.total_dv_m_s)
+    found = [burns.with_rows([["total", "", "", "", "", "", total]]), budget_table(budget)]
+    if v is not None:
+        found.append(tables.probabilities_table(v, solution.scenario.risk.p_chance))
+    found.append(tables.constraints_table(solution))
+    if v is not None:
+        found.append(tables.mean_margins_table(mission, v))
+        found.append(tables.reintegration_table(mission, v))
+    found += [tables.stages_table(solution), tables.iterations_table(solution)]
+    if subject.summary is not None:
+        found.append(tables.observation_times_table(subject.summary))
+    if subject.record is not None:
+        flown = subject.record.summary
+        found += [tables.simulated_burns_table(flown), tables.simulated_table(flown)]
+    return [each for each in found if each.rows]
+
+
+def _charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
+    """In the order of the page."""
+    subjects = [plan.subject for plan in plans]
+    observes = any(len(plan.flown.window) for plan in plans)  # none does after the window
+    if observes:
+        yield history_chart(
+            "observation",
+            "Constraints of the observation, in the window",
+            plans,
+            observation_histories,
+        )
+    yield charts.probability_chart(plans)
+    yield history_chart(
+        "ranges", "Range to the surface and to the centre", plans, range_histories, marked=True
+    )
+    yield history_chart(
+        "lighting",
+        "Incidence and local solar time at the site",
+        plans,
+        lighting_histories,
+        marked=True,
+    )
+    yield charts.ground_chart(plans)
+    if observes:
+        yield history_chart(
+            "resolution", "Resolution at the site, in the window", plans, resolution_histories
+        )
+    yield charts.timeline_chart(subjects)
+    yield charts.budget_chart(plans)
+    simulated = charts.craft_chart(subjects)
+    if simulated is not None:
+        yield simulated
+    yield charts.convergence_chart(subjects)

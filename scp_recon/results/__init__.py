@@ -1,0 +1,1 @@
+"""Stored plans: facts, figures, files, tables, comparison and folders of runs."""

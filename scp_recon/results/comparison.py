@@ -1,0 +1,174 @@
+"""Plans side by side: burns, delta-v, margins, probabilities, and how far apart their paths are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from formulations.arrays import Array
+from scp_recon.physics.flow import interpolate
+from scp_recon.results.facts import Verification
+from scp_recon.results.solution import Solution
+from scp_recon.results.table import Cell, Column, Table
+from scp_recon.scenario.schema import Scenario
+
+DIFFERS = "differs from the first in"
+"""Row of the sections in which a scenario is not the first plan's: how far figures can be compared."""
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """Figures of plans: rows of a name, its unit and every plan's figure, None where it has none."""
+
+    names: tuple[str, ...]
+    rows: tuple[tuple[str, str, tuple[float | str | None, ...]], ...]
+
+    def __getitem__(self, name: str) -> tuple[float | str | None, ...]:
+        """Every plan's figure of that name.
+
+        Raises:
+            KeyError: naming what there is.
+        """
+        known = {row: figures for row, _, figures in self.rows}
+        if name not in known:
+            raise KeyError(f"{name!r}; there are {', '.join(known)}")
+        return known[name]
+
+    @property
+    def table(self) -> Table:
+        """Rows with their units in brackets; figures of six digits, those that are rounding as zero."""
+        rows = (
+            [f"{name} ({unit})" if unit else name, *map(_cell, row)]
+            for name, unit, row in self.rows
+        )
+        columns = (Column("", name="figure"), *map(Column, self.names))
+        return Table.of("Plans side by side", columns, rows, key="comparison")
+
+    def __str__(self) -> str:
+        """A table in plain text."""
+        return str(self.table)
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        """For a notebook."""
+        return self.table.html()
+
+
+def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
+    """Hold plans against each other, and their paths against the first one's."""
+    rows: list[tuple[str, str, tuple[float | str | None, ...]]] = [
+        ("scenario", "", tuple(s.scenario.name for s in solutions)),
+        (DIFFERS, "", tuple(_differences(solutions[0].scenario, s.scenario) for s in solutions)),
+        ("status", "", tuple(s.status for s in solutions)),
+        ("verified", "", tuple(_verdict(s.verification) for s in solutions)),
+        ("p_chance asked", "", tuple(s.scenario.risk.p_chance for s in solutions)),
+        ("total delta-v", "m/s", tuple(_total_dv(s) for s in solutions)),
+    ]
+    if any(len(s.flown_m_s) for s in solutions):
+        rows += _history(solutions)
+    flights = [np.linalg.norm(_whole_flight(s), axis=1) for s in solutions]
+    for i in range(max(len(sizes) for sizes in flights)):
+        rows.append((f"burn {i + 1}", "m/s", tuple(_item(sizes, i) for sizes in flights)))
+    margins = [{c.name: c.worst_margin for c in s.constraints} for s in solutions]
+    units = {c.name: c.unit for s in solutions for c in s.constraints}
+    rows += [(f"margin {n}", unit, tuple(m.get(n) for m in margins)) for n, unit in units.items()]
+    found = [s.verification.probabilities if s.verification else [] for s in solutions]
+    chances = [{p.name: p.estimate for p in each} for each in found]
+    names_of_chances = dict.fromkeys(name for each in chances for name in each)
+    rows += [(f"P({n})", "", tuple(c.get(n) for c in chances)) for n in names_of_chances]
+    apart = tuple(largest_distance_m(solutions[0], other) for other in solutions)
+    rows.append(("farthest from the first", "m", apart))
+    return Comparison(tuple(names), tuple(rows))
+
+
+def _differences(first: Scenario, other: Scenario) -> str | None:
+    """Sections of a scenario, the name apart, that are not the first one's."""
+    names = [
+        n for n in Scenario.model_fields if n != "name" and getattr(first, n) != getattr(other, n)
+    ]
+    return ", ".join(names) or None
+
+
+def _verdict(verification: Verification | None) -> str:
+    if verification is None:
+        return "not checked"
+    return "yes" if verification.ok else f"no: {', '.join(verification.failed)}"
+
+
+def _total_dv(solution: Solution) -> float:
+    """Of the burns: what a file says of it may be wrong."""
+    return float(np.linalg.norm(solution.burns_m_s, axis=1).sum())
+
+
+def _whole_flight(solution: Solution) -> Array:
+    """Burns flown and burns planned, m/s, shape (m, 3)."""
+    return np.vstack([solution.flown_m_s, solution.burns_m_s])
+
+
+def _history(
+    solutions: Sequence[Solution],
+) -> list[tuple[str, str, tuple[float | str | None, ...]]]:
+    """What was flown before plans in flight begin, and what they miss of the final state."""
+    whole = [float(np.linalg.norm(_whole_flight(s), axis=1).sum()) for s in solutions]
+    missed = [s.verification.missed if s.verification else None for s in solutions]
+    return [
+        ("parent", "", tuple(s.parent.name if s.parent else None for s in solutions)),
+        ("begins at", "s", tuple(s.scenario.start_s for s in solutions)),
+        ("burns flown before", "", tuple(str(len(s.flown_m_s)) for s in solutions)),
+        ("with those flown", "m/s", tuple(whole)),
+        ("final state missed by", "m", tuple(m.position_m if m else None for m in missed)),
+    ]
+
+
+def _item(values: Array, i: int) -> float | None:
+    return float(values[i]) if i < len(values) else None
+
+
+def _cell(figure: float | str | None) -> Cell | str | None:
+    """Six digits, of a margin that is rounding zero."""
+    if isinstance(figure, float):
+        return Cell(f"{round(figure, 9) + 0.0:.6g}", figure)
+    return figure
+
+
+def largest_distance_m(one: Solution, other: Solution) -> float | None:
+    """Largest distance of two mean paths at the nodes of either, while both last, m; None if never.
+
+    J2000, at the same time past the epoch; between its nodes a path is a cubic of its states.
+    """
+    times = np.union1d(one.nodes.t_s, other.nodes.t_s)
+    first, last = (np.array([s.nodes.t_s[end] for s in (one, other)]) for end in (0, -1))
+    times = times[(times >= first.max()) & (times <= last.min())]
+    if not len(times):
+        return None
+    paths = [path_of(solution)(times) for solution in (one, other)]
+    return float(np.linalg.norm(paths[0] - paths[1], axis=1).max())
+
+
+def path_of(solution: Solution) -> Callable[[Array], Array]:
+    """Mean positions of a plan at times within it, J2000, m: times (n,) to (n, 3).
+
+    Between its nodes a cubic of their states, before the burn where one falls on the node.
+    """
+    nodes, states = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
+    arriving = states[1:].copy()  # before the burn where one falls on the node
+    for burn, dv in zip(solution.burns, solution.burns_m_s, strict=True):
+        if (at := int(np.argmin(np.abs(nodes - burn.t_s)))) > 0:
+            arriving[at - 1, 3:] -= dv
+
+    def positions(times: Array) -> Array:
+        k = np.clip(np.searchsorted(nodes, times, side="right") - 1, 0, len(nodes) - 2)
+        h = (nodes[k + 1] - nodes[k])[:, None]
+        start, end = states[k], arriving[k]
+        position, _ = interpolate(
+            (start[:, :3], start[:, 3:]),
+            (end[:, :3], end[:, 3:]),
+            h,
+            (times - nodes[k])[:, None] / h,
+        )
+        return position
+
+    return positions

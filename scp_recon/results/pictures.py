@@ -1,0 +1,69 @@
+"""Pictures for files, by Matplotlib: formats, metadata, legends; wants the extra [report].
+
+The charts of commands and campaigns and the figures of `paper_figs` are drawn with it.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from scp_recon.errors import InputError
+
+WIDTH_IN = 7.0
+"""Of a figure across the page."""
+
+HOUR_S = 3600.0
+
+
+def sheet(height_in: float, width_in: float = WIDTH_IN, dpi: float = 130) -> Figure:
+    """An empty figure that makes room for its own words."""
+    return Figure(figsize=(width_in, height_in), layout="constrained", dpi=dpi)
+
+
+def plain(text: str) -> str:
+    """A name as it is, in which Matplotlib finds no formula."""
+    return text.replace("$", r"\$")
+
+
+def legend(figure: Figure, ncols: int, loc: str = "outside upper center", **look: Any) -> None:
+    """Name what all panels show, each label once, beside the panels."""
+    named = {
+        label: handle
+        for axes in figure.axes
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(named.values()), list(named), loc=loc, ncols=ncols, **look)
+
+
+def check_ending(ending: str, entry: str, given: str) -> None:
+    """Refuse an ending, with its dot, that is no picture's; messages name the entry.
+
+    Raises:
+        InputError: naming the endings that there are.
+    """
+    known = Figure().canvas.get_supported_filetypes()
+    if ending.lower().removeprefix(".") not in known:
+        allowed = ", ".join(f".{name}" for name in known)
+        raise InputError(entry, given, f"the file's name must end in one of {allowed}")
+
+
+def picture(
+    figure: Figure, ending: str = ".png", *, plan_hash: str | None = None, dpi: float | None = None
+) -> bytes:
+    """A figure in the format of an ending, with its dot; the same bytes every time.
+
+    A plan's hash is kept in the metadata of PNG, PDF and SVG. Dots per inch are the figure's or the
+    style's where none are given.
+    """
+    ending, plan = ending.lower(), f"plan {plan_hash}" if plan_hash else None
+    metadata: dict[str, dict[str, str | None]] = {
+        ".png": {"Description": plan} if plan else {},
+        ".pdf": {"Keywords": plan, "CreationDate": None},
+        ".svg": {"Description": plan, "Date": None},
+    }
+    rendered = BytesIO()
+    figure.savefig(rendered, format=ending[1:], metadata=metadata.get(ending), dpi=dpi)
+    return rendered.getvalue()

@@ -1,0 +1,216 @@
+"""Read the project's JSON files strictly, by their schema, and the solution file among them.
+
+A solution's times, nodes and units are held to its scenario, and the figures that its file carries to
+its facts. An edited file is read as not verified.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from scipy.special import ndtr, ndtri
+
+from scp_recon.errors import InputError
+from scp_recon.files import read_text
+from scp_recon.results.facts import EventProbability, Facts, adapter
+from scp_recon.results.figures import (
+    SAME_PROBABILITY,
+    ConstraintResult,
+    Figures,
+    disagreements,
+    strange_times,
+)
+from scp_recon.results.runs import resolve_run
+from scp_recon.results.solution import FILE_NAME, HASH, SCHEMA, Solution
+from scp_recon.scenario.fields import ScenarioWarning, Section
+from scp_recon.scp.status import Status
+
+READABLE = ("scp_recon.solution/1", "scp_recon.solution/2", SCHEMA)
+
+
+class File(Section):
+    """The whole content of a file, strict; keys that a later version added are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+FileKind = TypeVar("FileKind", bound=File)
+
+
+def read_file(path: Path, kind: type[FileKind], schemas: Sequence[str], noun: str) -> FileKind:
+    """Read a file whose entry `schema` is one of some, the newest last; messages use the noun.
+
+    Raises:
+        InputError: if there is none, it is of another version, or it is damaged.
+    """
+    return parse_file(read_json(path, noun), kind, schemas, f"{noun} {path}")
+
+
+def parse_file(data: Any, kind: type[FileKind], schemas: Sequence[str], named: str) -> FileKind:
+    """Validate parsed JSON, as `read_file` does; messages call it by its name."""
+    _check_schema(data, schemas, named)
+    return _validated(TypeAdapter(kind), data, named)
+
+
+def read_json(path: Path, noun: str) -> Any:
+    """Parse a file of JSON; messages call it by the noun.
+
+    Raises:
+        InputError: if there is none, or it is no JSON.
+    """
+    text = read_text(path, f"{noun} {path}", f"{noun} file in JSON")
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = f"no JSON ({error})"
+        raise InputError(f"{noun} {path}", reason, f"must be a {noun} file") from None
+
+
+def _check_schema(data: Any, schemas: Sequence[str], named: str) -> None:
+    if not isinstance(data, dict) or data.get("schema") not in schemas:
+        given = data.get("schema", "no schema") if isinstance(data, dict) else "no object"
+        raise InputError(named, repr(given)[:80], f"schema must be {schemas[-1]!r}")
+
+
+def _validated(kind: TypeAdapter[Any], data: Any, named: str) -> Any:
+    try:
+        # Through JSON again: strict fields such as tuples and dates read from it as written to it.
+        return kind.validate_json(json.dumps(data))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        entry = ".".join(str(part) for part in first["loc"])
+        given = "nothing" if first["type"].startswith("missing") else repr(first["input"])[:80]
+        raise InputError(f"{named}: {entry}", given, first["msg"]) from None
+
+
+# --- solutions ----------------------------------------------------------------------------------
+
+
+def read_solution(path: Path) -> Solution:
+    """Read a solution file, or the one in a folder; `runs/latest` is that of the last finished run.
+
+    A file whose scenario or burns were changed after it was written, or whose figures do not follow
+    from its facts, is read, but as one that is not verified, with a warning: its margins and its
+    verification are of another plan.
+
+    Raises:
+        InputError: if there is none, it is of another version, it is damaged, or its parts do not
+            fit together.
+    """
+    path = resolve_run(path)
+    file = path / FILE_NAME if path.is_dir() else path
+    data = read_json(file, "solution")
+    solution = parse_solution(data, f"solution {file}")
+    try:
+        Status.named(solution.status)
+    except ValueError:
+        allowed = ", ".join(status.value.name for status in Status)
+        raise InputError(
+            f"solution {file}: status", repr(solution.status), f"must be one of {allowed}"
+        ) from None
+    try:
+        solution.mission  # noqa: B018  resolved once, here
+    except InputError as error:
+        raise InputError(f"solution {file}: {error.entry}", error.given, error.allowed) from None
+    if strange := _strange(solution):
+        raise InputError(
+            f"solution {file}: {strange[0]}", "what contradicts its scenario", "must be of one plan"
+        )
+    if data.get(HASH, solution.plan_hash) != solution.plan_hash:  # older files have none
+        return _doubted(
+            solution,
+            file,
+            [HASH],
+            "a scenario or burns that were changed after it was written",
+            "expected those it was planned with: its margins are of another plan",
+        )
+    assert solution.carried is not None
+    if wrong := disagreements(solution.mission, solution, solution.carried):
+        given = f"{', '.join(wrong)} that do not follow from its burns, nodes and facets"
+        return _doubted(solution, file, wrong, given, "expected the figures of this plan")
+    return solution
+
+
+def parse_solution(data: Any, named: str) -> Solution:
+    """The content of a file of this schema or an older one, its shape checked, held to no scenario.
+
+    Keys that a later version added are ignored.
+
+    Raises:
+        InputError: if it is of another version or damaged.
+    """
+    _check_schema(data, READABLE, named)
+    data = _as_today(data) if data["schema"] != SCHEMA else dict(data)
+    carried = {each.name: data.pop(each.name) for each in fields(Figures) if each.name in data}
+    known = {each.name: data[each.name] for each in fields(Facts) if each.name in data}
+    figures = _validated(adapter(Figures), carried, named)
+    facts = _validated(adapter(Facts), known, named)
+    if facts.risk is not None:
+        reported = {c.name: c for c in figures.constraints}
+        target = float(ndtri(facts.risk.target))
+        laws = [_with_quantiles(e, target, reported.get(e.name)) for e in facts.risk.normal_law]
+        facts = replace(facts, risk=replace(facts.risk, normal_law=laws))
+    return Solution(**vars(facts), carried=figures)
+
+
+def _as_today(data: dict[str, Any]) -> dict[str, Any]:
+    """The content of an older file under today's keys and units.
+
+    `/1` called a worst margin `worst_margin_m_or_rad`. Both gave an exact plan's miss of the final
+    state in sigmas that were units of length.
+    """
+    data = json.loads(json.dumps(data))
+    constraints = data.get("constraints")
+    for one in constraints if isinstance(constraints, list) else []:
+        if isinstance(one, dict) and "worst_margin_m_or_rad" in one:
+            one["worst_margin"] = one.pop("worst_margin_m_or_rad")
+    match data:
+        case {
+            "violation": {"by_constraint": {"final_state": {"unit": "sigma"} as miss}},
+            "units": {"length_m": float(length)},
+        }:
+            miss |= {"unit": "m"}
+            miss |= {key: miss[key] * length for key in ("max", "total") if key in miss}
+    return data
+
+
+def _with_quantiles(
+    event: EventProbability, target: float, reported: ConstraintResult | None
+) -> EventProbability:
+    """An older file's event with quantiles; of probabilities that are one its margin tells more."""
+    if event.sigma is not None:
+        return event
+    sigma, least = event.quantiles, min(event.probability)
+    if reported is not None and reported.worst_t_s in event.t_s:
+        worst, at = reported.worst_margin + target, event.t_s.index(reported.worst_t_s)
+        if abs(ndtr(worst) - np.array([least, event.probability[at]])).max() <= SAME_PROBABILITY:
+            sigma = np.maximum(sigma, np.nextafter(worst, np.inf))
+            sigma[at] = worst
+    return replace(event, sigma=sigma.tolist())
+
+
+def _doubted(solution: Solution, file: Path, failed: list[str], given: str, why: str) -> Solution:
+    """The solution of a file that was edited: not verified, and with a warning."""
+    word = ScenarioWarning.of(f"solution {file}", given, why)
+    checked = solution.verification
+    if checked is not None:
+        checked = replace(checked, ok=False, failed=[*failed, *checked.failed])
+    return replace(solution.with_verification(checked), warnings=(*solution.warnings, word))
+
+
+def _strange(solution: Solution) -> list[str]:
+    """Entries that contradict the scenario's grid or units, even on another machine."""
+    assert solution.carried is not None
+    units, expected, facets = solution.carried.units, solution.units, solution.facets
+    found = strange_times(solution.mission, [b.t_s for b in solution.burns], solution.nodes.t_s)
+    if facets is not None and max(facets.node, default=0) >= len(solution.mission.times_s):
+        found.append("facets.node")
+    if not np.allclose([units.length_m, units.time_s], [expected.length_m, expected.time_s]):
+        found.append("units")
+    return found

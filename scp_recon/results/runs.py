@@ -1,0 +1,97 @@
+"""Folders of runs: where a result goes that has no folder of its own, and which one is the latest.
+
+`runs/NAME/UTC` holds one run. `runs/latest` points to the last finished one: a symbolic link, or where
+there are none a text file with the folder's path from `runs`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from datetime import UTC, datetime
+from itertools import count
+from pathlib import Path
+from uuid import uuid4
+
+from scp_recon.errors import option
+from scp_recon.files import unwritable, write_atomically
+
+RUNS, LATEST = Path("runs"), "latest"
+NAME_MAX, POINTER_MAX = 80, 1000
+"""Characters of a folder's name, and of a text file that points to one."""
+
+
+def new_run(name: str, root: Path = RUNS) -> Path:
+    """Make the folder `root/NAME/UTC`, which nobody else has; odd characters are replaced.
+
+    Raises:
+        InputError: if it cannot be made.
+    """
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    home = root / _folder_name(name)
+    try:
+        home.mkdir(parents=True, exist_ok=True)
+        for number in count(1):
+            folder = home / (stamp if number == 1 else f"{stamp}-{number}")
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            break
+    except OSError as error:
+        raise unwritable(home, option("out"), error) from None
+    return folder
+
+
+def _folder_name(name: str) -> str:
+    plain = re.sub(r"[^A-Za-z0-9._=+-]+", "_", name).strip("._")[:NAME_MAX]
+    return f"{plain}_" if plain in ("", LATEST) else plain
+
+
+def point_to(folder: Path, root: Path = RUNS) -> None:
+    """Let `root/latest` point to a run's folder, at once or not at all.
+
+    A folder of that name, which earlier versions wrote to, is kept under another.
+
+    Raises:
+        InputError: if neither a link nor a file can be written.
+    """
+    latest, target = root / LATEST, os.path.relpath(folder, root)
+    try:
+        if latest.is_dir() and not latest.is_symlink():
+            kept = new_run(f"{LATEST}_before", root)
+            kept.rmdir()
+            latest.rename(kept)
+        beside = root / f".{LATEST}.{uuid4().hex}"
+        try:
+            beside.symlink_to(target, target_is_directory=True)
+        except (OSError, NotImplementedError):  # a file system, or a user, without links
+            write_atomically(latest, target + "\n")
+        else:
+            beside.replace(latest)
+    except OSError as error:
+        raise unwritable(root, f"{root}/{LATEST}", error) from None
+
+
+def resolve_run(path: Path) -> Path:
+    """The folder that a pointer leads to, or the path itself; resolve it once to stay with one run."""
+    try:
+        if path.is_symlink() and path.is_dir():
+            return path.parent / path.readlink()
+        if path.name == LATEST and path.is_file() and path.stat().st_size <= POINTER_MAX:
+            pointed = path.parent / path.read_text("utf-8").strip()
+            return pointed if pointed.is_dir() else path
+    except (OSError, ValueError):  # which the reader explains
+        pass
+    return path
+
+
+def folder_of(path: Path) -> Path:
+    """The folder for the results of a plan: its own, or that of its file."""
+    home = resolve_run(path)
+    return home if home.is_dir() else home.parent
+
+
+def is_pointer(path: Path) -> bool:
+    """Whether a path is `latest` and points elsewhere, so that it is no folder to write to."""
+    return path.name == LATEST and resolve_run(path) != path

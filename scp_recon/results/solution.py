@@ -1,0 +1,335 @@
+"""A plan as it is stored: its facts, the figures that follow from them, and the text of its file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from formulations.arrays import Array
+from formulations.program.subproblem import MeritFunction
+from formulations.rows.uniform import DeterministicRows
+from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
+from scp_recon.mission.grid import Units
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.primer import primer_of
+from scp_recon.results.facts import (
+    Burn,
+    EventProbability,
+    FacetTable,
+    Facts,
+    IterationRecord,
+    Nodes,
+    PlanTiming,
+    Risk,
+    StageSummary,
+    Verification,
+    adapter,
+)
+from scp_recon.results.figures import (
+    FINAL_SIGMAS,
+    ConstraintResult,
+    Figures,
+    Violation,
+    burns_of,
+    figures_of,
+    finite,
+    total_dv,
+)
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.algorithms import SCvx
+from scp_recon.scp.loop import Record, Result, Timing
+from scp_recon.scp.status import Status
+
+SCHEMA = "scp_recon.solution/3"
+FILE_NAME = "solution.json"
+HASH = "plan_hash"
+"""Key of the hash with which a file was written, and what has failed where it is another plan's now."""
+NOT_OPTIMISED = "none"
+"""The `algorithm` of a solution file whose burns were given and only evaluated."""
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Solution(Facts):
+    """A stored plan: its facts, and figures as properties that are computed from them when asked for.
+
+    `carried` holds what the file said in place of the figures; it is no part of the plan.
+    """
+
+    carried: Figures | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<Solution {self.scenario.name}: {self.status}, {self.total_dv_m_s:.6f} m/s>"
+
+    def __getstate__(self) -> dict[str, object]:
+        """Its fields; a copy computes the figures again."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @cached_property
+    def mission(self) -> Mission:
+        """The scenario resolved.
+
+        Raises:
+            InputError: as `Mission.from_scenario`.
+        """
+        return Mission.from_scenario(self.scenario)
+
+    @cached_property
+    def figures(self) -> Figures:
+        """All figures at once."""
+        return figures_of(self.mission, self)
+
+    @property
+    def total_dv_m_s(self) -> float:
+        """Sum of the burns' sizes, m/s."""
+        return total_dv(self)
+
+    @property
+    def constraints(self) -> list[ConstraintResult]:
+        """The smallest margin of each constraint."""
+        return self.figures.constraints
+
+    @property
+    def violation(self) -> Violation:
+        """Violations above the tolerance."""
+        return self.figures.violation
+
+    @property
+    def units(self) -> Units:
+        """Of the nondimensional problem."""
+        return self.mission.units
+
+    @property
+    def burns_m_s(self) -> Array:
+        """Burns, J2000, m/s, shape (m, 3)."""
+        return burns_of(self)
+
+    @property
+    def flown_m_s(self) -> Array:
+        """Burns flown before the plan begins, shape (k, 3)."""
+        flight = self.scenario.in_flight
+        return np.array([] if flight is None else flight.flown_m_s).reshape(-1, 3)
+
+    @property
+    def plan_hash(self) -> str:
+        """SHA-256 of scenario and burns, to the last bit, in hexadecimal; of nothing else."""
+        return plan_hash(self.scenario, self.burns)
+
+    def with_verification(self, verification: Verification | None) -> Solution:
+        """The same plan with a verdict; what was resolved of it stays."""
+        judged = replace(self, verification=verification)
+        return _resolved(judged, self.__dict__.get("mission"))
+
+    def document(self) -> dict[str, Any]:
+        """The file's content but for schema and hash: figures and facts, under the file's keys."""
+        facts, figures = (
+            adapter(kind).dump_python(value, mode="json", by_alias=True)
+            for kind, value in ((Facts, self), (Figures, self.figures))
+        )
+        head = {key: facts[key] for key in ("status", "message", "problem")}
+        return head | figures | facts
+
+    def text(self) -> str:
+        """The file's text: one top-level key a line.
+
+        Raises:
+            ValueError: if a number is not finite, which JSON does not know.
+        """
+        entries = {"schema": SCHEMA, HASH: self.plan_hash} | self.document()
+        lines = [
+            f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}"
+            for key, value in entries.items()
+        ]
+        return "{\n" + ",\n".join(lines) + "\n}\n"
+
+    def write(self, folder: Path, name: str = FILE_NAME) -> Path:
+        """Write it into a folder that is there; an old file stays whole until the new one is.
+
+        Raises:
+            OSError: if the folder cannot be written.
+        """
+        return write_atomically(folder / name, self.text())
+
+
+def _resolved(solution: Solution, mission: Mission | None) -> Solution:
+    """The same, with its mission where that is known."""
+    if mission is not None:
+        solution.__dict__["mission"] = mission  # where its cached property keeps it
+    return solution
+
+
+def plan_hash(scenario: Scenario, burns: Sequence[Burn]) -> str:
+    """See `Solution.plan_hash`."""
+    plan = {
+        "scenario": scenario.model_dump(mode="json", exclude_defaults=True),
+        "burns": [{"t_s": burn.t_s, "dv_m_s": burn.dv_m_s} for burn in burns],
+    }
+    canonical = json.dumps(plan, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def require_whole_flight(scenario: Scenario, entry: str) -> None:
+    """Refuse a plan that begins in flight where only a whole one serves.
+
+    Raises:
+        InputError: if it does.
+    """
+    if scenario.in_flight is not None:
+        raise InputError(
+            entry,
+            f"a plan from {scenario.start_s:g} s on, made in flight",
+            "must be the plan of a whole flight",
+        )
+
+
+# --- from a plan --------------------------------------------------------------------------------
+
+
+def make_solution(plan: Plan) -> Solution:
+    """Collect a plan's facts, in SI, not yet verified."""
+    mission, outcome = plan.mission, plan.final.result.status.value
+    solution = Solution(
+        **vars(plan.provenance),
+        status=outcome.name,
+        message=f"{outcome.message} {outcome.remedy}".strip(),
+        problem=plan.final.problem,
+        tolerance=plan.final.tolerance,
+        burns=burns_of_plan(plan),
+        nodes=Nodes(
+            t_s=mission.times_s.tolist(),
+            state=plan.states.tolist(),
+            covariance=plan.covariances.tolist(),
+        ),
+        stages=[_summary(mission, stage) for stage in plan.stages],
+        facets=_facet_table(mission, plan.final),
+        risk=_risk(plan),
+        starts=plan.starts,
+        parent=plan.parent,
+        primer=primer_of(plan),
+        iterations=[
+            iteration_record(mission, stage.name, record)
+            for stage in plan.stages
+            for record in stage.result.records
+        ],
+        timing_s=_timing(plan),
+        verification=None,
+        warnings=mission.warnings,
+        scenario=mission.scenario,
+    )
+    return _resolved(solution, mission)
+
+
+def burns_of_plan(plan: Plan) -> list[Burn]:
+    """Its burns as the file has them."""
+    timed = zip(plan.mission.scenario.burn_times_s, plan.burns_m_s.tolist(), strict=True)
+    return [Burn(time, (x, y, z)) for time, (x, y, z) in timed]
+
+
+def iteration_record(mission: Mission, stage: str, record: Record) -> IterationRecord:
+    """One iteration in SI."""
+    speed, length = mission.units.speed_m_s, mission.units.length_m
+    return IterationRecord(
+        stage=stage,
+        k=record.k,
+        merit=finite(record.merit * speed),
+        predicted=finite(record.predicted * speed),
+        actual=finite(record.actual * speed),
+        accepted=bool(record.accepted),
+        trust_radius=float(record.trust_radius * speed),
+        max_violation=finite(record.max_violation * length),
+        max_defect=finite(record.max_defect * length),
+        solver_s=record.solver_s,
+    )
+
+
+def _summary(mission: Mission, stage: Stage) -> StageSummary:
+    return StageSummary(
+        name=stage.name,
+        status=stage.result.status.value.name,
+        total_dv_m_s=float(stage.result.lin.iterate.total_dv * mission.units.speed_m_s),
+        iterations=len(stage.result.records),
+    )
+
+
+def _facet_table(mission: Mission, stage: Stage) -> FacetTable | None:
+    facets = stage.facets
+    if facets is None:
+        return None
+    names = [c.name for c in mission.problem.constraints]
+    return FacetTable(
+        constraint=[names[i] for i in facets.constraint],
+        node=facets.node.tolist(),
+        normal=[(x, y, z) for x, y, z in facets.normal.tolist()],
+        offset_m=(facets.offset * mission.units.length_m).tolist(),
+        quantile=facets.quantile.tolist(),
+    )
+
+
+def _risk(plan: Plan) -> Risk | None:
+    """Risk of an exact plan: probabilities by the normal law, and the certificate of its flights."""
+    if plan.target is None or plan.final.problem == "P3":
+        return None
+    mission, required = plan.mission, plan.mission.scenario.risk
+    margins = plan.final.merit.rows.margins(plan.final.result.lin)
+    return Risk(
+        scope=required.scope,
+        required=required.p_chance,
+        target=plan.target,
+        certificate=plan.certificate,
+        normal_law=[
+            EventProbability(
+                name=name,
+                t_s=mission.times_s[rows.nodes].tolist(),
+                probability=ndtr(rows.margin + ndtri(plan.target)).tolist(),
+                sigma=(rows.margin + ndtri(plan.target)).tolist(),
+            )
+            for name, rows in margins.items()
+            if name not in {final for final, _, _ in FINAL_SIGMAS}
+        ],
+    )
+
+
+def _timing(plan: Plan) -> PlanTiming:
+    parts = vars(plan.timing)
+    return PlanTiming(total=plan.total_s, other=plan.total_s - sum(parts.values()), **parts)
+
+
+# --- burns that were given and not planned ------------------------------------------------------
+
+
+def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> Solution:
+    """Given burns, J2000, shape (m, 3), as a solution: rolled out, P3's margins, not optimised.
+
+    The file says where they come from in `init`, and the message.
+    """
+    from scp_recon.planning.initial_guess import (
+        from_burns,  # SciPy's integrators: readers need none
+    )
+
+    lin = mission.dynamics.linearise(mission.problem, from_burns(mission, burns_m_s))
+    merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
+    # No iteration was allowed, which is what the status says of a plan that is none.
+    result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
+    stage = Stage(init, result, merit, None, SCvx().feasible)
+    provenance = Provenance(NOT_OPTIMISED, NOT_OPTIMISED, NOT_OPTIMISED, init, "none")
+    solution = make_solution(Plan(mission, provenance, (stage,), stage, Timing(), 0.0))
+    return _resolved(replace(solution, message=message), mission)
+
+
+def ballistic_arc(mission: Mission) -> Solution:
+    """The two-impulse arc between the boundary positions, evaluated as it is."""
+    from scp_recon.planning.initial_guess import ballistic
+
+    burns = ballistic(mission).burns * mission.units.speed_m_s
+    message = "Not a plan: the ballistic arc between the boundary positions, evaluated as it is."
+    return evaluated(mission, burns, "ballistic", message)

@@ -1,0 +1,174 @@
+"""The graph of what follows from what among a scenario's entries, and inheritance by it.
+
+Where a file, or an override, says something anew, what its base says of the same thing in other words,
+and what followed from it, is not taken over: the Sun of another epoch, the normal of another site,
+another body's spin. Messages do not call missing what may still follow, and a check of a mission finds
+by the graph what was left as a base has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import datetime
+from typing import Any, NamedTuple
+
+from scp_recon.scenario.uncertainty import without_other_ways
+
+Tables = dict[str, Any]
+
+POLE = ("body.pole_ra_deg", "body.pole_dec_deg")
+MERIDIAN = (
+    "body.prime_meridian_deg",
+    "body.prime_meridian_rate_deg_day",
+    "body.prime_meridian_acceleration_deg_day2",
+)
+SPIN = ("body.rotation_period_h", "body.prime_meridian_at_epoch_deg")
+FIELD = ("body.gm_m3_s2", "body.j2", "body.reference_radius_m", "body.gravity")
+COORDINATES = ("site.latitude_deg", "site.longitude_deg")
+PLACE = ("site.position_body_m", "site.normal_body")
+ENDS = (
+    *("boundary.initial_position_m", "boundary.initial_velocity_m_s"),
+    *("boundary.final_position_m", "boundary.final_velocity_m_s"),
+)
+STATE = ("sun.body_position_km", "sun.body_velocity_km_s")
+
+
+class Edge(NamedTuple):
+    """Entries, or whole tables: what a source says anew, its followers do not hold for any more."""
+
+    sources: tuple[str, ...]
+    followers: tuple[str, ...]
+    given: str = ""
+    """What the base has to give for that; nothing if empty."""
+
+
+GRAPH = (
+    Edge(("body.name",), ("body", "site", *STATE, "sun.spk_files")),
+    Edge(("epoch.tdb",), (*STATE, "body.prime_meridian_at_epoch_deg")),
+    Edge(("body.pck_file",), (*POLE, *MERIDIAN, *SPIN)),
+    Edge(("body.rotation_period_h",), MERIDIAN),
+    Edge(("body.prime_meridian_at_epoch_deg",), MERIDIAN[:1]),
+    Edge(MERIDIAN[:1], SPIN[1:]),
+    Edge(MERIDIAN[1:2], SPIN[:1]),
+    Edge(("body.gravity_file",), FIELD),
+    Edge(("sun.spk_files",), STATE),
+    Edge(("boundary.home",), ENDS),
+    Edge(ENDS, ("boundary.home",)),
+    # The speed in a home orbit.
+    Edge(("body.gm_m3_s2", "body.gravity_file", "body.name"), ENDS, "boundary.home"),
+    Edge(PLACE[:1], ("site.normal_body", *COORDINATES)),
+    Edge(COORDINATES, PLACE),
+    Edge(("site.normal_radius_m",), PLACE[1:]),
+    Edge(("body.shape_file", "body.shape_unit", "body.radii_m"), PLACE, COORDINATES[0]),
+)
+"""All that follows from something else."""
+
+
+def keys(entries: Sequence[str]) -> tuple[str, ...]:
+    """Entries of one table without its name."""
+    return tuple(entry.partition(".")[2] for entry in entries)
+
+
+def followers(entry: str) -> tuple[str, ...]:
+    """What follows from an entry, whatever else is given."""
+    return tuple(
+        dict.fromkeys(
+            follower
+            for edge in GRAPH
+            if entry in edge.sources and not edge.given
+            for follower in edge.followers
+        )
+    )
+
+
+def computed_from(tables: Iterable[str]) -> set[str]:
+    """Entries that may follow from those of some tables, directly or by way of other tables."""
+    reached, before = set(tables), set[str]()
+    while reached != before:
+        before = set(reached)
+        reached |= {_table(f) for edge in GRAPH if _tables(edge) & reached for f in edge.followers}
+    return {f for edge in GRAPH if _tables(edge) & reached for f in edge.followers}
+
+
+def _tables(edge: Edge) -> set[str]:
+    return {_table(source) for source in edge.sources}
+
+
+def _table(entry: str) -> str:
+    return entry.partition(".")[0]
+
+
+def inherit(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
+    """New nested tables: those of a base, changed by what others say anew."""
+    kept: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in base.items()}
+    given = changes.get("uncertainty")
+    if isinstance(given, Mapping) and isinstance(kept.get("uncertainty"), dict):
+        kept["uncertainty"] = without_other_ways(kept["uncertainty"], given)
+    changed = {entry for entry in entries(changes) if differs(base, changes, entry)}
+    stale = [
+        edge.followers
+        for edge in GRAPH
+        if changed & set(edge.sources) and (not edge.given or found(base, edge.given) is not None)
+    ]
+    for entry in (entry for gone in stale for entry in gone):
+        table, _, key = entry.partition(".")
+        if not key:
+            kept.pop(table, None)
+        elif isinstance(kept.get(table), dict):
+            kept[table].pop(key, None)
+    return merge(kept, changes)
+
+
+def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
+    """Nested tables with some entries changed; tables are merged, everything else replaced."""
+    merged = dict(base)
+    for key, value in changes.items():
+        old = merged.get(key)
+        if isinstance(old, dict) and isinstance(value, dict):
+            merged[key] = merge(old, value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def layer_of(values: Iterable[tuple[str, Any]]) -> Tables:
+    """Nested tables of values by dotted entry: a later one wins, and none takes back another."""
+    layer: Tables = {}
+    for entry, value in values:
+        for key in reversed(entry.split(".")):
+            value = {key: value}
+        layer = merge(layer, value)
+    return layer
+
+
+def entries(tables: Mapping[str, Any]) -> Iterator[str]:
+    """Dotted names of what stands in tables and outside of them."""
+    for table, content in tables.items():
+        if isinstance(content, Mapping):
+            yield from (f"{table}.{key}" for key in content)
+        else:
+            yield table
+
+
+def found(tables: Mapping[str, Any], entry: str) -> Any:
+    """What an entry holds; None if it is absent."""
+    table, _, key = entry.partition(".")
+    content = tables.get(table)
+    return content.get(key) if isinstance(content, Mapping) else None
+
+
+def differs(base: Mapping[str, Any], changes: Mapping[str, Any], entry: str) -> bool:
+    """Whether an entry says something that the base does not, however dates are written."""
+    old, new = found(base, entry), found(changes, entry)
+    if entry == "epoch.tdb":
+        return _date(old) != _date(new)
+    if entry == "body.name":
+        return str(old).casefold() != str(new).casefold()
+    return bool(old != new)
+
+
+def _date(value: object) -> object:
+    try:
+        return datetime.fromisoformat(str(value))
+    except ValueError:
+        return value

@@ -1,0 +1,203 @@
+"""Computes rotation, gravity and Sun of a body: from kernels and files, the catalogue, or a period."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scp_recon.bodies.catalogue import DAY_S, PackagedBody
+from scp_recon.bodies.gravity_file import GravityTable, read_gravity
+from scp_recon.bodies.kernels import read_heliocentric, read_pck
+from scp_recon.bodies.surface import direction_of
+from scp_recon.errors import InputError
+from scp_recon.scenario import dependencies
+from scp_recon.scenario.body import DEGREE_MAX
+from scp_recon.scenario.dependencies import keys
+from scp_recon.scenario.resolution.agreement import angle_deg, check, check_share, fill, has, lacks
+
+POLE, MERIDIAN, STATE = (
+    keys(dependencies.POLE),
+    keys(dependencies.MERIDIAN),
+    keys(dependencies.STATE),
+)
+POLE_TOLERANCE_DEG, MERIDIAN_TOLERANCE_DEG, RATE_TOLERANCE = 0.1, 0.1, 1e-4
+"""Within these, what is given as well is taken for the same: of angles, and as a share of the rate."""
+
+
+def resolve_rotation(body: dict[str, Any], known: PackagedBody | None, days: float | None) -> None:
+    """Enter pole and W0, W1, W2 in the table `[body]`.
+
+    A period of P hours is W1 = 360 * 24 / P and W2 = 0; an angle W at the epoch, d TDB days past J2000,
+    is W0 = W - W1 d - W2 d^2.
+
+    Raises:
+        InputError: if a kernel cannot be used, or entries contradict one another.
+    """
+    if has(body, "pck_file") and days is not None:
+        _from_kernel(body, days)
+    if known is not None:
+        if lacks(body, *POLE):
+            fill(body, {key: known.entries[key] for key in POLE})
+        if lacks(body, *MERIDIAN, "rotation_period_h"):
+            spin = MERIDIAN if lacks(body, "prime_meridian_at_epoch_deg") else MERIDIAN[1:]
+            fill(body, {key: known.entries[key] for key in spin})
+    if has(body, "rotation_period_h"):
+        rate = 360.0 * 24.0 / body["rotation_period_h"]
+        fill(body, {MERIDIAN[1]: rate, MERIDIAN[2]: 0.0})
+        source = "body.rotation_period_h"
+        check_share(f"body.{MERIDIAN[1]}", body[MERIDIAN[1]], rate, RATE_TOLERANCE, source)
+    if has(body, "prime_meridian_at_epoch_deg", MERIDIAN[1]) and days is not None:
+        fill(body, {MERIDIAN[2]: 0.0})
+        turned = body[MERIDIAN[1]] * days + body[MERIDIAN[2]] * days**2
+        at_epoch = body["prime_meridian_at_epoch_deg"]
+        fill(body, {MERIDIAN[0]: (at_epoch - turned) % 360.0})
+        _check_meridian(at_epoch, body, days, "prime_meridian_at_epoch_deg")
+
+
+def _from_kernel(body: dict[str, Any], days: float) -> None:
+    if not has(body, "naif_id"):
+        raise InputError("body.naif_id", "nothing", "must be NAIF's number of the body in pck_file")
+    kernel = read_pck(Path(body["pck_file"]), body["naif_id"], days)
+    pole = kernel.pole_ra_deg, kernel.pole_dec_deg
+    if has(body, *POLE):
+        given = body[POLE[0]], body[POLE[1]]
+        apart = angle_deg(direction_of(given[1], given[0]), direction_of(pole[1], pole[0]))
+        why = f"the pole in pck_file, to {POLE_TOLERANCE_DEG:g} deg"
+        check("body.pole_ra_deg, pole_dec_deg", given, apart <= POLE_TOLERANCE_DEG, pole, why)
+    fill(body, dict(zip(POLE, pole, strict=True)))
+    if lacks(body, *MERIDIAN, "rotation_period_h", "prime_meridian_at_epoch_deg"):
+        fill(body, dict(zip(MERIDIAN, kernel.prime_meridian, strict=True)))
+    elif has(body, *MERIDIAN):
+        w0, w1, w2 = kernel.prime_meridian
+        _check_meridian(w0 + w1 * days + w2 * days**2, body, days, "pck_file")
+    else:
+        raise InputError(
+            "body.pck_file", body["pck_file"], "must stand alone, or beside all of W0, W1 and W2"
+        )
+    if kernel.radii_m is not None and lacks(body, "radii_m"):
+        body["radii_m"] = list(kernel.radii_m)
+
+
+def _check_meridian(at_epoch: float, body: dict[str, Any], days: float, source: str) -> None:
+    w0, w1, w2 = (body[key] for key in MERIDIAN)
+    given = (w0 + w1 * days + w2 * days**2) % 360.0
+    apart = abs((given - at_epoch + 180.0) % 360.0 - 180.0)
+    check(
+        "body.prime_meridian_deg",
+        f"{given:.6g} deg at the epoch",
+        apart <= MERIDIAN_TOLERANCE_DEG,
+        f"{at_epoch % 360.0:.6g} deg",
+        f"by body.{source}, to {MERIDIAN_TOLERANCE_DEG:g} deg",
+    )
+
+
+TOLERANCE = 0.01
+"""Share within which GM and J2, given beside a file, are taken for the file's."""
+
+
+def resolve_gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
+    """Enter GM, J2, its radius, and the field if there is a file.
+
+    Raises:
+        InputError: if the file cannot be used, or does not agree with what is given.
+    """
+    if has(body, "gravity_file"):
+        table = read_gravity(Path(body["gravity_file"]), DEGREE_MAX)
+        if table.gm_m3_s2 is not None:
+            fill(body, {"gm_m3_s2": table.gm_m3_s2})
+            source = "gravity_file"
+            check_share("body.gm_m3_s2", body["gm_m3_s2"], table.gm_m3_s2, TOLERANCE, source)
+        _enter_field(body, table, known)
+    elif has(body, "gravity", "j2", "reference_radius_m"):
+        field = body["gravity"]
+        _check_j2(body, _j2(field["coefficients"]), field["reference_radius_m"], "gravity")
+    if known is not None:
+        fill(body, {"gm_m3_s2": known.entries["gm_m3_s2"]})
+        if lacks(body, "j2", "reference_radius_m"):
+            fill(body, {key: known.entries[key] for key in ("j2", "reference_radius_m")})
+
+
+def _enter_field(body: dict[str, Any], table: GravityTable, known: PackagedBody | None) -> None:
+    """J2 about z is -sqrt(5) times the normalised C20; over the square of its radius it compares."""
+    radius = table.radius_m or body.get("reference_radius_m")
+    if radius is None and known is not None:
+        radius = known.entries["reference_radius_m"]
+    if radius is None:
+        raise InputError(
+            "body.reference_radius_m",
+            "nothing",
+            "must be the radius of gravity_file, which has none",
+        )
+    j2 = _j2(table.rows)
+    if lacks(body, "j2", "reference_radius_m"):
+        fill(body, {"j2": j2, "reference_radius_m": radius})
+    elif lacks(body, "j2"):  # at the radius that is given
+        body["j2"] = j2 * (radius / body["reference_radius_m"]) ** 2
+    if has(body, "j2", "reference_radius_m"):
+        _check_j2(body, j2, radius, "gravity_file")
+    body["gravity"] = {
+        "reference_radius_m": radius,
+        "coefficients": [list(row) for row in table.rows],
+    }
+
+
+def _j2(rows: Iterable[Sequence[float]]) -> float:
+    """Unnormalised, of fully normalised coefficients."""
+    return -math.sqrt(5.0) * next((c for n, m, c, _ in rows if (n, m) == (2, 0)), 0.0)
+
+
+def _check_j2(body: dict[str, Any], j2: float, radius: float, source: str) -> None:
+    """What the planner flies against the field that the truth does."""
+    there = j2 * (radius / body["reference_radius_m"]) ** 2
+    check_share("body.j2", body["j2"], there, TOLERANCE, source)
+
+
+DIRECTION_TOLERANCE_DEG, DISTANCE_TOLERANCE, VELOCITY_TOLERANCE_KM_S = 0.1, 0.01, 0.5
+"""Within these, a Sun that is given agrees with the one that is computed."""
+
+
+def resolve_sun(
+    sun: dict[str, Any], body: dict[str, Any], known: PackagedBody | None, days: float | None
+) -> None:
+    """Enter the body's heliocentric position and velocity at the epoch, in TDB days past J2000.
+
+    Raises:
+        InputError: if kernels cannot be used, the epoch is outside the packaged elements' span and no
+            Sun is given, or the one that is given does not agree.
+    """
+    if days is None:
+        return
+    if has(sun, "spk_files"):
+        if not has(body, "naif_id"):
+            raise InputError(
+                "body.naif_id", "nothing", "must be NAIF's number of the body in spk_files"
+            )
+        paths = [Path(name) for name in sun["spk_files"]]
+        state, source = read_heliocentric(paths, body["naif_id"], days * DAY_S), "sun.spk_files"
+    elif known is not None and (known.covers(days) or lacks(sun, *STATE)):
+        position, velocity = known.heliocentric(days)
+        state = position.tolist(), velocity.tolist()
+        source = f"the packaged elements of {known.entries['name']}"
+    else:
+        return
+    fill(sun, dict(zip(STATE, state, strict=True)))
+    _check(sun, np.array(state[0]), np.array(state[1]), source)
+
+
+def _check(sun: dict[str, Any], position: Any, velocity: Any, source: str) -> None:
+    given = np.array(sun[STATE[0]], dtype=float)
+    distance = float(np.linalg.norm(position))
+    near = bool(
+        angle_deg(given, position) <= DIRECTION_TOLERANCE_DEG
+        and abs(np.linalg.norm(given) - distance) <= DISTANCE_TOLERANCE * distance
+    )
+    within = f"to {DIRECTION_TOLERANCE_DEG:g} deg and {DISTANCE_TOLERANCE:g} of the distance"
+    check(f"sun.{STATE[0]}", given, near, position, f"by {source}, {within} (or be left out)")
+    moving = np.array(sun[STATE[1]], dtype=float)
+    slow = float(np.linalg.norm(moving - velocity)) <= VELOCITY_TOLERANCE_KM_S
+    within = f"to {VELOCITY_TOLERANCE_KM_S:g} km/s"
+    check(f"sun.{STATE[1]}", moving, slow, velocity, f"by {source}, {within} (or be left out)")

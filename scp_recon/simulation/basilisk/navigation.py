@@ -1,0 +1,132 @@
+"""Star tracker, gyro and Sun sensors, and the flight software that estimates the attitude from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from Basilisk.architecture import messaging, sysModel
+from Basilisk.simulation import coarseSunSensor, imuSensor, starTracker
+from Basilisk.utilities import macros
+from scipy.spatial.transform import Rotation
+
+from formulations.arrays import Array
+from scp_recon.bodies.catalogue import AU_KM
+from scp_recon.physics.frames import unit
+from scp_recon.simulation.basilisk.plant import Surroundings
+from scp_recon.simulation.estimator import AttitudeFilter, SensorSigmas
+from scp_recon.simulation.guidance import CONTROL_PERIOD_S, FlightPlan
+from scp_recon.simulation.vehicle import Vehicle
+
+JUMP_RAD_S = 0.01
+"""A command that turns faster has jumped to another mode; within a mode it turns at some 1e-4 rad/s."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Basilisk's sensor models, each with its own seed."""
+
+    star_tracker: starTracker.StarTracker
+    gyro: imuSensor.ImuSensor
+    suns: tuple[coarseSunSensor.CoarseSunSensor, ...]
+
+    @property
+    def models(self) -> list[sysModel.SysModel]:
+        """Star tracker, gyro and Sun sensors, as Basilisk's tasks take them."""
+        return [self.star_tracker, self.gyro, *self.suns]
+
+
+def build_sensors(
+    states: messaging.SCStatesMsg,
+    surroundings: Surroundings,
+    vehicle: Vehicle,
+    sigmas: SensorSigmas,
+    seeds: dict[str, int],
+) -> Sensors:
+    """Sensors of a hub with these states, whose noise is white with the given sigmas."""
+    white = np.zeros((3, 3)).tolist()
+    tracker = starTracker.StarTracker()
+    tracker.scStateInMsg.subscribeTo(states)
+    tracker.PMatrix = (sigmas.star_tracker * np.eye(3)).tolist()
+    tracker.setAMatrix(white)
+    tracker.setWalkBounds([[np.pi]] * 3)
+    tracker.RNGSeed = seeds["star_tracker"]
+    gyro = imuSensor.ImuSensor()
+    gyro.scStateInMsg.subscribeTo(states)
+    gyro.PMatrixGyro = (sigmas.gyro / CONTROL_PERIOD_S * np.eye(3)).tolist()
+    gyro.setAMatrixGyro(white)
+    gyro.setWalkBoundsGyro(np.full(3, np.pi))
+    gyro.RNGSeed = seeds["imu"]
+    # Basilisk's are as bright as the Sun; of that a sensor's cosine must not depend, nor its noise.
+    sun_km = np.linalg.norm(surroundings.mission.scenario.sun.body_position_km)
+    scale = float(sun_km / AU_KM) ** 2
+    suns = []
+    for index, boresight in enumerate(vehicle.sensors.sun_sensors):
+        sun = coarseSunSensor.CoarseSunSensor()
+        sun.stateInMsg.subscribeTo(states)
+        sun.sunInMsg.subscribeTo(surroundings.sun)
+        sun.sunEclipseInMsg.subscribeTo(surroundings.shadow)
+        sun.nHat_B = [[x] for x in boresight]
+        sun.fov = np.deg2rad(vehicle.sensors.sun_sensor_half_angle_deg)
+        sun.scaleFactor, sun.senNoiseStd = scale, sigmas.sun_sensor / scale
+        sun.minOutput, sun.maxOutput = -10.0, 10.0
+        sun.RNGSeed = (seeds["sun_sensor"] + index) % 2**32
+        suns.append(sun)
+    return Sensors(tracker, gyro, tuple(suns))
+
+
+class Navigator(sysModel.SysModel):
+    """Reads the sensors, estimates the attitude, and looks up the command of the moment."""
+
+    def __init__(
+        self,
+        plan: FlightPlan,
+        commands: Rotation,
+        sensors: Sensors,
+        attitude_filter: AttitudeFilter,
+        times_s: Array,
+    ) -> None:
+        super().__init__()
+        self.plan, self.commands, self.filter = plan, commands, attitude_filter
+        self.estimates = np.empty((len(times_s), 4))
+        self.navigation, self.reference = messaging.NavAttMsg(), messaging.AttRefMsg()
+        self._tracker = sensors.star_tracker.sensorOutMsg.addSubscriber()
+        self._gyro = sensors.gyro.sensorOutMsg.addSubscriber()
+        self._suns = [sun.cssDataOutMsg.addSubscriber() for sun in sensors.suns]
+        vehicle = plan.vehicle.sensors
+        self._boresights = unit(vehicle.sun_sensors)
+        self._tracker_axis = unit(vehicle.star_tracker)
+        self._blind = np.cos(np.deg2rad(vehicle.star_tracker_sun_exclusion_deg))
+        self._seen = np.cos(np.deg2rad(vehicle.sun_sensor_half_angle_deg))
+        self._mrps = self.commands.as_mrp().tolist()
+        self._rates = _rates(self.commands).tolist()
+        self._navigation = messaging.NavAttMsgPayload()
+        self._reference = messaging.AttRefMsgPayload()
+        self._sun = plan.mission.sun_direction(times_s)
+
+    def UpdateState(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
+        k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
+        gyro, estimate = self._gyro(), self.filter
+        if k > 0:
+            estimate.turn(np.array(gyro.DRFramePlatform))
+            sun_body = estimate.to_j2000.T @ self._sun[k]
+            stars = None
+            if self._tracker_axis @ sun_body < self._blind:
+                stars = np.array(self._tracker().qInrtl2Case)
+            lit = self._boresights @ sun_body > self._seen
+            cosines = np.array([self._suns[i]().OutputData for i in np.flatnonzero(lit)])
+            estimate.see(stars, cosines, self._boresights[lit], self._sun[k])
+        self.estimates[k] = estimate.quaternion
+        self._navigation.sigma_BN = estimate.mrp.tolist()
+        self._navigation.omega_BN_B = gyro.AngVelPlatform
+        self.navigation.write(self._navigation, now)
+        self._reference.sigma_RN = self._mrps[k]
+        self._reference.omega_RN_N = self._rates[k]
+        self.reference.write(self._reference, now)
+
+
+def _rates(commands: Rotation) -> Array:
+    """Rates of the commands between their jumps, J2000, rad/s, shape (n, 3)."""
+    steps = (commands[1:] * commands[:-1].inv()).as_rotvec() / CONTROL_PERIOD_S
+    steps[np.linalg.norm(steps, axis=1) > JUMP_RAD_S] = 0.0
+    return np.concatenate([steps, steps[-1:]])

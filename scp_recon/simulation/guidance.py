@@ -1,0 +1,164 @@
+"""Guidance: attitude commands from the nominal trajectory, the site and the Sun.
+
+In delta-V mode the thruster's force points along the burn, in observation mode the camera at the site,
+both rolled for the largest power; in sun-pointing mode the panels face the Sun and the camera turns
+towards the asteroid as far as that allows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation
+
+from formulations.arrays import Array
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Leg, Mode
+from scp_recon.physics import geometry
+from scp_recon.physics.frames import unit
+from scp_recon.results.solution import Solution, require_whole_flight
+from scp_recon.simulation.panels import SolarArray, align, irradiance
+from scp_recon.simulation.vehicle import Vehicle
+
+
+@dataclass(frozen=True)
+class Firing:
+    """A burn as commanded, J2000: a constant force for a whole number of control periods."""
+
+    start_s: float
+    duration_s: float
+    dv_m_s: Array
+
+    @property
+    def end_s(self) -> float:
+        """When it ends."""
+        return self.start_s + self.duration_s
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector, J2000; any for a burn of zero."""
+        return unit(self.dv_m_s) if np.any(self.dv_m_s) else np.array([1.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True)
+class FlightPlan:
+    """Commands that are known before departure.
+
+    Attitude modes are as scheduled, but the attitude of a burn is kept to its end. The nominal path is
+    the planned mean's positions, m, J2000.
+    """
+
+    mission: Mission
+    vehicle: Vehicle
+    firings: tuple[Firing, ...]
+    legs: tuple[Leg, ...]
+    nominal: tuple[CubicHermiteSpline, ...]
+
+    @classmethod
+    def of(cls, solution: Solution, mission: Mission, vehicle: Vehicle) -> FlightPlan:
+        """Prepare a solution for flight.
+
+        Raises:
+            InputError: if the vehicle's thruster takes longer for a burn than the schedule has, or the
+                plan begins in flight.
+        """
+        require_whole_flight(solution.scenario, "solution")
+        thrust, mass = vehicle.chemical_thruster.thrust_n, vehicle.mass.mass_kg
+        firings = []
+        for burn in solution.burns:
+            dv = np.array(burn.dv_m_s)
+            least = mass * float(np.linalg.norm(dv)) / thrust / CONTROL_PERIOD_S
+            start = round(burn.t_s / CONTROL_PERIOD_S) * CONTROL_PERIOD_S
+            firings.append(Firing(start, math.ceil(least) * CONTROL_PERIOD_S, dv))
+        legs = [Leg(Mode.DELTA_V, 0.0, firings[0].end_s)]
+        for leg in mission.schedule.legs:
+            late = next((f.end_s for f in firings if abs(f.start_s - leg.end_s) < 1.0), leg.end_s)
+            if legs[-1].end_s >= late:
+                took = f"a burn until {legs[-1].end_s:g} s"
+                raise InputError(
+                    "vehicle: chemical_thruster",
+                    took,
+                    f"must end before the mode at {late:g} s does",
+                )
+            legs.append(Leg(leg.mode, legs[-1].end_s, late))
+        return cls(mission, vehicle, tuple(firings), tuple(legs), _interpolate(solution))
+
+    @property
+    def end_s(self) -> float:
+        """When the last burn ends."""
+        return self.legs[-1].end_s
+
+    @cached_property
+    def panels(self) -> SolarArray:
+        """The vehicle's panels at the mission's distance from the Sun."""
+        return SolarArray.of(self.vehicle, irradiance(self.mission.scenario))
+
+    def position(self, time_s: Array) -> Array:
+        """Nominal positions, m, J2000, shape (n, 3); constant after the last burn."""
+        edges = [spline.x[0] for spline in self.nominal[1:]]
+        index = np.searchsorted(edges, time_s, side="right")
+        answer = np.empty((len(time_s), 3))
+        for i, spline in enumerate(self.nominal):
+            chosen = index == i
+            answer[chosen] = spline(np.minimum(time_s[chosen], spline.x[-1]))
+        return answer
+
+    def attitudes(self, time_s: Array) -> Rotation:
+        """Commanded attitudes, from the body to J2000, at ascending times."""
+        matrices = np.empty((len(time_s), 3, 3))
+        for leg in self.legs:
+            last = leg is self.legs[-1]
+            chosen = (time_s >= leg.start_s) & ((time_s < leg.end_s) | last)
+            matrices[chosen] = self._leg_attitudes(leg, time_s[chosen])
+        return Rotation.from_matrix(matrices)
+
+    def _leg_attitudes(self, leg: Leg, time_s: Array) -> Array:
+        """Shape (n, 3, 3)."""
+        sun = self.mission.sun_direction(time_s)
+        position = self.position(time_s)
+        camera = unit(self.vehicle.sensors.camera)
+        if leg.mode is Mode.SUN_POINTING:
+            return sun_pointing(self.panels, camera, sun, position)
+        if leg.mode is Mode.DELTA_V:
+            firing = next(f for f in self.firings if f.end_s >= leg.end_s - CONTROL_PERIOD_S)
+            axis_body = unit(self.vehicle.chemical_thruster.direction)
+            axis = np.broadcast_to(firing.direction, sun.shape)
+        else:
+            track = geometry.track(self.mission.site, self.mission.rotation, time_s)
+            axis_body, axis = camera, unit(track.position - position)
+        if not len(time_s):
+            return np.empty((0, 3, 3))
+        # One roll for the whole leg, so that the command is continuous.
+        angle = float(np.median(geometry.angle(axis, sun)))
+        return align(axis_body, axis, self.panels.best_roll(axis_body, angle), sun)
+
+
+CONTROL_PERIOD_S = 1.0
+"""How often the sensors are read and the actuators commanded."""
+
+
+def sun_pointing(panels: SolarArray, camera: Array, sun: Array, position: Array) -> Array:
+    """Attitudes of the largest power, the camera towards the asteroid as far as that allows.
+
+    Matrices (..., 3, 3) from the body to J2000, of unit vectors to the Sun and positions about the
+    asteroid (..., 3) there; the camera's boresight (3,) is in the body frame.
+    """
+    return align(unit(panels.best_direction()), sun, camera, -position)
+
+
+def _interpolate(solution: Solution) -> tuple[CubicHermiteSpline, ...]:
+    """Positions between the nodes, one piece from burn to burn, since velocity jumps between them."""
+    times, states = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
+    at = np.searchsorted(times, [burn.t_s for burn in solution.burns])
+    pieces = []
+    for first, last, burn in zip(at[:-1], at[1:], solution.burns[1:], strict=True):
+        velocity = states[first : last + 1, 3:].copy()
+        velocity[-1] -= burn.dv_m_s
+        rows = slice(first, last + 1)
+        pieces.append(CubicHermiteSpline(times[rows], states[rows, :3], velocity))
+    return tuple(pieces)

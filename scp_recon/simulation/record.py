@@ -1,0 +1,385 @@
+"""The file of a simulated flight: arrays every few seconds, a summary, and in what it fell short.
+
+The summary is SI, with angles in degrees. `docs/simulation_file.md` describes both.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ConfigDict, Field
+from scipy.spatial.transform import Rotation
+
+from formulations.arrays import Array
+from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
+from scp_recon.mission.schedule import Mode
+from scp_recon.results.read import File, parse_file
+from scp_recon.results.solution import Solution
+from scp_recon.scenario.fields import Line, Section
+from scp_recon.scp.status import Status
+from scp_recon.simulation.flight import (
+    Flight,
+    Pointing,
+    attitude_error,
+    ledger_error,
+    node_states,
+    pointing,
+    settling_time,
+    sigma_distance,
+    state_of_charge,
+)
+from scp_recon.simulation.guidance import CONTROL_PERIOD_S
+from scp_recon.simulation.vehicle import Vehicle
+
+FILE_NAME, SCHEMA = "simulation.npz", "scp_recon.simulation/1"
+SAMPLE_S = 10.0
+EVERY = slice(None, None, round(SAMPLE_S / CONTROL_PERIOD_S))
+MODES = tuple(Mode)
+STEADY_RAD = np.deg2rad(0.25)
+"""Attitude error in steady state."""
+SHORT_WH = 1e-9
+"""Energy that counts as none."""
+QUANTILES = {"q50": 0.5, "q95": 0.95, "q997": 0.997, "q100": 1.0}
+
+Arrays = dict[str, npt.NDArray[Any]]
+Count = Annotated[int, Field(ge=0)]
+Vector = tuple[float, float, float]
+Shape = tuple[str | int, ...]
+"""Numbers, and names of lengths that are equal."""
+Of = Callable[[Flight, Solution], npt.NDArray[Any]]
+
+
+class ModeOutcome(Section):
+    """A mode as commanded and as flown against the schedule's rules, which require a least length.
+
+    It is `ok` if it was long enough; a control period is forgiven. It is settled from when on the
+    attitude error stays below `STEADY_RAD` to its end, in delta-V mode to the burn, counted from its
+    start; null if never. In time is as early as the rules assume.
+    """
+
+    mode: Line
+    start_s: float
+    duration_s: float
+    required_s: float
+    ok: bool
+    settled_s: float | None
+    settled_in_time: bool
+
+
+class FlownBurn(Section):
+    """A burn as planned and as executed, J2000."""
+
+    t_s: float
+    duration_s: float
+    planned_m_s: Vector
+    executed_m_s: Vector
+    pointing_deg: float
+    executed_pointing_deg: float
+
+
+class Angles(Section):
+    """Mean and quantiles of an angle, degrees."""
+
+    model_config = ConfigDict(validate_by_name=True)
+
+    mean: float
+    q50: float
+    q95: float
+    q997: Annotated[float, Field(alias="q99.7")]
+    q100: float
+
+
+class WindowPointing(Section):
+    """Of the camera in the observation window: against its command, and against the site."""
+
+    camera: Angles
+    site: Angles
+
+
+class Energy(Section):
+    """Totals of the bus, Wh."""
+
+    generated: float
+    consumed: float
+    lost: float
+    unused: float
+    short: float
+
+
+class TerminalMiss(Section):
+    """Distance from the planned final state."""
+
+    position_m: float
+    velocity_m_s: float
+
+
+class FlightSummary(File):
+    """Summary of a simulated flight; the hashes are those of what was flown, null in older files."""
+
+    vehicle: Line
+    seed: Count
+    plan_hash: Line | None = None
+    inputs_sha256: Line | None = None
+    modes: tuple[Line, ...]
+    legs: tuple[ModeOutcome, ...]
+    burns: tuple[FlownBurn, ...]
+    window_pointing_deg: WindowPointing
+    estimate_deg: Angles
+    least_charge: float
+    floor_charge: float
+    energy_wh: Energy
+    ledger_error: float
+    dumps: Count
+    terminal_miss: TerminalMiss
+    within_3_sigma: float
+    largest_sigma_distance: float
+
+    def entries(self) -> dict[str, Any]:
+        """What the file holds."""
+        return {"schema": SCHEMA, **self.model_dump(mode="json", by_alias=True)}
+
+
+def _quaternions(attitudes: Rotation) -> Array:
+    return attitudes[EVERY].as_quat(canonical=True, scalar_first=True)
+
+
+def _modes(flight: Flight) -> npt.NDArray[np.int8]:
+    """Number of the mode in `MODES` at each sample."""
+    mode = np.zeros(len(flight.times_s), dtype=np.int8)
+    for leg in flight.plan.legs:
+        mode[flight.times_s >= leg.start_s] = MODES.index(leg.mode)
+    return mode[EVERY]
+
+
+ARRAYS: dict[str, tuple[Shape, Of]] = {
+    "t_s": (("samples",), lambda f, _: f.times_s[EVERY]),
+    "state": (("samples", 6), lambda f, _: f.states[EVERY]),
+    "attitude": (("samples", 4), lambda f, _: _quaternions(f.attitudes)),
+    "command": (("samples", 4), lambda f, _: _quaternions(f.commands)),
+    "estimate": (("samples", 4), lambda f, _: _quaternions(f.estimates)),
+    "rate_rad_s": (("samples", 3), lambda f, _: f.rates_rad_s[EVERY]),
+    "mode": (("samples",), lambda f, _: _modes(f)),
+    "actuators": (("samples",), lambda f, _: f.in_use[EVERY]),
+    "wheel_speed_rad_s": (("samples", "wheels"), lambda f, _: f.wheel_speeds_rad_s[EVERY]),
+    "panel_w": (("samples", "panels"), lambda f, _: f.panels_w[EVERY]),
+    "panel_peak_w": (("panels",), lambda f, _: f.plan.panels.peak_w),
+    "consumed_w": (("samples",), lambda f, _: f.consumed_w[EVERY]),
+    "state_of_charge": (("samples", "batteries"), lambda f, _: state_of_charge(f)[EVERY]),
+    "pointing_error_rad": (("seconds",), lambda f, _: attitude_error(f).astype(np.float32)),
+    "node_state": (("nodes", 6), node_states),
+    "node_sigma_distance": (("nodes",), sigma_distance),
+}
+"""The arrays of every file of this schema: the shape of each, and how it follows from a flight."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A simulation file: arrays by name, and the summary."""
+
+    arrays: Arrays
+    summary: FlightSummary
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<Record of a simulated flight: {', '.join(self.arrays)}>"
+
+    @property
+    def plan_hash(self) -> str | None:
+        """`Solution.plan_hash` of the plan flown; none in files of earlier versions."""
+        return self.summary.plan_hash
+
+
+def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
+    """The record of a flight of a solution, whose errors were drawn by a seed."""
+    arrays = {name: of(flight, solution) for name, (_, of) in ARRAYS.items()}
+    return Record(arrays, _summary(flight, solution, seed))
+
+
+def inputs_digest(solution: Solution, vehicle: Vehicle) -> str:
+    """SHA-256 of what is flown: plan and vehicle; flights of the same differ by the seed."""
+    inputs = {"plan_hash": solution.plan_hash, "vehicle": vehicle.model_dump(mode="json")}
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+
+def _summary(flight: Flight, solution: Solution, seed: int) -> FlightSummary:
+    plan, angles = flight.plan, pointing(flight)
+    charge, distance = state_of_charge(flight), sigma_distance(flight, solution)
+    miss = flight.terminal_state - np.array(solution.nodes.state[-1])
+    return FlightSummary(
+        vehicle=plan.vehicle.name,
+        seed=seed,
+        plan_hash=solution.plan_hash,
+        inputs_sha256=inputs_digest(solution, plan.vehicle),
+        modes=tuple(mode.value for mode in MODES),
+        legs=tuple(leg_outcomes(flight)),
+        burns=tuple(_burns(flight, angles)),
+        window_pointing_deg=WindowPointing(
+            camera=_quantiles(angles.camera), site=_quantiles(angles.site)
+        ),
+        estimate_deg=_quantiles(angles.estimate),
+        least_charge=float(charge.min()),
+        floor_charge=plan.vehicle.battery.floor_charge,
+        energy_wh=_energy(flight),
+        ledger_error=ledger_error(flight),
+        dumps=flight.dumps,
+        terminal_miss=TerminalMiss(
+            position_m=float(np.linalg.norm(miss[:3])),
+            velocity_m_s=float(np.linalg.norm(miss[3:])),
+        ),
+        within_3_sigma=float((distance <= 3.0).mean()),
+        largest_sigma_distance=float(distance.max()),
+    )
+
+
+def leg_outcomes(flight: Flight) -> Iterator[ModeOutcome]:
+    """Every mode after the first burn, whose attitude is there from the start."""
+    plan, error, times = flight.plan, attitude_error(flight), flight.times_s
+    rules, window = plan.mission.scenario.schedule, plan.mission.schedule.window_s
+    steady_s = {
+        Mode.SUN_POINTING: rules.recharge_s,
+        Mode.OBSERVATION: window[1] - window[0],
+        Mode.DELTA_V: rules.heating_s,
+    }
+    for leg in plan.legs[1:]:
+        required = rules.attitude_s + steady_s[leg.mode]
+        burn = next((f.start_s for f in plan.firings if f.end_s == leg.end_s), leg.end_s)
+        settled = settling_time(error[(times >= leg.start_s) & (times < burn)], STEADY_RAD)
+        duration = leg.end_s - leg.start_s
+        yield ModeOutcome(
+            mode=leg.mode.value,
+            start_s=leg.start_s,
+            duration_s=duration,
+            required_s=required,
+            ok=bool(duration >= required - CONTROL_PERIOD_S),
+            settled_s=settled if np.isfinite(settled) else None,
+            settled_in_time=bool(settled <= rules.attitude_s),
+        )
+
+
+def _burns(flight: Flight, angles: Pointing) -> Iterator[FlownBurn]:
+    """Every burn as planned and as executed."""
+    start, mean = np.rad2deg(angles.burns).tolist(), np.rad2deg(angles.executed).tolist()
+    for i, firing in enumerate(flight.plan.firings):
+        yield FlownBurn(
+            t_s=firing.start_s,
+            duration_s=firing.duration_s,
+            planned_m_s=tuple(firing.dv_m_s.tolist()),
+            executed_m_s=tuple(flight.burns_m_s[i].tolist()),
+            pointing_deg=start[i],
+            executed_pointing_deg=mean[i],
+        )
+
+
+def _quantiles(angle: Array) -> Angles:
+    """Mean and quantiles in degrees."""
+    degrees = np.rad2deg(angle)
+    named = {name: float(np.quantile(degrees, level)) for name, level in QUANTILES.items()}
+    return Angles(mean=float(degrees.mean()), **named)
+
+
+def _energy(flight: Flight) -> Energy:
+    """Totals of the bus."""
+    hours = CONTROL_PERIOD_S / 3600.0
+    totals = {
+        "generated": flight.panels_w,
+        "consumed": flight.consumed_w,
+        "lost": flight.lost_w,
+        "unused": flight.unused_w,
+        "short": flight.short_w,
+    }
+    return Energy(**{name: float(power[1:].sum()) * hours for name, power in totals.items()})
+
+
+def write_record(record: Record, folder: Path) -> Path:
+    """Write `simulation.npz` into a folder, whole or not at all.
+
+    Raises:
+        OSError: if the folder cannot be written.
+    """
+    buffer = io.BytesIO()
+    text = np.array(json.dumps(record.summary.entries()))
+    np.savez_compressed(buffer, allow_pickle=False, summary=text, **record.arrays)
+    return write_atomically(folder / FILE_NAME, buffer.getvalue())
+
+
+def read_record(path: Path) -> Record:
+    """Read a simulation file, or the one in a folder.
+
+    Raises:
+        InputError: if there is none, it is of another version or it is damaged.
+    """
+    file = path / FILE_NAME if path.is_dir() else path
+    try:
+        with file.open("rb") as stream, zipfile.ZipFile(stream):
+            pass  # or it is no archive, of which NumPy has other readers
+        with np.load(file, allow_pickle=False) as data:
+            arrays = {name: data[name] for name in data.files if name != "summary"}
+            summary = json.loads(str(data["summary"]))
+    except OSError as error:
+        reason = (error.strerror or "unreadable").lower()
+        raise InputError(f"simulation {file}", reason, "must be a readable file") from None
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(
+            f"simulation {file}", str(error)[:80], "must be a simulation file"
+        ) from None
+    parsed = parse_file(summary, FlightSummary, [SCHEMA], f"simulation {file}")
+    if strange := _strange(arrays):
+        raise InputError(f"simulation {file}: {strange}", "no such array", _shape_of(strange))
+    return Record(arrays, parsed)
+
+
+def _strange(arrays: Arrays) -> str | None:
+    """An array that is missing, holds no numbers, or does not fit the others."""
+    lengths: dict[str | int, int] = {}
+    for name, (shape, _) in ARRAYS.items():
+        array = arrays.get(name)
+        if array is None or array.dtype.kind not in "fiu" or array.ndim != len(shape):
+            return name
+        for side, length in zip(shape, array.shape, strict=True):
+            expected = side if isinstance(side, int) else lengths.setdefault(side, length)
+            if length != expected or not length:
+                return name
+        if not np.isfinite(array).all():
+            return name
+    return None
+
+
+def _shape_of(name: str) -> str:
+    return f"must be finite numbers of shape ({', '.join(map(str, ARRAYS[name][0]))})"
+
+
+def shortfalls(summary: FlightSummary, solution: Solution) -> list[str]:
+    """Requirements that were not kept, each beside what was required; empty if all were.
+
+    Asked are a plan that converged, a charge above the vehicle's floor with every load served, and of
+    every mode the length and the steady attitude that the schedule's rules give it.
+    """
+    converged = Status.CONVERGED.value.name
+    failed = []
+    if solution.status != converged:
+        failed.append(f"the plan is {solution.status}, asked {converged}")
+    charge, floor = summary.least_charge, summary.floor_charge
+    if charge < floor:
+        failed.append(f"least state of charge {charge:.3f}, asked {floor:.2f}")
+    if (short := summary.energy_wh.short) > SHORT_WH:
+        failed.append(f"{short:.3g} Wh short, asked 0")
+    rule = solution.scenario.schedule.attitude_s
+    for leg in summary.legs:
+        name = f"{leg.mode} mode from {leg.start_s:.0f} s"
+        if not leg.ok:
+            failed.append(f"{name} {leg.duration_s:.0f} s long, asked {leg.required_s:.0f} s")
+        if not leg.settled_in_time:
+            after = "never" if leg.settled_s is None else f"after {leg.settled_s:.0f} s"
+            failed.append(f"{name} steady {after}, asked {rule:.0f} s")
+    return failed

@@ -1,1 +1,0 @@
-"""The solution file, and how a plan becomes one."""

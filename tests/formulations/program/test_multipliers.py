@@ -1,0 +1,128 @@
+"""The primer: the adjoint against the affine model, and against flights with one more burn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from formulations.arrays import Array
+from formulations.linearisation.condensation import condense
+from formulations.linearisation.linearisation import Linearisation, final_state_map
+from formulations.problem.execution_errors import (
+    ComponentwiseErrors,
+    ExecutionErrors,
+    GatesErrors,
+)
+from formulations.program.multipliers import adjoint, primer
+from formulations.rows.cones import Rows
+from formulations.rows.exact import FlightRows, NodeRows
+from formulations.rows.uniform import ChanceRows
+from tests.helpers import constrain, generators, random_flyby, share_of_examples
+
+from .support import every_row
+
+BIASED = GatesErrors(0.0, 0.02, 0.0, 0.03, 0.04)
+
+
+def prices_of(rng: np.random.Generator, rows: Rows, burns: int) -> Array:
+    """Random prices of the miss and of the rows, none of the burns' own limits."""
+    of_rows = np.abs(rng.normal(size=rows.count))
+    return np.concatenate([rng.normal(size=6), np.zeros(3 * burns), of_rows])
+
+
+def by_burns(lin: Linearisation, rows: Rows, prices: Array) -> Array:
+    """Derivative of the priced miss and rows by all burns: of the affine model, forwards."""
+    z = lin.iterate.burns.ravel()
+    slope = final_state_map(lin)[1].T @ prices[:6]
+    of_rows = prices[6 + len(z) :]
+    for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.with_factor)):
+        p = cones.values.shape[2]
+        y = cones.values @ z[:p] + cones.constants
+        size = np.maximum(np.linalg.norm(y[:, 1:], axis=1), 1e-300)
+        bent = np.einsum("nd,ndp->np", y[:, 1:] / size[:, None], cones.values[:, 1:])
+        slope[:p] += of_rows[cones.rows] @ (bent - cones.values[:, 0])
+    return slope
+
+
+def backwards(lin: Linearisation, rows: Rows, prices: Array) -> Array:
+    """The same by the adjoint, at the nodes of the burns, with what a burn's own errors add."""
+    problem, nodes = lin.problem, lin.problem.burn_nodes
+    by_mean, by_factor = adjoint(rows, lin, prices)
+    found = by_mean[nodes, 3:]
+    if rows.with_factor:
+        errors = problem.execution_errors
+        unit = errors.jacobian(lin.iterate.burns)
+        for i, node in enumerate(nodes):
+            felt = by_factor[node, 3:]
+            both = np.hstack([felt[:, problem.shared_columns], felt[:, problem.columns_of_burn(i)]])
+            found[i] += np.einsum("ic,icj->j", both, unit[i])
+    return found.ravel()
+
+
+@given(generators, st.sampled_from(["P3", "P2"]))
+@settings(max_examples=share_of_examples(2))
+def test_the_adjoint_is_the_affine_model_read_backwards(
+    rng: np.random.Generator, name: str
+) -> None:
+    lin = constrain(rng, random_flyby(rng, nodes=8, burns=4)).perturbed(rng, 0.1, 0.0)
+    rows = every_row(lin, name)
+    prices = prices_of(rng, rows, lin.problem.n_burns)
+    expected = by_burns(lin, rows, prices)
+    scale = max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(backwards(lin, rows, prices), expected, atol=1e-9 * scale)
+
+
+@given(generators, st.sampled_from(["node", "flight"]))
+@settings(max_examples=share_of_examples(20))
+def test_so_it_is_where_risk_is_exact(rng: np.random.Generator, scope: str) -> None:
+    flyby = constrain(rng, random_flyby(rng, nodes=8, burns=3), ("in",))
+    lin = flyby.perturbed(rng, 0.02, 0.0)
+    rows = (
+        NodeRows(lin.problem, 0.7)
+        if scope == "node"
+        else FlightRows(lin.problem, 0.7, lines=64, resolution=0.0)
+    )
+    prices = prices_of(rng, rows, lin.problem.n_burns)
+    expected = by_burns(lin, rows, prices)
+    scale = max(1.0, float(np.abs(expected).max()))
+    np.testing.assert_allclose(backwards(lin, rows, prices), expected, atol=1e-7 * scale)
+
+
+@given(generators, st.sampled_from([ComponentwiseErrors(0.05), BIASED]))
+@settings(max_examples=share_of_examples(2))
+def test_it_tells_what_a_small_burn_more_does_to_a_flight(
+    rng: np.random.Generator, errors: ExecutionErrors
+) -> None:
+    """By differences of nonlinear flights with one more burn and all errors of it."""
+    flyby = constrain(rng, random_flyby(rng, nodes=9, burns=3))
+    problem = replace(flyby.problem, execution_errors=errors)
+    burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
+    lin = flyby.waves.linearise(problem, flyby.waves.rollout(problem, burns))
+    rows = every_row(lin, "P2")
+    assert isinstance(rows, ChanceRows)
+    prices = prices_of(rng, rows, problem.n_burns)
+    at = int(rng.choice(np.setdiff1d(np.arange(problem.n_nodes), problem.burn_nodes)))
+    place = int(np.searchsorted(problem.burn_nodes, at))
+    wider = replace(
+        problem,
+        burn_nodes=np.insert(problem.burn_nodes, place, at),
+        sun=np.insert(problem.sun, place, problem.sun[0], axis=0),
+    )
+    same_rows = ChanceRows(wider, rows.facets, rows.included)
+    u = rng.normal(size=3)
+
+    def priced(size: float) -> float:
+        more = np.insert(burns, place, size * u, axis=0)
+        flown = flyby.waves.linearise(wider, flyby.waves.rollout(wider, more))
+        margins = [part.margin for part in same_rows.margins(flown).values()]
+        excess = np.concatenate([flown.defects[-1], *[-part for part in margins]])
+        return float(excess @ np.r_[prices[:6], prices[6 + 3 * problem.n_burns :]])
+
+    step = 1e-5
+    expected = (priced(step) - priced(-step)) / (2.0 * step)
+    found = -primer(rows, lin, prices)[at] @ u
+    assert found == pytest.approx(expected, rel=1e-5, abs=1e-6)

@@ -1,0 +1,134 @@
+"""The packaged bodies: what they hold, and how well their mean elements say where the Sun is."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.bodies.catalogue import (
+    DAY_S,
+    GM_SUN_KM3_S2,
+    J2000_TDB,
+    OBLIQUITY,
+    body_names,
+    kepler,
+    packaged_body,
+)
+from scp_recon.errors import InputError
+from scp_recon.scenario.body import Body
+from scp_recon.scenario.resolution.agreement import angle_deg
+from tests import reference
+
+GOOD_TO_DEG = 0.01
+AU_KM = 149_597_870.7
+BODIES = ("Bennu", "Eros")
+
+
+@pytest.fixture(scope="module")
+def spice() -> ModuleType:
+    module: ModuleType = pytest.importorskip("spiceypy")
+    return module
+
+
+def test_the_documented_bodies_are_packaged_and_complete() -> None:
+    assert body_names() == list(BODIES)
+    for name in BODIES:
+        body = packaged_body(name.upper())
+        assert body is not None
+        Body.model_validate(body.entries | {"radii_m": tuple(body.entries["radii_m"])})
+    assert packaged_body("Ryugu") is None
+    assert packaged_body(5) is None
+
+
+def test_bennus_sun_is_that_of_the_reference() -> None:
+    bennu = packaged_body("Bennu")
+    assert bennu is not None
+    epoch = datetime.fromisoformat(reference.EPOCH_TDB) - J2000_TDB
+    position, velocity = bennu.heliocentric(epoch.total_seconds() / DAY_S)
+    assert angle_deg(position, reference.SUN_TO_BODY_KM) < GOOD_TO_DEG
+    assert np.linalg.norm(position) == pytest.approx(
+        np.linalg.norm(reference.SUN_TO_BODY_KM), rel=2e-4
+    )
+    np.testing.assert_allclose(velocity, reference.SUN_TO_BODY_KM_S, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("julian_day", "elements"),
+    [
+        # JPL's osculating elements of Eros, 27 years apart: deg/day, e, deg.
+        (
+            2_451_170.5,
+            (None, 0.2228858603247133, 10.83015266864554, 304.4308844737856, 178.6132327246327),
+        ),
+        (2_461_200.5, (0.5597046347, 0.222877963, 10.828544, 304.267971, 178.918132)),
+    ],
+)
+def test_eros_is_where_jpls_elements_have_it(
+    julian_day: float, elements: tuple[float | None, ...]
+) -> None:
+    eros = packaged_body("Eros")
+    assert eros is not None
+    motion, *shape = elements
+    if motion is None:
+        a = 1.458260038106518 * AU_KM
+        motion, anomaly = np.rad2deg(np.sqrt(GM_SUN_KM3_S2 / a**3)) * DAY_S, 208.1235381788443
+    else:
+        anomaly = motion * (julian_day - 2_461_088.813494)
+    days = julian_day - 2_451_545.0
+    osculating, moving = kepler(np.array([days, motion, *shape, anomaly]), days)
+    position, velocity = eros.heliocentric(days)
+    assert angle_deg(position, osculating) < GOOD_TO_DEG
+    np.testing.assert_allclose(velocity, moving, atol=0.01)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_orbits_of_neighbouring_years_meet(name: str) -> None:
+    body = packaged_body(name)
+    assert body is not None
+    for before, after in zip(body.elements[:-1], body.elements[1:], strict=True):
+        border = 0.5 * (before[0] + after[0])
+        assert after[0] - before[0] == pytest.approx(365.25)
+        apart = angle_deg(kepler(before, border)[0], kepler(after, border)[0])
+        assert apart < 2.0 * GOOD_TO_DEG
+
+
+@given(share=st.floats(0.0, 1.0), name=st.sampled_from(BODIES), step=st.sampled_from([-1e-3, 1e-3]))
+def test_the_velocity_is_how_the_position_changes(share: float, name: str, step: float) -> None:
+    body = packaged_body(name)
+    assert body is not None
+    row = body.elements[int(share * (len(body.elements) - 1))]
+    days = row[0] + 180.0 * share
+    (here, velocity), (there, _) = kepler(row, days), kepler(row, days + step)
+    np.testing.assert_allclose((there - here) / (step * DAY_S), velocity, atol=1e-3)
+
+
+@given(
+    e=st.floats(0.0, 0.6),
+    angles=st.tuples(st.floats(0.0, 90.0), *[st.floats(0.0, 360.0)] * 3),
+    motion=st.floats(0.1, 2.0),
+    # SPICE's propagation refuses times that are almost no number, such as 1e-319 s.
+    days=st.floats(-400.0, 400.0).map(lambda days: round(days, 9)),
+)
+def test_kepler_agrees_with_spice(
+    e: float, angles: tuple[float, ...], motion: float, days: float, spice: ModuleType
+) -> None:
+    a = (GM_SUN_KM3_S2 / (np.deg2rad(motion) / DAY_S) ** 2) ** (1.0 / 3.0)
+    conic = [a * (1.0 - e), e, *np.deg2rad(angles), 0.0, GM_SUN_KM3_S2]
+    ecliptic = spice.conics(conic, days * DAY_S)
+    turn = spice.rotate(-OBLIQUITY, 1)
+    position, velocity = kepler(np.array([0.0, motion, e, *angles]), days)
+    np.testing.assert_allclose(position, turn @ ecliptic[:3], rtol=1e-8, atol=1e-8 * a)
+    np.testing.assert_allclose(velocity, turn @ ecliptic[3:], rtol=1e-7, atol=1e-6)
+
+
+@pytest.mark.parametrize("days", [-40_000.0, 4_000.0, 15_000.0])
+def test_outside_the_span_the_years_are_told(days: float) -> None:
+    bennu = packaged_body("Bennu")
+    assert bennu is not None
+    with pytest.raises(InputError, match="2012 to 2035"):
+        bennu.heliocentric(days)

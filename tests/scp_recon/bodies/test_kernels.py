@@ -1,0 +1,192 @@
+"""SPICE kernels: what is read of them is what SPICE makes of them."""
+
+from __future__ import annotations
+
+import sys
+from datetime import timedelta
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scp_recon.bodies.catalogue import DAY_S, J2000_TDB
+from scp_recon.bodies.kernels import read_dsk, read_heliocentric, read_pck
+from scp_recon.bodies.surface import Mesh, direction_of
+from scp_recon.errors import InputError
+from scp_recon.physics.frames import Rotation
+from scp_recon.scenario.load import validate_scenario
+from tests.scp_recon.bodies.test_surface import box
+
+ROCK_ID = 2_999_999
+PCK = f"""KPL/PCK
+\\begindata
+BODY{ROCK_ID}_POLE_RA = ( 85.5 0. 0. )
+BODY{ROCK_ID}_POLE_DEC = ( -60.4 0. 0. )
+BODY{ROCK_ID}_PM = ( 140.7 2011.1 1.8E-06 )
+BODY{ROCK_ID}_RADII = ( 0.28 0.27 0.25 )
+\\begintext
+"""
+DAYS = 7_325.3
+
+
+@pytest.fixture(scope="module")
+def spice() -> ModuleType:
+    module: ModuleType = pytest.importorskip("spiceypy")
+    return module
+
+
+def write_pck(path: Path, text: str = PCK) -> Path:
+    path.write_text(text, "utf-8")
+    return path
+
+
+def write_spk(path: Path, spice: Any) -> tuple[Path, Any]:
+    """A body on a circle about the Sun for some days; and its states, km."""
+    et = DAYS * DAY_S + np.linspace(-3.0, 3.0, 25) * DAY_S
+    angle, rate = 1e-7 * et, 1e-7
+    circle = np.stack([np.cos(angle), np.sin(angle), 0.1 * np.cos(angle)], axis=1)
+    moving = np.stack([-np.sin(angle), np.cos(angle), -0.1 * np.sin(angle)], axis=1)
+    states = 1.5e8 * np.concatenate([circle, rate * moving], axis=1)
+    handle = spice.spkopn(str(path), "test", 0)
+    spice.spkw13(handle, ROCK_ID, 10, "J2000", et[0], et[-1], "rock", 7, len(et), states, et)
+    spice.spkcls(handle)
+    return path, states
+
+
+def write_dsk(path: Path, mesh: Mesh, spice: Any, segments: int = 1) -> Path:
+    vertices, plates = mesh.vertices_m / 1e3, mesh.facets + 1
+    finscl, corscl, worksz, voxpsz, voxlsz, spxisz = 5.0, 4, 10_000, 2_000, 5_000, 200_000
+    spaixd, spaixi = spice.dskmi2(
+        vertices, plates, finscl, corscl, worksz, voxpsz, voxlsz, True, spxisz
+    )
+    pi = np.pi
+    low, high = spice.dskrb2(vertices, plates, 1, np.zeros(10))
+    handle = spice.dskopn(str(path), "test", 0)
+    for surface in range(1, segments + 1):
+        spice.dskw02(
+            *(handle, ROCK_ID, surface, 1, "J2000", 1, np.zeros(10)),
+            *(-pi, pi, -pi / 2, pi / 2, low, high, -1e9, 1e9, vertices, plates, spaixd, spaixi),
+        )
+    spice.dskcls(handle, True)
+    return path
+
+
+def test_a_dsk_of_another_body_or_of_several_shapes_is_refused(tmp_path: Path, spice: Any) -> None:
+    mesh = box(np.array([280.0, 270.0, 250.0]))
+    one = write_dsk(tmp_path / "one.bds", mesh, spice)
+    assert len(read_dsk(one, ROCK_ID)[1]) == len(mesh.facets)
+    with pytest.raises(InputError, match=f"must be of body {ROCK_ID + 1}"):
+        read_dsk(one, ROCK_ID + 1)
+    with pytest.raises(InputError, match="of several segments; must hold one shape alone"):
+        read_dsk(write_dsk(tmp_path / "two.bds", mesh, spice, segments=2), ROCK_ID)
+
+
+def test_the_rotation_of_a_pck_is_spices(tmp_path: Path, spice: Any) -> None:
+    file = write_pck(tmp_path / "rock.tpc")
+    found = read_pck(file, ROCK_ID, DAYS)
+    assert found.radii_m == pytest.approx((280.0, 270.0, 250.0))
+    epoch = J2000_TDB + timedelta(days=DAYS)
+    ours = Rotation.from_iau(found.pole_ra_deg, found.pole_dec_deg, found.prime_meridian, epoch)
+    with spice.KernelPool(str(file)):
+        for seconds in (0.0, 20_000.0):
+            theirs = spice.tipbod("J2000", ROCK_ID, DAYS * DAY_S + seconds).T
+            np.testing.assert_allclose(ours.body_to_j2000(seconds), theirs, atol=1e-8)
+
+
+def test_the_state_of_an_spk_is_the_one_written(tmp_path: Path, spice: Any) -> None:
+    file, states = write_spk(tmp_path / "rock.bsp", spice)
+    position, velocity = read_heliocentric([file], ROCK_ID, DAYS * DAY_S)
+    np.testing.assert_allclose([*position, *velocity], states[12], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("latitude", "longitude"), [(10.0, 20.0), (-70.0, 100.0), (40.0, -130.0)])
+def test_a_ray_meets_the_shape_of_a_dsk_where_spice_has_it(
+    latitude: float, longitude: float, tmp_path: Path, spice: Any
+) -> None:
+    file = write_dsk(tmp_path / "rock.bds", box(np.array([280.0, 270.0, 250.0])), spice)
+    vertices, facets = read_dsk(file)
+    direction = direction_of(latitude, longitude)
+    position, normal = Mesh(vertices, facets).at(direction)
+    with spice.KernelPool(str(file)):
+        handle = spice.kdata(0, "dsk")[3]
+        segment = spice.dlabfs(handle)
+        plate, point, found = spice.dskx02(handle, segment, 2.0 * direction, -direction)
+        assert found
+        np.testing.assert_allclose(position, point * 1e3, rtol=1e-9)
+        np.testing.assert_allclose(normal, spice.dskn02(handle, segment, plate), atol=1e-12)
+
+
+def test_a_scenario_by_kernels_needs_them_once(tmp_path: Path, spice: Any) -> None:
+    write_pck(tmp_path / "rock.tpc")
+    write_spk(tmp_path / "rock.bsp", spice)
+    write_dsk(tmp_path / "rock.bds", box(np.array([280.0, 270.0, 250.0])), spice)
+    body = {
+        "name": "Rock",
+        "naif_id": ROCK_ID,
+        "gm_m3_s2": 5.0,
+        "j2": 0.0,
+        "reference_radius_m": 290.0,
+        "pck_file": str(tmp_path / "rock.tpc"),
+        "shape_file": str(tmp_path / "rock.bds"),
+    }
+    found = validate_scenario(
+        {
+            "base": "recon_b",
+            "epoch": {"tdb": (J2000_TDB + timedelta(days=DAYS)).isoformat()},
+            "body": body,
+            "sun": {"spk_files": [str(tmp_path / "rock.bsp")]},
+            "site": {"name": "Top", "latitude_deg": 90.0, "longitude_deg": 0.0},
+        }
+    )
+    assert found.body.prime_meridian_rate_deg_day == 2011.1
+    assert found.site.position_body_m[2] == pytest.approx(250.0)
+    for file in tmp_path.iterdir():
+        file.unlink()
+    assert found.replace({"risk.p_chance": 0.8}).sun == found.sun
+
+
+def test_the_users_own_kernels_stay(tmp_path: Path, spice: Any) -> None:
+    mine = write_pck(tmp_path / "mine.tpc", PCK.replace("2011.1", "100.0"))
+    with spice.KernelPool(str(mine)):
+        read_pck(write_pck(tmp_path / "rock.tpc"), ROCK_ID, DAYS)
+        assert spice.bodvcd(ROCK_ID, "PM", 3)[1][1] == 100.0
+        assert spice.ktotal("all") == 1
+
+
+def refusals(path: Path) -> list[InputError]:
+    found = []
+    for reading in (
+        lambda: read_pck(path, ROCK_ID, DAYS),
+        lambda: read_heliocentric([path], ROCK_ID, DAYS * DAY_S),
+        lambda: read_dsk(path),
+    ):
+        with pytest.raises(InputError) as caught:
+            reading()
+        found.append(caught.value)
+    return found
+
+
+@pytest.mark.parametrize("text", [None, "", "no kernel\n", "KPL/PCK\n\\begindata\nX = 1\n"])
+def test_what_is_no_kernel_is_refused(text: str | None, tmp_path: Path, spice: Any) -> None:
+    assert spice.ktotal("all") == 0
+    path = tmp_path / "no.tpc"
+    if text is not None:
+        path.write_text(text, "utf-8")
+    entries = [error.entry for error in refusals(path)]
+    assert entries == ["body.pck_file", "sun.spk_files", "body.shape_file"]
+
+
+def test_an_epoch_that_kernels_do_not_cover_is_refused(tmp_path: Path, spice: Any) -> None:
+    file, _ = write_spk(tmp_path / "rock.bsp", spice)
+    with pytest.raises(InputError, match="at the epoch"):
+        read_heliocentric([file], ROCK_ID, (DAYS + 50.0) * DAY_S)
+
+
+def test_without_spiceypy_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "spiceypy", None)
+    for error in refusals(write_pck(tmp_path / "rock.tpc")):
+        assert "scp_recon[spice]" in error.allowed

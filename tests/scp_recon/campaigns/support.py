@@ -1,0 +1,14 @@
+"""What the tests compare of campaigns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow.parquet
+
+from scp_recon.campaigns.results import MEASURED, RESULTS
+
+
+def table_of(folder: Path) -> pyarrow.Table:
+    """The table without what was measured."""
+    return pyarrow.parquet.read_table(folder / RESULTS).drop_columns(list(MEASURED))

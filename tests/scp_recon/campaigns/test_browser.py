@@ -1,0 +1,56 @@
+"""A campaign's page in headless Chromium; skipped where there is none, or no Playwright to drive it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scp_recon.campaigns.outcome import read_campaign
+from scp_recon.campaigns.page import write_pictures
+from tests.scp_recon.browser import WINDOW, chromium, needed
+from tests.scp_recon.campaigns.shown import ERRORS, PLACES, campaign_of
+
+PATIENCE_MS = 200_000
+
+pytestmark = needed
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as opened:
+        yield opened
+
+
+@pytest.mark.parametrize(("tables", "charts"), [(PLACES, 2), (ERRORS, 2)])
+def test_it_draws_opens_cases_and_asks_the_network_for_nothing(
+    browser: Any, tmp_path: Path, tables: dict[str, Any], charts: int
+) -> None:
+    campaign_of(tables, tmp_path)
+    file = write_pictures(read_campaign(tmp_path))[0]
+    page = browser.new_context(viewport=WINDOW).new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    said: list[str] = []
+    asked: list[str] = []
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("console", lambda m: said.append(m.text) if m.type == "error" else None)
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(file.as_uri(), wait_until="commit")
+    page.wait_for_function("window.campaign")
+    page.evaluate("campaign.drawn.then(() => 1)")
+    drawn = (
+        "[...document.querySelectorAll('[data-chart]')].filter(d => d.querySelector('.main-svg'))"
+    )
+    assert page.evaluate(f"{drawn}.length") == charts
+    assert page.evaluate("document.getElementById('detail-3').hidden")
+    page.evaluate(
+        "document.querySelector('[data-chart]').emit('plotly_click', {points: [{customdata: 3}]})"
+    )
+    assert not page.evaluate("document.getElementById('detail-3').hidden")
+    page.evaluate("document.querySelector('#case-3 button').click()")
+    assert page.evaluate("document.getElementById('detail-3').hidden")
+    assert said == []
+    outside = [url for url in asked if not url.startswith(("data:", "blob:"))]
+    assert outside == [file.as_uri()]

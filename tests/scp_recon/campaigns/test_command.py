@@ -1,0 +1,154 @@
+"""The command: what it says, when it refuses, and that it goes on where it was stopped."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from scp_recon.campaigns.results import ROWS, read_results
+from scp_recon.campaigns.run import executor_of
+from scp_recon.campaigns.study import Study
+from scp_recon.cli.commands import campaigns
+from scp_recon.cli.commands.campaigns import campaign as command
+from scp_recon.jobs.job import here
+from scp_recon.jobs.processes import Processes
+from scp_recon.results.read import read_solution
+from tests.scp_recon.campaigns.support import table_of
+
+PROJECT = Path(__file__).parents[3]
+STUDY = """
+[campaign]
+keep_solutions = true
+[[axis]]
+entry = "boundary.final_position_m"
+values = [[1.0, 2.0, 3.0], [19.9, 1128.7, -140.9]]
+"""
+REFUSED = """
+[[axis]]
+entry = "observation.incidence_max_deg"
+grid = { from = 0.01, to = 0.02, count = 40 }
+"""
+"""A mission that is never lit: each case is refused in no time."""
+
+
+def written(path: Path, text: str) -> str:
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_without_the_extra_for_pages_the_rest_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(campaigns, "has_extras", lambda: False)
+    text = REFUSED.replace("count = 40", "count = 2")
+    study, out = written(tmp_path / "study.toml", text), tmp_path / "out"
+    assert command.main([study, "--out", str(out), "--workers", "0"]) == 0
+    said = capsys.readouterr().out
+    assert "0 feasible of 2 cases" in said
+    assert "no campaign.html" in said
+
+
+def test_a_study_ends_with_its_table_and_its_solutions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, out = written(tmp_path / "study.toml", STUDY), tmp_path / "out"
+    assert command.main([study, "--out", str(out), "--workers", "0", "--json"]) == 0
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert document["command"] == "campaign"
+    assert document["statuses"] == {"converged": 1, "refused": 1}
+    assert document["ends"] == {"feasible": 1, "no mission": 1}
+    assert document["remarks"][-1].startswith("No mission: boundary.final_position_m: got ")
+    assert document["remarks"][-1] in said.err
+    rows = read_results(out)
+    assert list(rows.status) == ["refused", "converged"]
+    assert "boundary.final_position_m" in rows.message[0]
+    assert json.loads(rows["boundary.final_position_m"][1]) == [19.9, 1128.7, -140.9]
+    solution = read_solution(out / "solutions" / "case-0000001")
+    assert (solution.plan_hash, solution.total_dv_m_s) == (rows.plan_hash[1], rows.total_dv_m_s[1])
+    assert solution.verification is not None
+    assert solution.verification.ok
+    assert rows.verdict[1] == "verified"
+    assert rows.probability[1] == min(p.estimate for p in solution.verification.probabilities)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[campaign]\ndo = 'fry'", "campaign.do"),
+        ("[campaign", "must be a study file"),
+        (
+            "".join(
+                f"[[axis]]\nentry = '{entry}'\ngrid = {{ from = 0.6, to = 0.7, count = 1000 }}\n"
+                for entry in ("risk.p_chance", "burns.dv_max_m_s", "spacecraft.srp_area_m2")
+            ),
+            "1,000,000,000 cases (1,000 x 1,000 x 1,000); more than 100,000 need --yes",
+        ),
+    ],
+)
+def test_bad_input_is_one_message(
+    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = written(tmp_path / "study.toml", text)
+    assert command.main([study, "--out", str(tmp_path / "out")]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ({}, []),
+        ({"limit_s": 5.0}, ["limit_s: not kept with --workers 0, where no case can be ended"]),
+    ],
+)
+def test_limits_that_are_asked_for_and_not_kept_are_told(
+    limits: dict[str, float], said: list[str]
+) -> None:
+    study, heard = Study.validated({"campaign": limits}), list[str]()
+    assert executor_of(study, 0, None, heard.append) is here
+    assert heard == said
+    assert isinstance(executor_of(study, 1, None, heard.append), Processes)
+    assert heard == said
+
+
+def test_another_study_is_refused_in_the_same_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, out = tmp_path / "study.toml", tmp_path / "out"
+    few = REFUSED.replace("count = 40", "count = 3")
+    for text, status in ((few, 0), (few + "# a word", 0), (few.replace("0.02", "0.03"), 2)):
+        assert command.main([written(study, text), "--out", str(out), "--workers", "0"]) == status
+    assert "holds another campaign" in capsys.readouterr().err
+
+
+def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(tmp_path: Path) -> None:
+    """Ctrl-C, on real processes."""
+    study, out = written(tmp_path / "study.toml", REFUSED), tmp_path / "out"
+    words = [sys.executable, "-m", "scp_recon", "campaign", study, "--out", str(out)]
+    env = os.environ | {"PYTHONPATH": str(PROJECT)}
+    rows = out / ROWS
+    begun = subprocess.Popen([*words, "--workers", "2"], env=env, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 200
+    while not (rows.is_file() and rows.read_bytes().count(b"\n") > 1) and time.monotonic() < until:
+        time.sleep(0.02)
+    begun.send_signal(signal.SIGINT)
+    _, said = begun.communicate(timeout=100)
+    assert begun.returncode == 130, said
+    assert "interrupted" in said
+    assert "Traceback" not in said
+    kept = read_results(out)
+    assert 0 < len(kept) < 40
+    assert command.main([study, "--out", str(out), "--workers", "0", "--quiet"]) == 0
+    assert command.main([study, "--out", str(tmp_path / "b"), "--workers", "0", "--quiet"]) == 0
+    assert table_of(out).equals(table_of(tmp_path / "b"))
+    whole = read_results(out)
+    assert len(whole) == 40
+    assert whole[whole.case.isin(kept.case)].reset_index(drop=True).equals(kept)

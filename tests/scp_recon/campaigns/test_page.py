@@ -1,0 +1,235 @@
+"""What is shown of a campaign: its ends, pictures and page."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from datetime import UTC, datetime
+from html import unescape
+from io import BytesIO, StringIO
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from scp_recon.campaigns.figures import figures
+from scp_recon.campaigns.outcome import CampaignResults, axes_of, label, read_campaign, remarks
+from scp_recon.campaigns.page import charts_of, render
+from scp_recon.campaigns.study import Study
+from scp_recon.cli.commands.campaigns import show_campaign
+from scp_recon.cli.commands.plans import report
+from scp_recon.errors import InputError
+from tests.scp_recon.campaigns.shown import ERRORS, PLACES, campaign_of
+
+MADE = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Study, CampaignResults]:
+    folder = tmp_path_factory.mktemp("map")
+    return campaign_of(PLACES, folder), read_campaign(folder)
+
+
+@pytest.fixture(scope="module")
+def errors(tmp_path_factory: pytest.TempPathFactory) -> CampaignResults:
+    folder = tmp_path_factory.mktemp("errors")
+    campaign_of(ERRORS, folder)
+    return read_campaign(folder)
+
+
+def test_every_case_has_its_end(mapped: tuple[Study, CampaignResults]) -> None:
+    _, results = mapped
+    latitudes = results.table["site.latitude_deg"]
+    assert results.counts() == {
+        "feasible": int(((latitudes >= 0) & (latitudes <= 60)).sum()),
+        "infeasible": int(((latitudes < 0) & (latitudes >= -60)).sum()),
+        "no mission": int((abs(latitudes) > 60).sum()),
+    }
+    assert results.verdict == f"{results.feasible} feasible of 24 cases"
+
+
+def test_a_plan_that_is_not_verified_is_not_feasible(errors: CampaignResults) -> None:
+    table = errors.table.assign(verdict="not verified: P(emission)")
+    changed = CampaignResults(
+        errors.folder, table, errors.base, errors.campaign, errors.entries, errors.cases
+    )
+    assert changed.counts() == {"not verified": 8}
+
+
+@pytest.mark.parametrize("column", ["flown_shortfalls", "simulated_shortfalls"])
+def test_what_a_plans_own_flights_do_not_bear_out_is_not_feasible(
+    errors: CampaignResults, column: str
+) -> None:
+    """Nor is what fell short of its limits with the spacecraft in the loop."""
+    table = errors.table.assign(**{column: ["<short> of it", *[None] * 7]})
+    changed = replace(errors, table=table)
+    assert changed.counts() == {"feasible": 7, "not verified": 1}
+    assert "Not borne out: <short> of it (1)." in remarks(changed)
+    assert "&lt;short&gt; of it</p>" in render(changed, MADE)
+
+
+def test_the_remarks_say_why_cases_have_no_plan(
+    mapped: tuple[Study, CampaignResults], errors: CampaignResults
+) -> None:
+    said = remarks(mapped[1])
+    assert any(line.startswith("Broken most: emission_max (") for line in said)
+    assert any(line.startswith("No mission: design: no window <at all> & none (") for line in said)
+    statuses, warned = ["timed out", *["converged"] * 7], ["odd mass", *[None] * 7]
+    message = ["took longer\nthan " + "9" * 300, *[None] * 7]
+    late = errors.table.assign(status=statuses, message=message, warnings=warned)
+    said = remarks(replace(errors, table=late.assign(verdict=[None, *["not verified: P(x)"] * 7])))
+    assert "Ends: 7 not verified, 1 no answer." in said
+    assert "Not borne out: P(x) (7)." in said
+    assert "Warned: odd mass (1)." in said
+    (answer,) = (line for line in said if line.startswith("No answer: took longer than 999"))
+    assert len(answer) < 200
+
+
+def test_cases_that_share_a_place_are_told_and_the_cheapest_is_drawn(tmp_path: Path) -> None:
+    sites = {
+        "latitude_deg": {"from": -30.0, "to": 30.0, "count": 2},
+        "longitude_deg": {"from": 0.0, "to": 240.0, "count": 3},
+    }
+    chances = {"entry": "risk.p_chance", "values": [0.9, 0.7]}
+    campaign_of({"axis": [{"sites": sites}, chances]}, tmp_path / "map")
+    results = read_campaign(tmp_path / "map")
+    assert (len(results.table), results.feasible) == (12, 6)
+    assert list(results.by_site.table["case"]) == [0, 2, 4, 6, 8, 10], (
+        "the first is cheaper by hand"
+    )
+    drawn = figures(results)["map"].axes[0].collections[0]
+    assert drawn.get_offsets().shape == (3, 2)
+    assert any("cheapest" in line for line in remarks(results))
+    grids = [
+        {"entry": entry, "values": values}
+        for entry, values in (
+            ("uncertainty.execution_error", [0.02, 0.04, 0.08]),
+            ("burns.dv_max_m_s", [0.1, 0.2]),
+            ("safety.radius_min_m", [400.0, 500.0]),
+            ("polytopes.ball", ["paper", "tangent"]),
+        )
+    ]
+    for count in (3, 4):
+        campaign_of({"axis": grids[:count]}, tmp_path / str(count))
+        results = read_campaign(tmp_path / str(count))
+        assert results.overlaid == (count == 4)
+        assert len(figures(results)["curves"].axes[0].lines[0].get_xdata()) == 3
+        assert all(len(trace["x"]) == 3 for trace in charts_of(results)[0]["data"])
+
+
+def test_draws_are_points_not_a_line_from_one_to_the_next(tmp_path: Path) -> None:
+    laws = [
+        {"entry": entry, "law": "uniform", "low": 0.05, "high": 0.1}
+        for entry in ("uncertainty.execution_error", "burns.dv_max_m_s")
+    ]
+    for count, style in ((1, "-"), (2, "None")):
+        folder = tmp_path / str(count)
+        campaign_of({"axis": [{"draws": laws[:count], "count": 6}]}, folder)
+        (line,) = figures(read_campaign(folder))["curves"].axes[0].lines
+        assert line.get_linestyle() == style
+
+
+def test_what_changes_together_is_one_axis(errors: CampaignResults) -> None:
+    assert errors.free == ("uncertainty.execution_error", "battery.delta_v_cone_deg")
+    assert axes_of(errors) == ("uncertainty.execution_error", "battery.delta_v_cone_deg", None)
+    assert label("battery.delta_v_cone_deg") == "delta v cone (deg)"
+    assert label("burns.dv_max_m_s") == "dv max (m/s)"
+
+
+def test_pictures_suit_the_axes(
+    mapped: tuple[Study, CampaignResults], errors: CampaignResults
+) -> None:
+    drawn = figures(mapped[1]) | figures(errors)
+    assert list(drawn) == ["map", "globe", "curves"]
+    for figure in drawn.values():
+        picture = BytesIO()
+        figure.savefig(picture, format="png", dpi=40)
+        assert picture.getvalue().startswith(b"\x89PNG")
+    curves = drawn["curves"].axes[0].lines
+    assert [len(curve.get_xdata()) for curve in curves] == [4, 4]
+    assert drawn["map"].axes[0].collections[0].get_offsets().shape == (mapped[1].feasible, 2)
+
+
+def test_a_case_opens_with_what_it_changes(mapped: tuple[Study, CampaignResults]) -> None:
+    _, results = mapped
+    page = unescape(render(results, MADE))
+    found = re.search(r'id="detail-11".*?<p>(site[^<]*)</p>', page, re.DOTALL)
+    assert found
+    row = results.table.set_index("case").loc[11]
+    for entry in results.entries:
+        assert f"{entry} = {row[entry]}" in found[1]
+    assert f"seed = {row['seed']}" in found[1]
+
+
+def test_epochs_may_stand_on_any_axis(tmp_path: Path) -> None:
+    """And whole numbers stay whole."""
+    axes = [
+        {"entry": "epoch.tdb", "values": ["2020-01-22T00:00:00", "2020-02-22T00:00:00"]},
+        {"entry": "uncertainty.execution_error", "values": [0.02, 0.04, 0.07]},
+        {"entry": "polytopes.cone", "values": [4, 6, 8, 12]},
+    ]
+    for count in (2, 3):
+        folder = tmp_path / str(count)
+        campaign_of({"axis": axes[:count]}, folder)
+        results = read_campaign(folder)
+        assert "2020-02-22T00:00" in render(results, MADE)
+        assert set(figures(results)) == {"curves"}
+    assert results.table["polytopes.cone"].dtype.kind == "i"
+
+
+def test_the_page_says_it_all_and_escapes(mapped: tuple[Study, CampaignResults]) -> None:
+    _, results = mapped
+    page = render(results, MADE)
+    assert results.verdict in page
+    assert page.count('class="detail"') == 24
+    assert "&lt;at all&gt; &amp; none" in page
+    assert "Broken most: emission_max" in page
+    costs = [
+        float(x) for x in re.findall(r'class="number">(0\.\d+)</td><td class="number">0.9<', page)
+    ]
+    assert costs == sorted(costs)
+    assert len(costs) == results.feasible
+
+
+def test_a_case_opens_with_what_its_flights_came_to(errors: CampaignResults) -> None:
+    flown = errors.table.assign(flights=3000, flown_lowest=0.985, flown_lowest_of="emission")
+    campaign = errors.campaign.model_copy(update={"do": "fly"})
+    page = render(replace(errors, table=flown, campaign=campaign), MADE)
+    assert "<p>flights 3000; flown_lowest 0.985; flown_lowest_of emission</p>" in page
+
+
+def test_a_plan_that_was_kept_is_linked(mapped: tuple[Study, CampaignResults]) -> None:
+    folder = mapped[1].folder
+    kept = folder / "solutions" / "case-0000003"
+    kept.mkdir(parents=True)
+    (kept / "solution.json").write_text("{}")
+    assert "scp_recon report solutions/case-0000003" in render(mapped[1], MADE)
+    (kept / "report.html").write_text("")
+    assert 'href="solutions/case-0000003/report.html"' in render(mapped[1], MADE)
+
+
+def test_what_was_stopped_is_shown_as_far_as_it_came(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    campaign_of(ERRORS, tmp_path, stop_after=5)
+    assert report.main([str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "5 feasible of 5 cases run so far, of 8 in the study" in said
+    assert {path.name for path in tmp_path.iterdir()} >= {"campaign.html", "curves.png"}
+
+
+def test_what_is_not_verified_is_told(errors: CampaignResults, tmp_path: Path) -> None:
+    """The status alone, converged, would pass for success."""
+    told = replace(errors, folder=tmp_path, table=errors.table.assign(verdict="not verified: P(x)"))
+    console = Console(file=StringIO(), width=200)
+    show_campaign(told, [], console)
+    said = console.file.getvalue()  # type: ignore[attr-defined]
+    assert "0 feasible of 8 cases\nEnds: 8 not verified.\nNot borne out: P(x) (8)." in said
+
+
+def test_a_folder_without_a_campaign_is_one_message(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="must hold a campaign"):
+        read_campaign(tmp_path)
+    (tmp_path / "campaign.json").write_text('{"schema": "another"}')
+    with pytest.raises(InputError, match="must hold a campaign"):
+        read_campaign(tmp_path)

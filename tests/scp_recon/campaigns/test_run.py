@@ -1,0 +1,151 @@
+"""A campaign's folder: whose it is, and a table that is whole or not there."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import pyarrow
+import pytest
+
+from scp_recon.campaigns.cases import Case
+from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_results
+from scp_recon.campaigns.run import Observer, run_study
+from scp_recon.campaigns.study import Campaign, Study
+from scp_recon.errors import InputError
+from scp_recon.files import write_atomically
+from scp_recon.jobs.job import Done, Executor, Job, Work, here
+from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.store import Row
+from scp_recon.scenario.load import load_scenario
+from tests.scp_recon.campaigns.support import table_of
+
+STUDY = Study(
+    Campaign(), load_scenario(), ([{"risk.p_chance": 0.1 * i} for i in range(9)],), Path(), {}
+)
+
+
+def work(case: Case) -> Row:
+    """Depends on seed and changes to the last bit; every fourth case is refused."""
+    if case.number % 4 == 3:
+        raise InputError("x", "0", "must be more")
+    value = (case.seed % 1_003) / 7.0 * case.changes["risk.p_chance"]
+    return Row({"status": "converged", "total_dv_m_s": value})
+
+
+def run(folder: Path, executor: Executor = here, observe: Observer | None = None) -> pyarrow.Table:
+    run_study(STUDY, folder, work, executor, observe)
+    return table_of(folder)
+
+
+def stopped(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
+    yield from here(work, islice(jobs, 3))
+    raise KeyboardInterrupt
+
+
+def test_a_table_is_the_same_stopped_and_continued_elsewhere(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "a", stopped)
+    kept = read_results(tmp_path / "a")
+    assert list(kept["status"]) == ["converged"] * 3
+    seen: list[tuple[Any, ...]] = []
+    table = run(tmp_path / "a", Processes(2, Limits(60.0)), lambda *told: seen.append(told))
+    assert seen[0] == (3, 9, None)
+    assert [told[:2] for told in seen[1:]] == [(n, 9) for n in range(4, 10)]
+    assert table.equals(run(tmp_path / "b"))
+    assert not (tmp_path / "a" / ROWS).exists()
+    whole = read_results(tmp_path / "a")
+    assert whole[:3].equals(kept)
+    assert list(whole.status[3::4]) == ["refused"] * 2
+    assert whole.message[3] == "x: got 0; must be more"
+
+
+def test_two_campaigns_in_one_folder_are_refused(tmp_path: Path) -> None:
+    def again(*_: object) -> None:
+        with pytest.raises(InputError, match="at work"):
+            run(tmp_path)
+
+    run(tmp_path, here, again)
+    with pytest.raises(InputError, match="holds another campaign"):
+        run_study(replace(STUDY, campaign=Campaign(seed=1)), tmp_path, work, here)
+
+
+@pytest.mark.parametrize("left", [RESULTS, ROWS, "rows"])
+def test_rows_of_an_unknown_campaign_are_no_results(left: str, tmp_path: Path) -> None:
+    """As where a table was copied: it would pass for this study's."""
+    (tmp_path / left).write_bytes(b"")
+    with pytest.raises(InputError, match=f"with {left} but no campaign.json; must be a folder of"):
+        run(tmp_path)
+
+
+def test_an_unfinished_campaign_of_an_earlier_version_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, stopped)
+    (tmp_path / ROWS).unlink()
+    (tmp_path / "rows").mkdir()
+    with pytest.raises(InputError, match="an earlier version began"):
+        run(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"schema": "scp_recon.campaign/0"}'])
+def test_a_damaged_folder_is_refused_as_such(text: str, tmp_path: Path) -> None:
+    (tmp_path / "campaign.json").write_text(text)
+    with pytest.raises(InputError, match="is damaged or of another version"):
+        run(tmp_path)
+
+
+def test_a_finished_campaign_is_not_run_again_and_says_so(tmp_path: Path) -> None:
+    def never(*_: object) -> Any:
+        raise AssertionError
+
+    seen: list[tuple[Any, ...]] = []
+    first = run(tmp_path)
+    assert run(tmp_path, never, lambda *told: seen.append(told)).equals(first)
+    assert seen == [(9, 9, None)]
+
+
+def test_a_table_has_all_rows_or_is_not_written(tmp_path: Path) -> None:
+    """Whatever an executor leaves out."""
+    with pytest.raises(RuntimeError, match="2 rows of 9 cases"):
+        run(tmp_path, lambda work, jobs: here(work, list(jobs)[:2]))
+    assert not (tmp_path / RESULTS).exists()
+    assert len(run(tmp_path)) == 9
+
+
+def test_a_disk_that_is_full_at_the_end_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, content: Any) -> Path:
+        if path.name == RESULTS:
+            raise OSError(28, "No space left on device")
+        return write_atomically(path, content)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("scp_recon.campaigns.results.write_atomically", full)
+        with pytest.raises(InputError, match="no space left on device"):
+            run(tmp_path / "a")
+    assert len(read_results(tmp_path / "a")) == 9
+    assert run(tmp_path / "a").equals(run(tmp_path / "b"))
+
+
+def test_a_folder_without_rows_has_no_results(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="must hold a campaign"):
+        read_results(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("values", "cells"),
+    [
+        ([1, 2.5], [1.0, 2.5]),
+        ([True, False], [True, False]),
+        ([1, True], ["1", "true"]),
+        (["paper", 24, [1.5, "x"]], ["paper", "24", '[1.5, "x"]']),
+    ],
+)
+def test_a_column_holds_all_values_of_an_entry(values: list[Any], cells: list[Any]) -> None:
+    found = [cell(value, kind_of(values)) for value in values]
+    assert found == cells
+    assert list(map(type, found)) == list(map(type, cells))

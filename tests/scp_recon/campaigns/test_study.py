@@ -1,0 +1,308 @@
+"""What a study says, and what is refused of it before any work."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.campaigns.cases import Cases, case_seed
+from scp_recon.campaigns.study import Study, files_in, read_study
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.scenario.load import load_scenario
+
+P_CHANCE = {"entry": "risk.p_chance", "values": [0.7, 0.8]}
+
+
+def study(*axes: dict[str, Any], **campaign: Any) -> Study:
+    return Study.validated({"campaign": campaign, "axis": list(axes)})
+
+
+@given(st.lists(st.integers(1, 5), max_size=4), st.integers(0, 2**63 - 1))
+def test_the_cases_are_the_product_of_the_axes(sizes: list[int], seed: int) -> None:
+    axes = tuple([{f"e{k}": i} for i in range(size)] for k, size in enumerate(sizes))
+    cases = Cases(axes, seed)
+    found = [tuple(cases[n].changes[f"e{k}"] for k in range(len(sizes))) for n in range(len(cases))]
+    assert found == list(np.ndindex(*sizes))
+    assert [cases[n].number for n in range(len(cases))] == list(range(len(found)))
+
+
+def test_seeds_differ_by_case_and_by_study() -> None:
+    seeds = [case_seed(study, number) for study in range(20) for number in range(500)]
+    assert len(set(seeds)) == 10_000
+    assert all(0 <= seed < 2**63 for seed in seeds)
+    assert np.mean(np.array(seeds, dtype=float)) == pytest.approx(2**62, rel=0.02)
+
+
+def test_every_kind_of_axis_gives_its_rows() -> None:
+    found = study(
+        {"entries": ["risk.p_chance", "burns.dv_max_m_s"], "values": [[0.7, 0.2], [0.8, 0.3]]},
+        {
+            "entry": "uncertainty.execution_error",
+            "grid": {"from": 0.01, "to": 0.16, "count": 5, "scale": "log"},
+        },
+        {
+            "sites": {
+                "latitude_deg": {"from": -30, "to": 30, "count": 3},
+                "longitude_deg": {"from": 0, "to": 270, "count": 4},
+            }
+        },
+        {
+            "draws": [{"entry": "spacecraft.mass_kg", "law": "uniform", "low": 170, "high": 190}],
+            "count": 6,
+        },
+    )
+    assert len(found.cases) == 2 * 5 * 12 * 6
+    assert [row["uncertainty.execution_error"] for row in found.axes[1]] == pytest.approx(
+        [0.01, 0.02, 0.04, 0.08, 0.16]
+    )
+    assert found.axes[2][5] == {"site.latitude_deg": 0.0, "site.longitude_deg": 90.0}
+    masses = [row["spacecraft.mass_kg"] for row in found.axes[3]]
+    assert len(set(masses)) == 6
+    assert all(170 <= mass < 190 for mass in masses)
+    scenario = found.scenario_of(found.cases[found.cases[0].number + 6 * 5])
+    assert (scenario.site.latitude_deg, scenario.site.longitude_deg) == (0.0, 90.0)
+
+
+@pytest.mark.parametrize(
+    ("law", "mean", "spread"),
+    [
+        ({"law": "normal", "mean": 180.0, "sigma": 5.0}, 180.0, 5.0),
+        ({"law": "lognormal", "mean": 5.0, "sigma": 0.1}, 149.157, 14.953),
+        ({"law": "uniform", "low": 170.0, "high": 190.0}, 180.0, 20 / 12**0.5),
+        ({"law": "loguniform", "low": 100.0, "high": 200.0}, 144.27, 28.69),
+    ],
+)
+def test_draws_follow_their_law_and_more_of_them_keep_the_first(
+    law: dict[str, Any], mean: float, spread: float
+) -> None:
+    def drawn(count: int) -> list[float]:
+        axis = {"draws": [{"entry": "spacecraft.mass_kg", **law}], "count": count}
+        return [row["spacecraft.mass_kg"] for row in study(axis).axes[0]]
+
+    many = drawn(4_000)
+    assert np.mean(many) == pytest.approx(mean, abs=5 * spread / 4_000**0.5)
+    assert np.std(many) == pytest.approx(spread, rel=0.1)
+    assert drawn(10) == many[:10]
+
+
+def test_epochs_are_taken_from_the_lighting_windows() -> None:
+    """Each is a mission whose window stands between the same burns as the base's."""
+    found = study({"windows": {"span_days": 2.0}})
+    assert len(found.cases) > 5
+    base = Mission.from_scenario(load_scenario("recon_b"))
+    gap = np.searchsorted(base.scenario.burns.times_s, base.schedule.window_s)
+    for number in (0, len(found.cases) - 1):
+        mission = Mission.from_scenario(found.scenario_of(found.cases[number]))
+        times = mission.scenario.burns.times_s
+        assert (np.searchsorted(times, mission.schedule.window_s) == gap).all()
+
+
+P, FIRST = "risk.p_chance", "axis 1, row 1: risk.p_chance"
+GRID = {"from": 0, "to": 1, "count": 3}
+HALF = {"entry": P, "law": "normal", "low": 1}
+BEYOND = {"entry": P, "law": "uniform", "low": 3, "high": 4}
+
+
+@pytest.mark.parametrize(
+    ("axis", "entry", "words"),
+    [
+        ({"entry": "risk.p_chnce", "values": [1]}, "axis 1, row 1: risk.p_chnce", "did you mean"),
+        ({"entry": P, "values": []}, "axis 1.values", "at least 1"),
+        ({"entry": P, "values": [7.0, 0.7]}, FIRST, "must be"),
+        ({"entry": P}, "axis 1", "must have one of"),
+        ({"entry": P, "values": [1], "count": 3}, "axis 1.count", "must be one of"),
+        ({"entries": ["a.b", "c.d"], "values": [[1]]}, "axis 1", "must have 2 items"),
+        ({"entry": P, "grid": GRID | {"count": 0}}, "axis 1.grid.count", "at least 1"),
+        ({"entry": P, "grid": GRID | {"scale": "log"}}, "axis 1.grid", "positive"),
+        ({"draws": [HALF], "count": 2}, "axis 1.draws.0", "must have mean and sigma"),
+        ({"draws": [BEYOND], "count": 2}, FIRST, "must be"),
+        ({"windows": {"span_days": 0.02}}, "windows", "must find one"),
+        ({"windows": {"from": "2020-01-21T20:33:17Z", "span_days": 2}}, "axis 1.windows.from", ""),
+        ({"entries": [P, P], "values": [[0.7, 0.8]]}, "axis 1", "each entry once"),
+        ({"entries": [], "values": [[], []]}, "axis 1.entries", "at least 1"),
+        ({"draws": [BEYOND, BEYOND], "count": 2}, "axis 1", "each entry once"),
+    ],
+)
+def test_a_bad_axis_is_refused(axis: dict[str, Any], entry: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        study(axis)
+    assert caught.value.entry == entry
+    assert words in str(caught.value)
+
+
+def test_an_entry_is_on_one_axis() -> None:
+    with pytest.raises(InputError, match="must be on one axis"):
+        study(P_CHANCE, P_CHANCE)
+    with pytest.raises(InputError, match=r"risk.p_chance: got on axis 1 and axis 2"):
+        study(P_CHANCE, {"entry": "risk", "values": [{"p_chance": 0.9}]})
+
+
+def test_axes_that_contradict_each_other_in_every_case_are_refused() -> None:
+    """Each is a scenario alone."""
+    sigmas = ("initial_sigma_position_m", "initial_sigma_velocity_m_s", "initial_frame")
+    absolute = {
+        "entries": [f"uncertainty.{name}" for name in sigmas],
+        "values": [[[10.0] * 3, [5e-4] * 3, "j2000"]],
+    }
+    study(absolute)
+    with pytest.raises(InputError, match="all axes together"):
+        study({"entry": "uncertainty.initial_sigma_fraction", "values": [0.01, 0.02]}, absolute)
+
+
+@pytest.mark.parametrize(
+    ("campaign", "entry", "words"),
+    [
+        ({"do": "fyl"}, "campaign.do", "plan"),
+        ({"do": "design"}, "campaign.do", "home orbit"),
+        ({"do": "certify"}, "campaign.do", "exact"),
+        ({"base": "nowhere"}, "scenario nowhere", "must be a readable"),
+        ({"overrides": {"risk.p_chance": 2}}, P, "must be"),
+        ({"limit_s": 0}, "campaign.limit_s", "at least 0.1"),
+        ({"baze": "x"}, "campaign.baze", "must be one of"),
+    ],
+)
+def test_a_bad_campaign_is_refused(campaign: dict[str, Any], entry: str, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        study(**campaign)
+    assert caught.value.entry == entry
+    assert words in str(caught.value)
+
+
+MEAN_P = {"overrides": {"risk": {"p_chance": 0.9}}}
+SITES = {
+    "latitude_deg": {"from": 90, "to": -30, "count": 5},
+    "longitude_deg": {"from": 0, "to": 360, "count": 5},
+}
+
+
+@pytest.mark.parametrize(
+    ("axes", "campaign", "words"),
+    [
+        ([], {"samples": 1_000_000}, r"campaign.samples: got 1000000 with do = 'plan'; needs"),
+        (
+            [{"entry": "design.departure_s", "values": [[0.0, 0.0]]}],
+            {},
+            r"axis 1: design.departure_s: got with do = 'plan'; needs do = 'design'",
+        ),
+        ([], {"overrides": {"design.burn_times": "given"}}, r"overrides: design.burn_times: got"),
+        ([P_CHANCE], MEAN_P, r"overrides: risk.p_chance: got also on axis 1, which replaces it"),
+        (
+            [{"entry": "risk", "values": [{"p_chance": 0.8}]}],
+            {"overrides": {"risk.p_chance": 0.9}},
+            r"overrides: risk.p_chance: got also on axis 1",
+        ),
+        ([{"entry": "risk.p_chance", "values": [0.7, 0.8, 0.7]}], {}, r"row 3: .* row 1 again"),
+        (
+            [{"entry": "boundary.final_position_m", "values": [[1, 2, 3], [1.0, 2.0, 3.0]]}],
+            {},
+            r"row 2: .* row 1 again",
+        ),
+        ([{"sites": SITES}], {}, r"row 2: .* the site of row 1 again.* a pole is one site"),
+        (
+            [{"sites": SITES | {"latitude_deg": {"from": 30, "to": 30, "count": 1}}}],
+            {},
+            r"row 5: .* 0 and 360 deg are one meridian",
+        ),
+        (
+            [
+                {"windows": {"span_days": 0.5}},
+                {"entries": ["site.latitude_deg", "site.longitude_deg"], "values": [[10.0, 20.0]]},
+            ],
+            {},
+            r"axis 1.windows: got beside site.latitude_deg on axis 2; are windows of the base's",
+        ),
+    ],
+)
+def test_what_no_case_would_do_is_refused(
+    axes: list[dict[str, Any]], campaign: dict[str, Any], words: str
+) -> None:
+    """Rather than left out without a word."""
+    with pytest.raises(InputError, match=words):
+        study(*axes, **campaign)
+
+
+def test_what_differs_a_little_is_meant() -> None:
+    risk = {"entry": "risk", "values": [{"p_chance": 0.8}, {"p_chance": 0.9}]}
+    assert (
+        len(study(risk, overrides={"risk.allocation": "uniform"}, do="fly", samples=50).cases) == 2
+    )
+    assert len(study({"entry": "site.name", "values": ["a", "A"]}).cases) == 2
+    around = SITES | {"longitude_deg": {"from": -180, "to": 90, "count": 4}}
+    around["latitude_deg"] = {"from": 60, "to": -60, "count": 3}
+    assert len(study({"sites": around}).cases) == 12
+
+
+def test_everything_that_is_wrong_is_in_the_message() -> None:
+    bad = {"entry": "risk.p_chance", "values": [2, 3]}
+    with pytest.raises(InputError) as caught:
+        study(bad, {"entry": "burns.dv_max", "values": [1]})
+    message = str(caught.value)
+    assert message.count("got ") == 3
+    assert "axis 2, row 1: burns.dv_max" in message
+
+
+def test_draws_beyond_the_bounds_are_refused_rows_not_a_refused_study() -> None:
+    law = {"entry": "risk.p_chance", "law": "normal", "mean": 0.9, "sigma": 0.1}
+    assert len(study({"draws": [law], "count": 50}).cases) == 50
+
+
+def test_a_billion_cases_are_counted_not_made_and_have_to_be_meant() -> None:
+    grids = [
+        {"entry": entry, "grid": {"from": 0.1, "to": 0.2, "count": 1000}}
+        for entry in ("burns.dv_max_m_s", "uncertainty.execution_error", "risk.p_chance")
+    ]
+    begun = time.process_time()
+    with pytest.raises(InputError, match=r"1,000,000,000 cases \(1,000 x 1,000 x 1,000\).*--yes"):
+        study(*grids)
+    with pytest.raises(InputError, match="1,000,000,000 cases"):
+        study({"entry": "risk.p_chance", "grid": {"from": 0.1, "to": 0.2, "count": 10**9}})
+    assert time.process_time() - begun < 1.0
+
+
+def test_the_hash_is_of_the_ephemeris_too(tmp_path: Path) -> None:
+    """Which an entry two levels deep names."""
+    file = tmp_path / "ring.csv"
+    table = {"boundary": {"home": {"ephemeris_file": str(file)}}, "name": "x"}
+    assert list(files_in(table)) == [str(file)]
+
+
+def test_the_hash_is_of_what_decides_the_rows(tmp_path: Path) -> None:
+    def hashed(text: str) -> str:
+        path = tmp_path / "study.toml"
+        path.write_text(text)
+        return read_study(path).hash
+
+    one = '[campaign]\nbase = "recon_b"\n[[axis]]\nentry = "risk.p_chance"\nvalues = [0.7, 0.8]\n'
+    same = one + "# a word\n"
+    spelled = one.replace("values", "grid").replace(
+        "[0.7, 0.8]", "{from = 0.7, to = 0.8, count = 2}"
+    )
+    assert hashed(one) == hashed(same) == hashed(spelled)
+    for other in (
+        one.replace("0.8", "0.81"),
+        one.replace("[[axis]]", "seed = 1\n[[axis]]"),
+        one.replace("[[axis]]", "do = 'fly'\n[[axis]]"),
+        one.replace("[[axis]]", 'overrides."safety.radius_min_m" = 501\n[[axis]]'),
+    ):
+        assert hashed(other) != hashed(one)
+
+
+def test_keys_that_are_no_text_are_told_as_unknown() -> None:
+    """As only Python's own tables can have them."""
+    with pytest.raises(InputError, match="3: got an unknown entry"):
+        Study.validated({3: []})  # type: ignore[dict-item]
+
+
+@pytest.mark.parametrize("text", ["[campaign", "[campaign]\n[[axes]]\n", "axis = 3"])
+def test_a_file_that_is_no_study_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    with pytest.raises(InputError):
+        read_study(path)

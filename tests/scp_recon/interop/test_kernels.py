@@ -1,0 +1,194 @@
+"""Kernels of a plan, loaded by their own list and read by SPICE."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from scp_recon.bodies.catalogue import packaged_body
+from scp_recon.interop import kernels
+from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
+from scp_recon.interop.files import write_export
+from scp_recon.interop.kernels import command_times, commanded
+from scp_recon.physics.time_scales import iso_utc
+from scp_recon.simulation.guidance import FlightPlan
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+
+BENNU = 2101955
+SPACECRAFT, BODY, AXES = "-999", "BENNU", "SC999_AXES"
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle()
+
+
+@pytest.fixture(scope="module")
+def folder(export: Export, vehicle: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("spiceypy")
+    # A path longer than a string in a kernel may be.
+    folder = tmp_path_factory.mktemp("kernels") / ("it's a deep folder " * 5).strip()
+    folder.mkdir()
+    for form in ("spk", "ck"):
+        write_export(export, form, folder, vehicle)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def spice(folder: Path) -> Iterator[ModuleType]:
+    """With nothing loaded but the list."""
+    spiceypy: ModuleType = pytest.importorskip("spiceypy")
+    (listed,) = folder.glob("*.tm")
+    spiceypy.kclear()
+    spiceypy.furnsh(str(listed))
+    yield spiceypy
+    spiceypy.kclear()
+
+
+def test_the_list_loads_every_kernel(spice: ModuleType) -> None:
+    assert spice.ktotal("ALL") == 8
+    assert (spice.ktotal("SPK"), spice.ktotal("CK"), spice.ktotal("TEXT")) == (2, 1, 4)
+
+
+def test_positions_are_within_a_millimetre(spice: ModuleType, export: Export) -> None:
+    for coast in export.path.coasts:
+        et = export.et(coast.times_s)
+        read = np.array(
+            [spice.spkezr(SPACECRAFT, t, "J2000", "NONE", BODY)[0] * 1e3 for t in et[:-1]]
+        )
+        assert np.abs(read[:, :3] - coast.states[:-1, :3]).max() < 1e-3
+        np.testing.assert_allclose(read, coast.states[:-1], rtol=1e-10)
+
+
+def test_between_the_states_they_are_within_a_millimetre_too(
+    spice: ModuleType, export: Export
+) -> None:
+    from tests.scp_recon.support import integrate
+
+    for coast in export.path.coasts:
+        for k in range(0, len(coast.times_s) - 1, 20):
+            middle = coast.times_s[k : k + 2].mean()
+            exact = integrate(export.mission.forces, coast.states[k], [coast.times_s[k], middle])
+            et = export.et(np.array([middle]))[0]
+            read = spice.spkezr(SPACECRAFT, et, "J2000", "NONE", BODY)[0] * 1e3
+            assert np.linalg.norm(read[:3] - exact[-1, :3]) < 1e-6
+
+
+def test_a_burn_has_its_state_before_and_after(spice: ModuleType, export: Export) -> None:
+    for burn, (before, after) in zip(
+        export.solution.burns, itertools.pairwise(export.path.coasts), strict=True
+    ):
+        et = export.et(np.array([burn.t_s]))[0]
+        early = spice.spkezr(SPACECRAFT, et - 1e-4, "J2000", "NONE", BODY)[0] * 1e3
+        late = spice.spkezr(SPACECRAFT, et, "J2000", "NONE", BODY)[0] * 1e3
+        np.testing.assert_allclose(early[3:], before.states[-1, 3:], atol=1e-8)
+        np.testing.assert_allclose(late[3:], after.states[0, 3:], atol=1e-12)
+
+
+def test_attitudes_are_within_a_billionth_of_a_radian(
+    spice: ModuleType, export: Export, vehicle: Vehicle
+) -> None:
+    flight = FlightPlan.of(export.solution, export.mission, vehicle)
+    for leg in flight.legs:
+        times = command_times(flight, leg)[:-1]  # with the first instant of a mode
+        expected = commanded(flight, leg, times).as_matrix()
+        for et, matrix in zip(export.et(times), expected, strict=True):
+            off = spice.pxform(AXES, "J2000", et) @ matrix.T
+            assert np.linalg.norm(spice.raxisa(off)[1]) < 1e-9
+
+
+def test_attitudes_between_them_and_rates_are_those_commanded(
+    spice: ModuleType, export: Export, vehicle: Vehicle
+) -> None:
+    flight = FlightPlan.of(export.solution, export.mission, vehicle)
+    for leg in flight.legs:
+        times = command_times(flight, leg)
+        middles = 0.5 * (times[:-1] + times[1:])[:: max(len(times) // 20, 1)]
+        expected = commanded(flight, leg, middles).as_matrix()
+        soon = commanded(flight, leg, middles + 1e-2)
+        rates = (soon * commanded(flight, leg, middles).inv()).as_rotvec() / 1e-2
+        for et, matrix, rate in zip(export.et(middles), expected, rates, strict=True):
+            turn, found = spice.xf2rav(spice.sxform("J2000", AXES, et))
+            assert np.linalg.norm(turn.T - matrix) < 1e-5
+            np.testing.assert_allclose(found, rate, atol=2e-6)
+
+
+def test_the_camera_sees_the_site_in_the_window(
+    spice: ModuleType, export: Export, vehicle: Vehicle
+) -> None:
+    """Site, body-fixed axes, spacecraft and its axes, all from the kernels."""
+    first, last = export.mission.schedule.window_s
+    site = np.array(export.mission.scenario.site.position_body_m) / 1e3
+    for et in export.et(np.linspace(first, last - 1e-3, 9)):
+        at_site = spice.pxform("B2101955_FIXED", "J2000", et) @ site
+        craft = spice.spkpos(SPACECRAFT, et, "J2000", "NONE", BODY)[0]
+        camera = spice.pxform(AXES, "J2000", et) @ np.array(vehicle.sensors.camera)
+        assert spice.vsep(camera, at_site - craft) < 1e-4
+
+
+def test_modes_follow_each_other_without_a_gap(spice: ModuleType, export: Export) -> None:
+    end = export.mission.scenario.duration_s
+    for et in export.et(np.random.default_rng(3).uniform(0.0, end, 500)):
+        assert np.isfinite(spice.pxform(AXES, "J2000", et)).all()
+    for leg in export.mission.schedule.legs:
+        for et in export.et(np.array([leg.start_s, leg.end_s])):
+            assert np.isfinite(spice.pxform(AXES, "J2000", et)).all()
+
+
+def test_the_body_turns_and_moves_as_the_planner_has_it(spice: ModuleType, export: Export) -> None:
+    mission = export.mission
+    for time in np.linspace(0.0, mission.scenario.duration_s, 11):
+        et = export.et(np.array([time]))[0]
+        np.testing.assert_allclose(
+            spice.pxform("B2101955_FIXED", "J2000", et),
+            mission.rotation.body_to_j2000(time),
+            atol=1e-8,
+        )
+        sun = -spice.spkpos(BODY, et, "J2000", "NONE", "SUN")[0]
+        np.testing.assert_allclose(spice.vhat(sun), mission.sun_direction(time), atol=1e-12)
+    known = packaged_body("Bennu")
+    assert known is not None
+    assert spice.bodvrd(BODY, "RADII", 3)[1] * 1e3 == pytest.approx(known.entries["radii_m"])
+
+
+@pytest.mark.parametrize("body", [BENNU, UNNAMED_BODY_ID, 20_600_001, 433])
+def test_frame_numbers_are_those_that_are_free(export: Export, body: int) -> None:
+    given = Export(export.solution, export.mission, export.path, Ids(-999, body))
+    found = re.search(rf"FRAME_B{body}_FIXED = (\d+)\n", kernels.frames(given))
+    assert found is not None
+    assert 1_400_000 <= int(found[1]) <= 2_000_000
+
+
+def test_utc_is_that_of_the_headings(spice: ModuleType, export: Export) -> None:
+    for time in (0.0, 8000.0, 34842.0):
+        said = iso_utc(export.instant(time))
+        assert spice.utc2et(said) == pytest.approx(export.et(np.array([time]))[0], abs=1e-6)
+
+
+def test_the_comments_say_what_the_kernel_is(spice: ModuleType, folder: Path) -> None:
+    (path,) = (p for p in folder.glob("*.bsp") if not p.stem.endswith("_body"))
+    handle = spice.dafopr(str(path))
+    _, lines, _ = spice.dafec(handle, 100, 200)
+    spice.dafcls(handle)
+    assert lines[2] == "verified"
+    assert any(line.startswith("burn 4: t_s = 34842") for line in lines)
+
+
+def test_a_kernel_that_cannot_be_filled_leaves_nothing_behind(
+    export: Export, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("spiceypy")
+
+    def fails(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(kernels, "_rates", fails)
+    with pytest.raises(MemoryError):
+        write_export(export, "ck", tmp_path, vehicle)
+    assert list(tmp_path.iterdir()) == []

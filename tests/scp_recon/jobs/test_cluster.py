@@ -1,0 +1,237 @@
+"""Jobs on a real cluster: a scheduler and three worker processes, which die as they may."""
+
+from __future__ import annotations
+
+import logging
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from scp_recon.api.campaigns import work_of
+from scp_recon.campaigns.results import read_results
+from scp_recon.campaigns.run import run_study
+from scp_recon.campaigns.study import Study
+from scp_recon.cli.commands.flights import montecarlo
+from scp_recon.errors import InputError
+from scp_recon.jobs.cluster import Cluster, Session, run_in_child
+from scp_recon.jobs.job import Key, here
+from scp_recon.jobs.processes import Limits, UnfitError
+from scp_recon.monte_carlo.summary import FILE_NAME
+from scp_recon.results.facts import Verification
+from scp_recon.results.solution import Solution
+from tests.scp_recon.campaigns.support import table_of
+from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
+from tests.scp_recon.jobs.works import ENDS, Naughty, Quick
+
+distributed = pytest.importorskip("distributed")
+PROJECT = Path(__file__).parents[4]
+WORKERS = 3
+
+
+class LocalCluster:
+    """Processes as an administrator would have them: what ends is begun again."""
+
+    def __init__(self, log: Path) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        self.address = f"tcp://127.0.0.1:{self.port}"
+        self._log = log.open("ab")
+        self.scheduler = self._scheduler()
+        self.nannies = self._workers()
+
+    def _begin(self, *words: str) -> subprocess.Popen[bytes]:
+        env = {**os.environ, "PYTHONPATH": str(PROJECT), "PYTHONWARNINGS": "ignore"}
+        command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]]
+        return subprocess.Popen(command, env=env, stdout=self._log, stderr=self._log)
+
+    def _scheduler(self) -> subprocess.Popen[bytes]:
+        words = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
+        return self._begin("dask_scheduler", *words)
+
+    def _workers(self) -> subprocess.Popen[bytes]:
+        words = ("--nworkers", str(WORKERS), "--nthreads", "1", "--no-dashboard")
+        return self._begin("dask_worker", self.address, *words)
+
+    def pids(self) -> list[int]:
+        """Of the workers, once all are there."""
+        with distributed.Client(self.address, timeout=60, set_as_default=False) as client:
+            client.wait_for_workers(WORKERS, timeout=60)
+            return sorted(client.run(os.getpid).values())
+
+    def restart_scheduler(self) -> None:
+        self.scheduler.kill()
+        self.scheduler.wait()
+        self.scheduler = self._scheduler()
+        self.nannies.terminate()
+        self.nannies.wait(timeout=60)
+        self.nannies = self._workers()
+
+    def close(self) -> None:
+        for process in (self.nannies, self.scheduler):
+            process.terminate()
+        for process in (self.nannies, self.scheduler):
+            try:
+                process.wait(timeout=30)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+        self._log.close()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LocalCluster]:
+    begun = LocalCluster(tmp_path_factory.mktemp("cluster") / "log.txt")
+    yield begun
+    begun.close()
+
+
+class After:
+    """Does something once, when so many jobs have ended."""
+
+    def __init__(self, count: int, action: Any) -> None:
+        self.count, self.action = count, action
+        self.keys: list[Key] = []
+        self.acted = False
+
+    def __call__(self, key: Key, _: Mapping[str, Any]) -> None:
+        self.keys.append(key)
+        if len(self.keys) >= self.count and not self.acted:
+            self.acted = True
+            self.action()
+
+
+def test_a_scheduler_without_workers_is_told_once_until_one_joins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    workers: list[dict[str, int]] = [{}, {}, {"a": 2}, {}]
+    said: list[str] = []
+    session = Session(Cluster("tcp://127.0.0.1:1", LIMITS, said.append), b"")
+    session.client = SimpleNamespace(nthreads=lambda: workers.pop(0))
+    monkeypatch.setattr("scp_recon.jobs.cluster.LOOK_S", -1.0)
+    counts = []
+    while workers:
+        session.room()
+        counts.append(len(said))
+    assert counts == [1, 1, 1, 2]
+    assert "no workers" in said[0]
+
+
+def test_a_worker_is_killed_in_mid_run(cluster: LocalCluster, tmp_path: Path) -> None:
+    jobs = some_jobs(60)
+    victim = cluster.pids()[0]
+    killed = After(8, lambda: os.kill(victim, signal.SIGKILL))
+    rows = run_all(Quick(0.05), jobs, tmp_path / "a", Cluster(cluster.address, LIMITS), killed)
+    assert killed.acted
+    assert sorted(killed.keys, key=int) == list(range(60))
+    assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
+    assert victim not in cluster.pids()
+
+
+def test_jobs_that_misbehave_are_rows(cluster: LocalCluster, tmp_path: Path) -> None:
+    jobs, ways = some_jobs(20), dict(zip((2, 5, 7, 8, 11, 13, 15, 17), ENDS, strict=True))
+    before = cluster.pids()
+    work = Naughty(ways=tuple(ways.items()))
+    found = run_all(work, jobs, tmp_path / "a", Cluster(cluster.address, LIMITS))
+    assert {n: found[n]["status"] for n in ways} == {n: ENDS[way] for n, way in ways.items()}
+    assert {n for n in found if found[n]["tries"] == 3} == {n for n in ways if ways[n] == "die"}
+    serial = run_all(Quick(), jobs, tmp_path / "b")
+    assert all(found[n]["value"] == serial[n]["value"] for n in range(20) if n not in ways)
+    assert cluster.pids() == before, "no worker has died of it"
+
+
+def test_the_scheduler_is_restarted_in_mid_run(cluster: LocalCluster, tmp_path: Path) -> None:
+    jobs, said = some_jobs(60), list[str]()
+    cluster.pids()
+    restarting = threading.Thread(target=cluster.restart_scheduler)
+    seen = After(8, restarting.start)
+    executor = Cluster(cluster.address, LIMITS, said.append)
+    rows = run_all(Quick(0.05), jobs, tmp_path / "a", executor, seen)
+    restarting.join()
+    assert any("sent again" in line for line in said)
+    assert sorted(seen.keys, key=int) == list(range(60))
+    assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
+
+
+def test_real_plans_have_the_same_bits_on_a_cluster(cluster: LocalCluster, tmp_path: Path) -> None:
+    study = Study.validated(
+        {
+            "campaign": {"keep_solutions": True},
+            "axis": [{"entry": "risk.p_chance", "values": [0.7]}],
+        }
+    )
+    for name, executor in (("a", Cluster(cluster.address, Limits(200.0))), ("b", here)):
+        run_study(study, tmp_path / name, work_of(study), executor)
+    assert table_of(tmp_path / "a").equals(table_of(tmp_path / "b"))
+    rows = read_results(tmp_path / "a")
+    assert list(rows.verdict) == ["verified"]
+    assert f"{rows.total_dv_m_s[0]:.6f}" == "0.140135"
+
+
+def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Dask's client logs one; other programs' logs are theirs again afterwards."""
+    log, seen = logging.getLogger("distributed.client"), list[str]()
+
+    class Heard(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            seen.append(record.getMessage())
+
+    heard = Heard()
+    log.addHandler(heard)
+
+    def lost(*_: object, **__: object) -> None:
+        log.error("a traceback")
+        raise TimeoutError  # which says nothing
+
+    monkeypatch.setattr(distributed, "Client", lost)
+    try:
+        with pytest.raises(InputError, match=r"where none answers \(TimeoutError\)"):
+            list(Cluster("tcp://127.0.0.1:9", LIMITS)(Quick(), some_jobs(1)))
+        log.error("another's")
+    finally:
+        log.removeHandler(heard)
+    assert seen == ["another's"]
+
+
+def test_a_worker_of_other_versions_is_unfit() -> None:
+    with pytest.raises(UnfitError, match="instead of"):
+        run_in_child(pickle.dumps(({"scp_recon": "0"}, b"")), b"", LIMITS)
+
+
+def test_without_a_scheduler_there_is_one_message(tmp_path: Path) -> None:
+    began = time.monotonic()
+    with pytest.raises(InputError, match="where none answers") as caught:
+        run_all(Quick(), some_jobs(3), tmp_path, Cluster("tcp://127.0.0.1:9", LIMITS))
+    assert caught.value.entry == "scheduler"
+    assert time.monotonic() - began < 60
+
+
+@pytest.mark.parametrize("address", ["foo", "", "tcp://127.0.0.1:x"])
+def test_what_is_no_address_is_told_at_once(tmp_path: Path, address: str) -> None:
+    with pytest.raises(InputError, match="must be the address of a Dask scheduler"):
+        run_all(Quick(), some_jobs(2), tmp_path / "a", Cluster(address, LIMITS))
+
+
+def test_flights_are_the_same_on_a_cluster(
+    cluster: LocalCluster, solution: Solution, verification: Verification, tmp_path: Path
+) -> None:
+    replace(solution, verification=verification).write(tmp_path)
+    words = [str(tmp_path), "--samples", "5000", "--seed", "4"]
+    assert montecarlo.main(words) == 0
+    alone = (tmp_path / FILE_NAME).read_bytes()
+    assert montecarlo.main([*words, "--scheduler", cluster.address]) == 0
+    assert (tmp_path / FILE_NAME).read_bytes() == alone

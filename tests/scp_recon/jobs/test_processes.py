@@ -1,0 +1,168 @@
+"""Jobs in this process and on processes of this machine: the same rows, and nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from scp_recon.errors import InputError
+from scp_recon.jobs.job import Done, Executor, Job, Work, attempt, here, in_order
+from scp_recon.jobs.processes import Limits, Processes
+from scp_recon.jobs.store import Store, run
+from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
+from tests.scp_recon.jobs.works import ENDS, Naughty, OddError, Quick
+
+
+def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
+    yield from (attempt(work, job) for job in reversed(list(jobs)))
+
+
+@pytest.mark.parametrize("executor", [Processes(1, LIMITS), Processes(3, LIMITS), backwards])
+def test_rows_are_the_same_for_any_split(executor: Executor, tmp_path: Path) -> None:
+    jobs = some_jobs(40)
+    rows = run_all(Quick(), jobs, tmp_path / "a", executor)
+    assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
+
+
+@pytest.mark.parametrize("executor", [here, Processes(3), backwards])
+def test_results_come_in_the_order_of_the_jobs(executor: Executor) -> None:
+    found = list(in_order(executor, Quick(), iter(some_jobs(20))))
+    assert [done.key for done in found] == list(range(20))
+    assert [done.result() for done in found] == [Quick()(number) for number in range(20)]
+
+
+def test_jobs_that_misbehave_are_rows_and_the_others_are_as_ever(tmp_path: Path) -> None:
+    jobs, ways = some_jobs(18), dict(zip(range(1, 17, 2), ENDS, strict=True))
+    found = run_all(Naughty(ways=tuple(ways.items())), jobs, tmp_path / "a", Processes(2, LIMITS))
+    assert {n: found[n]["status"] for n in ways} == {n: ENDS[way] for n, way in ways.items()}
+    assert {way: found[n]["tries"] for n, way in ways.items()} == dict.fromkeys(ENDS, 1) | {
+        "die": 3,
+        "eat": found[5]["tries"],
+    }
+    assert found[1]["message"] == "took longer than 6 s"
+    assert found[3]["message"] == "took longer than 0.5 s of the processor"
+    assert found[11]["message"] == "ZeroDivisionError: in\nthe job"
+    assert found[13]["message"] == "OddError: 1 and 2"
+    serial = run_all(Quick(), jobs, tmp_path / "b")
+    assert all(found[n]["value"] == serial[n]["value"] for n in range(18) if n not in ways)
+
+
+def test_what_raises_is_the_same_row_here(tmp_path: Path) -> None:
+    raising = [way for way in ENDS if way in ("end", "raise", "refuse", "raise oddly")]
+    work = Naughty(ways=tuple(enumerate(raising)))
+    rows = [
+        computed(run_all(work, some_jobs(6), tmp_path / name, executor))
+        for name, executor in (("a", Processes(1, LIMITS)), ("b", here))
+    ]
+    assert rows[0] == rows[1]
+
+
+@pytest.mark.parametrize("executor", [here, Processes(1, LIMITS)])
+def test_a_result_raises_what_the_work_raised(executor: Executor, tmp_path: Path) -> None:
+    work = Naughty(ways=((0, "raise"), (1, "refuse")))
+    first, second = in_order(executor, work, some_jobs(2))
+    with pytest.raises(ZeroDivisionError, match="in\nthe job"):
+        first.result()
+    with pytest.raises(InputError) as caught:
+        second.result()
+    assert (caught.value.entry, caught.value.given) == ("x", "0")
+    with (
+        Store(tmp_path / "rows.jsonl", {}) as store,
+        pytest.raises(ZeroDivisionError, match="in\nthe job"),
+    ):
+        run(work, some_jobs(2), store, executor)
+
+
+def test_what_does_not_pickle_is_a_message() -> None:
+    odd, dead, whole = in_order(
+        Processes(1, LIMITS), Naughty(ways=((0, "raise oddly"), (1, "die"))), some_jobs(3)
+    )
+    with pytest.raises(InputError, match="job 0, failed: OddError: 1 and 2; every job must be"):
+        odd.result()
+    with pytest.raises(
+        InputError, match="flights: got block 1, died: ended its process in each of 3"
+    ):
+        dead.result("flights", "block")
+    assert whole.result() == Quick()(2)
+    with pytest.raises(OddError):
+        next(here(Naughty(ways=((0, "raise oddly"),)), some_jobs(1))).result()
+    (lost,) = Processes(1, LIMITS)(unpicklable, some_jobs(1))
+    assert lost.failure is not None
+    assert "pickle" in lost.failure.message
+
+
+def unpicklable(_: int) -> object:
+    return lambda: None
+
+
+def test_jobs_are_taken_as_they_are_needed_and_an_early_end_leaves_no_process() -> None:
+    """Who stops early, as flights do whose interval is narrow, has not had a million jobs made."""
+    taken, before = [], set(children())
+
+    def many() -> Iterator[Job]:
+        for number in range(10**6):
+            taken.append(number)
+            yield Job(number, number)
+
+    with closing(Processes(2, LIMITS)(Quick(), many())) as ended:
+        first = [next(ended).key for _ in range(5)]
+    assert len(set(first)) == 5
+    assert len(taken) < 40
+    assert set(children()) <= before
+
+
+def test_a_process_ends_with_who_began_it() -> None:
+    """Killed, a parent cannot end its processes: they see to it."""
+    pid = os.fork()
+    if pid == 0:  # begins one that would sleep, and is killed
+        try:
+            list(Processes(1, Limits(60.0))(Quick(30.0), some_jobs(1)))
+        finally:
+            os._exit(0)
+    until = time.monotonic() + 60
+    while not (found := children(pid)) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert found
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+    while is_there(found[0]) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not is_there(found[0])
+
+
+def test_work_that_cannot_be_loaded_is_one_message(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="AttributeError"):
+        run_all(Vanishing(), some_jobs(3), tmp_path, Processes(1, LIMITS))
+
+
+class Vanishing(Quick):
+    """Cannot be made again elsewhere."""
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return getattr, ("", "no_such_name")
+
+
+def children(of: int | None = None) -> list[int]:
+    """Processes that a process has begun, by the system's list."""
+    pid, found = of or os.getpid(), []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[1]) == pid and fields[0] != "Z":
+            found.append(int(stat.parent.name))
+    return found
+
+
+def is_there(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

@@ -1,0 +1,200 @@
+"""Rows on the disk: none lost, none doubled, wherever the work stops."""
+
+from __future__ import annotations
+
+import errno
+import json
+import resource
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.errors import InputError
+from scp_recon.jobs import store as module
+from scp_recon.jobs.job import Key
+from scp_recon.jobs.store import Store, read_head, read_rows, sources, versions
+from tests import reliability
+from tests.scp_recon.jobs.support import DEPENDS_ON, computed, run_all, some_jobs
+from tests.scp_recon.jobs.works import Quick
+
+
+def row_of(key: Key) -> dict[str, Any]:
+    return {"key": key, "third": int(key) / 3.0, "text": None if int(key) % 3 else f"ü\n{key}"}
+
+
+STEPS = st.lists(
+    st.one_of(
+        st.integers(0, 40).map(lambda key: ("add", key)),
+        st.sampled_from([("crash", 0), ("torn", 0), ("close", 0)]),
+    ),
+    max_size=60,
+)
+
+
+@given(STEPS)
+def test_no_row_is_lost_or_doubled(steps: list[tuple[str, int]]) -> None:
+    """Rows are added once each, and between them the process ends in every way that it can."""
+    with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("os.fsync", lambda _: None)
+        path, expected = Path(name) / "rows.jsonl", dict[Key, Any]()
+        store = Store(path, DEPENDS_ON)
+        for step, key in steps:
+            if step == "add":
+                if key not in store:
+                    store.put(key, row_of(key))
+                    expected[key] = row_of(key)
+                continue
+            store.close()
+            if step == "torn" and path.is_file():  # as a power cut leaves a line
+                with path.open("ab") as file:
+                    file.write(b'{"key": 77, "row')
+            store = Store(path, DEPENDS_ON)
+            assert dict(store.rows()) == expected
+        assert dict(store.rows()) == expected
+        assert not path.is_file() or dict(read_rows(path)) == expected
+        store.close()
+
+
+@pytest.mark.parametrize("place", [5, -5])
+def test_a_damaged_row_is_none_and_the_others_stay(tmp_path: Path, place: int) -> None:
+    path = tmp_path / "rows.jsonl"
+    with Store(path, DEPENDS_ON) as store:
+        for key in range(3):
+            store.put(key, row_of(key))
+    head, *lines = path.read_bytes().splitlines(keepends=True)
+    damaged = bytearray(lines[1])
+    damaged[place] ^= 1
+    path.write_bytes(b"".join([head, lines[0], bytes(damaged), lines[2]]))
+    with Store(path, DEPENDS_ON) as store:
+        assert dict(store.rows()) == {0: row_of(0), 2: row_of(2)}
+        assert store.row(1, lambda: row_of(1)) == row_of(1)
+    with Store(path, DEPENDS_ON) as store:
+        assert len(store) == 3
+    reliability.count(reliability.FAULTS)
+
+
+def test_a_later_row_of_a_key_counts_and_a_row_is_made_once(tmp_path: Path) -> None:
+    with Store(tmp_path / "rows.jsonl", DEPENDS_ON) as store:
+        store.put("a", {"x": 1})
+        store.put("a", {"x": 2})
+    with Store(tmp_path / "rows.jsonl", DEPENDS_ON) as store:
+        assert store.row("a", lambda: pytest.fail("made again")) == {"x": 2}
+        assert list(store.rows()) == [("a", {"x": 2})]
+        store.forget()
+        assert "a" not in store
+    assert [path.name for path in tmp_path.iterdir()] == []
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"schema": "another", "depends_on": {}}\n{"key": 1}\n'])
+def test_rows_of_anything_else_do_not_count_and_are_there_until_the_first_row(
+    tmp_path: Path, text: str
+) -> None:
+    path = tmp_path / "rows.jsonl"
+    path.write_text(text, encoding="utf-8")
+    with Store(path, DEPENDS_ON) as store:
+        assert len(store) == 0
+        assert path.read_text("utf-8") == text
+        store.put(1, row_of(1))
+    assert read_head(path) == DEPENDS_ON
+    with Store(path, {"of": "another test"}) as store:
+        assert len(store) == 0
+    with Store(path, DEPENDS_ON) as store:
+        assert len(store) == 1
+
+
+@pytest.mark.parametrize("text", ["[]\n", "{}\n", "{"])
+def test_what_is_no_store_has_no_head(tmp_path: Path, text: str) -> None:
+    (tmp_path / "rows.jsonl").write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError, match=r"no store|Expecting"):
+        read_head(tmp_path / "rows.jsonl")
+
+
+def test_one_writer_at_a_time(tmp_path: Path) -> None:
+    with Store(tmp_path / "rows.jsonl", DEPENDS_ON), pytest.raises(InputError, match="at work"):
+        Store(tmp_path / "rows.jsonl", DEPENDS_ON)
+    Store(tmp_path / "rows.jsonl", DEPENDS_ON).close()
+
+
+def test_a_disk_that_is_full_ends_with_one_message_and_is_continued(tmp_path: Path) -> None:
+    """The system itself refuses to make a file longer, in the middle of a line."""
+    jobs, unlimited = some_jobs(50), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000, unlimited[1]))
+    try:
+        with pytest.raises(InputError, match=r"file too large.*same command goes on"):
+            run_all(Quick(), jobs, tmp_path / "a")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    kept = {key for key, _ in read_rows(tmp_path / "a" / "rows.jsonl")}
+    assert 0 < len(kept) < 50
+    seen: list[Key] = []
+    rows = run_all(Quick(), jobs, tmp_path / "a", on_done=lambda key, _: seen.append(key))
+    assert set(seen) == set(range(50)) - kept
+    assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
+    reliability.count(reliability.FAULTS)
+
+
+def test_a_row_has_its_files_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A disk without room for a file has none for the row."""
+    run_all(Quick(), some_jobs(1), tmp_path)
+    assert (tmp_path / "files" / "0.txt").read_bytes() == b"a file"
+
+    def full(*_: object) -> Path:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(module, "write_atomically", full)
+    with pytest.raises(InputError, match="no space left on device"):
+        run_all(Quick(), some_jobs(2), tmp_path)
+    assert [key for key, _ in read_rows(tmp_path / "rows.jsonl")] == [0]
+
+
+def test_a_folder_that_cannot_be_made_is_one_message(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"out: .* must be a folder to write to"):
+        Store(tmp_path / "file" / "rows.jsonl", DEPENDS_ON)
+
+
+def test_what_is_no_file_is_one_message_and_leaves_no_lock(tmp_path: Path) -> None:
+    (tmp_path / "rows.jsonl").mkdir()
+    with pytest.raises(InputError, match=r"is a directory.* must be a folder to write to"):
+        Store(tmp_path / "rows.jsonl", DEPENDS_ON)
+    assert [path.name for path in tmp_path.iterdir()] == ["rows.jsonl"]
+
+
+def test_rows_are_json_whose_numbers_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    values = {"tiny": 5e-324, "third": 1.0 / 3.0, "big": 2**62, "list": [True, None, "x"]}
+    with Store(tmp_path / "rows.jsonl", {"a": 1}) as store:
+        store.put("key", values)
+    assert dict(read_rows(tmp_path / "rows.jsonl")) == {"key": values}
+    lines = (tmp_path / "rows.jsonl").read_text("utf-8").splitlines()
+    assert [set(json.loads(line)) for line in lines] == [
+        {"schema", "depends_on"},
+        {"key", "crc", "row"},
+    ]
+
+
+def test_sources_are_of_a_module_and_what_it_imports_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    read: set[str] = set()
+    real = Path.read_bytes
+
+    def noted(path: Path) -> bytes:
+        read.add(path.name)
+        return real(path)
+
+    monkeypatch.setattr(Path, "read_bytes", noted)
+    sources.cache_clear()
+    first = sources("scp_recon.physics.forces")
+    assert {"forces.py"} <= read
+    assert not read & {"store.py", "planner.py"}
+    assert sources("scp_recon.physics.forces", "scp_recon.data") != first
+    assert {"recon_b.toml"} <= read
+    assert sources("scp_recon.physics.forces") == first
+    with pytest.raises(FileNotFoundError):
+        sources("scp_recon.no_such_module")
+
+
+def test_versions_are_of_what_the_last_bits_depend_on() -> None:
+    assert {"scp_recon", "numpy", "clarabel"} <= versions().keys()

@@ -1,0 +1,158 @@
+"""The loop of a design, its plans made up: which windows are tried, and what counts in the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scp_recon.passes import design
+from scp_recon.passes.design import Candidate, Designer, Trial
+from scp_recon.passes.setting import spaces_of
+from scp_recon.passes.space import Pass
+from tests.scp_recon.passes.support import home_scenario
+
+SPANS = {"departure_s": [-20_000.0, 30_000.0], "arrival_s": [10_000.0, 70_000.0]}
+"""Of dates with three windows."""
+
+
+@dataclass(frozen=True)
+class Made:
+    """What stands for a plan."""
+
+    at: Pass
+    converged: bool
+    cost: float = 1.0
+    short: float = 0.0
+    certain: bool = False
+
+    @property
+    def dv_m_s(self) -> float:
+        return self.cost if self.converged else float("inf")
+
+    @property
+    def burns_m_s(self) -> Any:
+        return np.ones((len(self.at.times_s), 3))
+
+
+@dataclass
+class World:
+    """Which windows have plans, with uncertainty or without, by their edges."""
+
+    mapped: set[int]
+    planned: set[int]
+    only_after_certain: bool = False
+    costs: tuple[float, ...] = (3.0, 2.0, 1.0)
+
+    def install(self, patch: pytest.MonkeyPatch, edges: list[tuple[float, float]]) -> None:
+        def number(space: Any) -> int:
+            return edges.index(space.window_s)
+
+        def scan(space: Any, times: tuple[float, ...], seen: Any) -> list[Made]:
+            at = Pass((0.0, 0.0), times)
+            made = Made(at, number(space) in self.mapped, short=1.0 + number(space))
+            seen(made)
+            return [made]
+
+        def descend(
+            space: Any, at: Pass, _burns: Any, seen: Any, *_: Any, certain: bool = False
+        ) -> Made:
+            one = number(space)
+            eased = at.phases[0] == 0.5 or not self.only_after_certain
+            there = certain or (one in self.planned and eased)
+            begun = Pass((0.5, 0.0), at.times_s) if certain else at
+            made = Made(begun, there, self.costs[one], 0.1 * (1.0 + one), certain)
+            seen(made)
+            return made
+
+        patch.setattr(design, "scan", scan)
+        patch.setattr(design, "descend", descend)
+        patch.setattr(design, "starts", lambda found, _: [one for one in found if one.converged])
+        patch.setattr(design, "violation", lambda one: one.short)
+        patch.setattr(design, "vanished", lambda *_: None)
+        patch.setattr(design, "others", lambda *_: [])
+
+
+def run(world: World, patch: pytest.MonkeyPatch) -> tuple[Any, int, list[Trial]]:
+    """What is found, in which window, and all that was tried."""
+    scenario = home_scenario(design=SPANS)
+    edges = [space.window_s for space, _ in spaces_of(scenario)]
+    assert len(edges) >= 3
+    world.install(patch, edges)
+    designer = Designer(scenario, lambda _: None)
+    space, found = designer.run()
+    return found, edges.index(space.window_s), designer.trials
+
+
+def test_the_next_window_is_mapped_where_the_first_has_no_pass(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    costs = tuple(float(10 - k) for k in range(12))
+    found, window, tried = run(World({1, 2}, {2}, costs=costs), monkeypatch)
+    assert found.converged
+    assert window == 2
+    assert [one.window for one in tried if one.step == "map"] == [0, 1, 2]
+
+
+def test_later_windows_are_tried_and_the_cheapest_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    costs = (3.0, 1.0, *([5.0] * 10))
+    everywhere = set(range(12))
+    found, window, tried = run(World(everywhere, everywhere, costs=costs), monkeypatch)
+    assert (found.cost, window) == (1.0, 1)
+    assert [one.window for one in tried if one.step == "map"] == [0]
+
+
+def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    world = World({0}, {0}, only_after_certain=True, costs=tuple(float(k) for k in range(12)))
+    found, window, tried = run(world, monkeypatch)
+    assert found.converged
+    assert not found.certain
+    assert window == 0
+    first = [one.step for one in tried if one.step in ("descent", "certain")][:3]
+    assert first == ["descent", "certain", "descent"]
+
+
+def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found, window, _ = run(World(set(), set(), costs=tuple([1.0] * 12)), monkeypatch)
+    assert not found.converged
+    assert window == 0
+    found, window, _ = run(World({1}, set(), costs=tuple([1.0] * 12)), monkeypatch)
+    assert not found.converged
+    assert window == 1  # short by 0.2, where the first one's map is short by 1
+
+
+@pytest.mark.parametrize(("cost", "burns"), [(9.0, 4), (0.5, 5)])
+def test_a_burn_more_counts_only_where_it_is_cheaper(
+    monkeypatch: pytest.MonkeyPatch, cost: float, burns: int
+) -> None:
+    """Whatever the descent with one more ends at: with it no pass is dearer than without."""
+
+    def more(space: Any, found: Made) -> list[Candidate]:
+        times = found.at.times_s
+        if len(times) > 4:
+            return []
+        at = Pass(found.at.phases, (*times[:3], 0.5 * (times[2] + times[3]), times[3]))
+        wider = replace(space, time_spans=(*space.time_spans[:3], *space.time_spans[2:]))
+        return [Candidate(wider, at, np.insert(found.burns_m_s, 3, 0.0, axis=0))]
+
+    def descend(_: Any, at: Pass, _burns: Any, seen: Any, *_more: Any, **_others: Any) -> Made:
+        made = Made(at, True, cost if len(at.times_s) == 5 else 1.0)
+        seen(made)
+        return made
+
+    spaces = spaces_of(home_scenario(design=SPANS))
+    World({0}, {0}).install(monkeypatch, [space.window_s for space, _ in spaces])
+    monkeypatch.setattr(design, "others", more)
+    monkeypatch.setattr(design, "descend", descend)
+    designer = Designer(home_scenario(design=SPANS), lambda _: None)
+    space, found = designer.run()
+    assert isinstance(found, Made)
+    assert found.dv_m_s == min(cost, 1.0)
+    assert space.n_burns == len(found.at.times_s) == burns
+    assert any(len(one.result.at.times_s) == 5 for one in designer.trials)

@@ -1,0 +1,215 @@
+"""From a home orbit to spaces of passes and back to a scenario: epochs, windows, rules, messages."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.passes.setting import settled, spaces_of
+from scp_recon.passes.space import Pass, nearest_legal
+from scp_recon.scenario.load import load_scenario, scenario_text, validate_scenario
+from scp_recon.scenario.schema import ScheduleRules
+from tests.scp_recon.passes.support import home_scenario
+from tests.scp_recon.support import integrate
+
+RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
+
+
+@given(st.floats(0, 2 * np.pi), st.sampled_from(["right_handed", "left_handed"]))
+def test_the_home_orbit_is_a_circle_at_two_body_speed_in_its_plane(
+    phase: float, sense: str
+) -> None:
+    scenario = home_scenario(sense=sense)
+    home, gm = scenario.boundary.home, scenario.body.gm_m3_s2
+    assert home is not None
+    r, v = home.state(phase, gm).reshape(2, 3)
+    np.testing.assert_allclose(r, 1000.0 * np.array([0, np.cos(phase), np.sin(phase)]), atol=1e-9)
+    assert np.linalg.norm(v) == pytest.approx(np.sqrt(gm / 1000.0), rel=1e-12)
+    momentum = np.cross(r, v)
+    assert momentum[0] * (1.0 if sense == "right_handed" else -1.0) == pytest.approx(
+        1000.0 * np.linalg.norm(v), rel=1e-12
+    )
+
+
+def test_a_flown_home_orbit_leaves_the_circle_slowly_and_obeys_the_forces() -> None:
+    """Held against an integration of the test's own, from one phase to another."""
+    space, _ = spaces_of(home_scenario(flown=True))[0]
+    circle, _ = spaces_of(home_scenario())[0]
+    np.testing.assert_allclose(space.ring(0.0), circle.ring(0.0), atol=1e-6)
+    apart = [np.linalg.norm(space.ring(-a)[:3] - circle.ring(-a)[:3]) for a in (0.1, 1.0, 3.0)]
+    assert 0.0 < apart[0] < apart[1] < apart[2] < 200.0
+    begin, end = space.ring(-1.0), space.ring(-2.0)
+    times = np.linspace(0.0, 20_000.0, 4001)
+    there = integrate(space.mission.forces, begin, times)
+    nearest = np.argmin(np.linalg.norm(there[:, :3] - end[:3], axis=1))
+    assert np.linalg.norm(there[nearest] - end) < 1.0  # a look is 5 s, 0.35 m
+    with pytest.raises(InputError, match=r"boundary\.home"):
+        Mission.from_scenario(
+            home_scenario(flown=True, departure_deg=[0.0, 0.0], arrival_deg=[1.0, 1.0])
+        )
+
+
+@pytest.mark.parametrize("site", ["nightingale", "kingfisher", "osprey", "sandpiper"])
+def test_packaged_designs_have_a_window_and_legal_times(site: str) -> None:
+    scenario = load_scenario(site)
+    assert scenario.site.name.casefold() == site
+    assert scenario.body == load_scenario("recon_b").body
+    assert spaces_of(scenario)
+
+
+def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary() -> None:
+    fixed = home_scenario(departure_deg=[150.0, 150.0], arrival_deg=[0.0, 0.0])
+    mission = Mission.from_scenario(fixed)
+    axes = mission.scene.boundary_axes
+    expected = 1000.0 * np.array([0.0, np.cos(np.deg2rad(150.0)), 0.5])
+    np.testing.assert_allclose(axes.T @ mission.initial_state[:3], expected, atol=1e-9)
+    moved = mission.with_initial_state(mission.initial_state * 1.01)
+    assert moved.scenario.boundary.home is None
+
+
+def test_free_phases_are_refused_where_nothing_chooses_them() -> None:
+    with pytest.raises(InputError, match=r"boundary.home.*scp_recon design"):
+        Mission.from_scenario(home_scenario())
+
+
+def test_states_and_a_home_orbit_take_each_other_s_place() -> None:
+    scenario = home_scenario()
+    given_states = scenario.replace({"boundary.initial_position_m": [900.0, 0.0, 100.0]})
+    assert given_states.boundary.home is None
+    heavier = scenario.replace({"body.gm_m3_s2": 4.0 * scenario.body.gm_m3_s2})
+    speeds = [np.linalg.norm(s.boundary.initial_velocity_m_s) for s in (scenario, heavier)]
+    assert speeds[1] == pytest.approx(2.0 * speeds[0], rel=1e-12)
+    with pytest.raises(InputError, match=r"left out beside boundary.home"):
+        validate_scenario(
+            {
+                "base": "recon_b",
+                "boundary": {
+                    "home": {"radius_m": 1000.0, "normal": [1.0, 0.0, 0.0]},
+                    "initial_position_m": [0.0, 900.0, 0.0],
+                },
+            }
+        )
+
+
+@pytest.mark.parametrize(
+    ("changes", "entry"),
+    [
+        ({"boundary.home.departure_deg": [10.0, 0.0]}, r"boundary\.home\.departure_deg.*\[10"),
+        ({"boundary.home.arrival_deg": [0.0, 400.0]}, r"boundary\.home\.arrival_deg.*400"),
+        ({"boundary.home.radius_m": -1.0}, "boundary.home.radius_m"),
+        ({"boundary.home.normal": [0.0, 0.0, 0.0]}, "boundary.home.normal"),
+        ({"design.departure_s": [10.0, 0.0]}, r"design\.departure_s.*\[10"),
+        ({"design.burn_tines": "free"}, r"design\.burn_tines.*did you mean design\.burn_times"),
+        ({"design.zzz": 4}, r"design\.zzz.*departure_s, arrival_s, burn_times$"),
+        ({"boundary.home.radus_m": 4.0}, r"boundary\.home.*did you mean boundary\.home\.radius_m"),
+        ({"design.burn_times": "any"}, "design.burn_times"),
+    ],
+)
+def test_bad_entries_are_named(changes: dict[str, object], entry: str) -> None:
+    with pytest.raises(InputError, match=f"^{entry}"):
+        home_scenario(changes)
+
+
+def test_a_wrong_entry_beside_a_home_orbit_calls_no_state_missing() -> None:
+    """They follow as soon as it is mended."""
+    text = {"base": "nightingale", "boundary": {"final_sigma_position_m": -1.0}}
+    with pytest.raises(InputError, match=r"^boundary\.final_sigma_position_m") as told:
+        validate_scenario(text)
+    assert "missing" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        (
+            {"boundary.home.radius_m": 500.0},
+            r"^boundary\.home\.radius_m.*safety\.radius_min_m, 500 m",
+        ),
+        (
+            {"burns.times_s": [8e3 * k for k in range(9)]},
+            r"^burns\.times_s: got 9 burns.*at most 8",
+        ),
+    ],
+)
+def test_what_no_design_can_begin_with_is_refused(changes: dict[str, object], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        spaces_of(home_scenario(changes))
+
+
+def test_a_design_without_home_orbit_window_or_legal_time_says_so() -> None:
+    with pytest.raises(InputError, match=r"boundary\.home.*nothing"):
+        spaces_of(load_scenario())
+    with pytest.raises(InputError, match=r"design.*none"):
+        spaces_of(home_scenario({"observation.incidence_max_deg": 10.0}))
+    with pytest.raises(InputError, match=r"design.*legal schedule of 4 burns.*13140"):
+        spaces_of(home_scenario({"schedule.recharge_s": 20_000.0}))
+    with pytest.raises(InputError, match=r"design.arrival_s.*after departure"):
+        spaces_of(home_scenario(design={"arrival_s": [-10.0, -5.0]}))
+    with pytest.raises(InputError, match="at most 24"):
+        spaces_of(home_scenario(design={"arrival_s": [30_000.0, 900_000.0]}))
+
+
+def test_every_window_of_a_span_has_a_space_with_legal_times() -> None:
+    design = {"departure_s": [-20_000.0, 30_000.0], "arrival_s": [10_000.0, 70_000.0]}
+    scenario = home_scenario(design=design)
+    spaces = spaces_of(scenario)
+    assert len(spaces) >= 3
+    for space, times in spaces:
+        assert Mission.from_scenario(space.mission.scenario).schedule.legs
+        shift = space.mission.scenario.epoch.tdb - scenario.epoch.tdb
+        assert shift.total_seconds() == pytest.approx(times[0], abs=1e-5)
+        assert -20_000.0 <= times[0] <= 30_000.0
+        assert 10_000.0 <= times[-1] <= 70_000.0
+
+
+@pytest.mark.parametrize("later_s", [0.0, 777.0])
+def test_a_settled_pass_starts_and_ends_on_the_ring_with_the_same_window(later_s: float) -> None:
+    span = [0.0, 2000.0]
+    scenario = home_scenario(design={"departure_s": span, "arrival_s": [30_000.0, 40_000.0]})
+    space, times = spaces_of(scenario)[0]
+    one = Pass((2.5, -0.3), (later_s, *(t - times[0] for t in times[1:])))
+    fixed = settled(scenario, space, one)
+    mission = Mission.from_scenario(fixed)
+    begin = timedelta(seconds=times[0] + later_s)
+    assert abs(fixed.epoch.tdb - scenario.epoch.tdb - begin) < timedelta(microseconds=2)
+    np.testing.assert_allclose(mission.initial_state, space.ring(2.5), atol=1e-8)
+    np.testing.assert_allclose(mission.final_state, space.ring(-0.3), atol=1e-8)
+    window = np.array(space.window_s) - later_s
+    np.testing.assert_allclose(mission.schedule.window_s, window, atol=1.0)
+    assert fixed.boundary.home is None
+    assert fixed.design is None
+
+
+def test_a_scenario_written_out_reads_back_the_same(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    scenario = home_scenario({"grid.nodes_s": [100.0]}, design={"departure_s": [0.0, 1.0]})
+    path = tmp_path_factory.mktemp("written") / "scenario.toml"
+    path.write_text(scenario_text(scenario), "utf-8")
+    assert load_scenario(path) == scenario
+
+
+@given(
+    st.lists(st.floats(0, 60_000), min_size=2, max_size=6),
+    st.floats(5_000, 30_000),
+    st.integers(0, 4),
+)
+def test_nearest_legal_times_keep_the_schedule_s_rules(
+    wanted: list[float], opens: float, before: int
+) -> None:
+    """The oracle is the schedule itself, which is laid out burn by burn."""
+    from scp_recon.mission.schedule import make_schedule
+
+    window, m = (opens, opens + 3000.0), len(wanted)
+    spans = [(0.0, 0.0), *[(0.0, 90_000.0)] * (m - 1)]
+    times = nearest_legal(wanted, spans, window, min(before, m - 2), RULES)
+    if times is not None:
+        make_schedule(times, window, RULES)
+    else:  # as many cycles do not fit before the window
+        assert min(before, m - 2) * 6600.0 + 4800.0 > opens

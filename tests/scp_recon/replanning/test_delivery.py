@@ -1,0 +1,269 @@
+"""Whatever is delivered that cannot be is refused in one message; what hardly can be is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import scp_recon as sr
+from formulations.arrays import Array
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import Planner
+from scp_recon.replanning.delivery import Delivery
+from scp_recon.replanning.flown import FlownPlan, predict
+from scp_recon.replanning.remainder import mission_left
+from scp_recon.results.facts import Verification
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.verification import reintegration
+
+AT = 17_000.0
+SIGMA = np.array([10.0, 10.0, 10.0, 3e-4, 3e-4, 3e-4])
+METRES = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def state(default_plan: Plan) -> Array:
+    return predict(FlownPlan.of(default_plan), AT, {}).state
+
+
+@pytest.fixture(scope="module")
+def p3_plan(mission: Mission) -> Plan:
+    return Planner(mission).plan(initial_guess.cold(mission), problem="P3")
+
+
+def test_a_state_on_the_planned_path_raises_no_question(default_plan: Plan, state: Array) -> None:
+    assert not sr.replan(default_plan, AT, state, np.diag(SIGMA**2)).mission.warnings
+
+
+@pytest.mark.parametrize(
+    ("at_s", "words"),
+    [
+        (34_842.0, "at or after the last burn"),
+        (1e6, "at or after the last burn"),
+        (24_000.0, "decision lead time.*at most 23200 s, or 25000 s and more"),
+        (34_000.0, "decision lead time.*at most 33042 s$"),
+        (-1.0, "must not be before 0 s"),
+        (float("nan"), "must be a time"),
+        ("17000", "must be a time"),
+        (True, "must be a time"),
+        (10**400, "must be a time"),
+    ],
+)
+def test_a_time_that_leaves_nothing_to_decide_is_refused(
+    default_plan: Plan, state: Array, at_s: Any, words: str
+) -> None:
+    with pytest.raises(InputError, match=f"^at_s: .*{words}"):
+        sr.replan(default_plan, at_s, state)
+
+
+@pytest.mark.parametrize("at_s", [np.int64(17_000), np.float32(17_000.0), 17_000])
+def test_a_time_is_any_real_number(default_plan: Plan, state: Array, at_s: Any) -> None:
+    assert sr.replan(default_plan, at_s, state).times_s[0] == AT
+
+
+def changed(state: Array, kind: str) -> Any:
+    return {
+        "km": state / 1000.0,
+        "km/s": state * np.where(METRES > 0.0, 1.0, 1e-3),
+        "500 km off": state + 5e5 * np.eye(6)[0],
+        "inside": state * np.where(METRES > 0.0, 0.2, 1.0),
+        "five": state[:5],
+        "nan": state * np.nan,
+        "words": ["a"] * 6,
+        "none": None,
+    }[kind]
+
+
+@pytest.mark.parametrize(
+    "kind", ["km", "km/s", "500 km off", "inside", "five", "nan", "words", "none"]
+)
+def test_a_state_that_is_none_of_this_flight_is_refused(
+    default_plan: Plan, state: Array, kind: str
+) -> None:
+    with pytest.raises(InputError, match=r"^state: ") as caught:
+        sr.replan(default_plan, AT, changed(state, kind))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("off", [10_000.0 * METRES, 60.0 * METRES, 0.01 * (1.0 - METRES)])
+def test_a_state_far_from_the_prediction_is_told(
+    default_plan: Plan, state: Array, off: Array
+) -> None:
+    flown = FlownPlan.of(default_plan)
+    mission = mission_left(flown, Delivery(AT, state + off))
+    assert "state" in [warning.entry for warning in mission.warnings]
+
+
+def test_a_state_in_other_axes_is_told(default_plan: Plan, state: Array) -> None:
+    """Its numbers are those of J2000."""
+    plan = sr.replan(default_plan, AT, state, frame="sun_north")
+    assert [warning.entry for warning in plan.mission.warnings] == ["state"]
+    with pytest.raises(InputError, match=r"^frame: got 'icrf'; must be one of j2000, sun_north"):
+        sr.replan(default_plan, AT, state, frame="icrf")
+
+
+NEGATIVE = np.diag(SIGMA**2) + 200.0 * (np.eye(6, k=1) + np.eye(6, k=-1))[:, :] * np.outer(
+    METRES, METRES
+)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "words"),
+    [
+        (np.diag(-(SIGMA**2)), "no negative variance"),
+        (NEGATIVE, "positive semidefinite"),
+        (np.diag(SIGMA**2) + 10.0 * np.eye(6, k=1) * np.outer(METRES, METRES), "symmetric"),
+        (np.eye(5), "six rows of six"),
+        (1e6 * np.diag(SIGMA**2), "must be below the initial distance"),
+        ("none", "six rows of six"),
+    ],
+)
+def test_a_covariance_that_is_none_is_refused(
+    default_plan: Plan, state: Array, covariance: Any, words: str
+) -> None:
+    with pytest.raises(InputError, match=f"^covariance: .*{words}"):
+        sr.replan(default_plan, AT, state, covariance)
+
+
+def test_a_covariance_in_square_kilometres_is_told(default_plan: Plan, state: Array) -> None:
+    plan = sr.replan(default_plan, AT, state, 1e-6 * np.diag(SIGMA**2))
+    assert {warning.entry for warning in plan.mission.warnings} == {"covariance"}
+
+
+def test_a_covariance_has_axes_of_its_own(default_plan: Plan, state: Array) -> None:
+    """The radial direction is the position's."""
+    radial = np.diag([100.0, 0.0, 0.0, 1e-8, 1e-8, 1e-8])
+    plan = sr.replan(default_plan, AT, state, radial, covariance_frame="rtn")
+    axis = state[:3] / np.linalg.norm(state[:3])
+    assert plan.covariances[0, :3, :3] == pytest.approx(100.0 * np.outer(axis, axis), abs=1e-6)
+    with pytest.raises(InputError, match=r"^covariance_frame: .*must be one of"):
+        sr.replan(default_plan, AT, state, radial, covariance_frame="body")
+
+
+@pytest.mark.parametrize(
+    ("measured", "words"),
+    [
+        ({3: np.ones(3)}, "burn 3; must be one of those flown by 17000 s, 1 to 2"),
+        ({0: np.ones(3)}, "whole number"),
+        ({1: np.ones(2)}, "three numbers"),
+        ({1: [np.inf, 0.0, 0.0]}, "three numbers"),
+        ([0.1, 0.2, 0.3], "by number"),
+        ({"1": np.ones(3)}, "whole number"),
+    ],
+)
+def test_a_burn_that_was_not_flown_cannot_have_been_measured(
+    default_plan: Plan, state: Array, measured: Any, words: str
+) -> None:
+    with pytest.raises(InputError, match=f"^measured_burns: .*{words}"):
+        sr.replan(default_plan, AT, state, measured_burns=measured)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_burn_measured_in_millimetres_per_second_is_refused_by_its_name(
+    default_plan: Plan, state: Array, number: int
+) -> None:
+    burn = 1e3 * default_plan.burns_m_s[number - 1]
+    with pytest.raises(InputError, match=f"^measured_burns: got burn {number} of .*in m/s"):
+        sr.replan(default_plan, AT, state, measured_burns={number: burn})
+
+
+def test_a_burn_measured_in_kilometres_per_second_is_told(default_plan: Plan, state: Array) -> None:
+    burn = 1e-3 * default_plan.burns_m_s[1]
+    plan = sr.replan(default_plan, AT, state, measured_burns={2: burn})
+    assert "measured_burns" in [warning.entry for warning in plan.mission.warnings]
+
+
+def test_what_is_no_plan_is_refused(state: Array) -> None:
+    with pytest.raises(InputError, match=r"^plan: got 7"):
+        sr.replan(7, AT, state)  # type: ignore[arg-type]
+
+
+def test_what_is_left_may_be_asked_otherwise(default_plan: Plan, state: Array) -> None:
+    plan = sr.replan(default_plan, AT, state, overrides=["risk.p_chance=0.6"])
+    assert plan.mission.scenario.risk.p_chance == 0.6
+    for given in ("risk.p_chance=0.6", [("risk.p_chance", 0.6)]):
+        with pytest.raises(InputError, match=r"^overrides: .*must be a list of section"):
+            sr.replan(default_plan, AT, state, overrides=given)  # type: ignore[arg-type]
+
+
+def test_only_exact_risk_with_uncertainty_is_certified(
+    default_plan: Plan, p3_plan: Plan, state: Array
+) -> None:
+    with pytest.raises(InputError, match=r"^certify: got True; goes with"):
+        sr.replan(default_plan, AT, state, certify=True)
+    exact = ["risk.allocation=exact"]
+    with pytest.raises(InputError, match=r"^certify: got False; goes with problem='P2'"):
+        sr.replan(p3_plan, AT, state, overrides=exact, certify=False)
+    plan = sr.replan(default_plan, AT, state, overrides=exact, certify=False)
+    assert plan.certificate is None
+    assert plan.target is not None
+
+
+def test_a_solution_is_not_verified_again_to_be_flown(
+    default_plan: Plan, state: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither its flights nor its reintegration are needed: two seconds and a half."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("flown")
+
+    monkeypatch.setattr(reintegration, "joint_probabilities", refuse)
+    monkeypatch.setattr(reintegration, "solve_ivp", refuse)
+    plan = sr.replan(make_solution(default_plan), AT, state)
+    assert not plan.mission.warnings
+    assert plan.burns_m_s == pytest.approx(sr.replan(default_plan, AT, state).burns_m_s)
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "failed"),
+    [
+        ("uncertainty.execution_error", 0.05, "covariance_error"),
+        ("spacecraft.mass_kg", 150.0, "max_defect"),
+        ("boundary.initial_velocity_m_s", [0.0, 0.0, 0.05], "max_defect"),
+    ],
+)
+def test_nodes_that_do_not_follow_from_scenario_and_burns_are_told(
+    solution: Solution, state: Array, entry: str, value: Any, failed: str
+) -> None:
+    edited = solution.scenario.replace({entry: value})
+    flown = FlownPlan.of(replace(solution, scenario=edited))
+    assert failed in flown.failed
+    assert "parent" in [w.entry for w in mission_left(flown, Delivery(AT, state)).warnings]
+
+
+def test_what_a_file_says_of_its_verification_is_told(
+    solution: Solution, verification: Verification, state: Array
+) -> None:
+    bad = replace(verification, ok=False, failed=["safety_radius"])
+    found = FlownPlan.of(replace(solution, verification=bad))
+    (warning,) = mission_left(found, Delivery(AT, state)).warnings
+    assert "not verified: safety_radius" in str(warning)
+
+
+def test_a_solution_of_another_grid_is_refused(solution: Solution) -> None:
+    finer = solution.scenario.replace({"grid.step_max_s": 200.0})
+    with pytest.raises(InputError, match=r"^plan: got nodes.t_s that contradict"):
+        FlownPlan.of(replace(solution, scenario=finer))
+
+
+def test_a_plan_that_is_not_verified_is_told(default_plan: Plan, state: Array) -> None:
+    solution = make_solution(default_plan)
+    errors = solution.scenario.replace({"uncertainty.execution_error": 0.05})
+    edited = replace(solution, scenario=errors)
+    found = sr.replan(edited, AT, state).mission.warnings
+    assert [warning.entry for warning in found] == ["parent"]
+    assert "covariance_error" in found[0].given
+
+
+def test_a_time_before_the_state_that_a_plan_begins_at_is_refused(
+    default_plan: Plan, state: Array
+) -> None:
+    plan = sr.replan(default_plan, AT, state)
+    with pytest.raises(InputError, match=r"^at_s: .*must not be before 17000 s"):
+        sr.replan(plan, 16_000.0, state)

@@ -1,0 +1,384 @@
+"""Plans of what is left of a flight: legal, met or missed as said, and as IPOPT finds them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import process_time
+
+import numpy as np
+import pytest
+from scipy.optimize import NonlinearConstraint, minimize
+
+import scp_recon as sr
+from formulations.arrays import Array
+from scp_recon.api.replans import plan_left
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import MISS_WEIGHT
+from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning.method import ScpMethod, scp_method
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import Planner
+from scp_recon.replanning.delivery import Delivery
+from scp_recon.replanning.flown import FlownPlan, predict
+from scp_recon.replanning.remainder import mission_left, path_planned
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import verify
+from tests.scp_recon.support import integrate
+
+OFF = np.array([40.0, -40.0, 20.0, 2e-3, 2e-3, -1e-3])
+"""60 m and 3 mm/s."""
+
+
+@pytest.fixture(scope="module")
+def flown(default_plan: Plan) -> FlownPlan:
+    return FlownPlan.of(default_plan)
+
+
+@pytest.fixture(scope="module")
+def late(flown: FlownPlan) -> Plan:
+    """With one burn left."""
+    return again(flown, 26_000.0, OFF)
+
+
+def again(flown: FlownPlan, at_s: float, off: Array, *overrides: str) -> Plan:
+    state = predict(flown, at_s, {}).state + off
+    mission = mission_left(flown, Delivery(at_s, state), overrides)
+    return plan_left(flown, mission)
+
+
+def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
+    """A deviation as likely as the plan says."""
+    covariance = predict(flown, at_s, {}).covariance
+    return np.random.default_rng(seed).multivariate_normal(np.zeros(6), covariance)
+
+
+# --- from every leg -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("at_s", "left", "observed"),
+    [
+        (0.0, 3, True),
+        (5_000.0, 3, True),
+        (17_000.0, 2, False),
+        (23_200.0, 2, False),
+        (25_000.0, 1, False),
+        (33_042.0, 1, False),
+    ],
+)
+def test_from_every_leg_what_is_left_is_planned_and_verified(
+    flown: FlownPlan, at_s: float, left: int, observed: bool
+) -> None:
+    plan = again(flown, at_s, drawn(flown, at_s))
+    mission = plan.mission
+    assert plan.status is Status.CONVERGED
+    assert mission.scenario.burn_times_s == (0.0, 8000.0, 25000.0, 34842.0)[-left:]
+    assert plan.times_s[0] == at_s
+    assert (mission.observed_s is not None) == observed
+    names = {constraint.name for constraint in mission.problem.constraints}
+    assert ("emission_max" in names) == observed
+    miss = np.abs(plan.states[-1] - mission.final_state)
+    assert miss[3:].max() < 1e-8
+    assert (miss[:3].max() < 1e-4) == (left > 1)
+    found = verify(mission, make_solution(plan))
+    assert found.ok, found.failed
+    assert (found.missed is None) == (left > 1)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_before_the_window_a_flight_is_met_or_cannot_be_helped(flown: FlownPlan, seed: int) -> None:
+    """No burn is left before the window; what is infeasible says so at once, and by how much."""
+    plan = again(flown, 8_000.0, drawn(flown, 8_000.0, seed))
+    mission, solution = plan.mission, make_solution(plan)
+    assert np.abs(plan.states[-1] - mission.final_state)[:3].max() < 1e-3
+    assert {stage.name for stage in plan.stages} <= {"P3", "P2"}
+    if plan.status is Status.CONVERGED:
+        assert verify(mission, solution).ok
+    else:
+        assert plan.status is Status.INFEASIBLE
+        assert solution.violation.max > 1e-3
+        worst = min(plan.worst_margins.values())[0]
+        assert worst == pytest.approx(-solution.violation.max, rel=1e-6)
+
+
+def test_in_the_window_what_is_left_of_it_counts(flown: FlownPlan) -> None:
+    plan = again(flown, 15_000.0, np.zeros(6), "risk.p_chance=0.6")
+    first, last = plan.mission.schedule.window_s
+    assert first < 15_000.0
+    assert plan.mission.observed_s == (15_000.0, last)
+    nodes = plan.times_s[plan.mission.window_nodes]
+    assert (nodes[0], nodes[-1]) == (15_000.0, last)
+
+
+@pytest.mark.parametrize("at_s", [3_000.0, 9_000.0, 17_000.0, 26_000.0])
+def test_ipopt_finds_the_same_of_the_remaining_problem(flown: FlownPlan, at_s: float) -> None:
+    """From scratch: a cold start, facets at IPOPT's own solution without spread."""
+    plan = again(flown, at_s, drawn(flown, at_s), "risk.p_chance=0.9")
+    mission = plan.mission
+    reference = ipopt.plan(mission, initial_guess.cold(mission))
+    assert reference.status is Status.CONVERGED
+    assert plan.total_dv_m_s == pytest.approx(reference.total_dv_m_s, rel=1e-6)
+    if mission.problem.n_burns == 3:  # chance constraints bind
+        assert min(margin for margin, _ in plan.worst_margins.values()) < 1e-3
+    if mission.problem.n_burns < 3:
+        assert plan.burns_m_s == pytest.approx(reference.burns_m_s, abs=1e-6)
+
+
+# --- one burn left --------------------------------------------------------------------------------
+
+
+def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late: Plan) -> None:
+    mission = late.mission
+    end = integrate(mission.forces, mission.initial_state, [26_000.0, 34_842.0])[-1]
+    missed = verify(mission, make_solution(late)).missed
+    assert missed is not None
+    expected = np.linalg.norm(end[:3] - mission.final_state[:3])
+    assert missed.position_m == pytest.approx(expected, abs=1e-3)
+    assert missed.velocity_m_s < 1e-8
+    assert late.burns_m_s[0] == pytest.approx(mission.final_state[3:] - end[3:], abs=1e-7)
+
+
+def test_a_burn_that_cannot_meet_it_misses_the_least_by_its_weight(flown: FlownPlan) -> None:
+    plan = again(flown, 26_000.0, OFF, "burns.dv_max_m_s=0.03")
+    mission, burn = plan.mission, plan.burns_m_s[0]
+    before = plan.states[-1, 3:] - burn
+
+    def weighted(dv: Array) -> float:
+        miss = np.abs(before + dv - mission.final_state[3:]).sum()
+        return float(np.linalg.norm(dv) + MISS_WEIGHT * miss)
+
+    limit = NonlinearConstraint(lambda dv: dv @ dv, 0.0, 0.03**2)
+    starts = np.random.default_rng(0).normal(scale=0.01, size=(8, 3))
+    tries = [minimize(weighted, x, constraints=[limit], method="SLSQP") for x in starts]
+    assert plan.status is Status.CONVERGED
+    assert np.linalg.norm(burn) <= 0.03 + 1e-7
+    assert weighted(burn) <= min(t.fun for t in tries if t.success) + 1e-6
+    found = verify(mission, make_solution(plan))
+    assert found.missed is not None
+    assert found.missed.velocity_m_s > 1e-3
+    assert "missed" in str(found)
+
+
+def test_scvx_star_says_that_it_cannot_weigh_a_miss(late: Plan) -> None:
+    with pytest.raises(InputError, match=r"algorithm.*must be scvx or ptr"):
+        Planner(late.mission, algorithm="scvx-star")
+
+
+# --- what is kept ---------------------------------------------------------------------------------
+
+
+def test_the_covariance_is_the_initial_one_unless_given(
+    flown: FlownPlan, default_plan: Plan
+) -> None:
+    factor = default_plan.mission.initial_factor
+    initial = factor @ factor.T
+    plan = again(flown, 17_000.0, np.zeros(6))
+    assert plan.covariances[0] == pytest.approx(initial, rel=1e-9, abs=1e-15)
+    given = np.diag([4.0, 4.0, 4.0, 1e-8, 1e-8, 1e-8])
+    state = predict(flown, 17_000.0, {}).state
+    other = sr.replan(default_plan, 17_000.0, state, given)
+    assert other.covariances[0] == pytest.approx(given, rel=1e-9, abs=1e-15)
+    assert make_solution(other).plan_hash != make_solution(plan).plan_hash
+
+
+def test_the_dispersion_of_the_plan_itself_is_replanned_for_nothing(flown: FlownPlan) -> None:
+    """With two burns left there is no choice: on the planned path the plan goes on as it was."""
+    plan = again(flown, 17_000.0, np.zeros(6))
+    assert plan.burns_m_s == pytest.approx(flown.burns_m_s[2:], abs=1e-7)
+
+
+def test_a_replan_is_flown_and_replanned_in_its_turn(flown: FlownPlan, default_plan: Plan) -> None:
+    first = again(flown, 9_000.0, 0.1 * drawn(flown, 9_000.0))
+    assert first.parent is not None
+    assert first.parent.plan_hash == make_solution(default_plan).plan_hash
+    child = FlownPlan.of(first)
+    second = again(child, 26_000.0, drawn(child, 26_000.0))
+    assert second.parent is not None
+    assert second.parent.plan_hash == make_solution(first).plan_hash
+    history = second.mission.scenario.in_flight
+    assert history is not None
+    expected = [*default_plan.burns_m_s[:2], first.burns_m_s[0]]
+    assert np.array(history.flown_m_s) == pytest.approx(np.array(expected))
+    assert second.mission.scenario.burn_times_s == (34_842.0,)
+
+
+def test_a_plan_without_uncertainty_is_replanned_without(mission: Mission) -> None:
+    """And to the end: where P2 follows P3 may stop before."""
+    plan = Planner(mission).plan(initial_guess.cold(mission), problem="P3")
+    found = again(FlownPlan.of(plan), 3_000.0, OFF).final
+    assert found.problem == "P3"
+    assert found.tolerance == plan.final.tolerance
+    assert found.result.records[-1].predicted < 1e-6
+
+
+def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown: FlownPlan) -> None:
+    state = predict(flown, 5_000.0, {}).state + drawn(flown, 5_000.0, 3)
+    mission = mission_left(flown, Delivery(5_000.0, state))
+    whole = Planner(mission).plan(path_planned(flown, mission))
+    quick = plan_left(flown, mission)
+    p3, p3_whole = quick.stages[0].result, whole.stages[0].result
+    assert len(p3.records) < len(p3_whole.records)
+    assert quick.total_dv_m_s == pytest.approx(whole.total_dv_m_s, rel=1e-6)
+
+
+def test_a_replan_is_made_as_its_parent_was(flown: FlownPlan, mission: Mission) -> None:
+    planner = Planner(mission, formulation="lifted", algorithm="ptr")
+    parent = planner.plan(initial_guess.cold(mission), problem="P3")
+    for given in (parent, make_solution(parent)):
+        made = again(FlownPlan.of(given), 17_000.0, OFF).provenance
+        assert (made.formulation, made.algorithm) == ("lifted", "ptr")
+    star = replace(flown, method=ScpMethod("condensed", "scvx-star", "CLARABEL"))
+    assert again(star, 26_000.0, OFF).provenance.algorithm == "scvx"  # which can weigh a miss
+    lifted = replace(flown, method=ScpMethod("lifted", "scvx", "CLARABEL"))
+    exact = again(lifted, 17_000.0, OFF, "risk.allocation=exact")
+    assert exact.provenance.formulation == "condensed"  # of which exact risk has rows
+
+
+def test_a_method_that_is_not_here_gives_way_and_one_that_is_none_is_refused(
+    solution: Solution,
+) -> None:
+    elsewhere = replace(solution, solver="ELSEWHERE")
+    assert FlownPlan.of(elsewhere).method.solver == "CLARABEL"
+    by_ipopt = replace(solution, method="ipopt", formulation="tuned")
+    assert FlownPlan.of(by_ipopt).method == scp_method()
+    with pytest.raises(InputError, match=r"^formulation: got 'none'"):
+        FlownPlan.of(replace(solution, formulation="none"))
+
+
+def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown: FlownPlan) -> None:
+    state = predict(flown, 17_000.0, {}).state
+    left = mission_left(flown, Delivery(17_000.0, state))
+    anew = Mission.from_scenario(left.scenario)
+    assert left.schedule == anew.schedule
+    assert left.warnings == anew.warnings
+    assert left.times_s == pytest.approx(anew.times_s, abs=1e-9)
+    far = Delivery(17_000.0, 200.0 * state)
+    scenario = left.scenario.replace({"in_flight.position_m": far.state[:3].tolist()})
+    known = Mission.from_scenario(scenario, known=flown.mission)
+    assert known.warnings == Mission.from_scenario(scenario).warnings
+    assert known.warnings[0].entry == "in_flight.position_m"
+
+
+def test_a_burn_too_near_is_moved_on_request(flown: FlownPlan) -> None:
+    state = predict(flown, 24_000.0, {}).state + OFF
+    with pytest.raises(InputError, match=r"^at_s: .*decision lead time"):
+        mission_left(flown, Delivery(24_000.0, state))
+    later = "burns.times_s=[0.0, 8000.0, 25800.0, 34842.0]"
+    plan = plan_left(flown, mission_left(flown, Delivery(24_000.0, state), [later]))
+    assert plan.status is Status.CONVERGED
+    assert plan.mission.scenario.burn_times_s == (25_800.0, 34_842.0)
+    assert verify(plan.mission, make_solution(plan)).ok
+
+
+def test_exact_risk_goes_on_in_flight(flown: FlownPlan) -> None:
+    off = drawn(flown, 3_000.0)
+    uniform = again(flown, 3_000.0, off, "risk.p_chance=0.95")
+    exact = again(flown, 3_000.0, off, "risk.p_chance=0.95", "risk.allocation=exact")
+    assert exact.status is Status.CONVERGED
+    assert exact.total_dv_m_s < 0.99 * uniform.total_dv_m_s
+    assert verify(exact.mission, make_solution(exact)).ok
+
+
+def test_whole_flights_are_certified_in_flight(flown: FlownPlan) -> None:
+    state = predict(flown, 17_000.0, {}).state + OFF
+    asked = ("risk.allocation=exact", "risk.scope=flight", "risk.p_chance=0.9")
+    mission = mission_left(flown, Delivery(17_000.0, state), asked)
+    plan = plan_left(flown, mission)
+    assert plan.certificate is not None
+    assert plan.certificate.low >= 0.9
+    assert plan.mission.warnings == mission.warnings
+    assert verify(plan.mission, make_solution(plan)).ok
+
+
+# --- burns as telemetry saw them ------------------------------------------------------------------
+
+
+def test_a_measured_burn_is_what_the_prediction_flies(flown: FlownPlan, default_plan: Plan) -> None:
+    burn = 1.1 * flown.burns_m_s[1]
+    found = predict(flown, 17_000.0, {2: burn})
+    state = default_plan.states[default_plan.times_s == 8_000.0][0].copy()
+    state[3:] += burn - flown.burns_m_s[1]
+    expected = integrate(default_plan.mission.forces, state, [8_000.0, 17_000.0])[-1]
+    assert found.state == pytest.approx(expected, abs=1e-3)
+    planned = predict(flown, 17_000.0, {}).covariance
+    assert np.linalg.eigvalsh((planned - found.covariance)[:3, :3]).min() > -1e-6
+    assert np.trace(found.covariance[:3, :3]) < np.trace(planned[:3, :3])
+
+
+def test_a_measured_burn_explains_a_state_and_stands_in_the_history(
+    flown: FlownPlan, default_plan: Plan
+) -> None:
+    burn = 1.4 * flown.burns_m_s[1]
+    state = predict(flown, 17_000.0, {2: burn}).state
+    strange = sr.replan(default_plan, 17_000.0, state).mission.warnings
+    assert [warning.entry for warning in strange] == ["state"]
+    plan = sr.replan(default_plan, 17_000.0, state, measured_burns={2: burn})
+    assert [warning.entry for warning in plan.mission.warnings] == []
+    assert plan.mission.scenario.in_flight is not None
+    assert plan.mission.scenario.in_flight.flown_m_s[1] == pytest.approx(burn)
+
+
+def test_the_prediction_is_the_plan_at_its_nodes(flown: FlownPlan, default_plan: Plan) -> None:
+    """A node later, by one arc, as if it were not known."""
+    k = 40
+    at = default_plan.times_s[k]
+    found = predict(flown, float(at) - 1e-9, {})
+    assert found.state == pytest.approx(default_plan.states[k], abs=1e-3)
+    assert found.covariance == pytest.approx(default_plan.covariances[k], rel=1e-6, abs=1e-9)
+
+
+# --- frames, files and time -----------------------------------------------------------------------
+
+
+def test_a_state_may_be_in_sun_north_axes(default_plan: Plan, flown: FlownPlan) -> None:
+    mission, state = default_plan.mission, predict(flown, 17_000.0, {}).state + OFF
+    axes = mission.scene.axes("sun_north").T
+    turned = np.concatenate([axes @ state[:3], axes @ state[3:]])
+    plain = sr.replan(default_plan, 17_000.0, state)
+    plan = sr.replan(default_plan, 17_000.0, turned, frame="sun_north")
+    assert plan.burns_m_s == pytest.approx(plain.burns_m_s, abs=1e-9)
+
+
+def test_older_scenarios_and_solutions_are_what_they_were(scenario: Scenario) -> None:
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    assert tables["schedule"].pop("decision_lead_s") == 1800.0
+    assert "in_flight" not in tables
+    assert Scenario.validated(tables) == scenario
+    assert scenario.model_dump(mode="json", exclude_defaults=True).keys() == (tables.keys())
+    said = scenario.model_dump(mode="json", exclude_defaults=True)["schedule"]
+    assert "decision_lead_s" not in said
+
+
+def test_a_scenario_in_flight_can_be_written_by_hand() -> None:
+    flight = {
+        "at_s": 17_000.0,
+        "position_m": [-122.6, 419.9, -556.2],
+        "velocity_m_s": [0.00695, 0.07949, 0.06553],
+        "flown_m_s": [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
+    }
+    scenario = load_scenario().replace({"in_flight": flight})
+    plan = sr.plan(scenario)
+    assert plan.status is Status.CONVERGED
+    assert plan.times_s[0] == 17_000.0
+
+
+@pytest.mark.parametrize(("at_s", "most"), [(17_000.0, 0.25), (5_000.0, 0.35)])
+def test_a_replan_takes_a_fraction_of_a_cold_plan(
+    flown: FlownPlan, default_plan: Plan, at_s: float, most: float
+) -> None:
+    """Programs kept, medians in turn; docs/replan.md has the figures, here there is room for noise."""
+    states = [predict(flown, at_s, {}).state + drawn(flown, at_s, seed) for seed in range(6)]
+    sr.replan(default_plan, at_s, states[0])
+    cold, near = [], []
+    for state in states:
+        begin = process_time()
+        sr.plan()
+        middle = process_time()
+        sr.replan(default_plan, at_s, state)
+        cold.append(middle - begin)
+        near.append(process_time() - middle)
+    assert np.median(near) < most * np.median(cold)

@@ -1,0 +1,51 @@
+"""Reports of the default plan, written once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.summary import summarise
+from scp_recon.reports.ground import Camera
+from scp_recon.reports.page import Page
+from scp_recon.reports.subject import Subject, subjects_of
+from scp_recon.reports.write import page_of, write_report
+from scp_recon.results.solution import Solution
+from scp_recon.verification.reintegration import Verification
+
+MADE = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+
+
+@pytest.fixture(scope="session")
+def verified(solution: Solution, verification: Verification) -> Solution:
+    return replace(solution, verification=verification)
+
+
+@pytest.fixture(scope="session")
+def plan_folder(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """With flights of the plan beside it."""
+    folder = tmp_path_factory.mktemp("plan")
+    verified.write(folder)
+    mission = subjects_of([verified])[0].mission
+    flown = fly_many(FlightConfig(mission, verified.burns_m_s), samples=200)
+    summarise(flown, verified).write(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def subject(plan_folder: Path) -> Subject:
+    return subjects_of([plan_folder])[0]
+
+
+@pytest.fixture(scope="session")
+def page(subject: Subject) -> Page:
+    return page_of([subject], Camera(), MADE)
+
+
+@pytest.fixture(scope="session")
+def html_file(plan_folder: Path) -> Path:
+    return write_report([plan_folder], plan_folder / "report.html", now=lambda: MADE)

@@ -1,0 +1,251 @@
+"""The page in headless Chromium; skipped where there is none, or no Playwright to drive it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scp_recon.physics import geometry
+from scp_recon.reports.subject import Subject
+from tests.scp_recon.browser import WINDOW, chromium, needed
+
+VIEW_CPU_S = 10.0
+"""Processor time of the page's thread until the view is drawn: a machine that is busy with other tests
+takes several times what a quiet one takes."""
+PATIENCE_MS = 120_000
+
+pytestmark = needed
+
+
+@dataclass
+class Seen:
+    """An open page and what it has said and asked for."""
+
+    page: Any
+    cpu_s: float = 0.0
+    said: list[str] = field(default_factory=list)
+    asked_for: list[str] = field(default_factory=list)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as opened:
+        yield opened
+
+
+def opened(browser: Any, file: Path) -> Seen:
+    page = browser.new_context(viewport=WINDOW).new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    seen = Seen(page)
+    page.on("pageerror", lambda error: seen.said.append(str(error)))
+    page.on("console", lambda m: seen.said.append(m.text) if m.type == "error" else None)
+    page.on("request", lambda request: seen.asked_for.append(request.url))
+    clock = page.context.new_cdp_session(page)
+    clock.send("Performance.enable", {"timeDomain": "threadTicks"})
+
+    def thread_s() -> float:
+        metrics = clock.send("Performance.getMetrics")["metrics"]
+        return float({m["name"]: m["value"] for m in metrics}["TaskDuration"])
+
+    page.goto(file.as_uri(), wait_until="commit")
+    page.wait_for_function("window.report")
+    page.evaluate("report.first.then(() => 1)")
+    seen.cpu_s = thread_s()
+    return seen
+
+
+@pytest.fixture(scope="module")
+def seen(browser: Any, html_file: Path) -> Seen:
+    found = opened(browser, html_file)
+    found.page.evaluate("report.rest.then(() => 1)")
+    return found
+
+
+def test_it_says_no_error_and_asks_the_network_for_nothing(seen: Seen, html_file: Path) -> None:
+    assert seen.said == []
+    outside = [url for url in seen.asked_for if not url.startswith(("data:", "blob:"))]
+    assert outside == [html_file.as_uri()]
+
+
+def test_the_verdict_is_there_before_the_charts(seen: Seen) -> None:
+    painted, view = seen.page.evaluate(
+        "[performance.getEntriesByName('first-contentful-paint')[0].startTime,"
+        " performance.getEntriesByName('first-view')[0].startTime]"
+    )
+    assert painted < view
+    assert seen.cpu_s < VIEW_CPU_S
+
+
+def test_every_chart_is_drawn(seen: Seen) -> None:
+    drawn = seen.page.evaluate(
+        "[...document.querySelectorAll('[data-chart]')]"
+        ".map(d => d.querySelectorAll('.main-svg').length)"
+    )
+    assert len(drawn) == 9
+    assert all(drawn)
+    assert seen.page.locator("#flight canvas").count() >= 1
+
+
+def test_the_slider_moves_the_spacecraft_to_the_solution_s_nodes(
+    seen: Seen, subject: Subject
+) -> None:
+    states = np.array(subject.solution.nodes.state)
+    for node in (0, 40, len(states) - 1):
+        time = subject.nodes_s[node]
+        seen.page.evaluate(
+            "t => { const s = document.getElementById('time'); s.value = t;"
+            " s.dispatchEvent(new Event('input')); }",
+            float(time),
+        )
+        seen.page.wait_for_function(
+            "t => { const s = document.getElementById('flight'); const i = s.data.findIndex("
+            "d => d.meta.moves === 'craft'); const p = report.craftAt(0, t);"
+            " return Math.hypot(s.data[i].x[0] - p[0], s.data[i].y[0] - p[1]) < 1e-6; }",
+            arg=float(time),
+        )
+        shown = seen.page.evaluate(
+            "() => { const s = document.getElementById('flight');"
+            " const d = s.data.find(d => d.meta.moves === 'craft'); return [d.x[0], d.y[0], d.z[0]]; }"
+        )
+        expected = np.linalg.norm(states[node, :3])
+        assert np.linalg.norm(shown) == pytest.approx(expected, abs=0.05)
+        assert f"t = {time:.0f} s | 2020-01-2" in seen.page.inner_text("#readout")
+
+
+def test_the_site_that_is_drawn_is_the_distance_away_that_is_told(
+    seen: Seen, subject: Subject
+) -> None:
+    seen.page.evaluate("report.show(15000)")
+    mission, times = subject.mission, np.array([15_000.0])
+    site = geometry.track(mission.site, mission.rotation, times)
+    told = geometry.distance(subject.positions(times), site)[0]
+    assert f"observation, {told:.0f} m from the site" in seen.page.inner_text("#readout")
+    apart = seen.page.evaluate(
+        "() => { const s = document.getElementById('flight');"
+        " const c = s.data.find(d => d.meta.moves === 'craft');"
+        " const p = s.data.find(d => d.meta.group === 'site');"
+        " return Math.hypot(c.x[0] - p.x[0], c.y[0] - p.y[0], c.z[0] - p.z[0]); }"
+    )
+    assert apart == pytest.approx(told, abs=2.5)  # the marker stands a little above the ground
+
+
+def test_the_body_turns_and_night_moves_over_it(seen: Seen) -> None:
+    take = (
+        "() => { const d = document.getElementById('flight').data[0];"
+        " return [Array.from(d.x), Array.from(d.intensity)]; }"
+    )
+    seen.page.evaluate("report.show(0)")
+    before = [np.array(values) for values in seen.page.evaluate(take)]
+    seen.page.evaluate("report.show(7731)")  # half a turn of Bennu
+    after = [np.array(values) for values in seen.page.evaluate(take)]
+    assert np.abs(after[0] - before[0]).max() > 400.0
+    assert np.corrcoef(before[1], after[1])[0, 1] < 0.3
+    assert 0.3 < (after[1] > 0.0).mean() < 0.7
+
+
+def eye(seen: Seen) -> np.ndarray[Any, np.dtype[np.float64]]:
+    found = seen.page.evaluate("report.camera().eye")
+    return np.array([found[axis] for axis in "xyz"])
+
+
+def test_the_view_turns_by_mouse_and_by_keys(seen: Seen) -> None:
+    seen.page.evaluate("document.getElementById('flight').scrollIntoView({behavior: 'instant'})")
+    box = seen.page.locator("#flight").bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    before = eye(seen)
+    seen.page.mouse.move(x, y)
+    seen.page.mouse.down()
+    seen.page.mouse.move(x + 150, y + 40, steps=5)
+    seen.page.mouse.up()
+    by_mouse = eye(seen)
+    assert np.linalg.norm(by_mouse - before) > 0.1
+    seen.page.focus("#flight")
+    seen.page.keyboard.press("ArrowLeft")
+    seen.page.wait_for_timeout(300)
+    by_keys = eye(seen)
+    assert np.linalg.norm(by_keys - by_mouse) > 0.02
+    seen.page.click("[data-eye=sun]")
+    seen.page.wait_for_timeout(300)
+    assert eye(seen)[0] == pytest.approx(1.7, abs=0.01)
+
+
+def test_playing_moves_time_by_button_and_by_space(seen: Seen) -> None:
+    seen.page.evaluate("report.show(1000)")
+    seen.page.click("#play")
+    seen.page.wait_for_function("report.time() > 1100")
+    seen.page.focus("#flight")
+    seen.page.keyboard.press(" ")
+    seen.page.wait_for_function("document.getElementById('play').textContent === 'Play'")
+    seen.page.wait_for_timeout(300)
+    stopped = seen.page.evaluate("report.time()")
+    seen.page.wait_for_timeout(300)
+    assert seen.page.evaluate("report.time()") == stopped
+    seen.page.focus("#time")
+    seen.page.keyboard.press("PageUp")
+    seen.page.wait_for_function("t => report.time() === Math.min(t + 600, 34842)", arg=stopped)
+
+
+def test_sets_are_shown_on_demand(seen: Seen) -> None:
+    find = (
+        "() => document.getElementById('flight').data.filter(d => d.meta.group.startsWith('keep'))"
+        ".map(d => d.visible)"
+    )
+    boxes = seen.page.locator("[data-group^=keep]")
+    assert seen.page.evaluate(find) == [False] * 4
+    boxes.evaluate_all("boxes => boxes.forEach(box => box.click())")
+    seen.page.wait_for_function(f"({find})().every(x => x)")
+    boxes.first.evaluate("box => box.click()")
+    seen.page.wait_for_function(f"({find})().filter(x => x).length === 3")
+
+
+def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject: Subject) -> None:
+    page = browser.new_context(java_script_enabled=False).new_page()
+    page.goto(html_file.as_uri())
+    assert "Asked:" in page.inner_text("header")
+    total = page.locator("[data-table=burns] tr").last.locator("td").last
+    assert float(total.get_attribute("data-value")) == subject.solution.total_dv_m_s
+    page.context.close()
+
+
+def test_it_fits_a_phone_without_scrolling_aside(seen: Seen) -> None:
+    seen.page.set_viewport_size({"width": 390, "height": 844})
+    seen.page.wait_for_function("document.getElementById('flight').clientWidth < 390")
+    seen.page.wait_for_function(
+        "[...document.querySelectorAll('.main-svg')].every(s => s.clientWidth <= 390)"
+    )
+    assert seen.page.evaluate("document.documentElement.scrollWidth") <= 390
+    seen.page.set_viewport_size(WINDOW)
+
+
+def test_dark_and_light_follow_the_system_and_the_button(seen: Seen) -> None:
+    ground = "getComputedStyle(document.body).backgroundColor"
+    ink = "document.querySelector('[data-chart] .xtick text').style.fill"
+    dark, light = (
+        ("rgb(20, 23, 28)", "rgb(232, 234, 238)"),
+        ("rgb(255, 255, 255)", "rgb(28, 31, 36)"),
+    )
+    for scheme, clicks, expected in (("dark", 0, dark), ("dark", 1, light), ("dark", 1, dark)):
+        seen.page.emulate_media(color_scheme=scheme)
+        for _ in range(clicks):
+            seen.page.click("#theme")
+        seen.page.wait_for_function(f"{ink} === '{expected[1]}'")
+        assert seen.page.evaluate(ground) == expected[0]
+    assert seen.said == []
+
+
+def test_it_prints_in_light_colours_with_the_view_as_a_picture(seen: Seen, tmp_path: Path) -> None:
+    """From the dark, in which the test before has left it."""
+    seen.page.wait_for_function("document.getElementById('still').src.startsWith('data:image/png')")
+    seen.page.pdf(path=tmp_path / "page.pdf", format="A4", print_background=True)
+    assert (tmp_path / "page.pdf").stat().st_size > 100_000
+    seen.page.emulate_media(media="print")
+    ground = seen.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert ground == "rgb(255, 255, 255)"
+    assert not seen.page.is_visible("#play")
+    assert seen.page.is_visible("#still")
+    seen.page.emulate_media(media="screen")

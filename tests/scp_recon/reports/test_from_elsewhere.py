@@ -1,0 +1,65 @@
+"""The report from where plans are made: `solve --report`, and the front door."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import scp_recon as sr
+from scp_recon.errors import InputError
+from scp_recon.planning.plan import Plan
+from scp_recon.reports import flights
+from scp_recon.reports.flights import fly
+from scp_recon.results.solution import Solution
+from tests.scp_recon.support import run_solve
+
+door: Any = sr
+
+
+@pytest.fixture(autouse=True)
+def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flights, "fly", partial(fly, samples=200))
+
+
+def test_solve_writes_it_beside_the_plan(tmp_path: Path) -> None:
+    run = run_solve(tmp_path, "--report")
+    assert run.exit_code == 0
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert "<strong>verified</strong>" in page
+    assert run.output.rstrip().endswith(f"written: {tmp_path / 'report.html'}")
+
+
+def test_a_plan_that_fails_has_its_page_beside_the_verified_one(tmp_path: Path) -> None:
+    assert run_solve(tmp_path).exit_code == 0
+    impossible = ("--set", "burns.dv_max_m_s=0.03", "--set", "grid.step_max_s=900")
+    run = run_solve(tmp_path, *impossible, "--report")
+    assert run.exit_code == 3
+    assert not (tmp_path / "report.html").exists()
+    page = (tmp_path / "report_unverified.html").read_text("utf-8")
+    assert "<strong>not verified: status" in page
+    assert "violated by up to" in page
+
+
+def test_without_the_extra_nothing_is_planned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    run = run_solve(tmp_path, "--report")
+    assert run.exit_code == 2
+    assert "needs the extra scp_recon[report]" in run.errors
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_front_door_takes_plans_solutions_and_folders(
+    default_plan: Plan, verified: Solution, tmp_path: Path
+) -> None:
+    verified.write(tmp_path)
+    file = sr.report(default_plan, verified, str(tmp_path), out=tmp_path / "three.html")
+    page = file.read_text("utf-8")
+    assert page.count("<strong>verified</strong>") == 3
+    with pytest.raises(InputError, match="must be a plan, a solution or its file"):
+        sr.report(3, out=tmp_path / "x.html")  # type: ignore[arg-type]

@@ -1,0 +1,221 @@
+"""What the report computes: held against closed forms, SPICE's habits, and the verification."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.bodies.surface import Mesh
+from scp_recon.physics.frames import unit
+from scp_recon.reports.charts import BINS, thinned
+from scp_recon.reports.flights import SO_FAR, Flown, achieved, budget_of, fly
+from scp_recon.reports.ground import Camera, degrees_of, first_hit, ground_track, terminator
+from scp_recon.reports.page import Page
+from scp_recon.reports.subject import Subject
+from scp_recon.reports.surfaces import FACETS_MAX, RING, _of_mesh, ellipsoid, shape_of, shell, tube
+from scp_recon.results.solution import Solution
+from tests.helpers import generators, random_unit
+
+
+@pytest.fixture(scope="module")
+def flown(subject: Subject) -> Flown:
+    return fly(subject)
+
+
+@given(generators)
+def test_rays_hit_an_ellipsoid_where_the_quadratic_says(rng: np.random.Generator) -> None:
+    radii = rng.uniform(100.0, 400.0, 3)
+    shape = ellipsoid(radii, "")
+    start = 2000.0 * random_unit(rng, 20)
+    ray = unit(random_unit(rng, 20) * 250.0 - start)
+    found = first_hit(start, ray, shape)
+    p, d = start / radii, ray / radii
+    a, b, c = (d * d).sum(1), (p * d).sum(1), (p * p).sum(1) - 1.0
+    clear = np.abs(b * b - a * c) > 0.05 * b * b  # a graze may fall between two looks
+    hits = b * b > a * c
+    assert (np.isfinite(found).all(axis=1) == hits)[clear].all()
+    along = (-b - np.sqrt(np.maximum(b * b - a * c, 0.0))) / a
+    both = hits & clear
+    expected = start + along[:, None] * ray
+    np.testing.assert_allclose(found[both], expected[both], atol=1e-3)
+
+
+def test_the_site_is_within_its_field_of_view_and_the_track_below_the_path(
+    subject: Subject,
+) -> None:
+    shape = shape_of(subject.solution.scenario)
+    track = ground_track(subject, shape, Camera())
+    site = subject.mission.site.position_body
+    for outline in track.outlines_m:
+        centre = outline.mean(axis=0)
+        assert np.linalg.norm(site - centre) < 0.5 * np.linalg.norm(outline - centre, axis=1).min()
+    at = subject.mission.rotation.body_to_j2000(track.times_s)
+    fixed = np.einsum("nji,nj->ni", at, subject.positions(track.times_s))
+    longitude, latitude = degrees_of(fixed)
+    np.testing.assert_allclose(track.longitude_deg, longitude)
+    np.testing.assert_allclose(track.latitude_deg, latitude)
+
+
+def test_the_outline_is_at_the_camera_s_angle(subject: Subject) -> None:
+    shape, camera = shape_of(subject.solution.scenario), Camera(8.0, 1000)
+    track = ground_track(subject, shape, camera)
+    at = subject.mission.rotation.body_to_j2000(track.looks_s)
+    here = np.einsum("nji,nj->ni", at, subject.positions(track.looks_s))
+    axis = unit(subject.mission.site.position_body - here)
+    seen = unit(track.outlines_m - here[:, None])
+    angle = np.rad2deg(np.arccos(np.einsum("nri,ni->nr", seen, axis)))
+    np.testing.assert_allclose(angle, 4.0, atol=1e-6)
+    on = track.outlines_m / np.array(subject.solution.scenario.body.radii_m)
+    np.testing.assert_allclose(np.linalg.norm(on, axis=-1), 1.0, atol=1e-9)
+
+
+def test_the_sun_stands_on_the_horizon_at_the_terminator(subject: Subject) -> None:
+    mission = subject.mission
+    for time in (0.0, 15_000.0):
+        longitude, latitude = np.deg2rad(terminator(subject, time))
+        across = np.cos(latitude)
+        normal = np.column_stack(
+            [across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)]
+        )
+        sun = mission.rotation.body_to_j2000(time).T @ mission.sun_direction(time)
+        np.testing.assert_allclose(normal @ sun, 0.0, atol=1e-12)
+
+
+@given(generators)
+def test_a_tube_is_made_of_its_covariance(rng: np.random.Generator) -> None:
+    """Each point's deviation is in the plane across the path, and as many sigmas from it there."""
+    path = np.cumsum(rng.uniform(0.5, 1.0, (12, 3)), axis=0) * 100.0
+    factor = rng.normal(size=(12, 3, 3)) * 10.0
+    covariance = factor @ np.swapaxes(factor, 1, 2)
+    rings = tube(path, covariance, 3.0).vertices_m.reshape(12, RING, 3) - path[:, None]
+    along = unit(np.gradient(path, axis=0))
+    assert np.abs(np.einsum("nri,ni->nr", rings, along)).max() < 1e-6
+    for ring, sigma, direction in zip(rings, covariance, along, strict=True):
+        _, _, axes = np.linalg.svd(direction[None])
+        plane = axes[1:]
+        across = plane @ sigma @ plane.T
+        flat = ring @ plane.T
+        size = np.sqrt(np.einsum("ri,ij,rj->r", flat, np.linalg.inv(across), flat))
+        np.testing.assert_allclose(size, 3.0, rtol=1e-6)
+
+
+@given(generators)
+def test_a_shell_keeps_to_its_distances_and_angles(rng: np.random.Generator) -> None:
+    axis, apex = random_unit(rng), 100.0 * rng.normal(size=3)
+    points = shell(axis, apex, (500.0, 740.0), (0.3, 0.8)).vertices_m - apex
+    distance = np.linalg.norm(points, axis=1)
+    angle = np.arccos(points @ axis / distance)
+    assert ((distance > 499.999) & (distance < 740.001)).all()
+    assert ((angle > 0.3 - 1e-6) & (angle < 0.8 + 1e-6)).all()
+
+
+def test_a_large_mesh_is_drawn_with_fewer_facets_that_close_around_the_centre() -> None:
+    fine = ellipsoid(np.array([280.0, 270.0, 250.0]), "")
+    vertices, facets = fine.vertices_m, fine.facets
+    for _ in range(2):  # every facet in three, about its middle
+        middle = vertices[facets].mean(axis=1)
+        number = len(vertices) + np.arange(len(facets))
+        a, b, c = facets.T
+        parts = [
+            np.column_stack(corners) for corners in ((a, b, number), (b, c, number), (c, a, number))
+        ]
+        vertices, facets = np.vstack([vertices, middle]), np.vstack(parts)
+    assert len(facets) > FACETS_MAX
+    shape = _of_mesh(Mesh(vertices, facets[:, ::-1]))
+    assert 1000 < len(shape.facets) <= FACETS_MAX
+    assert f"{len(facets)} facets, drawn with" in shape.description
+    a, b, c = np.moveaxis(shape.vertices_m[shape.facets], 1, 0)
+    volume = np.einsum("ni,ni->", a, np.cross(b, c)) / 6.0
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 280.0 * 270.0 * 250.0, rel=0.05)
+    ray = random_unit(np.random.default_rng(0), 50)
+    np.testing.assert_allclose(shape.radius(ray), fine.radius(ray), rtol=0.01)
+
+
+def test_normals_point_outward_and_are_the_ellipsoid_s() -> None:
+    radii = np.array([280.0, 270.0, 250.0])
+    shape = ellipsoid(radii, "")
+    exact = unit(shape.vertices_m / radii**2)
+    assert (shape.normals * exact).sum(axis=1).min() > 0.999
+
+
+def test_a_shape_file_is_drawn_and_a_missing_one_is_told(
+    solution: Solution, tmp_path: Path
+) -> None:
+    lines = ["v 100 0 0", "v -100 0 0", "v 0 100 0", "v 0 -100 0", "v 0 0 90", "v 0 0 -90"]
+    corners = ("1 3 5", "3 2 5", "2 4 5", "4 1 5", "3 1 6", "2 3 6", "4 2 6", "1 4 6")
+    file = tmp_path / "rock.obj"
+    file.write_text("\n".join([*lines, *(f"f {c}" for c in corners)]), "utf-8")
+    given = {"shape_file": str(file), "shape_unit": "m"}
+    body = solution.scenario.body.model_copy(update=given)
+    scenario = solution.scenario.model_copy(update={"body": body})
+    assert shape_of(scenario).description == "shape file of 8 facets"
+    file.unlink()
+    assert "not to be read here" in shape_of(scenario).description
+    bare = body.model_copy(update={"shape_file": None, "radii_m": None})
+    assert "through the site" in shape_of(scenario.model_copy(update={"body": bare})).description
+
+
+def test_probabilities_are_the_verification_s(
+    subject: Subject, flown: Flown, verified: Solution
+) -> None:
+    """The same draws: at the nodes the same numbers."""
+    checked = verified.verification
+    assert checked is not None
+    found = {one.name: one for one in achieved(subject, flown)}
+    for p in checked.probabilities:
+        one = found[p.name]
+        at = np.flatnonzero(np.isclose(one.times_s, p.worst_t_s, atol=1e-6))
+        if len(at):
+            assert one.value[at[0]] == p.estimate
+            assert (one.low[at[0]], one.high[at[0]]) == (p.low, p.high)
+    so_far = found[SO_FAR].value
+    assert (np.diff(so_far) <= 0.0).all()
+    assert so_far[-1] <= min(one.value.min() for one in found.values())
+
+
+def test_the_budget_is_that_of_the_executed_burns(subject: Subject, flown: Flown) -> None:
+    budget = budget_of(subject, flown)
+    total = subject.solution.total_dv_m_s
+    assert budget.planned_m_s.sum() == pytest.approx(total, rel=1e-12)
+    low, high = budget.interval_m_s
+    assert total < low <= budget.total_high_m_s <= high < 1.2 * total
+    below = (flown.executed_m_s.sum(axis=1) < budget.total_high_m_s).mean()
+    assert below == pytest.approx(0.99, abs=1e-3)
+    assert budget.total_high_m_s < budget.high_m_s.sum()
+
+
+def test_the_view_moves_through_the_nodes(page: Page, subject: Subject) -> None:
+    motion = page.scene["motion"]
+    plan = motion["plans"][0]
+    axes = np.array(motion["rotation"]["axes"])
+    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-8)
+    states = np.array(subject.solution.nodes.state)[:, :3]
+    at = np.searchsorted(plan["t_s"], subject.nodes_s - 1e-3)
+    seen = np.array(plan["position"]).T[at]
+    np.testing.assert_allclose(
+        np.linalg.norm(seen, axis=1), np.linalg.norm(states, axis=1), atol=0.02
+    )
+    # The site that the page turns is the site of the mission, seen from the spacecraft.
+    t, r = 15_000.0, motion["rotation"]
+    w = r["meridian"] + r["rate"] * t + 0.5 * r["acceleration"] * t * t
+    turn = np.array([[np.cos(w), -np.sin(w), 0.0], [np.sin(w), np.cos(w), 0.0], [0.0, 0.0, 1.0]])
+    site = axes @ turn @ np.array(motion["site"])
+    craft = [np.interp(t, plan["t_s"], x) for x in plan["position"]]
+    mission = subject.mission
+    true = mission.rotation.body_to_j2000(t) @ mission.site.position_body
+    apart = np.linalg.norm(subject.positions(np.array([t]))[0] - true)
+    assert np.linalg.norm(craft - site) == pytest.approx(apart, abs=0.1)
+
+
+@given(generators, st.integers(2, 20_000))
+def test_thinning_loses_no_peak(rng: np.random.Generator, n: int) -> None:
+    times, values = np.arange(n, dtype=float), rng.normal(size=n)
+    t, v = thinned(times, values)
+    assert len(t) <= max(2 * BINS, 2)
+    assert (np.diff(t) > 0.0).all()
+    assert (v.max(), v.min()) == (values.max(), values.min())
+    np.testing.assert_array_equal(v, values[t.astype(int)])

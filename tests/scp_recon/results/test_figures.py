@@ -1,0 +1,196 @@
+"""Facts are stored once: figures follow from them, and a file that says otherwise is not believed.
+
+`older` holds files of `scp_recon.solution/2` on very coarse grids, as that version wrote them.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from scp_recon.results.figures import FINAL_STATE, Figures
+from scp_recon.results.read import parse_solution, read_solution
+from scp_recon.results.solution import SCHEMA, Solution
+from scp_recon.scenario.load import load_scenario
+from scp_recon.verification.reintegration import verify
+
+OLDER = Path(__file__).parent / "older"
+Data = dict[str, Any]
+
+
+@pytest.fixture(params=["facets", "exact", "infeasible"])
+def older(request: pytest.FixtureRequest) -> Data:
+    """A file of the second schema, as it stands."""
+    data: Data = json.loads((OLDER / f"{request.param}.json").read_text("utf-8"))
+    assert data["schema"] == "scp_recon.solution/2"
+    return data
+
+
+@pytest.fixture
+def written(older: Data, tmp_path: Path) -> Data:
+    """The same plan as this version writes it."""
+    return json.loads(parsed(older).write(tmp_path).read_text("utf-8"))
+
+
+def parsed(data: Data) -> Solution:
+    return parse_solution(data, "solution")
+
+
+def read(data: Data, folder: Path) -> Solution:
+    file = folder / "given.json"
+    file.write_text(json.dumps(data), "utf-8")
+    return read_solution(file)
+
+
+def assert_agree(one: Figures, other: Figures) -> None:
+    assert one.total_dv_m_s == pytest.approx(other.total_dv_m_s, rel=1e-12)
+    for first, second in zip(one.constraints, other.constraints, strict=True):
+        assert first.worst_margin == pytest.approx(second.worst_margin, abs=1e-9)
+        assert replace(first, worst_margin=0.0) == replace(second, worst_margin=0.0)
+    assert one.violation.max == pytest.approx(other.violation.max, rel=1e-9)
+    assert one.violation.total == pytest.approx(other.violation.total, rel=1e-9)
+    assert one.violation.by_constraint.keys() == other.violation.by_constraint.keys()
+
+
+# --- older files --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_the_figures_of_an_older_file_follow_from_its_facts(
+    older: Data, number: int, tmp_path: Path
+) -> None:
+    """Those that it carries were the planner's own."""
+    data = older | {"schema": f"scp_recon.solution/{number}"}
+    if number == 1:
+        data["constraints"] = [
+            {("worst_margin_m_or_rad" if k == "worst_margin" else k): v for k, v in c.items()}
+            for c in older["constraints"]
+        ]
+    found = read(data, tmp_path)
+    assert found.carried is not None
+    assert_agree(found.figures, found.carried)
+    assert not any("solution" in str(warning) for warning in found.warnings)
+    assert found.plan_hash == older["plan_hash"]
+
+
+def test_an_older_file_is_verified_as_it_was(older: Data, tmp_path: Path) -> None:
+    found = read(older, tmp_path)
+    assert found.verification is not None
+    assert found.verification.failed == older["verification"]["failed"]
+    assert verify(found.mission, found).failed == found.verification.failed
+
+
+def test_written_again_it_is_a_file_of_today(older: Data, written: Data, tmp_path: Path) -> None:
+    assert written["schema"] == SCHEMA
+    assert older.keys() <= written.keys()
+    assert read(written, tmp_path) == parsed(older)
+
+
+# --- what a file carries ------------------------------------------------------------------------
+
+
+def more_margin(data: Data) -> None:
+    data["constraints"][-1]["worst_margin"] += 0.1
+
+
+def less_delta_v(data: Data) -> None:
+    data["total_dv_m_s"] *= 0.999
+
+
+def other_violation(data: Data) -> None:
+    data["violation"]["total"] += 1.0
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (more_margin, "constraints"),
+        (less_delta_v, "total_dv_m_s"),
+        (other_violation, "violation"),
+    ],
+)
+def test_a_figure_that_does_not_follow_from_the_facts_is_not_believed(
+    written: Data, change: Callable[[Data], None], named: str, tmp_path: Path
+) -> None:
+    failed = written["verification"]["failed"]
+    change(written)
+    found = read(written, tmp_path)
+    assert found.verification is not None
+    assert not found.verification.ok
+    assert found.verification.failed == [named, *failed]
+    assert f"{named} that do not follow" in str(found.warnings[-1])
+    assert found.figures == parsed(written).figures  # whatever the file carries
+
+
+def test_a_probability_that_is_not_its_quantiles_is_named(written: Data, tmp_path: Path) -> None:
+    if written["risk"] is None:
+        pytest.skip("no exact plan")
+    written["risk"]["normal_law"][0]["probability"][0] -= 1e-6
+    found = read(written, tmp_path)
+    assert found.verification is not None
+    assert found.verification.failed[0] == "risk"
+
+
+def test_margins_beyond_what_probabilities_resolve_are_kept(tmp_path: Path) -> None:
+    """A probability that is one to the last digit says nothing of how far its limits are away."""
+    data = json.loads((OLDER / "exact.json").read_text("utf-8"))
+    margins = {c.name: c.worst_margin for c in read(data, tmp_path).constraints}
+    assert margins["phase"] > 20.0
+    again = read_solution(read(data, tmp_path).write(tmp_path))
+    assert {c.name: c.worst_margin for c in again.constraints} == margins
+
+
+def test_a_final_state_that_was_told_in_sigmas_is_one_in_metres(tmp_path: Path) -> None:
+    data = json.loads((OLDER / "infeasible.json").read_text("utf-8"))
+    length = data["units"]["length_m"]
+    data["nodes"]["state"][-1][0] += 0.1 * length
+    whole, parts = data["violation"], data["violation"]["by_constraint"]
+    parts[FINAL_STATE] = {"max": 0.1, "total": 0.2, "unit": "sigma"}  # its arc misses it too
+    whole["total"] += 0.2 * length
+    carried = parsed(data).carried
+    assert carried is not None
+    assert carried.violation.by_constraint[FINAL_STATE].unit == "m"
+    found = read(data, tmp_path)
+    assert found.violation.by_constraint[FINAL_STATE].max == pytest.approx(0.1 * length, rel=1e-3)
+
+
+# --- what a solution shows ----------------------------------------------------------------------
+
+
+def test_a_solution_shows_what_a_user_needs(written: Data) -> None:
+    solution = parsed(written)
+    shown = {name for name in dir(solution) if not name.startswith("_")}
+    assert not shown & set(dir(BaseModel))
+    assert {"burns_m_s", "total_dv_m_s", "constraints", "violation", "verification"} <= shown
+
+
+def test_a_copy_is_equal_and_computes_its_figures_again(written: Data) -> None:
+    solution = parsed(written)
+    figures = solution.figures
+    copy = pickle.loads(pickle.dumps(solution))
+    assert copy == solution
+    assert vars(copy).keys().isdisjoint({"mission", "figures"})
+    assert copy.figures == figures
+
+
+def test_what_is_not_finite_is_not_written(written: Data, tmp_path: Path) -> None:
+    solution = parsed(written)
+    diverged = replace(solution.iterations[0], merit=np.inf)
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        replace(solution, iterations=[diverged]).write(tmp_path, "diverged.json")
+    assert not (tmp_path / "diverged.json").exists()
+
+
+def test_what_stands_in_files_and_scenarios_shows_no_methods_of_its_base_class() -> None:
+    scenario = load_scenario()
+    assert {"risk", "replace"} <= {*dir(scenario)}
+    for shown in (scenario, scenario.risk):
+        assert not {*dir(shown)} & {"model_dump", "model_fields", "copy", "json"}

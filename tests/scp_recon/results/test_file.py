@@ -1,0 +1,478 @@
+"""The solution file: complete, read back as written, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import plan
+from scp_recon.results import solution as solution_module
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import SCHEMA, Solution, make_solution
+from scp_recon.scenario.load import validate_scenario
+from scp_recon.verification.reintegration import verify
+from tests import reliability
+from tests.scenarios import COARSE
+from tests.scp_recon.support import mission_of
+
+Data = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    """On half of the nodes: a file half as long, which is read many times."""
+    mission = mission_of(COARSE)
+    return make_solution(plan(mission, initial_guess.cold(mission)))
+
+
+@pytest.fixture(scope="module")
+def verified(solution: Solution) -> Solution:
+    checked = verify(Mission.from_scenario(solution.scenario), solution)
+    return replace(solution, verification=checked)
+
+
+@pytest.fixture(scope="module")
+def data(verified: Solution, tmp_path_factory: pytest.TempPathFactory) -> Data:
+    """What is in the file."""
+    path = verified.write(tmp_path_factory.mktemp("written"))
+    parsed: Data = json.loads(path.read_text("utf-8"))
+    return parsed
+
+
+# --- what is in it ------------------------------------------------------------------------------
+
+
+def test_every_promised_key_is_there(data: Data) -> None:
+    # docs/solution_file.md.
+    assert set(data) >= {
+        *("schema", "status", "message", "problem", "init"),
+        *("method", "formulation", "algorithm", "solver"),
+        *("total_dv_m_s", "burns", "nodes", "stages", "constraints", "violation", "iterations"),
+        *("timing_s", "verification", "scenario"),
+    }
+    assert all(set(burn) >= {"t_s", "dv_m_s"} for burn in data["burns"])
+    assert set(data["nodes"]) >= {"t_s", "state", "covariance"}
+    for stage in data["stages"]:
+        assert set(stage) >= {"name", "status", "total_dv_m_s", "iterations"}
+    for constraint in data["constraints"]:
+        assert set(constraint) >= {
+            *("name", "kind", "worst_margin", "worst_t_s", "facets"),
+        }
+    assert set(data["violation"]) >= {"max", "total", "by_constraint"}
+    for iteration in data["iterations"]:
+        assert set(iteration) >= {
+            *("stage", "k", "merit", "predicted", "actual", "trust_radius", "max_violation"),
+            *("max_defect", "solver_s"),
+        }
+    assert set(data["timing_s"]) >= {
+        *("total", "setup", "linearise", "canonicalise", "conic_solver", "other"),
+    }
+    assert set(data["verification"]) >= {
+        *("terminal_position_error_m", "terminal_velocity_error_m_s", "max_defect"),
+        *("covariance_error", "ok"),
+    }
+
+
+def test_it_is_plain_json_with_the_schema_first(verified: Solution, tmp_path: Path) -> None:
+    text = verified.write(tmp_path).read_text("utf-8")
+
+    def no_constant(name: str) -> None:
+        raise AssertionError(f"{name} is no JSON")
+
+    parsed = json.loads(text, parse_constant=no_constant)
+    assert next(iter(parsed)) == "schema"
+    assert parsed["schema"] == SCHEMA
+
+
+def test_its_scenario_is_the_whole_validated_input(data: Data, solution: Solution) -> None:
+    assert validate_scenario(data["scenario"]) == solution.scenario
+
+
+# --- reading back -------------------------------------------------------------------------------
+
+
+def test_round_trip_through_file_and_folder(
+    solution: Solution, verified: Solution, tmp_path: Path
+) -> None:
+    for version in (solution, verified):
+        path = version.write(tmp_path)
+        assert path == tmp_path / "solution.json"
+        assert read_solution(path) == version
+        assert read_solution(tmp_path) == version
+
+
+def test_keys_of_a_later_minor_version_are_tolerated(data: Data, tmp_path: Path) -> None:
+    file = tmp_path / "solution.json"
+    file.write_text(json.dumps({**data, "note": "added later"}), "utf-8")
+    assert read_solution(file).total_dv_m_s == data["total_dv_m_s"]
+
+
+def test_a_file_from_before_methods_had_a_name_is_read(data: Data, tmp_path: Path) -> None:
+    file = tmp_path / "solution.json"
+    older = {key: value for key, value in data.items() if key != "method"}
+    file.write_text(json.dumps(older), "utf-8")
+    assert data["method"] == "scp"
+    assert read_solution(file).method is None
+
+
+@pytest.mark.parametrize("key", ["estimate", "low", "high"])
+@pytest.mark.parametrize("value", [-5.0, -1e-9, 1.0 + 1e-9])
+def test_a_probability_beyond_its_bounds_is_refused(
+    key: str, value: float, data: Data, tmp_path: Path
+) -> None:
+    changed = json.loads(json.dumps(data))
+    changed["verification"]["probabilities"][0][key] = value
+    (tmp_path / "solution.json").write_text(json.dumps(changed), "utf-8")
+    with pytest.raises(InputError, match=rf"verification\.probabilities\.0\.{key}"):
+        read_solution(tmp_path)
+
+
+# --- which plan it is ---------------------------------------------------------------------------
+
+
+def test_the_plans_hash_is_that_of_scenario_and_burns_alone(
+    solution: Solution, verified: Solution, tmp_path: Path
+) -> None:
+    others = {"message": "", "iterations": [], "stages": [], "init": "x"}
+    timing = replace(solution.timing_s, total=1.0)
+    same = replace(solution, **others, timing_s=timing)
+    read = read_solution(verified.write(tmp_path))
+    assert len(solution.plan_hash) == 64
+    assert {s.plan_hash for s in (verified, same, read)} == {solution.plan_hash}
+
+
+@pytest.mark.parametrize("burn", range(2))
+@pytest.mark.parametrize("axis", range(3))
+def test_the_plans_hash_knows_the_last_bit_of_every_burn(
+    solution: Solution, burn: int, axis: int
+) -> None:
+    dv = list(solution.burns[burn].dv_m_s)
+    dv[axis] = math.nextafter(dv[axis], math.inf)
+    burns = list(solution.burns)
+    burns[burn] = replace(burns[burn], dv_m_s=tuple(dv))
+    assert replace(solution, burns=burns).plan_hash != solution.plan_hash
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("burns.0.dv_m_s.0", 0.012),
+        ("scenario.risk.p_chance", 0.95),
+        ("scenario.uncertainty.execution_error", 0.02),
+        ("scenario.observation.emission_max_deg", 44.0),
+    ],
+)
+def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(
+    data: Data, tmp_path: Path, path: str, value: object
+) -> None:
+    assert data["verification"]["ok"]
+    (tmp_path / "solution.json").write_text(edited(data, path, value), "utf-8")
+    read = read_solution(tmp_path)
+    assert read.verification is not None
+    assert not read.verification.ok
+    assert read.verification.failed == ["plan_hash"]
+    assert "changed after it was written" in str(read.warnings[-1])
+
+
+def test_a_file_from_before_it_held_its_hash_is_believed(data: Data, tmp_path: Path) -> None:
+    (tmp_path / "solution.json").write_text(edited(data, "plan_hash", ...), "utf-8")
+    read = read_solution(tmp_path)
+    assert read.verification is not None
+    assert read.verification.ok
+    assert not read.warnings
+
+
+def other(value: object) -> object:
+    """A value next to one of the scenario's; of any number the next one."""
+    match value:
+        case float():
+            return math.nextafter(value, math.inf)
+        case int():
+            return value + 1
+        case "paper":
+            return 5
+        case "sun_north":
+            return "j2000"
+        case str():
+            return f"{value}x"
+        case datetime():
+            return value + timedelta(microseconds=1)
+        case ():
+            return (1.0,)
+        case (first, *rest):
+            return (other(first), *rest)
+    raise TypeError(value)
+
+
+def test_the_plans_hash_knows_every_entry_of_the_scenario(solution: Solution) -> None:
+    scenario, found = solution.scenario, [solution.plan_hash]
+    for name, section in scenario:
+        if isinstance(section, str):
+            copies = [other(section)]
+        elif section is None:  # nor is it under way
+            continue
+        else:
+            given = {key: other(value) for key, value in section if value is not None}
+            copies = [section.model_copy(update={key: value}) for key, value in given.items()]
+        for changed in copies:
+            whole = scenario.model_copy(update={name: changed})
+            found.append(replace(solution, scenario=whole).plan_hash)
+    assert len(set(found)) == len(found) > 40
+
+
+# --- writing whole or not at all ----------------------------------------------------------------
+
+
+class DiskFullError(OSError):
+    pass
+
+
+def fail(*_: object, **__: object) -> None:
+    raise DiskFullError("no space left on device")
+
+
+def interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("target", "name"), [(Path, "replace"), (os, "fsync"), (solution_module.json, "dumps")]
+)
+@pytest.mark.parametrize("trouble", [fail, interrupt])
+def test_an_old_file_stays_whole_when_writing_fails(
+    solution: Solution,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    target: object,
+    name: str,
+    trouble: object,
+) -> None:
+    old = replace(solution, message="the old one")
+    before = old.write(tmp_path).read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr(target, name, trouble)
+        with pytest.raises((DiskFullError, KeyboardInterrupt)):
+            solution.write(tmp_path)
+    assert (tmp_path / "solution.json").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["solution.json"]
+    assert read_solution(tmp_path).message == "the old one"
+
+
+def test_nothing_is_left_behind_where_there_was_nothing(
+    solution: Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises(DiskFullError):
+        solution.write(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_others_may_read_the_file_as_any_other(solution: Solution, tmp_path: Path) -> None:
+    """A result is shared: its permissions are those of every file made here."""
+    ordinary = tmp_path / "ordinary"
+    ordinary.write_text("", "utf-8")
+    written = solution.write(tmp_path)
+    assert oct(written.stat().st_mode) == oct(ordinary.stat().st_mode)
+
+
+# --- damaged files ------------------------------------------------------------------------------
+
+
+def refused(file: Path, content: str | bytes) -> InputError:
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InputError) as caught:
+        read_solution(file)
+    assert str(file) in caught.value.entry
+    reliability.count(reliability.BAD_INPUTS)
+    return caught.value
+
+
+def test_a_missing_file_or_an_empty_folder_is_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.json", tmp_path):
+        with pytest.raises(InputError) as caught:
+            read_solution(path)
+        assert "no such file" in caught.value.given
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"\x89PNG\r\n\x1a\n", b"\xff\xfe\x00", b"nonsense", b"[" * 100_000],
+    ids=["empty", "half a brace", "picture", "binary", "word", "deep"],
+)
+def test_what_is_no_json_is_refused(tmp_path: Path, content: bytes) -> None:
+    assert "JSON" in str(refused(tmp_path / "s.json", content))
+
+
+def test_a_file_cut_short_is_refused(tmp_path: Path, data: Data) -> None:
+    text = json.dumps(data)
+    for part in (0.1, 0.5, 0.999):
+        refused(tmp_path / "s.json", text[: int(part * len(text))])
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["[]", "5", "null", '"text"', "{}", '{"schema": "scp_recon.solution/0"}', '{"schema": 1}'],
+)
+def test_another_schema_is_refused(tmp_path: Path, content: str) -> None:
+    error = refused(tmp_path / "s.json", content)
+    assert SCHEMA in error.allowed
+
+
+def edited(data: Data, path: str, value: object) -> str:
+    copy: Data = json.loads(json.dumps(data))
+    *sections, key = path.split(".")
+    inside: Any = copy
+    for section in sections:
+        inside = inside[int(section)] if section.isdigit() else inside[section]
+    if value is ...:
+        del inside[int(key) if key.isdigit() else key]
+    else:
+        inside[int(key) if key.isdigit() else key] = value
+    return json.dumps(copy)
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("status", "burns", "nodes", "nodes.state", "scenario", "scenario.risk.p_chance"),
+        *("total_dv_m_s", "timing_s", "violation.total", "stages.0.name", "verification"),
+    ],
+)
+def test_a_missing_key_is_named(tmp_path: Path, data: Data, path: str) -> None:
+    error = refused(tmp_path / "s.json", edited(data, path, ...))
+    assert path in error.entry
+    assert error.given == "nothing"
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("status", "splendid"),
+        ("status", 5),
+        ("problem", "P1"),
+        ("total_dv_m_s", "much"),
+        ("total_dv_m_s", float("nan")),
+        ("burns.0.dv_m_s", [1.0, 2.0]),
+        ("burns.0.dv_m_s.1", float("inf")),
+        ("burns.0.t_s", None),
+        ("nodes.state", "none"),
+        ("nodes.state.3.2", "x"),
+        ("scenario.risk.p_chance", 1.5),
+        ("scenario.burns.times_s", [0.0, 9.0, 3.0]),
+        ("scenario.unknown", 1),
+    ],
+)
+def test_a_bad_value_is_named(tmp_path: Path, data: Data, path: str, value: object) -> None:
+    error = refused(tmp_path / "s.json", edited(data, path, value))
+    assert path.split(".", maxsplit=1)[0] in error.entry
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("violation.max", "violation.total", "total_dv_m_s", "burns.0.dv_m_s.1", "burns.1.t_s"),
+        *("nodes.t_s.3", "nodes.state.3.2", "nodes.covariance.3.2.1", "facets.node.0"),
+        *("facets.normal.0.1", "facets.quantile.0", "stages.0.iterations", "iterations.0.merit"),
+        *("constraints.0.facets", "constraints.0.worst_t_s", "timing_s.total", "units.length_m"),
+        *("verification.samples", "verification.max_defect", "verification.probabilities.0.low"),
+        *("verification.mean_margins.0.worst_margin", "scenario.risk.p_chance"),
+        *("scenario.burns.times_s.0", "scenario.boundary.final_position_m.0"),
+        *("scenario.body.j2", "scenario.polytopes.cone"),
+    ],
+)
+@pytest.mark.parametrize("value", [True, False, "1"])
+def test_a_number_is_neither_a_boolean_nor_a_string(
+    tmp_path: Path, data: Data, path: str, value: object
+) -> None:
+    error = refused(tmp_path / "s.json", edited(data, path, value))
+    assert path.split(".", maxsplit=1)[0] in error.entry
+
+
+@pytest.mark.parametrize("value", [1, 0, "yes"])
+def test_a_boolean_is_no_number(tmp_path: Path, data: Data, value: object) -> None:
+    for path in ("verification.ok", "iterations.0.accepted"):
+        refused(tmp_path / "s.json", edited(data, path, value))
+
+
+def test_whole_numbers_are_numbers(tmp_path: Path, data: Data) -> None:
+    (tmp_path / "s.json").write_text(edited(data, "violation.total", 0), "utf-8")
+    assert read_solution(tmp_path / "s.json").violation.total == 0.0
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("nodes.state.5", ...),  # a node less than times
+        ("nodes.state.5", [1.0, 2.0, 3.0]),  # a state without a velocity
+        ("nodes.covariance.5", ...),
+        ("nodes.covariance.5.2", ...),
+        ("nodes.covariance.5.2", [1.0]),
+        ("nodes.t_s.5", ...),
+        ("nodes.t_s.5", 0.0),  # not ascending
+        ("burns.2", ...),  # fewer burns than the scenario's firing times
+        ("burns", []),
+        ("nodes", {"t_s": [], "state": [], "covariance": []}),
+    ],
+    ids=[
+        *("state missing", "short state", "covariance missing", "covariance row missing"),
+        *("short covariance row", "time missing", "time descending", "burn missing"),
+        *("no burns", "no nodes"),
+    ],
+)
+def test_parts_that_do_not_fit_together_are_refused(
+    tmp_path: Path, data: Data, path: str, value: object
+) -> None:
+    """Whoever works with what was read may rely on its shapes."""
+    refused(tmp_path / "s.json", edited(data, path, value))
+
+
+# --- times --------------------------------------------------------------------------------------
+
+
+def window_edge(data: Data) -> int:
+    """The node at the second edge of the observation window, which is found by a root search."""
+    mission = Mission.from_scenario(validate_scenario(data["scenario"]))
+    return int(mission.window_nodes[-1])
+
+
+def with_time(data: Data, part: str, at: int, error_s: float) -> str:
+    times = data["nodes"]["t_s"] if part == "nodes" else [b["t_s"] for b in data["burns"]]
+    path = f"nodes.t_s.{at}" if part == "nodes" else f"burns.{at}.t_s"
+    return edited(data, path, times[at] + error_s)
+
+
+@pytest.mark.usefixtures("few_flights")
+@pytest.mark.parametrize("error_s", [1e-9, -1e-9, 0.9e-3])
+def test_a_window_edge_of_another_machine_reads_and_is_verified(
+    tmp_path: Path, data: Data, error_s: float
+) -> None:
+    file = tmp_path / "s.json"
+    file.write_text(with_time(data, "nodes", window_edge(data), error_s), "utf-8")
+    read = read_solution(file)
+    assert read.nodes.t_s != data["nodes"]["t_s"]
+    assert verify(Mission.from_scenario(read.scenario), read).failed == []
+
+
+@pytest.mark.parametrize("error_s", [1.0, -1.0, 1.1e-3])
+def test_a_window_edge_elsewhere_is_refused(tmp_path: Path, data: Data, error_s: float) -> None:
+    error = refused(tmp_path / "s.json", with_time(data, "nodes", window_edge(data), error_s))
+    assert "nodes.t_s" in error.entry
+
+
+@pytest.mark.parametrize(("part", "at"), [("burns", 1), ("burns", 0), ("nodes", 0), ("nodes", -1)])
+def test_burns_and_their_nodes_are_at_the_scenarios_own_times(
+    tmp_path: Path, data: Data, part: str, at: int
+) -> None:
+    at %= len(data["nodes"]["t_s"]) if part == "nodes" else len(data["burns"])
+    error = refused(tmp_path / "s.json", with_time(data, part, at, 1e-9))
+    assert f"{part}.t_s" in error.entry

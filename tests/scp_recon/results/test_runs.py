@@ -1,0 +1,109 @@
+"""Folders of runs: one of its own for each, one run at a time, and a pointer to the last."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from scp_recon.api.planning import is_solution
+from scp_recon.errors import InputError
+from scp_recon.files import LOCK, only_run_in
+from scp_recon.results.read import read_solution
+from scp_recon.results.runs import folder_of, is_pointer, new_run, point_to
+from scp_recon.results.solution import FILE_NAME, Solution
+
+NAMES = ["recon_b", "", "latest", ".", "..", "../../etc", "/", "a b\\c", "é" * 300, "con:"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_run_has_a_folder_of_its_own_below_the_root(tmp_path: Path, name: str) -> None:
+    root = tmp_path / "runs"
+    made = {new_run(name, root) for _ in range(3)}
+    assert len(made) == 3
+    for folder in made:
+        assert folder.parent.parent == root
+        assert folder.parent.name not in ("latest", ".", "..", "")
+        assert folder.resolve().is_relative_to(root.resolve())
+    assert all(path.is_dir() for path in made)
+
+
+@pytest.mark.parametrize("links", [True, False], ids=["links", "no links"])
+def test_latest_points_to_the_last_run(
+    tmp_path: Path, solution: Solution, links: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError("no links here")
+
+    if not links:
+        monkeypatch.setattr(Path, "symlink_to", refuse)
+    root = tmp_path / "runs"
+    for message in ("first", "second"):
+        folder = new_run("mine", root)
+        replace(solution, message=message).write(folder)
+        point_to(folder, root)
+        latest = root / "latest"
+        assert latest.is_symlink() == links
+        assert read_solution(latest).message == message
+        assert folder_of(latest).samefile(folder)
+        assert is_pointer(latest)
+        assert is_solution(latest)
+    assert sorted(path.name for path in root.iterdir()) == ["latest", "mine"]
+
+
+def test_a_folder_of_that_name_is_kept_under_another(tmp_path: Path, solution: Solution) -> None:
+    latest = tmp_path / "latest"
+    latest.mkdir()
+    solution.write(latest)
+    assert not is_pointer(latest)
+    folder = new_run("mine", tmp_path)
+    point_to(folder, tmp_path)
+    assert folder_of(latest).samefile(folder)
+    (kept,) = (tmp_path / "latest_before").iterdir()
+    assert read_solution(kept) == solution
+
+
+def test_a_second_run_is_refused_by_name_and_a_later_one_is_not(tmp_path: Path) -> None:
+    with only_run_in(tmp_path, "--out"):
+        with pytest.raises(InputError, match=r"in which process \d+ is at work"):
+            other_process(tmp_path)
+        with pytest.raises(InputError), only_run_in(tmp_path, "--out"):
+            pass
+    other_process(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def other_process(folder: Path, after: str = "") -> None:
+    """Take the folder in another process, and do something there."""
+    code = (
+        "import os, signal, sys\nfrom pathlib import Path\n"
+        "from scp_recon.files import only_run_in\n"
+        f"with only_run_in(Path({str(folder)!r}), '--out'):\n    pass\n    {after}\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False
+    )
+    if "InputError" in run.stderr:
+        raise InputError("--out", run.stderr.strip().splitlines()[-1], "")
+
+
+@pytest.mark.skipif(not hasattr(__import__("signal"), "SIGKILL"), reason="there is no SIGKILL here")
+def test_the_lock_of_a_process_that_was_killed_is_taken_over(tmp_path: Path) -> None:
+    other_process(tmp_path, "os.kill(os.getpid(), signal.SIGKILL)")
+    assert (tmp_path / LOCK).exists()
+    with only_run_in(tmp_path, "--out"):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_pointer_stays_what_it_is(tmp_path: Path, solution: Solution) -> None:
+    file = solution.write(tmp_path)
+    assert folder_of(file) == tmp_path
+    assert folder_of(tmp_path) == tmp_path
+    (tmp_path / "latest").write_text("nowhere\n", "utf-8")
+    with pytest.raises(InputError):
+        read_solution(tmp_path / "latest")
+    assert file.name == FILE_NAME

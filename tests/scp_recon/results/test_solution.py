@@ -1,0 +1,175 @@
+"""From a plan to a solution: SI, consistent, and honest about what is violated."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.planner import Plan, plan
+from scp_recon.results.figures import Violation
+from scp_recon.results.solution import Solution, make_solution
+from tests.scp_recon.support import mission_of
+
+
+@pytest.fixture(scope="module")
+def infeasible() -> tuple[Mission, Plan, Solution]:
+    mission = mission_of("burns.dv_max_m_s=0.02")
+    found = plan(mission, initial_guess.cold(mission))
+    return mission, found, make_solution(found)
+
+
+@pytest.fixture(scope="module")
+def p3(mission: Mission) -> Solution:
+    return make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
+
+
+def test_burns_are_at_the_firing_times_and_add_up(solution: Solution) -> None:
+    assert tuple(burn.t_s for burn in solution.burns) == solution.scenario.burns.times_s
+    sizes = np.linalg.norm(solution.burns_m_s, axis=1)
+    assert solution.total_dv_m_s == pytest.approx(sizes.sum(), rel=1e-12)
+    assert np.all(sizes <= 0.2)
+
+
+def test_nodes_are_after_the_burns(mission: Mission, solution: Solution) -> None:
+    first, last = np.array(solution.nodes.state[0]), np.array(solution.nodes.state[-1])
+    np.testing.assert_allclose(first[:3], mission.initial_state[:3], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        first[3:], mission.initial_state[3:] + solution.burns_m_s[0], rtol=0.0, atol=1e-9
+    )
+    np.testing.assert_allclose(last[:3], mission.final_state[:3], rtol=0.0, atol=1e-3)
+    np.testing.assert_allclose(last[3:], mission.final_state[3:], rtol=0.0, atol=1e-6)
+
+
+def test_covariance_starts_as_specified_after_the_first_burn(
+    mission: Mission, solution: Solution
+) -> None:
+    expected = 1e-4 * np.diag(mission.initial_state**2)
+    expected[3:, 3:] += 0.08**2 * np.diag(solution.burns_m_s[0] ** 2)
+    first = np.array(solution.nodes.covariance[0])
+    np.testing.assert_allclose(first, expected, rtol=1e-9, atol=1e-18)
+
+
+def test_covariances_are_covariances_and_jump_at_burns_by_the_execution_error(
+    mission: Mission, solution: Solution
+) -> None:
+    covariance = np.array(solution.nodes.covariance)
+    assert covariance.shape == (len(mission.times_s), 6, 6)
+    np.testing.assert_allclose(covariance, covariance.transpose(0, 2, 1), rtol=1e-12)
+    scaled = covariance / np.outer(mission.units.state, mission.units.state)
+    assert np.linalg.eigvalsh(scaled).min() > 0.0
+
+
+def test_stages_and_iterations_tell_one_story(solution: Solution) -> None:
+    assert [stage.name for stage in solution.stages] == ["P3", "P2"]
+    told = [(stage.name, k) for stage in solution.stages for k in range(1, stage.iterations + 1)]
+    assert [(i.stage, i.k) for i in solution.iterations] == told
+    assert solution.stages[-1].total_dv_m_s == pytest.approx(solution.total_dv_m_s)
+    # At a feasible optimum the merit is the cost.
+    assert solution.iterations[-1].merit == pytest.approx(solution.total_dv_m_s, rel=1e-6)
+    for stage, group in itertools.groupby(solution.iterations, key=lambda i: i.stage):
+        records = list(group)
+        for before, after in itertools.pairwise(records):
+            if after.accepted:
+                drop = before.merit - after.merit
+                assert drop == pytest.approx(after.actual, abs=1e-9), stage
+
+
+def test_timing_adds_up(solution: Solution) -> None:
+    parts = asdict(solution.timing_s)
+    total = parts.pop("total")
+    assert total == pytest.approx(sum(parts.values()))
+    assert all(part >= 0.0 for part in parts.values())
+    solver = sum(i.solver_s for i in solution.iterations)
+    assert parts["conic_solver"] == pytest.approx(solver)
+
+
+def test_every_constraint_has_its_worst_margin(mission: Mission, solution: Solution) -> None:
+    named = {c.name: c for c in solution.constraints}
+    assert set(named) == {"dv_max", "dv_battery", *(c.name for c in mission.problem.constraints)}
+    assert all(c.worst_margin >= -2e-3 for c in named.values())  # a millimetre
+    in_window = [c for name, c in named.items() if not name.startswith(("dv_", "safety"))]
+    first, last = mission.schedule.window_s
+    assert all(first <= c.worst_t_s <= last for c in in_window)
+    assert named["site_distance_max"].facets == 24
+    assert named["emission_max"].facets == 4
+    assert named["site_distance_min"].facets == 1
+    kinds = {name: c.kind for name, c in named.items()}
+    assert kinds["emission_max"] == "keep_in"
+    assert kinds["safety_radius"] == kinds["phase_min"] == "keep_out"
+    assert kinds["dv_max"] == "burn"
+
+
+def test_burn_margin_is_what_is_left(solution: Solution) -> None:
+    (dv_max,) = (c for c in solution.constraints if c.name == "dv_max")
+    sizes = np.linalg.norm(solution.burns_m_s, axis=1)
+    assert dv_max.unit == "m/s"
+    assert dv_max.worst_margin == pytest.approx(0.2 - sizes.max())
+    assert dv_max.worst_t_s == solution.burns[int(np.argmax(sizes))].t_s
+
+
+def test_p3_margins_are_distances_of_the_mean(mission: Mission, p3: Solution) -> None:
+    assert p3.problem == "P3"
+    (safety,) = (c for c in p3.constraints if c.name == "safety_radius")
+    radius = np.linalg.norm(np.array(p3.nodes.state)[:, :3], axis=1)
+    assert safety.worst_margin == pytest.approx(radius.min() - 500.0)
+    assert safety.worst_t_s == mission.times_s[np.argmin(radius)]
+    assert safety.facets == 0
+
+
+def test_a_chance_margin_is_that_of_the_most_probable_tangent_plane(
+    mission: Mission, solution: Solution
+) -> None:
+    """Safety's single facet asks at least as much as the exact one-dimensional quantile."""
+    (safety,) = (c for c in solution.constraints if c.name == "safety_radius")
+    states, covariance = np.array(solution.nodes.state), np.array(solution.nodes.covariance)
+    position = states[:, :3]
+    radius = np.linalg.norm(position, axis=1)
+    outward = position / radius[:, None]
+    sigma = np.sqrt(np.einsum("ni,nij,nj->n", outward, covariance[:, :3, :3], outward))
+    # Psi^-1(0.70) = 0.5244; the paper's outer polytope stands out by its reach over 500 m.
+    along_sight = (radius - 500.0 - 0.5244 * sigma).min()
+    assert 0.0 < safety.worst_margin < along_sight + 1.0
+    assert mission.scenario.risk.p_chance == 0.70
+
+
+def test_nothing_is_violated_in_a_solution(solution: Solution) -> None:
+    assert solution.status == "converged"
+    assert solution.violation == Violation(0.0, 0.0, {})
+
+
+def test_an_infeasible_case_names_each_violated_constraint_with_its_amount(
+    infeasible: tuple[Mission, Plan, Solution],
+) -> None:
+    mission, found, solution = infeasible
+    assert solution.status == "infeasible"
+    violated = solution.violation.by_constraint
+    assert "dv_max" in violated
+    assert violated["dv_max"].unit == "m/s"
+    excess = np.maximum(np.linalg.norm(solution.burns_m_s, axis=1) - 0.02, 0.0)
+    assert violated["dv_max"].max == pytest.approx(excess.max(), abs=1e-6)
+    assert violated["dv_max"].total == pytest.approx(excess.sum(), abs=1e-6)
+    for c in solution.constraints:
+        if c.name in violated:
+            assert c.worst_margin < 0.0
+            if violated[c.name].unit == c.unit and c.name != "dv_battery":
+                assert violated[c.name].max == pytest.approx(-c.worst_margin, abs=2e-3)
+        elif c.name != "dv_battery":
+            assert c.worst_margin >= -2e-3
+    assert solution.violation.max > 0.0
+    assert solution.violation.total >= solution.violation.max
+    assert mission.scenario.burns.dv_max_m_s == 0.02
+    assert found.final.result.status.value.name == solution.status
+
+
+def test_the_message_holds_what_happened_and_the_remedy(
+    infeasible: tuple[Mission, Plan, Solution],
+) -> None:
+    _, found, solution = infeasible
+    outcome = found.final.result.status.value
+    assert outcome.message in solution.message
+    assert outcome.remedy in solution.message

@@ -1,0 +1,102 @@
+"""One table: every renderer shows the same cells, people's texts or programs' values."""
+
+from __future__ import annotations
+
+import csv
+import json
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from scp_recon.cli.rendering import terminal
+from scp_recon.results.table import Cell, Column, Table
+
+MARGINS = Table.of(
+    "Margins <of> a plan",
+    ("constraint", Column("margin", "m/s", "+.2f"), Column("facets"), Column("kept")),
+    [
+        ("emission & more", 1.23456, 4, True),
+        ("phase|x", Cell("lost", float("nan"), "bad"), None, False),
+        ("a, b", -1e-9, 0, True),
+    ],
+    key="margins",
+    note="0 is <kept>",
+)
+
+
+def test_texts_are_rounded_and_values_are_not() -> None:
+    assert [row[1].text for row in MARGINS.rows] == ["+1.23", "lost", "+0.00"]
+    assert MARGINS.rows[0][1].value == 1.23456
+    assert [row[2].text for row in MARGINS.rows] == ["4", "", "0"]
+
+
+def test_a_row_has_as_many_cells_as_there_are_columns() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        Table.of("", ("a", "b"), [("x",)])
+
+
+def test_csv_holds_the_values_under_keys_with_units() -> None:
+    lines = MARGINS.csv(["made by hand"]).splitlines()
+    assert lines[0] == "# made by hand"
+    assert list(csv.DictReader(StringIO("\n".join(lines[1:])))) == [
+        {"constraint": "emission & more", "margin_m_s": "1.23456", "facets": "4", "kept": "true"},
+        {"constraint": "phase|x", "margin_m_s": "nan", "facets": "", "kept": "false"},
+        {"constraint": "a, b", "margin_m_s": "-1e-09", "facets": "0", "kept": "true"},
+    ]
+
+
+def test_records_are_json_whose_values_are_the_cells() -> None:
+    found = json.loads(json.dumps(MARGINS.records(), allow_nan=False))
+    assert found[0] == {
+        "constraint": "emission & more",
+        "margin_m_s": 1.23456,
+        "facets": 4,
+        "kept": True,
+    }
+    assert found[1]["margin_m_s"] is None
+
+
+def test_html_escapes_and_gives_each_figure_its_value() -> None:
+    html = MARGINS.html()
+    assert '<table data-table="margins">' in html
+    assert '<th scope="row">emission &amp; more</th>' in html
+    assert '<td class="number" data-value="1.23456">+1.23</td>' in html
+    assert '<td class="number bad" data-value="nan">lost</td>' in html
+    assert '<p class="note">0 is &lt;kept&gt;</p>' in html
+    assert "margin (m/s)" in html
+
+
+def test_markdown_keeps_its_columns() -> None:
+    assert MARGINS.markdown().splitlines()[:4] == [
+        "| constraint | margin (m/s) | facets | kept |",
+        "| --- | ---: | ---: | --- |",
+        "| emission & more | +1.23 | 4 | True |",
+        "| phase\\|x | lost |  | False |",
+    ]
+
+
+@pytest.mark.parametrize("narrow", [False, True])
+def test_the_terminal_shows_texts_as_they_are(*, narrow: bool) -> None:
+    console = Console(file=StringIO(), width=100)
+    console.print(terminal(MARGINS, narrow=narrow))
+    said = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert "emission & more" in said[1 + narrow]
+    assert ("margin m/s" in said[0]) is not narrow
+    plain = str(MARGINS).splitlines()
+    assert plain[1].split() == said[1 + narrow].split()
+
+
+def test_columns_and_rows_are_added_and_left_out() -> None:
+    table = MARGINS.without("facets", "kept").with_rows([("total", 3.0)])
+    assert [column.key for column in table.columns] == ["constraint", "margin_m_s"]
+    assert [cell.text for cell in table.rows[-1]] == ["total", "+3.00"]
+
+
+def test_records_become_a_table() -> None:
+    table = Table.of_records("", [{"a": "x", "b": 0.12345}, {"a": "y", "c": 2}], {"b": ".2f"})
+    assert [[cell.text for cell in row] for row in table.rows] == [
+        ["x", "0.12", ""],
+        ["y", "", "2"],
+    ]
+    assert table.records()[0] == {"a": "x", "b": 0.12345, "c": None}

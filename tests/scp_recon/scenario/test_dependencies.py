@@ -1,0 +1,142 @@
+"""What follows from what: the graph, and what a file takes over from its base by it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from scp_recon.errors import InputError
+from scp_recon.scenario.dependencies import GRAPH, Edge, computed_from, followers
+from scp_recon.scenario.load import load_scenario, validate_scenario
+from scp_recon.scenario.schema import Scenario
+from tests.scp_recon.scenario.test_resolution import PLACE, rock
+
+
+def test_the_documented_example_loads(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "scenario.md").read_text("utf-8")
+    (tmp_path / "mine.toml").write_text(page.split("```toml\n")[1].split("```")[0], "utf-8")
+    found = load_scenario(tmp_path / "mine.toml")
+    assert (found.name, found.site.latitude_deg) == ("next_year", 50.0)
+
+
+def chain(folder: Path, *texts: str) -> Path:
+    """Files that are each the base of the next; the last one."""
+    for number, text in enumerate(texts):
+        base = "recon_b" if number == 0 else f"{number - 1}.toml"
+        (folder / f"{number}.toml").write_text(f'base = "{base}"\n{text}', "utf-8")
+    return folder / f"{len(texts) - 1}.toml"
+
+
+def test_a_base_may_be_ones_own_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a").mkdir()
+    chain(tmp_path / "a", "[risk]\np_chance = 0.8\n", "[grid]\nstep_max_s = 100.0\n")
+    (tmp_path / "top.toml").write_text('base = "a/1.toml"\nname = "top"\n', "utf-8")
+    monkeypatch.chdir("/")
+    found = load_scenario(tmp_path / "top.toml")
+    assert (found.name, found.risk.p_chance, found.grid.step_max_s) == ("top", 0.8, 100.0)
+
+
+@pytest.mark.parametrize(
+    "base", ['"1.toml"', '"./0.toml"', '"no.toml"', '"/"', '""', "5", "[1]", '"a\\nb"']
+)
+def test_a_base_that_is_none_is_refused(base: str, tmp_path: Path) -> None:
+    last = chain(tmp_path, "", "")
+    (tmp_path / "0.toml").write_text(f"base = {base}\n", "utf-8")
+    with pytest.raises(InputError) as caught:
+        load_scenario(last)
+    assert caught.value.entry == "base"
+
+
+def test_bases_come_to_an_end(tmp_path: Path) -> None:
+    assert load_scenario(chain(tmp_path, *[""] * 8))
+    with pytest.raises(InputError, match="8 files at most"):
+        load_scenario(chain(tmp_path, *[""] * 12))
+
+
+@given(latitude=st.floats(-80.0, 80.0), other=st.floats(-80.0, 80.0))
+def test_a_base_is_taken_over_as_far_as_it_still_holds(latitude: float, other: float) -> None:
+    assume(abs(latitude - other) > 1e-3)
+    first = rock(site=PLACE | {"latitude_deg": latitude})
+    second = first.replace({"site.latitude_deg": other})
+    assert second == rock(site=PLACE | {"latitude_deg": other})
+    # A position without a normal has the surface's, and not the base's.
+    third = first.replace({"site.position_body_m": list(second.site.position_body_m)})
+    np.testing.assert_allclose(third.site.normal_body, second.site.normal_body, atol=1e-9)
+    assert third.site.latitude_deg is None
+
+
+def test_another_body_inherits_nothing_of_the_first() -> None:
+    with pytest.raises(InputError) as caught:
+        load_scenario(None, ["body.name=Rock"])
+    told = str(caught.value)
+    for entry in ("body.gm_m3_s2", "body.pole_ra_deg", "sun.body_position_km", "site.normal_body"):
+        assert entry in told
+    assert "risk.p_chance" not in told
+
+
+def test_all_missing_entries_are_told_at_once() -> None:
+    with pytest.raises(InputError) as caught:
+        validate_scenario({"name": "empty", "risk": {}})
+    told = str(caught.value).splitlines()[0]
+    for table, field in Scenario.model_fields.items():
+        for key, entry in getattr(field.annotation, "model_fields", {}).items():
+            assert (f"{table}.{key}" in told) == entry.is_required(), f"{table}.{key}"
+
+
+@pytest.mark.parametrize(
+    ("override", "entry"),
+    [
+        ("epoch.tdb=2021-03-14T06:00:00Z", "epoch.tdb"),
+        ("body.pole_dec_deg=100.0", "body.pole_dec_deg"),
+        ("site.latitude_deg=95.0", "site.latitude_deg"),
+    ],
+)
+def test_what_follows_from_an_entry_that_is_wrong_is_not_called_missing(
+    override: str, entry: str
+) -> None:
+    """It is computed once that is right."""
+    with pytest.raises(InputError) as caught:
+        load_scenario(None, [override, "site.longitude_deg=10.0"])
+    assert caught.value.entry == entry
+    assert "missing" not in str(caught.value)
+
+
+def test_what_follows_from_nothing_is_told_beside_an_entry_that_is_wrong() -> None:
+    tables = load_scenario().model_dump(mode="json", exclude_none=True)
+    tables["epoch"]["tdb"] = "tomorrow"
+    del tables["sun"], tables["risk"]["p_chance"]
+    with pytest.raises(InputError, match=r"missing: risk\.p_chance"):
+        validate_scenario(tables)
+
+
+# --- the graph itself ------------------------------------------------------------------------------
+
+
+def names(edge: Edge) -> list[str]:
+    return [*edge.sources, *edge.followers, *([edge.given] if edge.given else [])]
+
+
+@pytest.mark.parametrize("name", sorted({name for edge in GRAPH for name in names(edge)}))
+def test_the_graph_is_of_entries_that_a_scenario_has(name: str) -> None:
+    table, _, key = name.partition(".")
+    model = Scenario.model_fields[table].annotation
+    assert not key or key in getattr(model, "model_fields", {})
+
+
+def test_the_page_on_scenarios_shows_what_follows() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "scenario.md").read_text("utf-8")
+    shown = page.split("| said anew | not taken over |")[1].split("\n\n")[0]
+    for source in ("body.name", "epoch.tdb", "site.position_body_m"):
+        assert f"`{source}`" in shown
+        assert followers(source)
+
+
+def test_what_follows_may_follow_by_way_of_other_tables() -> None:
+    """An epoch turns the prime meridian; a radius of the site is of no consequence to the body."""
+    assert {"sun.body_position_km", "body.prime_meridian_deg"} <= computed_from({"epoch"})
+    assert not any(entry.startswith("body.") for entry in computed_from({"site"}))
+    assert computed_from({"risk", "grid"}) == set()

@@ -1,0 +1,36 @@
+"""The vehicle, and a short plan for it."""
+
+from __future__ import annotations
+
+import pytest
+
+from scp_recon.mission.mission import Mission
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.flight import Flight
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+from tests.scp_recon.support import mission_of
+
+from .short_plan import SHORT, short_plan
+
+
+@pytest.fixture(scope="session")
+def vehicle() -> Vehicle:
+    return load_vehicle()
+
+
+@pytest.fixture(scope="session")
+def short_mission() -> Mission:
+    return mission_of(*SHORT)
+
+
+@pytest.fixture(scope="session")
+def short_solution(short_mission: Mission) -> Solution:
+    return short_plan(short_mission)
+
+
+@pytest.fixture(scope="session")
+def perfect(short_solution: Solution, vehicle: Vehicle) -> Flight:
+    """The short plan flown without errors."""
+    simulation = pytest.importorskip("scp_recon.simulation.basilisk.simulation")
+    flight: Flight = simulation.simulate(short_solution, vehicle, sources=())
+    return flight

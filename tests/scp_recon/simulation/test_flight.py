@@ -1,0 +1,290 @@
+from __future__ import annotations
+
+import contextlib
+import io
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("Basilisk", reason="needs the extra [sim]")
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from scp_recon.cli.commands.flights import simulate as command
+from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import Mode
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.basilisk.power import distribute, mode_loads
+from scp_recon.simulation.basilisk.simulation import (
+    Draws,
+    Simulator,
+    Source,
+    Start,
+    sensor_sigmas,
+    simulate,
+)
+from scp_recon.simulation.flight import (
+    Actuators,
+    Flight,
+    ledger_error,
+    node_states,
+    pointing,
+    settling_time,
+    sigma_distance,
+)
+from scp_recon.simulation.guidance import FlightPlan
+from scp_recon.simulation.record import leg_outcomes, read_record
+from scp_recon.simulation.vehicle import Vehicle
+
+
+def test_a_flight_without_errors_stays_with_the_plan(
+    perfect: Flight, short_solution: Solution
+) -> None:
+    error = node_states(perfect, short_solution) - np.array(short_solution.nodes.state)
+    assert np.linalg.norm(error[:, :3], axis=1).max() < 3.0
+    burns = perfect.burns_m_s - short_solution.burns_m_s
+    assert (np.linalg.norm(burns, axis=1) < 0.01 * 0.045).all()
+    assert (sigma_distance(perfect, short_solution) < 0.3).all()
+
+
+def test_the_velocity_gained_is_what_the_burns_are_said_to_be(perfect: Flight) -> None:
+    """Gravity's share over the few seconds is taken from the coast before."""
+    k = round(perfect.plan.firings[1].start_s)
+    seconds = round(perfect.plan.firings[1].duration_s)
+    coast = perfect.states[k, 3:] - perfect.states[k - seconds, 3:]
+    gain = perfect.states[k + seconds, 3:] - perfect.states[k, 3:] - coast
+    np.testing.assert_allclose(gain, perfect.burns_m_s[1], atol=3e-6)
+
+
+def test_every_mode_settles_on_wheels_after_a_slew_on_thrusters(perfect: Flight) -> None:
+    angles = pointing(perfect)
+    for leg in perfect.plan.legs[1:]:
+        k = np.flatnonzero((perfect.times_s >= leg.start_s) & (perfect.times_s < leg.end_s))
+        if leg.mode is not Mode.OBSERVATION and angles.attitude[k[0]] > 0.2:
+            assert perfect.in_use[k[1]] == Actuators.THRUSTERS
+        before_burn = k[-20]
+        assert perfect.in_use[before_burn] == Actuators.WHEELS
+        assert angles.attitude[before_burn] < np.deg2rad(0.3)
+    assert angles.camera.max() < np.deg2rad(0.3)
+    # The flight stays within three metres of the nominal path that the commands follow.
+    assert angles.site.max() < np.deg2rad(0.3) + 3.0 / 500.0
+    assert angles.estimate.max() < 1e-6
+    np.testing.assert_allclose(np.linalg.norm(perfect.attitudes.as_quat(), axis=1), 1.0, atol=1e-12)
+
+
+def test_modes_last_as_long_as_the_rules_say(perfect: Flight) -> None:
+    outcomes = list(leg_outcomes(perfect))
+    assert [outcome.mode for outcome in outcomes] == [
+        Mode.SUN_POINTING, Mode.OBSERVATION, Mode.SUN_POINTING, Mode.DELTA_V,
+    ]  # fmt: skip
+    assert all(outcome.ok and outcome.settled_in_time for outcome in outcomes)
+    # A half turn at 0.4 deg/s takes as long as that.
+    assert max(outcome.settled_s or 0.0 for outcome in outcomes) > 180.0 / 0.4
+
+
+def test_settled_is_what_stays_below_the_limit() -> None:
+    error = np.array([0.9, 0.1, 0.3, 0.1, 0.1])
+    assert settling_time(error, 0.2) == 3.0
+    assert settling_time(error, 1.0) == 0.0
+    assert settling_time(error, 0.05) == np.inf
+
+
+def test_panels_generate_by_their_law(perfect: Flight) -> None:
+    sun = perfect.plan.mission.sun_direction(perfect.times_s)
+    expected = perfect.plan.panels.generation(perfect.attitudes.inv().apply(sun))
+    np.testing.assert_allclose(perfect.panels_w[1:], expected[1:], rtol=1e-3, atol=0.05)
+
+
+def test_loads_add_up_to_the_papers(perfect: Flight, vehicle: Vehicle) -> None:
+    assert (vehicle.loads.warm_up_w, vehicle.loads.observation_w) == (115.0, 90.0)
+    # The heater starts half an hour before the burn, here in the middle of the observation.
+    times = np.array([100.0, 800.0, 1469.0, 1470.0, 1600.0, 3000.0, 3271.0])
+    expected = [46.0, 46.0 + 19.0 + 25.0, 90.0, 90.0 + 50.0, 46.0 + 50.0, 115.0, 75.0]
+    assert mode_loads(perfect.plan, times).tolist() == expected
+
+
+def weak(vehicle: Vehicle) -> Vehicle:
+    """Panels and batteries so small that these are emptied and filled again."""
+    panels = [
+        panel.model_copy(update={"area_m2": 0.28 * panel.area_m2}) for panel in vehicle.panels.panel
+    ]
+    return vehicle.model_copy(
+        update={
+            "panels": vehicle.panels.model_copy(update={"panel": tuple(panels)}),
+            "battery": vehicle.battery.model_copy(update={"capacity_wh": 2.0}),
+        }
+    )
+
+
+def test_the_energy_ledger_closes_through_empty_and_full(
+    short_solution: Solution, vehicle: Vehicle
+) -> None:
+    flight = simulate(short_solution, weak(vehicle), seed=3)
+    assert abs(ledger_error(flight)) < 1e-6
+    stored = flight.stored_wh
+    assert stored.min() < 1e-6
+    assert stored.max() > 2.0 - 1e-6
+    assert (stored >= -1e-9).all()
+    assert (stored <= 2.0 + 1e-9).all()
+    assert flight.short_w.max() > 1.0
+    assert flight.unused_w.max() > 1.0
+    # The first battery is emptied before the second, and filled after it.
+    assert (stored[:, 0] <= stored[:, 1] + 1e-9).all()
+
+
+@given(
+    net=st.floats(-1e3, 1e3),
+    room=st.lists(st.floats(0.0, 500.0), min_size=1, max_size=4),
+    efficiency=st.floats(0.5, 1.0),
+    data=st.data(),
+)
+def test_the_bus_keeps_all_energy(
+    net: float, room: list[float], efficiency: float, data: st.DataObject
+) -> None:
+    limits = st.lists(st.floats(0.0, 500.0), min_size=len(room), max_size=len(room))
+    charge = np.array(data.draw(limits))
+    flow = distribute(net, np.array(room), charge, efficiency)
+    assert net + flow.short == pytest.approx(flow.stored.sum() + flow.lost + flow.unused, abs=1e-9)
+    assert (flow.stored <= np.array(room) + 1e-9).all()
+    assert (flow.stored >= -charge - 1e-9).all()
+    assert min(flow.lost, flow.unused, flow.short) >= -1e-9
+    assert flow.unused == 0.0 or flow.short == 0.0
+
+
+def test_leaving_a_source_out_leaves_the_draws_of_the_others(
+    short_solution: Solution, short_mission: Mission, vehicle: Vehicle
+) -> None:
+    plan = FlightPlan.of(short_solution, short_mission, vehicle)
+    sigma, factor = short_mission.initial_sigma, short_mission.initial_factor
+    every = Draws.of(plan, factor, 100, 5, frozenset(Source))
+    assert np.abs(every.initial / sigma).max() < 5.0
+    assert every.pulses.std() == pytest.approx(vehicle.errors.micro_thruster_n, rel=0.15)
+    for source in Source:
+        one = Draws.of(plan, factor, 100, 5, {source})
+        rest = Draws.of(plan, factor, 100, 5, frozenset(Source) - {source})
+        for a, b, c in zip(
+            (every.initial, every.burns, every.pulses),
+            (one.initial, one.burns, one.pulses),
+            (rest.initial, rest.burns, rest.pulses),
+            strict=True,
+        ):
+            np.testing.assert_array_equal(a, b + c)
+    assert sensor_sigmas(vehicle.errors, {Source.IMU}).star_tracker == 0.0
+    assert sensor_sigmas(vehicle.errors, {Source.IMU}).gyro == vehicle.errors.imu_rad_s
+
+
+def short_run(
+    solution: Solution, mission: Mission, vehicle: Vehicle, periods: int, speeds: list[float]
+) -> Simulator:
+    """The first minutes, with errors and spinning wheels."""
+    plan = FlightPlan.of(solution, mission, vehicle)
+    times = np.arange(float(periods))
+    draws = Draws.of(plan, mission.initial_factor, periods, 1, frozenset(Source))
+    commands = plan.attitudes(times)
+    start = Start(mission.initial_state, commands[100], np.zeros(3), np.array(speeds))
+    sim = Simulator(
+        plan, commands, start, draws, sensor_sigmas(vehicle.errors, frozenset(Source)), times
+    )
+    sim.run()
+    return sim
+
+
+def test_momentum_is_dumped_and_the_attitude_kept(
+    short_solution: Solution, short_mission: Mission, vehicle: Vehicle
+) -> None:
+    """Wheels near their largest speed, with a net momentum, when sun-pointing begins."""
+    sim = short_run(short_solution, short_mission, vehicle, 500, [205.0, -57.0, -157.0, 105.0])
+    speeds = sim.plant.wheels.rwSpeedOutMsg.read().wheelSpeeds[:4]
+    axes = np.array(vehicle.wheels.axes) / np.sqrt(2.0)
+    limit = vehicle.wheels.dump_end * vehicle.wheels.speed_max_rad_s
+    assert sim.allocator.dumps == 1
+    assert not sim.allocator.dumping
+    assert np.linalg.norm(speeds @ axes) < 1.2 * limit
+    assert (sim.allocator.in_use == Actuators.BOTH).sum() > 20
+    estimate = sim.navigator.filter.mrp
+    wanted = sim.navigator.commands[499].as_mrp()
+    assert np.abs(estimate - wanted).max() < 0.02
+
+
+def test_a_burn_of_zero_is_no_burn(
+    short_solution: Solution, short_mission: Mission, vehicle: Vehicle
+) -> None:
+    nothing = replace(short_solution.burns[0], dv_m_s=(0.0, 0.0, 0.0))
+    solution = replace(short_solution, burns=[nothing, short_solution.burns[1]])
+    plan = FlightPlan.of(solution, short_mission, vehicle)
+    times = np.arange(30.0)
+    commands = plan.attitudes(times)
+    draws = Draws.of(plan, short_mission.initial_factor, len(times), 1, ())
+    start = Start(short_mission.initial_state, commands[0], np.zeros(3), np.zeros(4))
+    sigmas = sensor_sigmas(vehicle.errors, ())
+    only = replace(plan, firings=plan.firings[:1])
+    sim = Simulator(only, commands, start, draws, sigmas, times)
+    sim.run()
+    flight = sim.flight()
+    assert not flight.burns_m_s.any()
+    drift = flight.states[-1, :3] - short_mission.initial_state[:3]
+    expected = 29.0 * short_mission.initial_state[3:]
+    np.testing.assert_allclose(drift, expected, atol=0.01)
+
+
+def test_the_same_seed_gives_the_same_flight(
+    short_solution: Solution, short_mission: Mission, vehicle: Vehicle
+) -> None:
+    ends = []
+    for _ in range(2):
+        sim = short_run(short_solution, short_mission, vehicle, 120, [0.0] * 4)
+        state = sim.plant.hub.scStateOutMsg.read()
+        ends.append([*state.r_CN_N, *state.v_CN_N, *state.sigma_BN])
+    assert ends[0] == ends[1]
+
+
+def test_the_command_writes_one_file(short_solution: Solution, tmp_path: Path) -> None:
+    short_solution.write(tmp_path)
+    output, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors):
+        code = command.main([str(tmp_path), "--seed", "7", "--out", str(tmp_path / "out")])
+    assert code == 0, errors.getvalue()
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["simulation.npz"]
+    record = read_record(tmp_path / "out")
+    assert record.summary.seed == 7
+    assert record.summary.least_charge > 0.3
+    n = len(record.arrays["t_s"])
+    for name, width in (("attitude", 4), ("command", 4), ("panel_w", 5), ("state_of_charge", 2)):
+        assert record.arrays[name].shape == (n, width)
+    assert "within 3 sigma" in output.getvalue()
+    assert "flight" in errors.getvalue()
+
+
+def run_command(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_without_basilisk_the_command_names_the_extra(
+    short_solution: Solution, tmp_path: Path
+) -> None:
+    path = short_solution.write(tmp_path)
+    run = run_command(
+        "import sys; sys.modules['Basilisk'] = None\n"
+        f"from scp_recon.cli.commands.flights import simulate; sys.exit(simulate.main([{str(path)!r}]))"
+    )
+    assert run.returncode == 2, run.stderr
+    assert "[sim]" in run.stderr
+    assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
+
+
+def test_bad_input_ends_with_two(tmp_path: Path) -> None:
+    errors = io.StringIO()
+    with contextlib.redirect_stderr(errors):
+        assert command.main([str(tmp_path)]) == 2
+    assert "solution" in errors.getvalue()

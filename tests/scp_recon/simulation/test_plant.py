@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from formulations.arrays import Array
+
+pytest.importorskip("Basilisk", reason="needs the extra [sim]")
+
+from experiments.model_fidelity.models import Plates
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.flow import propagate
+from scp_recon.physics.forces import ForceModel
+from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.basilisk.plant import Start, build_plant
+from scp_recon.simulation.panels import irradiance
+from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+
+from .support import coast
+
+DURATION_S = 17_421.0
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return load_vehicle()
+
+
+def start(state: Array) -> Start:
+    return Start(state, Rotation.identity(), np.zeros(3), np.zeros(4))
+
+
+def flown(mission: Mission, vehicle: Vehicle, state: Array, field: HarmonicField | None) -> Array:
+    """Final state of a ballistic flight half as long as the plan, without light and torques."""
+    plant = build_plant(
+        mission, vehicle, start(state), field=field, light=False, gravity_gradient=False
+    )
+    (end,) = coast(plant, [DURATION_S], step_s=3.0)
+    return end.state
+
+
+def planned(forces: ForceModel, state: Array) -> Array:
+    return propagate(state, DURATION_S, forces, substeps=1000)
+
+
+def test_a_point_mass_arc_is_the_planners_to_a_millimetre(
+    mission: Mission, vehicle: Vehicle, solution: Solution
+) -> None:
+    forces = replace(mission.forces, j2_strength=0.0, srp=np.zeros(3))
+    state = np.array(solution.nodes.state[0])
+    error = flown(mission, vehicle, state, None) - planned(forces, state)
+    assert np.linalg.norm(error[:3]) < 1e-3
+    assert np.linalg.norm(error[3:]) < 1e-7
+
+
+def test_an_oblate_field_turning_with_the_body_is_the_planners_j2(
+    mission: Mission, vehicle: Vehicle, solution: Solution
+) -> None:
+    body = mission.scenario.body
+    c, s = np.zeros((3, 3)), np.zeros((3, 3))
+    c[0, 0], c[2, 0] = 1.0, -body.j2
+    field = HarmonicField(body.gm_m3_s2, body.reference_radius_m, c, s)
+    forces = replace(mission.forces, srp=np.zeros(3))
+    state = np.array(solution.nodes.state[0])
+    error = flown(mission, vehicle, state, field) - planned(forces, state)
+    point_mass = planned(replace(forces, j2_strength=0.0), state) - planned(forces, state)
+    assert np.linalg.norm(point_mass[:3]) > 2.0
+    assert np.linalg.norm(error[:3]) < 1e-3
+
+
+def test_the_whole_field_turns_as_the_bodys_rotation_says(
+    mission: Mission, vehicle: Vehicle, solution: Solution
+) -> None:
+    """Basilisk's acceleration against ours, after half a turn of the asteroid."""
+    field = HarmonicField.bennu(mission.scenario.body.gm_m3_s2, 8)
+    state = np.array(solution.nodes.state[70])
+    plant = build_plant(
+        mission, vehicle, start(state), field=field, light=False, gravity_gradient=False
+    )
+    half = 7732.0
+    first, last = coast(plant, [half, half + 2.0], step_s=2.0)
+    mean = (last.state[3:] - first.state[3:]) / 2.0
+    middle = 0.5 * (first.state[:3] + last.state[:3])
+    to_j2000 = mission.rotation.body_to_j2000(half + 1.0)
+    expected = to_j2000 @ np.stack(field.acceleration(*(to_j2000.T @ middle)))
+    point_mass = -field.gm * middle / np.linalg.norm(middle) ** 3
+    assert np.linalg.norm(expected - point_mass) > 1e-8
+    np.testing.assert_allclose(mean, expected, atol=2e-11)
+
+
+def test_light_pushes_on_the_plates_as_their_formula_says(
+    mission: Mission, vehicle: Vehicle
+) -> None:
+    """Far from the asteroid nothing but light moves the spacecraft."""
+    far = np.array([0.0, 1e6, 0.0, 0.0, 0.0, 0.0])
+    attitude = Rotation.from_euler("xyz", [0.3, -0.5, 1.1])
+    begin = Start(far, attitude, np.zeros(3), np.zeros(4))
+    plant = build_plant(mission, vehicle, begin, field=None, gravity_gradient=False)
+    (end,) = coast(plant, [10.0])
+    pressure = irradiance(mission.scenario) / 299_792_458.0
+    force = pressure * Plates.of(vehicle).force_per_pressure(
+        attitude.inv().apply(mission.sun_direction(5.0))
+    )
+    gravity = mission.scenario.body.gm_m3_s2 / 1e12
+    acceleration = end.state[3:] / 10.0 + gravity * np.array([0.0, 1.0, 0.0])
+    expected = attitude.apply(force) / vehicle.mass.mass_kg
+    np.testing.assert_allclose(acceleration, expected, rtol=2e-5, atol=2e-13)
+
+
+def test_without_torques_norm_and_angular_momentum_stay(mission: Mission, vehicle: Vehicle) -> None:
+    """A tumble with spinning wheels: hub and wheels together keep their momentum in space."""
+    state, speeds = mission.initial_state, np.array([150.0, -60.0, 30.0, 200.0])
+    begin = Start(state, Rotation.from_euler("x", 0.4), np.array([0.01, 0.02, -0.015]), speeds)
+    plant = build_plant(mission, vehicle, begin, field=None, light=False, gravity_gradient=False)
+    axes = np.array(vehicle.wheels.axes) / np.sqrt(2.0)
+    sampled = []
+    for now in coast(plant, np.arange(0.0, 1001.0, 100.0), step_s=0.2):
+        attitude = Rotation.from_mrp(now.mrp)
+        wheels = np.array(plant.wheels.rwSpeedOutMsg.read().wheelSpeeds[:4])
+        # The hub's inertia holds the wheels at rest in it; their speed is relative to the hub.
+        body = vehicle.inertia @ now.rate + vehicle.wheels.inertia_kg_m2 * wheels @ axes
+        sampled.append(attitude.apply(body))
+        assert abs(np.linalg.norm(attitude.as_quat()) - 1.0) < 1e-12
+        assert np.linalg.norm(now.mrp) <= 1.0 + 1e-9
+    sampled_momentum = np.array(sampled)
+    size = np.linalg.norm(sampled_momentum[0])
+    assert size > 0.5
+    assert np.abs(sampled_momentum - sampled_momentum[0]).max() < 1e-9 * size

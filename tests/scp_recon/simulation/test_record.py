@@ -1,0 +1,191 @@
+"""The file of a simulated flight, what it refuses to read, and the verdict on what it fell short of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scp_recon.cli.commands.flights import simulate
+from scp_recon.errors import InputError
+from scp_recon.results.solution import Solution
+from scp_recon.simulation.flight import Flight
+from scp_recon.simulation.record import (
+    ARRAYS,
+    FILE_NAME,
+    SCHEMA,
+    Arrays,
+    inputs_digest,
+    make_record,
+    read_record,
+    shortfalls,
+    write_record,
+)
+from scp_recon.simulation.vehicle import Vehicle, check_vehicle, load_vehicle
+from tests.scp_recon.simulation.made_up import arrays, entries, summary
+
+
+def test_a_record_is_read_as_it_was_written(
+    perfect: Flight, short_solution: Solution, tmp_path: Path
+) -> None:
+    record = make_record(perfect, short_solution, 0)
+    assert set(record.arrays) == set(ARRAYS)
+    write_record(record, tmp_path)
+    again = read_record(tmp_path)
+    assert again.summary == record.summary
+    assert again.plan_hash == short_solution.plan_hash
+    for name in ARRAYS:
+        np.testing.assert_array_equal(again.arrays[name], record.arrays[name])
+
+
+@pytest.mark.parametrize("entry", [{}, {"plan_hash": None}])
+def test_an_older_file_is_of_an_unknown_plan(tmp_path: Path, entry: dict[str, Any]) -> None:
+    older = entries()
+    del older["plan_hash"]
+    save(tmp_path, older | entry, arrays())
+    assert read_record(tmp_path).plan_hash is None
+
+
+def test_what_a_later_version_adds_is_passed_over(tmp_path: Path) -> None:
+    save(tmp_path, entries(later=1), arrays() | {"later": np.zeros(7)})
+    assert read_record(tmp_path).summary == summary()
+
+
+def numbers_of(content: Any) -> Iterator[tuple[str | int, ...]]:
+    """Where a number stands."""
+    items = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in items:
+        if isinstance(value, dict | list):
+            yield from ((key, *place) for place in numbers_of(value))
+        elif isinstance(value, float | int) and not isinstance(value, bool):
+            yield (key,)
+
+
+@pytest.mark.parametrize("place", list(numbers_of(entries())), ids=str)
+def test_numbers_are_neither_true_nor_words_nor_infinite(
+    tmp_path: Path, place: tuple[str | int, ...]
+) -> None:
+    for strange in (True, "1", [1.0], None, float("nan"), float("inf")):
+        content: Any = entries()
+        part = content
+        for key in place[:-1]:
+            part = part[key]
+        if strange is None and place[-1] == "settled_s":
+            continue
+        part[place[-1]] = strange
+        save(tmp_path, content, arrays())
+        with pytest.raises(InputError, match=rf"simulation\.npz: .*{place[-1]}"):
+            read_record(tmp_path)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_arrays_are_finite_numbers_that_fit_together(tmp_path: Path, name: str) -> None:
+    whole = arrays()
+    array = whole.pop(name)
+    for strange in (None, array > 0.0, array.astype(str), array[None], array[:0], array + np.nan):
+        save(tmp_path, entries(), whole if strange is None else whole | {name: strange})
+        with pytest.raises(InputError, match=r"simulation\.npz: .*must be finite numbers of shape"):
+            read_record(tmp_path)
+
+
+@pytest.mark.parametrize("content", [[1], entries(schema="other"), {"schema": SCHEMA}])
+def test_what_is_no_record_is_named(tmp_path: Path, content: object) -> None:
+    save(tmp_path, content, arrays())
+    with pytest.raises(InputError, match=r"simulation\.npz"):
+        read_record(tmp_path)
+
+
+def save(folder: Path, content: object, named: Arrays) -> None:
+    np.savez(folder / FILE_NAME, summary=np.array(json.dumps(content)), **named)  # type: ignore[arg-type]
+
+
+def test_a_damaged_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / FILE_NAME).write_bytes(b"PK not a zip")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    for path in (tmp_path, tmp_path / "array.npy", tmp_path / "none"):
+        with pytest.raises(InputError, match="simulation"):
+            read_record(path)
+
+
+def test_the_digest_knows_every_entry_of_the_vehicle(
+    short_solution: Solution, vehicle: Vehicle
+) -> None:
+    errors = vehicle.errors.model_copy(update={"imu_rad_s": 1e-3})
+    other = vehicle.model_copy(update={"errors": errors})
+    digests = {inputs_digest(short_solution, v) for v in (vehicle, vehicle, other)}
+    assert len(digests) == 2
+    first, *others = short_solution.burns
+    moved = replace(first, dv_m_s=(*first.dv_m_s[:2], first.dv_m_s[2] + 1e-9))
+    elsewhere = replace(short_solution, burns=[moved, *others])
+    assert inputs_digest(elsewhere, vehicle) not in digests
+    again = replace(short_solution, message="planned again")
+    assert inputs_digest(again, vehicle) in digests
+
+
+def test_a_simulation_is_one_document_with_json(
+    perfect: Flight,
+    short_solution: Solution,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    simulation = pytest.importorskip("scp_recon.simulation.basilisk.simulation")
+    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: perfect)
+    short_solution.write(tmp_path)
+    status = simulate.main([str(tmp_path), "--json", "--quiet"])
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert (document["command"], document["status"]) == ("simulate", status)
+    assert document["summary"]["terminal_miss"]["position_m"] > 0.0
+    assert said.err == ""
+
+
+KEPT = entries()
+
+
+def leg(**changes: object) -> dict[str, Any]:
+    return {"legs": [KEPT["legs"][0] | changes]}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, []),
+        ({"least_charge": 0.3}, []),
+        ({"least_charge": 0.0}, ["least state of charge 0.000, asked 0.30"]),
+        ({"energy_wh": KEPT["energy_wh"] | {"short": 2.5}}, ["2.5 Wh short, asked 0"]),
+        (
+            leg(ok=False, duration_s=800.0),
+            ["delta-V mode from 100 s 800 s long, asked 900 s"],
+        ),
+        (
+            leg(settled_s=None, settled_in_time=False),
+            ["delta-V mode from 100 s steady never, asked 650 s"],
+        ),
+    ],
+)
+def test_what_is_not_kept_stands_beside_what_was_asked(
+    changes: dict[str, Any], said: list[str], short_solution: Solution
+) -> None:
+    assert shortfalls(summary(**changes), short_solution) == said
+
+
+def test_a_plan_that_did_not_converge_is_named(short_solution: Solution) -> None:
+    stalled = replace(short_solution, status="stalled")
+    assert shortfalls(summary(), stalled) == ["the plan is stalled, asked converged"]
+
+
+def test_a_vehicle_that_is_not_the_plans_spacecraft_is_warned_about(
+    short_solution: Solution,
+) -> None:
+    """A tonne is planned for, and the packaged vehicle flown."""
+    vehicle, scenario = load_vehicle(None), short_solution.scenario
+    assert list(check_vehicle(vehicle, scenario)) == []
+    (warning,) = check_vehicle(vehicle, scenario.replace({"spacecraft.mass_kg": 1000.0}))
+    assert warning.entry == "spacecraft.mass_kg"
+    assert "DARE, the vehicle that is flown, has 178 kg" in warning.expected

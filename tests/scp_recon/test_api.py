@@ -1,0 +1,356 @@
+"""The front door: what a notebook needs, in SI, lazily imported, with docstrings that run."""
+
+from __future__ import annotations
+
+import copy
+import doctest
+import pickle
+import runpy
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from inspect import ismodule
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import scp_recon as sr
+from scp_recon.api import files, flights, planning
+from scp_recon.cli.commands.plans import compare
+from scp_recon.errors import InputError
+from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
+from scp_recon.results.facts import Verification
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution
+from scp_recon.scp.status import Status
+
+door: Any = sr
+"""The interface to whoever gives it what its types forbid."""
+campaign: Any = sr.campaign  # imported here, before a test puts anything in its modules' place
+
+PROJECT = Path(__file__).parents[2]
+NEED_EXTRAS = {"campaign", "report", "simulate", "design"}
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    runpy.run_path(str(PROJECT / "examples" / "first_plan.py"))
+    printed = capsys.readouterr().out
+    assert "recon_b, P2: Converged" in printed
+    assert "verified: True" in printed
+    assert "farthest from the first (m)" in printed
+
+
+@pytest.mark.parametrize("name", sorted({*sr.__all__} - NEED_EXTRAS))
+def test_docstrings_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    part = sys.modules[getattr(sr, name).__module__]
+    (found,) = doctest.DocTestFinder(recurse=False).find(getattr(sr, name), name, part)
+    assert found.examples
+    assert doctest.DocTestRunner().run(found).failed == 0
+
+
+def test_importing_the_package_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, scp_recon as sr; heavy = {'cvxpy', 'numpy', 'pydantic'} & set(sys.modules); "
+        "assert not heavy, heavy; assert callable(sr.load_scenario); assert 'plan' in dir(sr)"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=PROJECT, timeout=60)
+
+
+def test_what_it_does_not_have_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'plann'"):
+        sr.plann  # noqa: B018 -- the attribute is what is asked for
+
+
+def test_a_plan_speaks_si(default_plan: Plan, solution: Solution) -> None:
+    plan = default_plan
+    n = len(plan.times_s)
+    assert plan.states.shape == (n, 6)
+    assert plan.covariances.shape == (n, 6, 6)
+    np.testing.assert_array_equal(plan.burns_m_s, solution.burns_m_s)
+    np.testing.assert_array_equal(plan.states, solution.nodes.state)
+    np.testing.assert_array_equal(plan.covariances, solution.nodes.covariance)
+    assert plan.total_dv_m_s == solution.total_dv_m_s
+    stored = {c.name: (pytest.approx(c.worst_margin), c.unit) for c in solution.constraints}
+    assert plan.worst_margins == stored
+
+
+def test_a_plan_prints_its_verdict_burns_and_margins(default_plan: Plan) -> None:
+    text = str(default_plan)
+    assert "recon_b, P2: Converged" in text
+    assert "0.140135 m/s" in text
+    assert "p_chance 0.7" in text
+    assert all(name in text for name in default_plan.worst_margins)
+    assert "25000" in text
+    assert default_plan._repr_html_().startswith("<pre>")
+    assert "0.140135" in repr(default_plan)
+
+
+def test_a_plan_is_data(default_plan: Plan) -> None:
+    for again in (pickle.loads(pickle.dumps(default_plan)), copy.deepcopy(default_plan)):
+        assert again == default_plan
+        assert hash(again) == hash(default_plan)
+        for plan in (default_plan, again):
+            for array in (plan.burns_m_s, plan.times_s, plan.states, plan.covariances):
+                with pytest.raises(ValueError, match="read-only"):
+                    array[0] = 0.0
+    assert default_plan != sr.plan(init="warm")
+    assert default_plan != 3
+
+
+def test_a_plan_is_another_one_with_anything_but_its_timing_changed(default_plan: Plan) -> None:
+    certificate = Certificate(1000, 0, 0.71, 0.7, 0.72, 0.71, 1)
+    for other in (
+        as_interrupted(default_plan),
+        replace(default_plan, target=0.7),
+        replace(default_plan, certificate=certificate),
+        replace(default_plan, parent=Parent("runs/mine", "0" * 64, 17000.0)),
+        replace(default_plan, provenance=replace(default_plan.provenance, init="warm")),
+        replace(default_plan, stages=default_plan.stages[1:]),
+    ):
+        assert other != default_plan
+        assert pickle.loads(pickle.dumps(other)) == other
+    assert replace(default_plan, total_s=1e3) == default_plan
+
+
+def test_replaced_entries_are_validated() -> None:
+    scenario = sr.load_scenario("recon_b")
+    changed = scenario.replace({"risk.p_chance": 0.8, "polytopes": {"ball": "tangent"}})
+    assert (changed.risk.p_chance, changed.polytopes.ball) == (0.8, "tangent")
+    assert scenario.risk.p_chance == 0.7
+    with pytest.raises(InputError, match=r"risk\.p_chance: got 1\.8"):
+        scenario.replace({"risk.p_chance": 1.8})
+    with pytest.raises(InputError, match=r"did you mean risk\.p_chance"):
+        scenario.replace({"risk.p_chanc": 0.8})
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_planning_starts_from_files_and_tables(default_plan: Plan, tmp_path: Path) -> None:
+    saved = sr.save(default_plan, str(tmp_path / "mine"))
+    assert read_solution(saved).verification is not None
+    table = np.column_stack([default_plan.times_s, default_plan.states])
+    for init in (str(tmp_path / "mine"), saved, table, default_plan):
+        found = sr.plan(init=init)
+        assert found.total_dv_m_s == pytest.approx(default_plan.total_dv_m_s, rel=1e-4)
+    assert found.provenance.init == "a plan"
+    with pytest.raises(InputError, match=r"shape \(154, 6\).*shape \(n, 7\): t_s, x_m"):
+        sr.plan(init=default_plan.states)
+    three = sr.load_scenario().replace({"burns.times_s": [0.0, 8000.0, 34842.0]})
+    with pytest.raises(InputError, match=r"^init: got 4 burns; must have 3"):
+        sr.plan(three, init=default_plan)
+
+
+def test_a_solvers_name_may_be_small() -> None:
+    assert sr.plan(problem="P3", solver="clarabel").provenance.solver == "CLARABEL"
+
+
+EXACT = sr.load_scenario().replace({"risk.allocation": "exact"})
+TOO_SURE = EXACT.replace({"risk.p_chance": 0.9999})
+
+BAD_CALLS: dict[str, tuple[str, Callable[[Plan, Path], object]]] = {
+    "a problem in small letters": ("problem", lambda *_: door.plan(problem="p3")),
+    "certified P3": ("certify", lambda *_: door.plan(EXACT, problem="P3", certify=True)),
+    "certified uniform": ("certify", lambda *_: door.plan(certify=False)),
+    "certified maybe": ("certify", lambda *_: door.plan(EXACT, certify="maybe")),
+    "certified by a number": ("certify", lambda *_: door.plan(EXACT, certify=0)),
+    "too many flights": ("risk.p_chance", lambda *_: door.plan(TOO_SURE, starts=3)),
+    "no problem": ("problem", lambda *_: door.plan(problem=None)),
+    "a formulation": ("formulation", lambda *_: door.plan(formulation="frozen")),
+    "an algorithm": ("algorithm", lambda *_: door.plan(algorithm="SCvx")),
+    "a solver": ("solver", lambda *_: door.plan(solver="simplex")),
+    "a solver that is no name": ("solver", lambda *_: door.plan(solver=1)),
+    "rounds below none": ("facet_rounds", lambda *_: door.plan(facet_rounds=-1)),
+    "rounds in parts": ("facet_rounds", lambda *_: door.plan(facet_rounds=1.5)),
+    "true rounds": ("facet_rounds", lambda *_: door.plan(facet_rounds=True)),
+    "a scenario that is a number": ("scenario", lambda *_: door.plan(5)),
+    "no scenario": ("scenario", lambda *_: door.plan([])),
+    "no start": ("init", lambda *_: door.plan(init=None)),
+    "a list as start": ("init", lambda *_: door.plan(init=[[0.0] * 7] * 3)),
+    "a start that is no file": ("init lukewarm", lambda *_: door.plan(init="lukewarm")),
+    "words as states": ("init", lambda *_: door.plan(init=np.array([["0"] * 7] * 3))),
+    "states that are not finite": ("init", lambda *_: door.plan(init=np.full((3, 7), np.nan))),
+    "no flights": ("samples", lambda plan, _: door.fly(plan, samples=0)),
+    "too few flights": ("samples", lambda plan, _: door.fly(plan, samples=1)),
+    "flights in parts": ("samples", lambda plan, _: door.fly(plan, samples=99.5)),
+    "a seed below zero": ("seed", lambda plan, _: door.fly(plan, seed=-1)),
+    "a truth": ("truth", lambda plan, _: door.fly(plan, truth="flat")),
+    "errors": ("errors", lambda plan, _: door.fly(plan, errors="none")),
+    "no workers": ("workers", lambda plan, _: door.fly(plan, workers=0)),
+    "a flight of a folder": ("plan", lambda *_: door.fly(5)),
+    "a check of a folder": ("plan", lambda *_: door.verify(5)),
+    "saved nowhere": ("folder", lambda plan, _: door.save(plan, None)),
+    "a report nowhere": ("out", lambda *_: door.report("runs/mine", out=5)),
+    "a camera that sees nothing": ("field_deg", lambda *_: door.report("runs/mine", field_deg=0)),
+    "no pixels": ("pixels", lambda *_: door.report("runs/mine", pixels=0)),
+    "a draft without a name": ("name", lambda *_: door.new(5, "Bennu", (20.0, 150.0))),
+    "a site of one number": ("site", lambda *_: door.new("x", "Bennu", 20.0)),
+    "a campaign nowhere": ("out", lambda *_: campaign("study.toml", None)),
+    "nothing saved": ("plan", lambda _, folder: door.save(None, folder)),
+    "a folder that is a file": ("folder", lambda plan, folder: door.save(plan, folder / "file")),
+    "nothing side by side": ("plans", lambda *_: door.compare()),
+    "none beside a plan": ("plan", lambda plan, _: door.compare(plan, None)),
+}
+"""The entry that the message names, and the call."""
+
+
+@pytest.mark.parametrize("name", BAD_CALLS)
+def test_a_wrong_argument_is_named_before_any_work(
+    name: str, default_plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(*_: object, **__: object) -> None:
+        raise AssertionError("work was begun")
+
+    monkeypatch.setattr(planning.planner, "plan", work)
+    for module, done in ((files, "make_solution"), (flights, "summarise")):
+        monkeypatch.setattr(module, done, work)
+    monkeypatch.setattr(files.reintegration, "verify", work)
+    (tmp_path / "file").write_text("x", "utf-8")
+    entry, call = BAD_CALLS[name]
+    with pytest.raises(InputError) as caught:
+        call(default_plan, tmp_path)
+    assert caught.value.entry == entry
+    assert "--" not in str(caught.value)
+
+
+def test_flights_are_counted_with_intervals(default_plan: Plan) -> None:
+    flights = sr.fly(default_plan, samples=500, seed=1)
+    emission = flights.probability["emission"]
+    assert emission.value is not None
+    assert emission.low is not None
+    assert emission.high is not None
+    assert 0.9 < emission.low < emission.value < emission.high <= 1.0
+    assert sr.fly(default_plan, samples=500, seed=1) == flights
+    assert repr(flights) == "<Summary: 500 flights, seed 1, planner, componentwise errors>"
+    first, *lines = str(flights).splitlines()
+    assert first in repr(flights)
+    assert len(lines) == len(flights.probability)
+    assert any(f"P(emission) {emission.value:.4f}, {emission.low:.4f}" in line for line in lines)
+
+
+def test_a_verdict_prints_itself_in_a_few_lines(verification: Verification) -> None:
+    assert repr(verification) == "<Verification: verified>"
+    assert str(verification).splitlines()[0] == "verified"
+    assert all(p.name in str(verification) for p in verification.probabilities)
+    failed = replace(verification, ok=False, failed=["status", "P(phase)"])
+    assert repr(failed) == "<Verification: not verified: status, P(phase)>"
+
+
+def test_an_infeasible_plan_prints_what_may_help(default_plan: Plan) -> None:
+    result = replace(default_plan.final.result, status=Status.INFEASIBLE)
+    lost = replace(default_plan, final=replace(default_plan.final, result=result))
+    assert Status.INFEASIBLE.value.remedy in str(lost)
+    assert "--" not in str(lost)
+
+
+def test_completion_offers_the_front_door_and_modules() -> None:
+    offered = dir(sr)
+    assert set(sr.__all__) <= set(offered)
+    assert {name for name in offered if not ismodule(getattr(sr, name))} == set(sr.__all__)
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_plans_stand_side_by_side(
+    default_plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    p3 = sr.plan(problem="P3")
+    table = sr.compare(default_plan, p3)
+    assert table["total delta-v"] == (default_plan.total_dv_m_s, p3.total_dv_m_s)
+    assert table["burn 2"][1] == pytest.approx(np.linalg.norm(p3.burns_m_s[1]))
+    same, apart = table["farthest from the first"]
+    assert same == 0.0
+    distance = np.linalg.norm(default_plan.states[:, :3] - p3.states[:, :3], axis=1).max()
+    assert apart == pytest.approx(distance)
+    named = {"a": default_plan, "b": p3}
+    folders = [str(sr.save(plan, tmp_path / name).parent) for name, plan in named.items()]
+    assert compare.main(folders) == 0
+    printed = capsys.readouterr().out
+    assert "total delta-v (m/s)" in printed
+    assert "P(emission)" in printed
+    assert compare.main([str(tmp_path / "none")]) == 2
+    assert table["verified"] == ("yes", "yes")
+    assert table["scenario"] == ("recon_b", "recon_b")
+    assert table["differs from the first in"] == (None, None)
+    assert "total delta-v" in table._repr_html_()
+    assert repr(table) == str(table)
+    with pytest.raises(KeyError, match=r"'delta-v'; there are scenario, .*total delta-v"):
+        table["delta-v"]
+
+
+def test_a_comparison_says_what_was_verified_and_of_which_scenario(
+    solution: Solution, verification: Verification
+) -> None:
+    """Figures are those of the burns; what stands beside them says how far they can be compared."""
+    failed = replace(verification, ok=False, failed=["status", "violation"])
+    other = solution.scenario.replace(
+        {"name": "later", "safety.radius_min_m": 490.0, "battery.delta_v_cone_deg": 31.0}
+    )
+    riskier = solution.scenario.replace({"risk.p_chance": 0.6, "safety.radius_min_m": 490.0})
+    table = sr.compare(
+        solution,
+        replace(solution, verification=failed),
+        replace(solution, verification=verification, scenario=riskier),
+        replace(solution, scenario=other),
+    )
+    assert table["verified"] == ("not checked", "no: status, violation", "yes", "not checked")
+    assert table["scenario"] == ("recon_b", "recon_b", "recon_b", "later")
+    assert table["differs from the first in"] == (None, None, "safety, risk", "safety, battery")
+    assert set(table["total delta-v"]) == {solution.total_dv_m_s}
+
+
+def test_paths_on_different_grids_are_held_against_each_other_at_one_time() -> None:
+    """The same burns on a grid twice as fine: the path between nodes is a cubic of its states."""
+    fine = sr.plan(
+        sr.load_scenario("recon_b").replace({"grid.step_max_s": 116.0}), init="cold", problem="P3"
+    )
+    coarse = sr.plan(problem="P3")
+    apart = sr.compare(coarse, fine)["farthest from the first"][1]
+    difference = np.abs(coarse.burns_m_s - fine.burns_m_s).max()
+    assert isinstance(apart, float)
+    assert apart < 0.02 + 60_000.0 * difference
+
+
+def test_what_a_plan_is_made_of_is_equal_only_to_itself(default_plan: Plan) -> None:
+    """What holds arrays has no equality of its parts: asking must not end in a traceback."""
+    again = copy.deepcopy(default_plan)
+    for part in (
+        lambda plan: plan.mission,
+        lambda plan: plan.mission.problem,
+        lambda plan: plan.mission.problem.constraints[0],
+        lambda plan: plan.mission.dynamics,
+        lambda plan: plan.final,
+        lambda plan: plan.final.facets,
+        lambda plan: plan.final.result,
+        lambda plan: plan.final.result.lin,
+        lambda plan: plan.final.result.lin.iterate,
+        lambda plan: plan.final.result.lin.arcs,
+    ):
+        one, other = part(default_plan), part(again)
+        assert one == one
+        assert one != other
+        assert len({one, other}) == 2
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_a_campaign_gives_a_table_and_figures(tmp_path: Path) -> None:
+    study = {"axis": [{"entry": "risk.p_chance", "values": [0.7, 0.75]}]}
+    table, figures = sr.campaign(study, tmp_path, workers=0)
+    assert list(table["risk.p_chance"]) == [0.7, 0.75]
+    assert list(table["verdict"]) == ["verified"] * 2
+    assert table["total_dv_m_s"][0] == pytest.approx(0.140135, abs=1e-6)
+    assert table["total_dv_m_s"][1] > table["total_dv_m_s"][0]
+    assert list(figures) == ["curves"]
+    again, _ = sr.campaign(study, tmp_path, workers=0)
+    assert again.equals(table)
+
+
+def test_a_bad_campaign_is_one_message(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="workers"):
+        sr.campaign({}, tmp_path, workers=-1)
+    with pytest.raises(InputError, match="study"):
+        sr.campaign(3, tmp_path)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="unknown entry"):
+        sr.campaign({"axes": []}, tmp_path)
