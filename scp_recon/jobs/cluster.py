@@ -161,10 +161,18 @@ class Session:
         return max(0, max(LEAST_AHEAD, AHEAD * self._threads) - len(self.out))
 
     def send(self, job: Job) -> None:
-        """Send a job, pickled: Dask would look for its own things in it."""
-        future = self.client.submit(
-            run_in_child, self._work, pickle.dumps(job), self._cluster.limits, pure=False
-        )
+        """Send a job, pickled: Dask would look for its own things in it.
+
+        A client whose scheduler was away for too long has closed itself; its jobs are out, and `ended`
+        sends them again.
+        """
+        try:
+            future = self.client.submit(
+                run_in_child, self._work, pickle.dumps(job), self._cluster.limits, pure=False
+            )
+        except self._distributed.client.ClosedClientError:
+            self.out[f"not sent: {job.key!r}"] = (job, None)
+            return
         self.out[future.key] = (job, future)
         future.add_done_callback(self._events.put)
 
@@ -184,7 +192,7 @@ class Session:
         found: list[Ended] = []
         for key, future in ours.items():
             job, _ = self.out[key]
-            if (done := results.get(key)) is not None:
+            if done := results.get(key):
                 found.append((job, done, ""))
             elif future.status == "error":
                 error = future.exception(timeout=GATHER_S)
@@ -201,9 +209,9 @@ class Session:
         return found
 
     def _gathered(self, futures: list[Any]) -> dict[str, Done | None]:
-        """Fetch results together, by key; lost ones are None, or left out."""
+        """Fetch results together, by key: a lost one is None, and all are if the scheduler is."""
 
-        async def fetch() -> Any:  # by key: Dask shortens a list by what it skips
+        async def fetch() -> Any:  # of a list Dask leaves out what it skips: the rest would shift
             by_key = {future.key: future for future in futures}
             return await self.client.gather(by_key, errors="skip", asynchronous=True)
 
@@ -227,7 +235,8 @@ class Session:
         """Cancel the jobs that are out, and leave."""
         if self.client is not None:
             with suppress(Exception):
-                self.client.cancel([future for _, future in self.out.values()], force=True)
+                sent = [future for _, future in self.out.values() if future is not None]
+                self.client.cancel(sent, force=True)
         self._leave()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import pickle
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,7 +27,7 @@ from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands.flights import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.jobs.cluster import Cluster, Session, run_in_child
-from scp_recon.jobs.job import Key, here
+from scp_recon.jobs.job import Done, Key, attempt, here
 from scp_recon.jobs.processes import Limits, UnfitError
 from scp_recon.monte_carlo.summary import FILE_NAME
 from scp_recon.results.facts import Verification
@@ -67,28 +68,34 @@ class LocalCluster:
 
     def pids(self) -> list[int]:
         """Of the workers, once all are there."""
-        with distributed.Client(self.address, timeout=60, set_as_default=False) as client:
-            client.wait_for_workers(WORKERS, timeout=60)
+        with distributed.Client(self.address, timeout=180, set_as_default=False) as client:
+            client.wait_for_workers(WORKERS, timeout=180)
             return sorted(client.run(os.getpid).values())
 
-    def restart_scheduler(self) -> None:
+    def kill_scheduler(self) -> None:
         self.scheduler.kill()
         self.scheduler.wait()
+
+    def begin_again(self) -> None:
+        """Another scheduler at the same address, with workers of its own."""
         self.scheduler = self._scheduler()
-        self.nannies.terminate()
-        self.nannies.wait(timeout=60)
+        end(self.nannies)
         self.nannies = self._workers()
 
     def close(self) -> None:
-        for process in (self.nannies, self.scheduler):
-            process.terminate()
-        for process in (self.nannies, self.scheduler):
-            try:
-                process.wait(timeout=30)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+        end(self.nannies, self.scheduler)
         self._log.close()
+
+
+def end(*processes: subprocess.Popen[bytes]) -> None:
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        try:
+            process.wait(timeout=30)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +136,107 @@ def test_a_scheduler_without_workers_is_told_once_until_one_joins(
     assert "no workers" in said[0]
 
 
+class Held(distributed.utils_comm.TaskRef):  # type: ignore[misc,name-defined]  # Dask's are not typed
+    """A job's future: finished, until its result is found to be lost."""
+
+    def __init__(self, client: LosingClient, key: str) -> None:
+        super().__init__(key)
+        self.client, self.status = client, "finished"
+
+    async def wait(self) -> None:
+        """It has ended."""
+
+    def reset(self) -> None:
+        self.status = "cancelled"
+
+    def add_done_callback(self, call: Callable[[Held], None]) -> None:
+        call(self)
+
+
+class LosingClient:
+    """Dask's own `gather`, of results of which the scheduler has lost some; may close itself."""
+
+    gather, _gather = distributed.Client.gather, distributed.Client._gather
+    direct_to_workers, dashboard_link = False, ""
+
+    def __init__(self, lost: Collection[int] = (), *, takes: int = 99) -> None:
+        self.lost, self.takes = lost, takes
+        self.sent: list[int] = []
+        self.results: dict[str, Done] = {}
+        self.futures: dict[str, Held] = {}
+        self.status = "running"
+        self._gather_keys: Any = None
+        self._gather_future: Any = None
+
+    def submit(self, function: Any, *inputs: Any, **_: bool) -> Held | None:
+        if function is not run_in_child:
+            return None  # the work
+        if len(self.sent) == self.takes:
+            self.status = "closed"
+            raise distributed.client.ClosedClientError
+        job = pickle.loads(inputs[1])
+        self.sent.append(job.key)
+        key = f"run-{len(self.sent)}"
+        self.futures[key] = Held(self, key)
+        self.results[key] = attempt(Quick(), job)
+        return self.futures[key]
+
+    def sync(self, call: Any, *args: Any, asynchronous: bool = False, **options: Any) -> Any:
+        options.pop("callback_timeout", None)
+        coming = call(*args, **options)
+        return coming if asynchronous else asyncio.run(coming)
+
+    async def _gather_remote(self, *_: object) -> dict[str, Any]:
+        """The scheduler's answer, as `Scheduler.gather` gives it."""
+        keys, self._gather_keys, self._gather_future = self._gather_keys, None, None
+        if lost := [key for key in keys if self.results[key].key in self.lost]:
+            return {"status": "error", "keys": lost}
+        return {"status": "OK", "data": {key: self.results[key] for key in keys}}
+
+    def _send_to_scheduler(self, message: dict[str, str]) -> None:
+        assert message["op"] == "report-key"  # which a scheduler that is gone cannot
+
+    def nthreads(self) -> dict[str, int]:
+        return {"a worker": 1}
+
+    def close(self, **_: float) -> None:
+        self.status = "closed"
+
+
+@pytest.mark.parametrize("lost", [{0}, {1}, {2}, {0, 2}, {0, 1, 2}])
+def test_a_lost_result_is_sent_again_and_the_others_keep_their_own(
+    monkeypatch: pytest.MonkeyPatch, lost: set[int]
+) -> None:
+    clients = [LosingClient(lost), LosingClient()]
+    found, said = ran_with(clients, monkeypatch)
+    assert [client.sent for client in clients] == [[0, 1, 2], sorted(lost)]
+    assert {done.key: done.value for done in found} == {n: Quick()(n) for n in range(3)}
+    assert len(found) == 3
+    assert sum("sent again" in line for line in said) == 1
+
+
+def test_jobs_that_a_closed_client_refuses_are_sent_by_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Dask's client closes itself once its scheduler has been away for its timeout."""
+    clients = [LosingClient(takes=1), LosingClient()]
+    found, _ = ran_with(clients, monkeypatch)
+    assert [client.sent for client in clients] == [[0], [1, 2]]
+    assert {done.key: done.value for done in found} == {n: Quick()(n) for n in range(3)}
+    assert len(found) == 3
+
+
+def ran_with(
+    clients: list[LosingClient], monkeypatch: pytest.MonkeyPatch
+) -> tuple[list[Done], list[str]]:
+    """Three jobs over one client after the other, and what was said."""
+    coming, said = iter(clients), list[str]()
+    monkeypatch.setattr(distributed, "Client", lambda *_, **__: next(coming))
+    monkeypatch.setattr("scp_recon.jobs.cluster.LOOK_S", 0.01)
+    executor = Cluster("tcp://127.0.0.1:1", LIMITS, said.append, ahead=3)
+    return list(executor(Quick(), some_jobs(3))), said
+
+
 def test_a_worker_is_killed_in_mid_run(cluster: LocalCluster, tmp_path: Path) -> None:
     jobs = some_jobs(60)
     victim = cluster.pids()[0]
@@ -155,8 +263,13 @@ def test_jobs_that_misbehave_are_rows(cluster: LocalCluster, tmp_path: Path) -> 
 def test_the_scheduler_is_restarted_in_mid_run(cluster: LocalCluster, tmp_path: Path) -> None:
     jobs, said = some_jobs(60), list[str]()
     cluster.pids()
-    restarting = threading.Thread(target=cluster.restart_scheduler)
-    seen = After(8, restarting.start)
+    restarting = threading.Thread(target=cluster.begin_again)
+
+    def kill() -> None:  # here, so that it is gone before any other job can be sent
+        cluster.kill_scheduler()
+        restarting.start()
+
+    seen = After(8, kill)
     executor = Cluster(cluster.address, LIMITS, said.append)
     rows = run_all(Quick(0.05), jobs, tmp_path / "a", executor, seen)
     restarting.join()
