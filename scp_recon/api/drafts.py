@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from formulations.problem.flyby import Iterate
 from scp_recon.api.options import PlanOptions, date_in_tdb
 from scp_recon.api.planning import plan_mission
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
@@ -46,24 +47,7 @@ NEEDS = {"from_spice": ("spacecraft", "begin", "end"), "from_csv": ("epoch",)}
 
 @dataclass(frozen=True)
 class NewOptions:
-    """What a scenario is drafted for, and from.
-
-    Attributes:
-        name: of the scenario, written to NAME.toml.
-        body: a packaged one's name; or another, with gm, radius, period, pole and orbit.
-        site: planetocentric latitude and east longitude, deg.
-        epoch: earliest time of the first burn, TDB; where no trajectory is given.
-        gm: of the body, m^3/s^2.
-        radius: of the sphere that stands for it, m.
-        period: sidereal spin period, h, right-handed about the pole.
-        pole: right ascension and declination of the spin pole, deg, J2000.
-        orbit: the body from the Sun at the epoch, km and km/s, J2000.
-        from_spice: a meta-kernel with body, Sun and trajectory.
-        spacecraft: NAIF's number in the kernels.
-        from_oem: a CCSDS OEM with the trajectory.
-        from_csv: a table of states with it, times past the epoch.
-        begin: time of the first burn on the trajectory, TDB.
-        end: time of the last.
+    """What a scenario is drafted for, and from: the arguments of `new`, dates in TDB.
 
     Raises:
         InputError: if one is out of its range, one is missing, or one goes not with another.
@@ -168,21 +152,15 @@ def _check_numbers(entry: str, given: object, count: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class NewScenario:
-    """A scenario that was drafted, and what planning it came to.
-
-    Attributes:
-        draft: what its file is written from.
-        mission: of the scenario.
-        solution: its plan.
-        verification: of the plan.
-        files: the scenario's, and with a trajectory the start's.
-    """
+    """A scenario that was drafted, and what planning it came to."""
 
     draft: Draft
+    """What its file is written from."""
     mission: Mission
     solution: Solution
     verification: Verification
     files: tuple[Path, ...] = ()
+    """The scenario's, and with a trajectory the start's."""
 
     @property
     def scenario(self) -> Scenario:
@@ -222,6 +200,7 @@ def new(
     from_csv: str | Path | None = None,
     begin: datetime | str | None = None,
     end: datetime | str | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> NewScenario:
     """Draft a scenario for a site and a body, plan it, and write it to NAME.toml.
 
@@ -248,48 +227,29 @@ def new(
         from_csv: a table of states with it, times past `epoch`.
         begin: time of the first burn on the trajectory, UTC.
         end: time of the last, UTC.
+        progress: told of each draft that was planned, in a line.
 
     Raises:
-        InputError: naming the argument, what was given and what is allowed.
+        InputError: naming the argument, what was given and what is allowed; if a file is there already
+            or cannot be written, or nothing can be drafted.
     """
     options = NewOptions(
         name=str(path_of(option("name"), name)).removesuffix(".toml"),
         body=body,
-        site=_numbers("site", site),
+        site=_numbers("site", site) or (),
         epoch=date_in_tdb(option("epoch"), epoch),
         gm=gm,
         radius=radius,
         period=period,
-        pole=None if pole is None else _numbers("pole", pole),
-        orbit=None if orbit is None else _numbers("orbit", orbit),
-        from_spice=None if from_spice is None else path_of(option("from_spice"), from_spice),
+        pole=_numbers("pole", pole),
+        orbit=_numbers("orbit", orbit),
+        from_spice=_file("from_spice", from_spice),
         spacecraft=spacecraft,
-        from_oem=None if from_oem is None else path_of(option("from_oem"), from_oem),
-        from_csv=None if from_csv is None else path_of(option("from_csv"), from_csv),
+        from_oem=_file("from_oem", from_oem),
+        from_csv=_file("from_csv", from_csv),
         begin=date_in_tdb(option("begin"), begin, utc=True),
         end=date_in_tdb(option("end"), end, utc=True),
     )
-    return draft_into_file(options)
-
-
-def _numbers(name: str, given: object) -> tuple[float, ...]:
-    if isinstance(given, str) or not isinstance(given, Iterable):
-        raise InputError(option(name), shortened(given), f"must be {LISTS[name]} numbers")
-    return tuple(given)
-
-
-def draft_into_file(
-    options: NewOptions, say: Callable[[str], None] = lambda _: None
-) -> NewScenario:
-    """Draft, plan and write a scenario.
-
-    Args:
-        options: what for.
-        say: told of each draft that was planned, in a line.
-
-    Raises:
-        InputError: if a file is there already or cannot be written, or nothing can be drafted.
-    """
     path = options.file
     start = path.with_name(f"{path.stem}_start.csv")
     source = next((name for name in SOURCES if getattr(options, name) is not None), None)
@@ -303,10 +263,11 @@ def draft_into_file(
     check_writable(path.parent, path.name, option("name"))
     tried: list[NewScenario] = []
     for draft in drafts(first):
-        tried.append(found := _planned(draft))
+        mission = Mission.from_scenario(drafted(draft))
+        tried.append(found := _planned(draft, mission, initial_guess.cold(mission)))
         first_s, last_s = found.mission.schedule.window_s
         hours = f"local solar time {draft.hours[0]:g} to {draft.hours[1]:g} h"
-        say(f"{hours}, window of {last_s - first_s:.0f} s: {found.verdict}")
+        progress(f"{hours}, window of {last_s - first_s:.0f} s: {found.verdict}")
         if found.is_verified:
             break
     best = min(tried, key=lambda one: (not one.is_verified, one.solution.violation.total))
@@ -314,10 +275,18 @@ def draft_into_file(
     return replace(best, files=(path,))
 
 
-def _planned(draft: Draft) -> NewScenario:
-    mission = Mission.from_scenario(drafted(draft))
-    plan = plan_mission(mission, initial_guess.cold(mission), PlanOptions(), init="cold")
-    solution = make_solution(plan)
+def _numbers(name: str, given: object) -> tuple[float, ...] | None:
+    if isinstance(given, str) or not isinstance(given, Iterable | None):
+        raise InputError(option(name), shortened(given), f"must be {LISTS[name]} numbers")
+    return None if given is None else tuple(given)
+
+
+def _file(name: str, given: str | Path | None) -> Path | None:
+    return None if given is None else path_of(option(name), given)
+
+
+def _planned(draft: Draft, mission: Mission, guess: Iterate, init: str = "cold") -> NewScenario:
+    solution = make_solution(plan_mission(mission, guess, PlanOptions(), init=init))
     verification = verify(mission, solution)
     return NewScenario(draft, mission, solution.with_verification(verification), verification)
 
@@ -330,17 +299,14 @@ def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> Ne
     mission = replace(mission, warnings=(*mission.warnings, *doubts))
     check_writable(path.parent, path.name, option("name"))
     guess = initial_guess.from_states(mission, start_table(track), track.source)
-    solution = make_solution(plan_mission(mission, guess, PlanOptions(), init=start.name))
-    verification = verify(mission, solution)
-    judged = solution.with_verification(verification)
-    found = NewScenario(flown, mission, judged, verification, (path, start))
+    found = _planned(flown, mission, guess, start.name)
     outcome = [
         *_outcome(found, f" --init {start.name}"),
         *(f"warning: {doubt}" for doubt in doubts),
     ]
     _write(start, start_csv(track, list(initial_guess.COLUMNS.values())))
     _write(path, draft_text(replace(flown, outcome=outcome)))
-    return found
+    return replace(found, files=(path, start))
 
 
 def _track_draft(options: NewOptions, source: str) -> tuple[Draft, Track]:

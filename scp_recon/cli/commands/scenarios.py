@@ -10,8 +10,8 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from scp_recon.api.drafts import NewOptions, draft_into_file
-from scp_recon.api.options import date_in_tdb
+from scp_recon.api.drafts import NewOptions
+from scp_recon.api.drafts import new as draft_scenario
 from scp_recon.api.planning import scenario_of
 from scp_recon.api.survey import DAYS_MAX, SPAN_DAYS, tdb
 from scp_recon.api.survey import windows as survey_windows
@@ -36,7 +36,6 @@ from scp_recon.scp.status import Status
 def _add_new(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         "name",
-        type=lambda text: text.removesuffix(".toml"),
         metavar="NAME",
         help="of the scenario, written to NAME.toml",
     )
@@ -107,9 +106,7 @@ def _add_new(p: argparse.ArgumentParser) -> None:
 
 def _new(options: argparse.Namespace, console: Console) -> Answer:
     given = {field.name: getattr(options, field.name) for field in fields(NewOptions)}
-    for name in ("epoch", "begin", "end"):
-        given[name] = date_in_tdb(option(name), given[name], utc=name != "epoch")
-    found = draft_into_file(NewOptions(**given), lambda line: show_line(console, line))
+    found = draft_scenario(**given, progress=lambda line: show_line(console, line))
     plan_view.show_mission(console, found.mission)
     plan_view.show_solution(console, found.solution)
     plan_view.show_verification(console, found.mission, found.verification, found.mission.warnings)

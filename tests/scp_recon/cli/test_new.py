@@ -6,6 +6,7 @@ import json
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,6 @@ from scp_recon.api import drafts
 from scp_recon.api.planning import plan
 from scp_recon.cli.commands.scenarios import new
 from scp_recon.drafting import draft as drafting
-from scp_recon.drafting.draft import Draft
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
@@ -59,8 +59,8 @@ def test_what_is_strange_about_a_draft_is_told_with_its_verdict(
 ) -> None:
     planned, strange = drafts._planned, ScenarioWarning.of("body.gm_m3_s2", "4", "5 is usual")
 
-    def warned(draft: Draft) -> drafts.NewScenario:
-        found = planned(draft)
+    def warned(*given: Any) -> drafts.NewScenario:
+        found = planned(*given)
         return replace(found, mission=replace(found.mission, warnings=(strange,)))
 
     monkeypatch.setattr(drafts, "_planned", warned)
@@ -75,8 +75,8 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(
     """As if the planner had found nothing: what is infeasible takes it long to tell."""
     planned = drafts._planned
 
-    def infeasible(draft: Draft) -> drafts.NewScenario:
-        found = planned(draft)
+    def infeasible(*given: Any) -> drafts.NewScenario:
+        found = planned(*given)
         status = {"status": Status.INFEASIBLE.value.name}
         return replace(found, solution=replace(found.solution, **status))
 
