@@ -2,8 +2,7 @@
 
 Where a file, or an override, says something anew, what its base says of the same thing in other words,
 and what followed from it, is not taken over: the Sun of another epoch, the normal of another site,
-another body's spin. Messages do not call missing what may still follow, and a check of a mission finds
-by the graph what was left as a base has it.
+another body's spin. Messages do not call missing what may still follow.
 """
 
 from __future__ import annotations
@@ -67,18 +66,6 @@ GRAPH = (
 def keys(entries: Sequence[str]) -> tuple[str, ...]:
     """Entries of one table without its name."""
     return tuple(entry.partition(".")[2] for entry in entries)
-
-
-def followers(entry: str) -> tuple[str, ...]:
-    """What follows from an entry, whatever else is given."""
-    return tuple(
-        dict.fromkeys(
-            follower
-            for edge in GRAPH
-            if entry in edge.sources and not edge.given
-            for follower in edge.followers
-        )
-    )
 
 
 def computed_from(tables: Iterable[str]) -> set[str]:

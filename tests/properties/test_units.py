@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 
 from scp_recon.bodies.catalogue import GM_SUN_KM3_S2, OBLIQUITY
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import sun as sun_checks
 from scp_recon.mission.checks.checks import check_scene, check_state
+from scp_recon.mission.checks.intervals import INTERVALS
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.frames import unit
@@ -185,7 +185,8 @@ def test_a_sun_along_the_axes_of_the_ecliptic_is_told_and_of_the_equator_is_not(
         "sun.body_velocity_km_s": state[1].tolist(),
     }
     found = file_of(RECON_B, changes, name="Mine")
-    told = list(sun_checks.axes_of_the_ecliptic(Scene.of(found)))
+    (row,) = (row for row in INTERVALS if "equator" in row.quantity)
+    told = list(row.check(Scene.of(found)))
     assert [bool("ecliptic" in warning.expected) for warning in told] == wrong * [True]
 
 

@@ -23,23 +23,6 @@ from scp_recon.scenario.fields import ScenarioWarning
 Check = Callable[[Scene], Iterator[ScenarioWarning]]
 
 
-def shadow(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of a flight that begins or ends in the body's shadow: swapped axes may lead there.
-
-    That is a cylinder of the reference radius; the planner's forces know of none.
-    """
-    scenario, radius = scene.scenario, scene.scenario.body.reference_radius_m
-    for which, time_s in (("initial", 0.0), ("final", scenario.duration_s)):
-        position, light = scene.boundary_state(which)[:3], scene.sun_direction(time_s)
-        along, across = float(position @ light), float(np.linalg.norm(np.cross(position, light)))
-        if along < 0.0 and across < radius:
-            yield ScenarioWarning.of(
-                f"boundary.{which}_position_m",
-                f"a place in the body's shadow, {across:.0f} m off its axis",
-                f"expected in the light, at least {radius:g} m off it: the frame and its axes?",
-            )
-
-
 CHECKS: tuple[Check, ...] = (
     stale.stale_entries,
     *(row.check for row in INTERVALS),
@@ -47,9 +30,7 @@ CHECKS: tuple[Check, ...] = (
     body.oblateness,
     body.site_angles,
     body.named_site,
-    sun.axes_of_the_ecliptic,
     sun.known_orbit,
-    shadow,
 )
 """What a mission is held to before its window is known, in this order."""
 WINDOW_SLACK = 0.05

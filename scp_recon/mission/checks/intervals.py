@@ -32,30 +32,23 @@ INF = math.inf
 
 @dataclass(frozen=True)
 class Interval:
-    """A quantity, and between which ends it is expected.
-
-    Attributes:
-        entries: dotted paths, spaces between them; the quantity is found of each of them.
-        quantity: what is bounded, in words; the entry itself, or its length, if empty.
-        value: the quantity of an entry; None where the row does not apply.
-        unit: of the quantity.
-        refuse: ends beyond which it is refused.
-        warn: ends beyond which it is warned about.
-        hint: the likely slip, or the reason.
-        or_zero: whether zero is meant, and never in question.
-        scale: what the ends count in, in the unit, and what that is called; None where the row does not
-            apply. One if left out.
-    """
+    """A quantity, and between which ends it is expected."""
 
     entries: str
+    """Dotted paths, spaces between them; the quantity is found of each of them."""
     quantity: str = ""
+    """What is bounded, in words; the entry itself, or its length, if empty."""
     value: Callable[[Scene, str], float | None] = lambda scene, entry: _size(_given(scene, entry))
+    """The quantity of an entry; None where the row does not apply."""
     unit: str = ""
     refuse: Ends | None = None
     warn: Ends | None = None
     hint: str = ""
+    """The likely slip, or the reason."""
     or_zero: bool = False
+    """Whether zero is meant, and never in question."""
     scale: tuple[Callable[[Scene, str], float | None], str] | None = None
+    """What the ends count in, in the unit, and its name; None where the row does not apply."""
 
     def check(self, scene: Scene) -> Iterator[ScenarioWarning]:
         """Hold a scene to the row.
@@ -157,6 +150,25 @@ def _slope_without_shape_deg(scene: Scene, entry: str) -> float | None:
 
 def _solar_escape_km_s(scene: Scene, _: str) -> float:
     return math.sqrt(2.0 * GM_SUN_KM3_S2 / math.hypot(*scene.scenario.sun.body_position_km))
+
+
+def _off_the_equator_deg(scene: Scene, _: str) -> float:
+    """How much farther the orbit's plane is off Earth's equator than off the ecliptic.
+
+    Components along the axes of the ecliptic, which many tables have, make the inclination the angle
+    off the equator. Below 11.7 deg, half the obliquity, this is told, and never of what is right.
+    """
+    normal = Orbit.of_body(scene).normal
+    return angle_deg(normal, [0.0, 0.0, 1.0]) - angle_deg(normal, ECLIPTIC_NORTH)
+
+
+def _off_shadow_m(scene: Scene, entry: str) -> float | None:
+    """Off the axis of the body's shadow, behind it: a cylinder that the planner's forces leave out."""
+    which = "initial" if "initial" in entry else "final"
+    position = scene.boundary_state(which)[:3]
+    light = scene.sun_direction(0.0 if which == "initial" else scene.scenario.duration_s)
+    behind = float(position @ light) < 0.0
+    return float(np.linalg.norm(np.cross(position, light))) if behind else None
 
 
 def _nearest_to_site_m(scene: Scene, _: str) -> float | None:
@@ -334,6 +346,10 @@ INTERVALS = (
         warn=(-INF, 50.0), hint="; J2000, axes in order?",
     ),
     Interval(
+        SUN_SPEED, "the orbit's plane off Earth's equator, less off the ecliptic",
+        _off_the_equator_deg, "deg", warn=(0.0, INF), hint="; components along the ecliptic's axes?",
+    ),
+    Interval(
         "safety.radius_min_m", unit="m", refuse=(1.0, INF), hint=": below it is the inside",
         scale=RADII,
     ),
@@ -350,6 +366,11 @@ INTERVALS = (
     Interval(
         "boundary.initial_position_m boundary.final_position_m", "from the centre", unit="m",
         warn=(-INF, 100.0), scale=RADII,
+    ),
+    # Swapped axes may lead there.
+    Interval(
+        "boundary.initial_position_m boundary.final_position_m", "off the axis of the body's shadow",
+        _off_shadow_m, "m", warn=(1.0, INF), hint="; the frame and its axes?", scale=RADII,
     ),
     Interval(
         "boundary.initial_velocity_m_s boundary.final_velocity_m_s", unit="m/s",

@@ -14,7 +14,7 @@ import numpy as np
 
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene
-from scp_recon.scenario.dependencies import followers
+from scp_recon.scenario.dependencies import PLACE, STATE
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import base_names, packaged_scenario
 from scp_recon.scenario.resolution.agreement import angle_deg
@@ -24,10 +24,8 @@ SUN_MOVED_DEG = 0.01
 """Below it another epoch may keep the Sun: a quarter of an hour, of a body at 1 au."""
 SITE_MOVED_DEG = 1.0
 """As seen from the body's centre; below it another position may be on the same slope."""
-OF_ONE_BODY = "body.gm_m3_s2", "body.j2", "sun.body_position_km"
+OF_ONE_BODY = "body.gm_m3_s2", "body.j2", STATE[0]
 """What no two bodies share."""
-OF_ONE_PLACE = "sun.body_position_km", "sun.body_velocity_km_s", "site.normal_body"
-"""What no two epochs, or sites, share; two sites may well have a latitude in common."""
 
 
 def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
@@ -38,11 +36,8 @@ def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
     """
     here = scene.scenario
     for base in map(packaged_scenario, base_names()):
-        kept = _kept(base, here, OF_ONE_PLACE)
-        _refuse_other_sun(base, here, [e for e in followers("epoch.tdb") if e in kept])
-        _refuse_other_normal(
-            base, here, [e for e in followers("site.position_body_m") if e in kept]
-        )
+        _refuse_other_sun(base, here)
+        _refuse_other_normal(base, here)
         if here.body.name != base.body.name:
             for entry in _kept(base, here, OF_ONE_BODY):
                 yield ScenarioWarning.of(
@@ -53,12 +48,12 @@ def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def _kept(base: Scenario, here: Scenario, entries: tuple[str, ...]) -> list[str]:
-    """Those of some entries that are given and the same in both."""
-    values = {entry: attrgetter(entry)(here) for entry in entries}
-    return [e for e, value in values.items() if value is not None and value == attrgetter(e)(base)]
+    """Those of some entries that are the same in both."""
+    return [entry for entry in entries if attrgetter(entry)(base) == attrgetter(entry)(here)]
 
 
-def _refuse_other_sun(base: Scenario, here: Scenario, kept: list[str]) -> None:
+def _refuse_other_sun(base: Scenario, here: Scenario) -> None:
+    kept = _kept(base, here, STATE)
     before, after = base.epoch.tdb, here.epoch.tdb
     position, velocity = np.array(base.sun.body_position_km), np.array(base.sun.body_velocity_km_s)
     # How fast the Sun's direction turns as seen from the body, in rad/s: |r x v| / r^2.
@@ -75,11 +70,12 @@ def _refuse_other_sun(base: Scenario, here: Scenario, kept: list[str]) -> None:
         )
 
 
-def _refuse_other_normal(base: Scenario, here: Scenario, kept: list[str]) -> None:
+def _refuse_other_normal(base: Scenario, here: Scenario) -> None:
+    normal = PLACE[1]
     moved = angle_deg(base.site.position_body_m, here.site.position_body_m)
-    if kept and moved > SITE_MOVED_DEG:
+    if moved > SITE_MOVED_DEG and _kept(base, here, (normal,)):
         raise InputError(
-            kept[0],
+            normal,
             f"the normal of a site {moved:.1f} deg away",
             "must be given with site.position_body_m: the other site has a slope of its own",
         )

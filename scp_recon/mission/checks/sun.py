@@ -12,7 +12,6 @@ from formulations.arrays import Array
 from scp_recon.bodies.catalogue import (
     AU_KM,
     DAY_S,
-    ECLIPTIC_NORTH,
     GM_SUN_KM3_S2,
     J2000_TDB,
     packaged_body,
@@ -30,17 +29,14 @@ SAME_PLACE_DEG = 0.5
 
 @dataclass(frozen=True)
 class Orbit:
-    """Osculating orbit about the Sun.
-
-    Attributes:
-        axis_au: semi-major axis, negative of what leaves the Solar System.
-        eccentricity: vector to the perihelion as long as the eccentricity, shape (3,), J2000.
-        normal: unit vector of the angular momentum, shape (3,), J2000; zero of a straight fall.
-    """
+    """Osculating orbit about the Sun."""
 
     axis_au: float
+    """Semi-major axis, negative of what leaves the Solar System."""
     eccentricity: Array
+    """Vector to the perihelion as long as the eccentricity, shape (3,), J2000."""
     normal: Array
+    """Unit vector of the angular momentum, shape (3,), J2000; zero of a straight fall."""
 
     @classmethod
     def of_body(cls, scene: Scene) -> Orbit:
@@ -59,22 +55,6 @@ class Orbit:
             axis_au=float(1.0 / energy / AU_KM) if energy else np.inf,
             eccentricity=np.cross(velocity, momentum) / GM_SUN_KM3_S2 - position / away,
             normal=momentum / size if size else momentum,
-        )
-
-
-def axes_of_the_ecliptic(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of an orbit nearer to Earth's equator than to the ecliptic.
-
-    Components along the axes of the ecliptic, which many tables have, make the inclination the angle
-    off the equator. Below 11.7 deg, half the obliquity, this is told, and never of what is right.
-    """
-    normal = Orbit.of_body(scene).normal
-    tilt, equatorial = angle_deg(normal, ECLIPTIC_NORTH), angle_deg(normal, [0.0, 0.0, 1.0])
-    if equatorial < tilt:
-        yield ScenarioWarning.of(
-            "sun.body_velocity_km_s",
-            f"an orbit {tilt:.1f} deg off the ecliptic and {equatorial:.1f} deg off Earth's equator",
-            "expected nearer to the ecliptic; along the axes of the equator, not of the ecliptic?",
         )
 
 

@@ -131,12 +131,12 @@ WARNED = [
     (
         {"boundary.final_position_m": [-1128.7, 19.9, -140.9]},
         "boundary.final_position_m",
-        "m off its axis",
+        "off the axis of the body's shadow: ",
     ),
     (
         {"boundary.initial_position_m": [-1096.3, 70.2, 200.0]},
         "boundary.initial_position_m",
-        "in the body's shadow",
+        "off the axis of the body's shadow: ",
     ),
     ({"burns.dv_max_m_s": 200.0}, "burns.dv_max_m_s", "200 m/s"),
     ({"uncertainty.execution_error": 0.0008}, "uncertainty.execution_error", "0.0008 of a burn"),
