@@ -250,13 +250,11 @@ def _moved(draft: Draft, shift_s: float) -> Draft:
     if (body := draft.given) is None:
         return replace(draft, epoch=epoch)
     motion = two_body(body.position_km, body.velocity_km_s, (0.0, shift_s))
-    around = motion(np.array([shift_s - 1.0, shift_s, shift_s + 1.0]))
-    velocity = 0.5 * (around[2] - around[0])
     turned = body.meridian_deg + 360.0 * shift_s / (3600.0 * body.period_h)
     given = replace(
         body,
-        position_km=_rounded(around[1], 2),
-        velocity_km_s=_rounded(velocity, 8),
+        position_km=_rounded(motion(shift_s), 2),
+        velocity_km_s=_rounded(motion(shift_s, 1), 8),
         meridian_deg=round(turned % 360.0, 6),
     )
     return replace(draft, epoch=epoch, given=given)

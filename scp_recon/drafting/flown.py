@@ -31,21 +31,18 @@ BEFORE, AFTER = 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A trajectory about a body, J2000, body-centred, SI.
-
-    Attributes:
-        epoch: TDB of its first state, which is that before the first burn.
-        times_s: past it, ascending from 0; twice the same at a burn, shape (n,).
-        states: shape (n, 6).
-        source: what it was read from, for comments.
-        doubts: what is strange about it.
-    """
+    """A trajectory about a body, J2000, body-centred, SI."""
 
     epoch: datetime
+    """TDB of its first state, which is that before the first burn."""
     times_s: Array
+    """Past it, ascending from 0; twice the same at a burn, shape (n,)."""
     states: Array
+    """Shape (n, 6)."""
     source: str
+    """What it was read from, for comments."""
     doubts: tuple[ScenarioWarning, ...] = ()
+    """What is strange about it."""
 
     @property
     def duration_s(self) -> float:

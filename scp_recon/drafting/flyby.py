@@ -37,21 +37,18 @@ SUN_LINE_COST = 2.0
 
 @dataclass(frozen=True)
 class Design:
-    """What the scenario needs, and how good it looks before it is planned.
-
-    Attributes:
-        times_s: four burns, s.
-        initial_state: on the home orbit before the first burn, Sun-North at the epoch, shape (6,).
-        final_state: on the home orbit after the last burn, shape (6,).
-        burns_m_s: sizes, by two-body motion, shape (4,).
-        margin: least share of the way from a limit to the middle of its range; negative if broken.
-    """
+    """What the scenario needs, and how good it looks before it is planned."""
 
     times_s: tuple[float, float, float, float]
+    """Four burns, s."""
     initial_state: Array
+    """On the home orbit before the first burn, Sun-North at the epoch, shape (6,)."""
     final_state: Array
+    """On the home orbit after the last burn, shape (6,)."""
     burns_m_s: Array
+    """Sizes, by two-body motion, shape (4,)."""
     margin: float
+    """Least share of the way from a limit to the middle of its range; negative if broken."""
 
 
 def window_opens_s(rules: ScheduleRules) -> float:

@@ -74,19 +74,16 @@ class Leg:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Attitude-mode profile and where each burn may be moved with the others kept.
-
-    Attributes:
-        window_s: observation window.
-        legs: contiguous from the epoch, or a state in flight, to the last burn; the attitude of the
-            first burn is acquired before.
-        firing_intervals_s: earliest and latest time of each burn to be planned; both 0 for the flight's
-            first, and the last has no latest time (infinity).
-    """
+    """Attitude-mode profile and where each burn may be moved with the others kept."""
 
     window_s: tuple[float, float]
+    """Observation window."""
     legs: tuple[Leg, ...]
+    """Contiguous from the epoch, or a state in flight, to the last burn; the attitude of the first
+    burn is acquired before."""
     firing_intervals_s: tuple[tuple[float, float], ...]
+    """Earliest and latest time of each burn to be planned; both 0 for the flight's first, and the
+    last has no latest time (infinity)."""
 
 
 def make_schedule(

@@ -29,22 +29,20 @@ class LitWindow:
     """A window, its lighting, and when a flight of the scenario's duration may use it.
 
     Times are seconds past the scenario's epoch.
-
-    Attributes:
-        edges_s: first and last time.
-        least_incidence_rad: smallest angle between the site's normal and the Sun in it.
-        local_solar_time_h: at its edges.
-        burns_s: where each burn may be if the epoch moves and the others give way; the first is the
-            flight's epoch. Empty intervals have their first above their second.
-        shifts_s: by which the epoch may move so that the burns are legal as they are, by the index
-            of the burn before the window.
     """
 
     edges_s: Window
+    """First and last time."""
     least_incidence_rad: float
+    """Smallest angle between the site's normal and the Sun in it."""
     local_solar_time_h: tuple[float, float]
+    """At its edges."""
     burns_s: tuple[Interval, ...]
+    """Where each burn may be if the epoch moves and the others give way; the first is the flight's
+    epoch. Empty intervals have their first above their second."""
     shifts_s: tuple[tuple[int, Interval], ...]
+    """By which the epoch may move so that the burns are legal as they are, by the index of the burn
+    before the window."""
 
 
 @dataclass(frozen=True)

@@ -154,15 +154,12 @@ def at_epoch(scenario: Scenario, shift_s: float) -> Scenario:
     if shift_s == 0.0:
         return scenario
     sun, grid = scenario.sun, scenario.grid
-    way = two_body(
-        sun.body_position_km, sun.body_velocity_km_s, (min(shift_s, 0.0), max(shift_s, 0.0))
-    )
-    velocity = (way(shift_s + SECOND) - way(shift_s - SECOND)) / (2.0 * SECOND)
+    motion = two_body(sun.body_position_km, sun.body_velocity_km_s, (0.0, shift_s))
     return scenario.replace(
         {
             "epoch.tdb": (scenario.epoch.tdb + timedelta(seconds=shift_s)).isoformat(),
-            "sun.body_position_km": way(shift_s).tolist(),
-            "sun.body_velocity_km_s": velocity.tolist(),
+            "sun.body_position_km": motion(shift_s).tolist(),
+            "sun.body_velocity_km_s": motion(shift_s, 1).tolist(),
             "grid.nodes_s": [node - shift_s for node in grid.nodes_s if node >= shift_s],
         }
     )

@@ -40,21 +40,18 @@ class Pass:
 
 @dataclass(frozen=True)
 class Space:
-    """All choices with as many burns about one window, as vectors x = (phases, times / unit of time).
-
-    Attributes:
-        mission: any pass of the design; gives body, limits, units and rules.
-        ring: home orbit.
-        window_s: observation window, past the design's epoch.
-        phase_spans: least and greatest phase of departure and of arrival, rad.
-        time_spans: earliest and latest time of each burn, s; equal where it is fixed.
-    """
+    """All choices with as many burns about one window: x = (phases, times / unit of time)."""
 
     mission: Mission
+    """Any pass of the design; gives body, limits, units and rules."""
     ring: Ring
+    """Home orbit."""
     window_s: Window
+    """Observation window, past the design's epoch."""
     phase_spans: tuple[Span, Span]
+    """Least and greatest phase of departure and of arrival, rad."""
     time_spans: tuple[Span, ...]
+    """Earliest and latest time of each burn, s; equal where it is fixed."""
 
     @property
     def n_burns(self) -> int:

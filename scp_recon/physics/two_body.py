@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 from scipy.integrate import solve_ivp
@@ -21,11 +19,11 @@ NODE_STEP_S = 3600.0
 
 def two_body(
     position_km: npt.ArrayLike, velocity_km_s: npt.ArrayLike, span_s: tuple[float, float]
-) -> Callable[[npt.ArrayLike], Array]:
+) -> CubicHermiteSpline:
     """Heliocentric motion r'' = -GM r / r^3, by SciPy's DOP853 and cubics between hours.
 
     From the state at time zero, J2000, the position in km, shape (..., 3), of times within the span
-    in s, shape (...).
+    in s, shape (...); called with the order 1 besides, the velocity in km/s.
 
     Raises:
         ValueError: if the body comes within `NEAREST_KM` of the Sun's centre.
@@ -41,7 +39,7 @@ def two_body(
     too_near.terminal = True  # type: ignore[attr-defined]
     if too_near(0.0, start) <= 0.0:
         raise ValueError(f"the body is within {NEAREST_KM:g} km of the Sun's centre")
-    first, last = min(span_s[0], 0.0) - NODE_STEP_S, max(span_s[1], 0.0) + NODE_STEP_S
+    first, last = min(*span_s, 0.0) - NODE_STEP_S, max(*span_s, 0.0) + NODE_STEP_S
     nodes = []
     for end in (first, last):
         times = np.linspace(0.0, end, int(np.ceil(abs(end) / NODE_STEP_S)) + 1)
@@ -54,8 +52,7 @@ def two_body(
     (before, back), (after, forth) = nodes
     times = np.concatenate([before[:0:-1], after])
     states = np.concatenate([back[:, :0:-1], forth], axis=1).T
-    motion = CubicHermiteSpline(times, states[:, :3], states[:, 3:])
-    return lambda time_s: motion(np.asarray(time_s, dtype=float))
+    return CubicHermiteSpline(times, states[:, :3], states[:, 3:])
 
 
 def _stumpff(z: float) -> tuple[float, float]:
