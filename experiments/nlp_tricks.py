@@ -100,8 +100,8 @@ def measure(
     def solved(name: str) -> Record:
         solver = IpoptStages(mission, arcs, chosen[name])
         begin = process_time()
-        rows_ = solver.chance_rows(facets, start)
-        stage = solver.solve("P2", rows_, start, lambda *_: None)
+        rows_ = solver.p2_rows(facets, start)
+        stage = solver.solve("P2", rows_, start, mission.dynamics, lambda *_: None)
         run = stage.runs[-1]
         return {
             "trick": name,

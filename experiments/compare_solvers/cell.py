@@ -30,7 +30,6 @@ from scp_recon.planning.planner import (
     CLEARANCE_M,
     PROGRAM_NODES_MAX,
     Planner,
-    ScpStages,
     screened,
 )
 from scp_recon.planning.stages import RowsSolver, StageRunner
@@ -247,7 +246,8 @@ def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
     unguarded = Unguarded(mission.problem) if method.algorithm == UNGUARDED else None
     name = "scvx" if unguarded else method.algorithm  # of the same penalty
     planner = Planner(mission, formulation=method.formulation, algorithm=name, solver=method.solver)
-    return ScpStages(planner, mission, unguarded or planner.algorithm)
+    planner.algorithm = unguarded or planner.algorithm
+    return planner
 
 
 # --- without a safeguard ---------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Stage, scales
-from scp_recon.planning.planner import CLEARANCE_AGAIN_M, Planner, ScpStages
+from scp_recon.planning.planner import CLEARANCE_AGAIN_M, Planner
 from scp_recon.planning.stages import StageRunner
 from scp_recon.scp.status import Status
 
@@ -67,17 +67,6 @@ class PassResult:
         return self.stage.result.lin.iterate.burns * self.mission.units.speed_m_s
 
 
-def uninterrupted(stage: Stage) -> Stage:
-    """A stage that ended by itself: an interrupted one is no pass without a plan.
-
-    Raises:
-        KeyboardInterrupt: if Ctrl-C ended it, as it is to end the design.
-    """
-    if stage.result.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
-    return stage
-
-
 class Near:
     """Plans P2 near a pass, with facets that `Planner.plan` would choose there, and keeps them.
 
@@ -88,13 +77,11 @@ class Near:
     def __init__(self, space: Space, at: Pass, burns_m_s: Array, *, certain: bool = False) -> None:
         self.space, self._mission = space, space.mission_of(at)
         self._planner = planner = Planner(self._mission)
-        self._stages = ScpStages(planner, self._mission, planner.algorithm)
         self._exact = self._mission.scenario.risk.allocation == "exact"
-        runner = self._runner(self._mission)
+        runner = StageRunner(self._mission, planner)
         start = runner.start(from_burns(self._mission, burns_m_s))
         if not (self._exact or certain):
-            p3 = runner.solver.solve("P3", planner.p3_rows, start, lambda *_: None)
-            start = uninterrupted(p3).result.lin
+            start = runner.solve("P3", planner.p3_rows, start).result.lin
         self._rows: Rows = planner.p3_rows if certain else self._rows_at(start)
         self._name: Literal["P3", "P2"] = "P3" if certain else "P2"
         self.first = self.plan(space.vector(at), start)
@@ -103,12 +90,11 @@ class Near:
         """P2 at x, begun at the burns of another iterate, or where the first plan ended."""
         at = self.space.at(x)
         mission = self.space.moved(self._mission, at)
-        runner, begun = self._runner(mission), start or self.first.stage.result.lin
+        runner, begun = StageRunner(mission, self._planner), start or self.first.stage.result.lin
         lin = runner.start(begun.iterate)
         if isinstance(self._rows, ChanceRows):
             return PassResult(at, mission, runner.restore("P2", self._rows, lin))
-        stage = runner.solver.solve(self._name, self._rows, lin, lambda *_: None)
-        return PassResult(at, mission, uninterrupted(stage))
+        return PassResult(at, mission, runner.solve(self._name, self._rows, lin))
 
     def slope(self, result: PassResult, free: Booleans) -> Array:
         """Derivative of the least delta-v by x, nondimensional, shape (2 + m,); zero where not free.
@@ -128,13 +114,9 @@ class Near:
             by_x[j] = (float(prices @ merit.excess(flown)) - base) / DIFFERENCE
         return by_x
 
-    def _runner(self, mission: Mission) -> StageRunner:
-        stages = ScpStages(self._planner, mission, self._planner.algorithm)
-        return StageRunner(mission, stages)
-
     def _rows_at(self, lin: Linearisation) -> Rows:
         if self._exact:
-            ways = self._stages.exact_rows()
+            ways = self._planner.exact_rows()
             return ways[min(1, len(ways) - 1)][1]  # of whole flights those of few directions
         problem, polytopes = self._mission.problem, self._mission.polytopes
         facets = choose_facets(problem, polytopes, lin.iterate.mean, lin.factor)

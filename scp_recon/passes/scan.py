@@ -12,11 +12,11 @@ import numpy as np
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
-from scp_recon.passes.descent import PassResult, uninterrupted
+from scp_recon.passes.descent import PassResult
 from scp_recon.passes.ring import TURN
 from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import circular, from_burns
-from scp_recon.planning.planner import Planner, ScpStages
+from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import StageRunner
 
 STEP = float(np.deg2rad(40.0))
@@ -46,7 +46,7 @@ def scan(
     for departure, arrival in _to_and_fro(*map(phases, space.phase_spans)):
         at = Pass((departure, arrival), times_s)
         mission = space.mission_of(at)
-        planner = planner or Planner(mission)
+        planner = planner or Planner(mission, p3_resolution=ROUGH)
         best = _cheapest(planner, at, mission, last)
         cells.append(best)
         observe(best)
@@ -56,11 +56,10 @@ def scan(
 
 def _cheapest(planner: Planner, at: Pass, mission: Mission, last: PassResult | None) -> PassResult:
     """P3 from the neighbour's burns, and where that ends nowhere from turns about the body."""
-    algorithm = planner.algorithm.resolving(ROUGH)
-    runner = StageRunner(mission, ScpStages(planner, mission, algorithm))
+    runner = StageRunner(mission, planner)
     for guess in _guesses(mission, last):
-        stage = runner.solver.solve("P3", planner.p3_rows, runner.start(guess), lambda *_: None)
-        result = PassResult(at, mission, uninterrupted(stage))
+        stage = runner.solve("P3", planner.p3_rows, runner.start(guess))
+        result = PassResult(at, mission, stage)
         if result.converged:
             break
     return result

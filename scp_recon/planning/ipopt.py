@@ -95,14 +95,16 @@ class IpoptStages:
     variant: Variant
     elastic: bool = False
 
-    def deterministic_rows(self) -> DeterministicRows:
-        """P3's constraints."""
+    @property
+    def p3_rows(self) -> DeterministicRows:
+        """See `RowsSolver`."""
         return DeterministicRows(self.mission.problem)
 
+    @property
     def first_stage_rows(self) -> None:
         """There are none: its programs have all constraints from the first."""
 
-    def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
+    def p2_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """P2's constraints on given facets, screened as the planner screens them."""
         mission = self.mission
         clearance_m = CLEARANCE_M if self.variant.screened else np.inf
@@ -113,7 +115,9 @@ class IpoptStages:
         """There are none."""
         raise InputError("risk.allocation", "'exact'", f"goes with {option('method', 'scp')} only")
 
-    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> NlpStage:
+    def solve(
+        self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
+    ) -> NlpStage:
         """Solve P3 or, on the included facets of its rows, P2.
 
         An elastic problem that stays violated is weighed once more, with SCP's second weight.
@@ -126,7 +130,7 @@ class IpoptStages:
         runs: list[NlpResult] = []
         lin, status = start, Status.SOLVER_FAILED
         for weight in weights:
-            lin, run = self._run(rows, lin, weight)
+            lin, run = self._run(rows, lin, dynamics, weight)
             runs.append(run)
             violated = merit.worst_violation(lin) > algorithm.feasible
             status = _status(run.outcome, violated=violated, elastic=self.elastic)
@@ -139,20 +143,14 @@ class IpoptStages:
         return NlpStage(name, result, merit, facets, algorithm.feasible, tuple(runs))
 
     def _run(
-        self, rows: Rows, lin: Linearisation, penalty: float | None
+        self, rows: Rows, lin: Linearisation, dynamics: Dynamics, penalty: float | None
     ) -> tuple[Linearisation, NlpResult]:
-        mission = self.mission
-        facets = _included(rows) if isinstance(rows, ChanceRows) else None
-        start = Start(lin.iterate, lin.factor)
-        run = solve_nlp(mission.problem, self.arcs, facets, start, self.variant, penalty)
+        problem, start = self.mission.problem, Start(lin.iterate, lin.factor)
+        facets = rows.carried if isinstance(rows, ChanceRows) else None
+        run = solve_nlp(problem, self.arcs, facets, start, self.variant, penalty)
         if not (np.isfinite(run.iterate.burns).all() and np.isfinite(run.iterate.mean).all()):
             return lin, replace(run, outcome=NlpOutcome.FAILED)
-        return mission.dynamics.linearise(mission.problem, run.iterate), run
-
-
-def _included(rows: ChanceRows) -> Facets:
-    names = Facets.__annotations__
-    return Facets(*(getattr(rows.facets, name)[rows.included] for name in names))
+        return dynamics.linearise(problem, run.iterate), run
 
 
 def _status(outcome: NlpOutcome, *, violated: bool, elastic: bool) -> Status:

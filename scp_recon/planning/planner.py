@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, partial
 from time import perf_counter
 from typing import Final, Literal
 
@@ -21,6 +21,7 @@ from formulations.rows.exact import FlightRows, NodeRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.stages import (
@@ -31,7 +32,7 @@ from scp_recon.planning.stages import (
     without_parting_sets,
 )
 from scp_recon.scp.algorithms import ALGORITHMS
-from scp_recon.scp.loop import Algorithm, Record, run
+from scp_recon.scp.loop import Algorithm, run
 
 PROGRAM_NODES_MAX = 48
 """Nodes in the lifted program of P2 to begin with: its memory grows with them times the factor."""
@@ -91,9 +92,10 @@ def plan(
 
 
 class Planner:
-    """Plans a mission, and plans it again from other initial states.
+    """Plans a mission by SCP, and plans it again from other initial states.
 
-    Keeps its convex subproblems: their sparsity, and what a solver or CVXPY made of it. Exact
+    A `RowsSolver` that keeps its subproblems: their sparsity, and what a solver or CVXPY made of it;
+    they serve any mission with the same constraints, schedule and nodes. Exact
     constraints are held to the target probability, by default what the scenario asks. `p3_resolution`
     is the relative reduction of the merit at which P3 stops, where P2 goes on from there.
 
@@ -118,7 +120,7 @@ class Planner:
         self.solver: Final = solver
         self.algorithm_name: Final = algorithm
         weight = {"weight": WEIGHT} if has_final_limit(mission) else {}
-        self.algorithm: Final = ALGORITHMS[algorithm](**weight)
+        self.algorithm: Algorithm = ALGORITHMS[algorithm](**weight)
         if self.algorithm.penalty == "augmented" and not mission.must_meet:
             raise InputError(
                 "algorithm",
@@ -129,6 +131,7 @@ class Planner:
             require_no_final_limit(mission, f"the formulation condensed, not with {formulation}")
         self._make = subproblem_maker(formulation)
         self._p2_rows: ChanceRows | None = None
+        self._exact_rows: Sequence[tuple[str, Rows]] = ()
         self._kept: dict[type[Rows], Subproblem] = {}
 
     def plan(
@@ -151,8 +154,7 @@ class Planner:
         `choices` times. The observer is called after each iteration with the stage's name and the
         record.
         """
-        stages = ScpStages(self, self.mission, self.algorithm)
-        runner = StageRunner(self.mission, stages, observe, facet_rounds, choices)
+        runner = StageRunner(self.mission, self, observe, facet_rounds, choices)
         plan = runner.run(lambda: runner.plan(guess, problem, once=once), self._provenance(init))
         return replace(plan, target=self._target)
 
@@ -175,7 +177,7 @@ class Planner:
         ):
             raise ValueError("the plan is of another mission")
         mission = self.mission.with_initial_state(initial_state)
-        runner = StageRunner(mission, ScpStages(self, mission, self.algorithm), observe)
+        runner = StageRunner(mission, self, observe)
 
         def again() -> Stage:
             if facets is None:
@@ -196,16 +198,18 @@ class Planner:
 
     @cached_property
     def p3_rows(self) -> DeterministicRows:
-        """P3's constraints."""
+        """See `RowsSolver`."""
         return DeterministicRows(self.mission.problem, self.p3_resolution)
 
     @cached_property
     def first_stage_rows(self) -> DeterministicRows:
-        """P3's constraints without the keep-out sets that part the ways past them."""
+        """P3's without the keep-out sets that part the ways past them."""
         return DeterministicRows(without_parting_sets(self.mission.problem), RESOLUTION)
 
-    def p2_rows(self, facets: Facets, lin: Linearisation, clearance_m: float) -> ChanceRows:
-        """P2's constraints, those in the program that an iterate comes near; the last are kept."""
+    def p2_rows(
+        self, facets: Facets, lin: Linearisation, clearance_m: float = CLEARANCE_M
+    ) -> ChanceRows:
+        """See `RowsSolver`; the last are kept."""
         lifted = self.formulation == "lifted"
         nodes_max = PROGRAM_NODES_MAX if lifted else self.mission.problem.n_nodes
         included = screened(self.mission, facets, lin, clearance_m, nodes_max)
@@ -223,58 +227,35 @@ class Planner:
             self._kept[type(rows)] = kept
         return kept
 
-
-@dataclass(frozen=True)
-class ScpStages:
-    """A `RowsSolver` by SCP with a planner's subproblems, perhaps from another initial state."""
-
-    planner: Planner
-    mission: Mission
-    algorithm: Algorithm
-
-    def deterministic_rows(self) -> DeterministicRows:
-        """See `RowsSolver`."""
-        return self.planner.p3_rows
-
-    def first_stage_rows(self) -> DeterministicRows:
-        """See `RowsSolver`."""
-        return self.planner.first_stage_rows
-
-    def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
-        """See `RowsSolver`."""
-        return self.planner.p2_rows(facets, lin, CLEARANCE_M)
-
     def exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """See `RowsSolver`. A plan of whole flights begins at one of nodes, then with few directions.
 
         Flights are never likelier than their nodes, so that where the nodes are infeasible so are they.
+        Made once: drawing the directions takes time.
         """
-        if self.planner.formulation != "condensed":
-            raise InputError(
-                "risk.allocation",
-                "'exact'",
-                f"goes with the formulation condensed, not with {self.planner.formulation}",
-            )
-        problem, target = self.mission.problem, self.planner.target
-        if self.mission.scenario.risk.scope == "node":
-            return [("", NodeRows(problem, target))]
-        return [
-            (".node", NodeRows(problem, target, COARSE)),
-            (".coarse", FlightRows(problem, target, FEW_LINES, COARSE)),
-            ("", FlightRows(problem, target, LINES, FINE)),
-        ]
+        if self.formulation != "condensed":
+            needs = f"goes with the formulation condensed, not with {self.formulation}"
+            raise InputError("risk.allocation", "'exact'", needs)
+        problem, target = self.mission.problem, self.target
+        if not self._exact_rows and self.mission.scenario.risk.scope == "node":
+            self._exact_rows = [("", NodeRows(problem, target))]
+        elif not self._exact_rows:
+            self._exact_rows = [
+                (".node", NodeRows(problem, target, COARSE)),
+                (".coarse", FlightRows(problem, target, FEW_LINES, COARSE)),
+                ("", FlightRows(problem, target, LINES, FINE)),
+            ]
+        return self._exact_rows
 
-    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
+    def solve(
+        self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
+    ) -> Stage:
         """See `RowsSolver`."""
         begin = perf_counter()
-        subproblem = self.planner.subproblem(rows)
+        subproblem = self.subproblem(rows)
         setup = perf_counter() - begin
-
-        def seen(record: Record) -> None:
-            observe(name, record)
-
         algorithm = self.algorithm.resolving(rows.resolution)
-        result = run(subproblem, self.mission.dynamics, start, algorithm, seen)
+        result = run(subproblem, dynamics, start, algorithm, partial(observe, name))
         result.timing.setup += setup
         facets = rows.facets if isinstance(rows, ChanceRows) else None
         return Stage(name, result, subproblem.merit, facets, algorithm.feasible)

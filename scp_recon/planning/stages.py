@@ -24,6 +24,7 @@ from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning.initial_guess import ballistic, circular
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.scp.algorithms import SCvx
@@ -54,17 +55,16 @@ Observer = Callable[[str, Record], None]
 class RowsSolver(Protocol):
     """Solves P3 or P2 on one set of rows; nothing else distinguishes SCP's plans from IPOPT's."""
 
-    def deterministic_rows(self) -> DeterministicRows:
+    @property
+    def p3_rows(self) -> DeterministicRows:
         """P3's constraints."""
-        ...
 
+    @property
     def first_stage_rows(self) -> DeterministicRows | None:
         """Rows that P3 begins with where its guess is no flight; None if it begins with all."""
-        ...
 
-    def chance_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
+    def p2_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """P2's constraints on given facets, those in the program that an iterate comes near."""
-        ...
 
     def exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """P2's constraints with the true probabilities, one stage leading to the next, by name.
@@ -72,11 +72,11 @@ class RowsSolver(Protocol):
         Raises:
             InputError: if the method has no such rows.
         """
-        ...
 
-    def solve(self, name: str, rows: Rows, start: Linearisation, observe: Observer) -> Stage:
+    def solve(
+        self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
+    ) -> Stage:
         """A stage, from a start; an interrupted one says so in its status."""
-        ...
 
 
 @dataclass
@@ -91,7 +91,6 @@ class StageRunner:
     stages: list[Stage] = field(default_factory=list)
     timing: Timing = field(default_factory=Timing)
     _chosen: dict[str, int] = field(default_factory=dict)
-    _exact: Sequence[tuple[str, Rows]] | None = None
 
     def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
         """Run the stages of a plan; an interrupted one ends with the best stage so far, if any."""
@@ -114,7 +113,7 @@ class StageRunner:
         there is no other start.
         """
         if problem == "P2" and self.mission.scenario.risk.allocation == "exact":
-            self._exact_rows()  # a method that has none says so before any work
+            self.solver.exact_rows()  # a method that has none says so before any work
         firsts: list[Stage] = []
         finals: list[Stage] = []
         for letter, start in [("", guess)] if once else _starts(self.mission, guess):
@@ -159,11 +158,11 @@ class StageRunner:
 
     def _solve_p3(self, name: str, start: Linearisation) -> Stage:
         """P3 from a start, by way of a first stage where that is no flight; all rows judge both."""
-        rows, first = self.solver.deterministic_rows(), self.solver.first_stage_rows()
+        rows, first = self.solver.p3_rows, self.solver.first_stage_rows
         if first is not None and contradicts_itself(start):
-            stage = self._solve(f"{name}{FIRST_STAGE}", first, start, rows)
+            stage = self.solve(f"{name}{FIRST_STAGE}", first, start, rows)
             start = stage.result.lin
-        return self._solve(name, rows, start)
+        return self.solve(name, rows, start)
 
     def _solve_p2(self, name: str, start: Stage) -> Stage:
         """P2 from where a stage ended, and again with new facets as long as that helps."""
@@ -179,18 +178,12 @@ class StageRunner:
 
     def solve_exact(self, name: str, lin: Linearisation) -> Stage:
         """P2 with the true probabilities, by way of quicker stages as long as they converge."""
-        for way, rows in self._exact_rows():
-            stage = self._solve(name + way, rows, lin)
+        for way, rows in self.solver.exact_rows():
+            stage = self.solve(name + way, rows, lin)
             if stage.result.status is not Status.CONVERGED:
                 break
             lin = stage.result.lin
         return stage
-
-    def _exact_rows(self) -> Sequence[tuple[str, Rows]]:
-        """Made once, because drawing the directions of flights takes time."""
-        if self._exact is None:
-            self._exact = self.solver.exact_rows()
-        return self._exact
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:
         """P2 with the facets chosen at the start; the name gets the number of the choice."""
@@ -198,28 +191,28 @@ class StageRunner:
         chosen[name] = chosen.get(name, 0) + 1
         name = name if chosen[name] == 1 else f"{name}.{chosen[name]}"
         facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
-        return self.restore(name, self.solver.chance_rows(facets, lin), lin)
+        return self.restore(name, self.solver.p2_rows(facets, lin), lin)
 
     def restore(self, name: str, rows: ChanceRows, lin: Linearisation) -> Stage:
         """P2, again with the facets that were left out of the program where they turn out missed."""
         while True:
-            stage = self._solve(name, rows, lin)
+            stage = self.solve(name, rows, lin)
             lin = stage.result.lin
             missed = rows.missed(lin, stage.tolerance)
             if not missed.any():
                 return stage
             rows = ChanceRows(self.mission.problem, rows.facets, rows.included | missed)
 
-    def _solve(
+    def solve(
         self, name: str, rows: Rows, start: Linearisation, judges: Rows | None = None
     ) -> Stage:
-        """One stage, judged by its own rows if by no others; an interrupted one ends the run."""
+        """One stage, judged by its own rows if by no others.
 
-        def seen(stage: str, record: Record) -> None:
-            if self.observe:
-                self.observe(stage, record)
-
-        stage = self.solver.solve(name, rows, start, seen)
+        Raises:
+            KeyboardInterrupt: if it was interrupted.
+        """
+        observe = self.observe or (lambda *_: None)
+        stage = self.solver.solve(name, rows, start, self.mission.dynamics, observe)
         if judges is not None:
             stage = replace(stage, merit=MeritFunction(self.mission.problem, judges))
         self.stages.append(stage)

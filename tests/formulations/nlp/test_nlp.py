@@ -373,9 +373,8 @@ def test_infeasible_is_never_called_solved(infeasible: Case) -> None:
     hard = solve_nlp(infeasible.problem, infeasible.arcs, infeasible.facets, start, variant)
     assert hard.outcome in (NlpOutcome.INFEASIBLE, NlpOutcome.LIMIT), hard.status
     stages = ipopt.IpoptStages(mission, infeasible.arcs, VARIANTS["shooting"], elastic=True)
-    elastic = stages.solve(
-        "P2", infeasible.p2.merit.rows, infeasible.p3.result.lin, lambda *_: None
-    )
+    rows, start_lin = infeasible.p2.merit.rows, infeasible.p3.result.lin
+    elastic = stages.solve("P2", rows, start_lin, mission.dynamics, lambda *_: None)
     assert elastic.result.status is Status.INFEASIBLE
     violations = elastic.merit.violations(elastic.result.lin)
     assert max(violations["site_distance_max"]) > elastic.tolerance

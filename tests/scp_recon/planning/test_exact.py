@@ -18,7 +18,7 @@ from formulations.rows.node_probability import SPREAD_MIN
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
-from scp_recon.planning.planner import Plan, Planner, ScpStages, plan
+from scp_recon.planning.planner import Plan, Planner, plan
 from scp_recon.planning.stages import StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
@@ -99,8 +99,7 @@ def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(
     assume(uniform.status is Status.CONVERGED)
     p = mission.scenario.risk.p_chance
     of = Mission.from_scenario(load_scenario(None, (*overrides, *exact("node", p))))
-    planner = Planner(of)
-    runner = StageRunner(of, ScpStages(planner, of, planner.algorithm))
+    runner = StageRunner(of, Planner(of))
     stage = runner.solve_exact("P2", uniform.final.result.lin)
     assert stage.result.status is Status.CONVERGED
     # Where nothing is uncertain it keeps off the limits by its least spread, which polytopes have not.

@@ -20,7 +20,7 @@ from formulations.program.model import CompiledProgram
 from formulations.program.solvers import Answer, Clarabel, Qoco
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import Plan, Planner, ScpStages, plan
+from scp_recon.planning.planner import Plan, Planner, plan
 from scp_recon.planning.stages import StageRunner
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
@@ -199,9 +199,7 @@ def p2_from_there(mission: Mission) -> Iterate:
     lin = mission.dynamics.linearise(
         mission.problem, initial_guess.from_burns(mission, np.array(P3_BURNS))
     )
-    planner = Planner(mission)
-    stages = ScpStages(planner, mission, planner.algorithm)
-    stage = StageRunner(mission, stages)._with_facets("P2", lin)
+    stage = StageRunner(mission, Planner(mission))._with_facets("P2", lin)
     assert stage.result.status is Status.CONVERGED
     return stage.result.lin.iterate
 

@@ -17,7 +17,6 @@ from formulations.rows.uniform import ChanceRows
 from scp_recon.mission import mission as mission_module
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt, stages
-from scp_recon.planning import planner as planner_module
 from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scp.algorithms import ALGORITHMS, SCvx
@@ -192,7 +191,7 @@ def test_facets_wrongly_left_out_are_restored(
     mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without any clearance only what P3 violates is known at first."""
-    monkeypatch.setattr(planner_module, "CLEARANCE_M", 0.0)
+    monkeypatch.setattr(Planner.p2_rows, "__defaults__", (0.0,))
     screened = plan(mission, initial_guess.cold(mission))
     assert len(screened.stages) > 2  # something had to be restored
     assert screened.final.result.status is Status.CONVERGED

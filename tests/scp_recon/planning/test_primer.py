@@ -18,7 +18,7 @@ from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.flow import FlowDerivatives
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.planner import Planner, ScpStages
+from scp_recon.planning.planner import Planner
 from scp_recon.planning.primer import WORTH, allowed_part, primer_history, primer_of
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.loop import run
@@ -107,9 +107,8 @@ def test_without_uncertainty_and_constraints_it_is_lawden_s() -> None:
     mission.__dict__["problem"] = problem
     planner = Planner(mission)
     rows = DeterministicRows(problem)
-    solver = ScpStages(planner, mission, planner.algorithm)
     start = mission.dynamics.linearise(problem, initial_guess.cold(mission))
-    stage = solver.solve("P3", rows, start, lambda *_: None)
+    stage = planner.solve("P3", rows, start, mission.dynamics, lambda *_: None)
     history = primer_history(mission, stage)
     assert history is not None
     burns = stage.result.lin.iterate.burns
