@@ -9,9 +9,9 @@ BY_FILE := -n 2 --dist loadfile
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test nightly coverage mutation lint format types check bench figures clean
+.PHONY: help solve test nightly coverage mutation lint format types check reference bench figures clean
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 solve: $(VENV)/.solve  ## set up and plan Reconnaissance B from a cold start
 	$(BIN)/python -m scp_recon.solve --init cold
@@ -40,6 +40,10 @@ coverage: $(VENV)/.dev  ## lines and branches that the tests reach
 mutation: $(VENV)/.dev  ## change formulations in every small way, and see which changes no test notices
 	HYPOTHESIS_PROFILE=mutation OMP_NUM_THREADS=1 $(BIN)/mutmut run --max-children 2
 	$(BIN)/mutmut results
+
+reference: $(VENV)/.solve  ## write docs/reference and the JSON schema of scenarios from the code
+	$(BIN)/python -m scp_recon.reference docs/reference
+	$(BIN)/python -m scp_recon schema docs/scenario.schema.json
 
 bench: $(VENV)/.dev  ## time everything, and renew the README's performance section
 	$(BIN)/python -m benchmarks --readme

@@ -39,6 +39,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 BAD_INPUT, NOT_VERIFIED = 2, 4
+EXIT_STATUSES = {
+    "0": "converged, no buffer in use, and verified; with or without warnings",
+    "2": "bad input: one message names the entry, what was given and what is allowed; nothing is "
+    "written",
+    "3": "infeasible: the least violation found, constraint by constraint, what binds, and a `--set` "
+    "line that would be feasible; files are written",
+    "4": "not converged, or converged and not verified; of `montecarlo`: an estimated probability "
+    "below `risk.p_chance`, or an interval wider than `--until`; of `simulate`: a battery below its "
+    "floor, a load not served, a mode too short or steady too late; of `export`: a plan that is not "
+    "verified; files are written",
+    "130": "interrupted: the best plan so far is written",
+}
+"""What a command's exit status means."""
 DOCUMENT = "scp_recon.command/1"
 SCRIPT = "scp-recon"
 WIDE = 200
@@ -91,14 +104,7 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
     Raises:
         SystemExit: 0 after --help, 2 after what cannot be understood; with --json in the document too.
     """
-    p.add_argument(
-        "--json",
-        action="store_true",
-        help="one JSON document on standard output, in SI; all else goes to standard error",
-    )
-    p.add_argument(
-        "--quiet", action="store_true", help="nothing but errors, and with --json its document"
-    )
+    add_output_options(p)
     words = sys.argv[1:] if arguments is None else arguments
     usual = p.error
 
@@ -112,6 +118,18 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
     found.prog = p.prog
     found.flags = flags_of(p)
     return found
+
+
+def add_output_options(p: argparse.ArgumentParser) -> None:
+    """Options of every command."""
+    p.add_argument(
+        "--json",
+        action="store_true",
+        help="one JSON document on standard output, in SI; all else goes to standard error",
+    )
+    p.add_argument(
+        "--quiet", action="store_true", help="nothing but errors, and with --json its document"
+    )
 
 
 def flags_of(p: argparse.ArgumentParser) -> dict[str, str]:

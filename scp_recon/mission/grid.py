@@ -12,7 +12,12 @@ from formulations.arrays import Array
 
 @dataclass(frozen=True)
 class Units:
-    """Units of the nondimensional problem: an initial radius, and the time that makes GM one."""
+    """Units of the nondimensional problem.
+
+    Attributes:
+        length_m: the initial radius.
+        time_s: the time that makes GM one.
+    """
 
     length_m: float
     time_s: float

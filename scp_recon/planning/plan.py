@@ -105,11 +105,16 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Probability that nonlinear flights of an exact plan reach, at every second, with its interval.
+    """Probability that nonlinear flights of an exact plan reach, at the worst node or as a whole.
 
-    Of the node where it is least, or of whole flights; `at_nodes` is the same of the nodes alone. The
-    errors of the flights have a seed that planning has not seen. `rounds` are the plans made until
-    this one.
+    Attributes:
+        samples: flights.
+        seed: of their errors, which planning has not seen.
+        reached: probability that they reach at every second.
+        low: lower end of its 95 % interval.
+        high: upper end of it.
+        at_nodes: the same of the nodes alone.
+        rounds: plans made until this one.
     """
 
     samples: Annotated[int, Field(ge=1)]
@@ -125,7 +130,12 @@ class Certificate:
 class Optimum:
     """A local optimum that several starts found: converged, or stationary at the least violation.
 
-    Burns are J2000. `starts` are the numbers of those that ended there, 0 the guess.
+    Attributes:
+        problem: that was solved.
+        status: how its starts ended.
+        total_dv_m_s: sum of its burns' sizes.
+        burns_m_s: its burns, J2000.
+        starts: numbers of those that ended there, 0 the initial guess.
     """
 
     problem: Literal["P3", "P2"]
@@ -142,7 +152,13 @@ class Optimum:
 
 @dataclass(frozen=True)
 class Starts:
-    """Several starts, the guess included; the plan is the best of them. Each end counts once."""
+    """Several starts, the guess included; the plan is the best of them.
+
+    Attributes:
+        number: of starts.
+        seed: of the random ones.
+        optima: each local optimum once.
+    """
 
     number: Annotated[int, Field(ge=2)]
     seed: Annotated[int, Field(ge=0)]
@@ -151,9 +167,12 @@ class Starts:
 
 @dataclass(frozen=True)
 class Parent:
-    """The plan, by its file or in words, that was flown before another was made in flight.
+    """The plan that was flown before another was made in flight.
 
-    The new one was made from the state at `at_s`, s past the epoch.
+    Attributes:
+        name: its file, or words for it.
+        plan_hash: its hash.
+        at_s: time of the state from which the new one was made, past the epoch.
     """
 
     name: Line

@@ -32,7 +32,12 @@ SURE = 1e-16
 
 @dataclass(frozen=True)
 class Burn:
-    """An impulse."""
+    """An impulse that was planned.
+
+    Attributes:
+        t_s: time past the epoch.
+        dv_m_s: velocity that it adds.
+    """
 
     t_s: float
     dv_m_s: tuple[Speed, Speed, Speed]
@@ -40,7 +45,13 @@ class Burn:
 
 @dataclass(frozen=True)
 class Nodes:
-    """Mean and covariance on the grid, after the burn where one falls on the node."""
+    """Mean and covariance on the grid, after the burn where one falls on the node.
+
+    Attributes:
+        t_s: times of the n nodes past the epoch.
+        state: position in m and velocity in m/s, n x 6.
+        covariance: of these, n x 6 x 6.
+    """
 
     t_s: list[Number]
     state: list[list[Number]]
@@ -61,7 +72,15 @@ class Nodes:
 
 @dataclass(frozen=True)
 class FacetTable:
-    """Facets n'y <= offset of P2, one row each; `node` counts from 0."""
+    """Facets of P2: `normal . r + quantile * deviation <= offset_m` holds at the node.
+
+    Attributes:
+        constraint: name of the constraint, for each facet.
+        node: its node, counted from 0.
+        normal: of the half-space that is kept.
+        offset_m: the facet's, along its normal.
+        quantile: normal quantile of its share of the risk.
+    """
 
     constraint: list[Line]
     node: list[Annotated[int, Field(ge=0)]]
@@ -77,7 +96,17 @@ class FacetTable:
 
 @dataclass(frozen=True)
 class StageSummary:
-    """One run of the SCP."""
+    """One run of the SCP.
+
+    Attributes:
+        name: `P3`, `P2`; `P2.2` with facets chosen a second time, and so on; `P3b`, `P2b` begun again
+            at the ballistic arc, `c` and `d` at a turn about the body the shorter and the longer way;
+            `P3.open` leads to P3 from a guess that is no flight, `P2.node` and `P2.coarse` to the P2 of
+            an exact plan of whole flights.
+        status: how it ended.
+        total_dv_m_s: sum of its burns' sizes.
+        iterations: their number.
+    """
 
     name: Line
     status: Line
@@ -87,7 +116,20 @@ class StageSummary:
 
 @dataclass(frozen=True)
 class IterationRecord:
-    """One SCP iteration: merits in m/s, radius in m/s, violation and defect in m."""
+    """One SCP iteration; velocities count as metres per unit of time in violation and defect.
+
+    Attributes:
+        stage: name of the stage.
+        k: its number in the stage, from 1.
+        merit: cost and penalties of the iterate, m/s.
+        predicted: reduction of the merit by the convex model, m/s.
+        actual: reduction of the merit, m/s.
+        accepted: whether the step was taken.
+        trust_radius: bound on the change of a burn's component, m/s.
+        max_violation: largest violation, m.
+        max_defect: largest gap between arcs, m.
+        solver_s: seconds in the conic solver.
+    """
 
     stage: Line
     k: int
@@ -103,7 +145,14 @@ class IterationRecord:
 
 @dataclass(kw_only=True)
 class PlanTiming(Timing):
-    """Seconds of all stages: in total, by what they were spent on, and what is left."""
+    """Seconds of all stages, of the kept start.
+
+    By IPOPT: building and compiling, derivatives, 0, IPOPT itself, the rest.
+
+    Attributes:
+        total: all of them.
+        other: what the parts leave.
+    """
 
     total: float
     other: float
@@ -113,8 +162,12 @@ class PlanTiming(Timing):
 class EventProbability:
     """A joint constraint by the normal law, at its nodes; of a whole flight just one.
 
-    `sigma` are the probabilities' normal quantiles, which differ where probabilities are one to the
-    last digit; older files have none.
+    Attributes:
+        name: of the constraint, or `whole_flight`.
+        t_s: times of its nodes.
+        probability: that it holds there.
+        sigma: normal quantiles of the probabilities, which differ where these are one to the last
+            digit; absent from older files.
     """
 
     name: Line
@@ -138,9 +191,14 @@ class EventProbability:
 
 @dataclass(frozen=True)
 class Risk:
-    """The risk of an exact plan, of each node or of the whole flight: required and targeted.
+    """The risk of an exact plan.
 
-    Without a certificate no flights stand behind it.
+    Attributes:
+        scope: whether each node or the whole flight is meant.
+        required: probability required.
+        target: probability that the rows are held to.
+        certificate: what nonlinear flights reached; without one no flights stand behind the plan.
+        normal_law: what the normal law says.
     """
 
     scope: Literal["node", "flight"]
@@ -152,7 +210,14 @@ class Risk:
 
 @dataclass(frozen=True)
 class MeanMargin:
-    """Margin of an original constraint for the mean, between the nodes too."""
+    """Margin of an original constraint for the mean, between the nodes too.
+
+    Attributes:
+        name: of the constraint.
+        worst_margin: the smallest, >= 0 where satisfied.
+        unit: of the margin.
+        worst_t_s: its time.
+    """
 
     name: str
     worst_margin: float
@@ -162,7 +227,15 @@ class MeanMargin:
 
 @dataclass(frozen=True)
 class JointProbability:
-    """Probability of a joint constraint at the time when it is smallest, by Monte Carlo."""
+    """Probability of a joint constraint at the time when it is smallest, by Monte Carlo.
+
+    Attributes:
+        name: of the constraint.
+        worst_t_s: that time.
+        estimate: share of the flights.
+        low: lower end of its Clopper-Pearson interval.
+        high: upper end of it.
+    """
 
     name: str
     worst_t_s: float
@@ -175,7 +248,10 @@ class JointProbability:
 class FinalMiss:
     """By how much the final state is missed, where the burns left are too few to meet it.
 
-    `weighted_m_s` is what the plan charges for it, beside its delta-v.
+    Attributes:
+        position_m: in position.
+        velocity_m_s: in velocity.
+        weighted_m_s: charge for it in the plan's cost, beside the delta-v.
     """
 
     position_m: float
@@ -194,7 +270,12 @@ class FinalMiss:
 class FinalSigma:
     """A limit on the covariance after the last burn, and what nonlinear flights reach of it.
 
-    Root of the summed variances of the three components; `error` is one standard error.
+    Attributes:
+        name: of the limit.
+        unit: of the figures.
+        required: largest root of the summed variances of the three components.
+        flown: that root over 5000 nonlinear flights.
+        error: one standard error of it.
     """
 
     name: str
@@ -213,7 +294,26 @@ class FinalSigma:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Verification:
-    """An independent look at the result; `failed` names what keeps it from being ok."""
+    """A check of the plan without the solver.
+
+    Attributes:
+        terminal_position_error_m: miss of the final position when the burns are flown again.
+        terminal_velocity_error_m_s: miss of the final velocity.
+        max_defect: largest difference between a stored node and that flight, m; velocities count as
+            metres per unit of time.
+        sample_error_m: largest difference between sampled flights and the adaptive integration; the
+            same.
+        covariance_error: largest error of a stored covariance, relative to its largest entry in scaled
+            units.
+        mean_margins: every original constraint on the mean, between the nodes too.
+        samples: flights of the Monte Carlo simulation.
+        confidence: of its Clopper-Pearson intervals.
+        probabilities: each joint constraint where it is smallest.
+        failed: what fell short, a status other than converged among it.
+        missed: miss of the final state where too few burns are left to meet it; reported, not judged.
+        final_sigmas: limits on the covariance after the last burn; absent from older files.
+        ok: whether nothing fell short.
+    """
 
     terminal_position_error_m: float
     terminal_velocity_error_m_s: float
@@ -249,8 +349,32 @@ class Verification:
 class Facts:
     """Everything that is stored of a plan; its file can be solved again from itself.
 
-    Older files say neither `method` nor `tolerance`, the violation in units of the nondimensional
-    problem that counted as none.
+    Attributes:
+        status: `converged`, `infeasible`, `max_iterations`, `stalled`, `solver_failed` or
+            `interrupted`.
+        message: what that means, and what to try next.
+        problem: `P2`, or `P3` where planning ended before the uncertainty.
+        init: where planning began: `cold`, `warm`, a file.
+        method: `none` where nothing was optimised; absent from older files.
+        formulation: of the convex program, or variant of the nonlinear one.
+        algorithm: that solved it.
+        solver: that it used.
+        tolerance: violation in units of the nondimensional problem that counts as none: 1e-6, of whole
+            flights 1e-5, in a stage that leads to them 1e-3; absent from older files.
+        burns: those planned; the ones flown before stand in `scenario.in_flight.flown_m_s`.
+        nodes: mean and covariance of the flight.
+        stages: one for each run of the SCP.
+        facets: of P2, absent from P3 and with exact risk.
+        risk: of an exact plan.
+        starts: of a plan that is the best of several starts.
+        parent: of a plan made in flight.
+        primer: of a converged plan whose errors shrink with the burns; absent from older files.
+        iterations: one for each iteration of each stage.
+        timing_s: what it took.
+        verification: absent if the run was interrupted.
+        warnings: entries that were hardly meant so.
+        scenario: the whole validated input, with the numbers computed from shapes, kernels and gravity
+            files ([entries](scenario.md)).
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(

@@ -43,10 +43,18 @@ SAME_PROBABILITY, ROUNDING = 1e-9, 1e-9
 
 @dataclass(frozen=True)
 class ConstraintResult:
-    """The smallest margin of a constraint, >= 0 where satisfied.
+    """The smallest margin of a constraint.
 
-    In P2 the margin of a state constraint is what is left of the distance to the facet after the
-    quantile times the standard deviation; in P3 the mean's distance to the region.
+    Attributes:
+        name: of the constraint; of an exact plan one for each joint constraint, or `whole_flight`.
+        kind: limits on the final covariance are of the kind `covariance`.
+        worst_margin: >= 0 where satisfied. In P2 what is left of the distance to the facet after the
+            quantile times the standard deviation, in P3 the mean's distance to the region. Of the kind
+            `joint` how many standard deviations the probability is above the one aimed at, on the
+            normal quantile scale.
+        unit: of the margin.
+        worst_t_s: its time.
+        facets: their number at that node.
     """
 
     name: Line
@@ -59,7 +67,13 @@ class ConstraintResult:
 
 @dataclass(frozen=True)
 class ViolationAmount:
-    """Violation of one constraint: its buffers' largest and their sum."""
+    """Violation of one constraint; `final_state` is the miss of the final state.
+
+    Attributes:
+        max: the largest of its buffers.
+        total: their sum.
+        unit: of both.
+    """
 
     max: Annotated[float, Field(ge=0)]
     total: Annotated[float, Field(ge=0)]
@@ -68,7 +82,14 @@ class ViolationAmount:
 
 @dataclass(frozen=True)
 class Violation:
-    """Violation of all constraints; velocities count as metres over one unit of time."""
+    """What the buffers hold above the tolerance; nothing where the plan is feasible.
+
+    Attributes:
+        max: the largest, m; velocities count as metres per unit of time, a standard deviation as a unit
+            of length.
+        total: their sum.
+        by_constraint: each constraint that is violated.
+    """
 
     max: Annotated[float, Field(ge=0)]
     total: Annotated[float, Field(ge=0)]
@@ -79,8 +100,11 @@ class Violation:
 class Figures:
     """The figures that a file carries beside its facts, all of them computed from these.
 
-    Violations are what the buffers hold above the tolerance; those of different kinds are compared in
-    the nondimensional problem's units.
+    Attributes:
+        total_dv_m_s: sum of the burns' sizes.
+        constraints: the smallest margin of each constraint.
+        violation: of all constraints.
+        units: of the nondimensional problem.
     """
 
     __pydantic_config__ = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)

@@ -77,7 +77,9 @@ class ScenarioWarning(Section):
     """An entry, by its dotted path, that is hardly what was meant."""
 
     entry: Line
+    """Dotted path of the entry."""
     given: Line
+    """The value found, in words."""
     expected: Line
     """What would have raised no question, and why."""
 

@@ -33,7 +33,7 @@ def json_schema() -> dict[str, Any]:
     definitions = _as_draft_7(schema.pop("$defs"))
     for name, table in [("Scenario", schema), *definitions.items()]:
         table.pop("required", None)
-        told = _docstrings(models[name])
+        told = field_descriptions(models[name])
         for key, entry in table["properties"].items():
             entry.pop("title", None)
             if "description" not in entry and key in told:
@@ -79,8 +79,8 @@ def _models(model: type[BaseModel]) -> set[type[BaseModel]]:
     return found
 
 
-def _docstrings(model: type[BaseModel]) -> dict[str, str]:
-    """What stands below each field of a model in its source, and the summary of a table's class."""
+def field_descriptions(model: type[BaseModel]) -> dict[str, str]:
+    """Descriptions of a model's fields: the docstring below each, or that of the table it holds."""
     tree = ast.parse(inspect.getsource(sys.modules[model.__module__]))
     body = next(
         node.body

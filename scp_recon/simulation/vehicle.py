@@ -245,7 +245,7 @@ def load_vehicle(path: Path | None = None) -> Vehicle:
 
 
 def check_vehicle(vehicle: Vehicle, scenario: Scenario) -> Iterator[ScenarioWarning]:
-    """Whether the vehicle that is flown is the spacecraft that was planned for."""
+    """Warn of a vehicle in `simulate` whose mass is 5 % and more off `spacecraft.mass_kg`."""
     planned, flown = scenario.spacecraft.mass_kg, vehicle.mass.mass_kg
     if abs(flown - planned) > SAME_MASS * planned:
         yield ScenarioWarning.of(

@@ -28,7 +28,7 @@ SAME_SITE_DEG = 5.0
 
 
 def named_site(scene: Scene) -> Iterator[ScenarioWarning]:
-    """A packaged site's name goes with its place."""
+    """Warn of a packaged site's name 5 deg and more off its place, as seen from the centre."""
     here = scene.scenario
     for name in base_names():
         there = packaged_scenario(name)
@@ -52,7 +52,11 @@ def named_site(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
-    """A packaged body's name goes with its gravity, radii, pole and spin."""
+    """Warn of a packaged body's name with figures that are not its own.
+
+    That is another GM (5 %), J2, radius or radii (20 %), spin (1 %), pole or prime meridian (2 deg), or
+    a prime meridian of which two sources are more than that apart, as of Eros.
+    """
     body = scene.scenario.body
     packaged = packaged_body(body.name)
     if packaged is None:
@@ -119,7 +123,7 @@ def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWa
 
 
 def oblateness(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Hold J2 to about that of a homogeneous ellipsoid of the body's radii.
+    """Warn of a J2 40 % and more off that of a homogeneous ellipsoid of `body.radii_m`.
 
     That is (a^2 + b^2 - 2 c^2) / (10 R^2) at a reference radius R. A packaged body's is known.
     """
@@ -139,7 +143,7 @@ def oblateness(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def site_angles(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Latitude and longitude that could both be in radians likely are: one site of 1000 is there."""
+    """Warn of a latitude within 1.57 and a longitude within 6.28 deg, as in radians."""
     site = scene.scenario.site
     latitude, longitude = site.latitude_deg, site.longitude_deg
     if latitude is None or longitude is None:

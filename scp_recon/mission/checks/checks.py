@@ -1,10 +1,15 @@
 """Runs every check of a mission: units, axes, and entries that contradict each other.
 
-A check computes what the other entries make of one of them. What no body and no flight about one
-reaches is refused, as kilometres in the place of metres are; what is unlikely becomes a warning. A
-quantity that is held to an interval is a row of `intervals`, anything else a function. Physics cannot
-tell a probability, and the axes of the boundary states only where wrong ones lead into the body's
-shadow.
+Whatever can be computed is computed, and what is given as well is checked against it. What no body
+and no flight about one reaches is refused before any work, as kilometres in the place of metres are;
+what is unlikely becomes a warning, which stands in `solution.json` and above every verdict, and
+changes no exit status. A quantity that is held to an interval is a row of `intervals`, anything else a
+function.
+
+Physics cannot tell a probability, the axes of the boundary states (unless wrong ones lead into the
+shadow; `solve` shows their distance, angle off the Sun and climb), the prime meridian, pole or spin of
+a body that is not packaged, a small body wholly in kilometres, or a Sun of another epoch in a complete
+file: name that file as `base` instead.
 """
 
 from __future__ import annotations
@@ -62,9 +67,10 @@ def check_state(scene: Scene) -> tuple[ScenarioWarning, ...]:
 
 
 def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
-    """Hold a window to the light, and one that was given to the limits it stands in for.
+    """Refuse a window in which the site is dark, be it for a moment; warn of one beyond its limits.
 
-    Between its edges too.
+    The latter of a window that was given. Limits are the file's own of incidence and local solar time,
+    with a slack of 0.05 deg or h.
 
     Raises:
         InputError: if the site is dark at some time in it; of a window that was computed it names the

@@ -1,7 +1,7 @@
 """Checks of a scenario that hold one quantity to an interval, as rows of data.
 
 Beyond the wider interval a row refuses what no body and no flight about one reaches, as kilometres in
-the place of metres are; beyond the narrower one it warns. docs/warnings.md shows these rows.
+the place of metres are; beyond the narrower one it warns. docs/reference/warnings.md shows these rows.
 """
 
 from __future__ import annotations

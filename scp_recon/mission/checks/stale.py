@@ -31,6 +31,10 @@ OF_ONE_BODY = "body.gm_m3_s2", "body.j2", STATE[0]
 def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
     """Refuse the Sun of another epoch and the normal of another site; warn of another body's figures.
 
+    Another epoch is one at which the Sun has moved by 0.01 deg, another site one 1 deg away as seen
+    from the centre; figures are GM, J2 and the Sun's position under another name. Held against it are
+    the file that is named as base, the file itself where `--set` changes it, and every packaged one.
+
     Raises:
         InputError: naming the entry that has to be given as well.
     """

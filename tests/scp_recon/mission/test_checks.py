@@ -520,26 +520,10 @@ def test_the_command_says_so_in_one_message(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-# --- the rows, and the page that shows them --------------------------------------------------------
+# --- the rows -----------------------------------------------------------------------------------
 
 
 ROWS = (*PLANNER_INTERVALS, *INTERVALS, *STATE_INTERVALS)
-
-
-def documented(row: Interval) -> str:
-    """A row of `intervals` as docs/warnings.md has it."""
-    entries = ", ".join(f"`{entry}`" for entry in row.entries.split())
-    ends = [row.within(ends) if ends else "" for ends in (row.refuse, row.warn)]
-    return (
-        " ".join(f"| {cell}".rstrip() for cell in (entries, row.quantity or "itself", *ends)) + " |"
-    )
-
-
-def test_the_page_of_warnings_shows_every_row_in_order() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "warnings.md").read_text("utf-8")
-    shown = page.split("| entries | quantity | allowed | expected |\n|---|---|---|---|\n")[1]
-    rows = [documented(row) for row in ROWS]
-    assert shown.split("\n\n")[0].splitlines() == rows
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.quantity)

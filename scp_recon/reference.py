@@ -1,0 +1,258 @@
+"""Writes the reference pages from the code: `python -m scp_recon.reference docs/reference`.
+
+Commands come from their parsers, entries and keys from the types that validate them with the
+descriptions that stand beside them, warnings from the rows and functions that raise them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import re
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from scp_recon.__main__ import COMMANDS, command
+from scp_recon.cli.command import EXIT_STATUSES, SCRIPT, add_output_options
+from scp_recon.files import write_atomically
+from scp_recon.mission import grid
+from scp_recon.mission.checks import checks
+from scp_recon.mission.checks.intervals import (
+    INTERVALS,
+    PLANNER_INTERVALS,
+    STATE_INTERVALS,
+    Interval,
+)
+from scp_recon.planning import plan, primer
+from scp_recon.results import facts, figures
+from scp_recon.results.solution import HASH, SCHEMA
+from scp_recon.scenario.json_schema import field_descriptions, json_schema
+from scp_recon.simulation.vehicle import check_vehicle
+
+Schema = Mapping[str, Any]
+VAST = 1e9
+"""Bounds from here on only keep squares finite."""
+HEAD = "<!-- Written by `make reference` from the code: do not edit. -->\n\n"
+
+
+def commands_page() -> str:
+    """Every command with its arguments and options, and the exit statuses."""
+    shared = argparse.ArgumentParser(add_help=False)
+    add_output_options(shared)
+    parts = [
+        "# Commands",
+        f"`{SCRIPT} NAME ...` or `python -m scp_recon NAME ...`; `python -m scp_recon.solve` is "
+        f"`{SCRIPT} solve`.",
+        table(("exit status", "means"), EXIT_STATUSES.items()),
+        "## Options of every command",
+        table(("option", "means"), _options(shared)),
+    ]
+    for name in COMMANDS:
+        parser = command(name).parser()
+        parts += [f"## {name}", str(parser.description)]
+        parts.append(table(("argument or option", "means"), _options(parser)))
+    return _page(parts)
+
+
+def _options(parser: argparse.ArgumentParser) -> Iterator[tuple[str, str]]:
+    """Each argument as it is typed, and its help."""
+    formatter = parser._get_formatter()
+    for action in parser._actions:
+        if action.dest != "help":
+            metavar = action.metavar if isinstance(action.metavar, str) else ""
+            words = f"{action.option_strings[-1]} {metavar}" if action.option_strings else metavar
+            required = "; required" if action.option_strings and action.required else ""
+            yield f"`{words.strip()}`", formatter._expand_help(action) + required
+
+
+def scenario_page() -> str:
+    """Every entry of a scenario file."""
+    schema = json_schema()
+    parts = [
+        "# Entries of a scenario",
+        f"{schema['description']} [scenario.md](../scenario.md) says",
+    ]
+    parts[-1] += " what has to be given, and what follows from it."
+    for path, entries in _tables(schema, schema["definitions"]):
+        rows = (
+            (f"`{key}`", _kind(entry), _default(entry), _first_of_table(entry))
+            for key, entry in entries["properties"].items()
+        )
+        parts += [f"## `[{path}]`" if path else "## Above all tables"]
+        parts += [_flowing(entries["description"])] if path else []
+        parts.append(table(("entry", "value", "default", "means"), rows))
+    return _page(parts)
+
+
+def solution_page() -> str:
+    """Every key of a solution file."""
+    modules = (plan, primer, grid, facts, figures)
+    kinds = {name: kind for module in modules for name, kind in vars(module).items()}
+    parts = [
+        "# Keys of a solution file",
+        "SI, J2000, body-centred. [solution_file.md](../solution_file.md) says which follow from "
+        "others, and what the verification is.",
+    ]
+    head = {
+        "schema": ("text", f"`{SCHEMA}`."),
+        HASH: ("text", "SHA-256 of `scenario` and `burns` as they were written; see there."),
+    }
+    rows = [(f"`{key}`", *words) for key, words in head.items()]
+    for root in (figures.Figures, facts.Facts):
+        schema = facts.adapter(root).json_schema()
+        schema["properties"].pop("scenario", None)
+        for path, entries in _tables(schema, schema["$defs"]):
+            kind = kinds[entries["title"]] if path else root
+            told = _fields(kind)
+            found = [
+                (f"`{key}`", _kind(entry), text)
+                for (key, entry), text in zip(entries["properties"].items(), told, strict=False)
+            ]
+            if path:
+                parts += [f"## `{path}`", _summary(kind)]
+                parts.append(table(("key", "value", "means"), found))
+            else:
+                rows += found
+    rows.append(("`scenario`", "table", _fields(facts.Facts)[-1]))
+    parts.insert(2, table(("key", "value", "means"), rows))
+    return _page(parts)
+
+
+def _fields(kind: Any) -> list[str]:
+    """Descriptions of a type's fields in their order, under whatever name the file has them.
+
+    Raises:
+        KeyError: if one has none.
+    """
+    if issubclass(kind, BaseModel):
+        told = field_descriptions(kind)
+        return [told[name] for name in kind.model_fields]
+    told = {}
+    for each in reversed(kind.__mro__):
+        _, _, block = (inspect.getdoc(each) or "").partition("Attributes:\n")
+        told |= re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", block, re.MULTILINE)
+    return [told[field.name] for field in fields(kind)]
+
+
+def warnings_page() -> str:
+    """Every check that refuses or warns about what a scenario says."""
+    rows = (_row(row) for row in (*PLANNER_INTERVALS, *INTERVALS, *STATE_INTERVALS))
+    functions = [check for check in checks.CHECKS if inspect.isfunction(check)]
+    parts = [
+        "# What is refused, and what is warned about",
+        _summary(checks).partition(". ")[2],
+        "## Quantities held to an interval",
+        "Outside what is allowed an entry is refused, outside what is expected it is warned about. "
+        "Of a vector its length counts.",
+        table(("entries", "quantity", "allowed", "expected"), rows),
+        "## Other checks",
+        "\n".join(
+            f"- {_summary(each)}" for each in (*functions, checks.check_window, check_vehicle)
+        ),
+    ]
+    return _page(parts)
+
+
+def _row(row: Interval) -> tuple[str, ...]:
+    entries = ", ".join(f"`{entry}`" for entry in row.entries.split())
+    ends = (row.within(ends) if ends else "" for ends in (row.refuse, row.warn))
+    return entries, row.quantity or "itself", *ends
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    cells = [[_flowing(cell).replace("|", "\\|") for cell in line] for line in lines]
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
+
+
+def _tables(schema: Schema, definitions: Schema) -> Iterator[tuple[str, Schema]]:
+    """Every table with its dotted path, the outermost with an empty one first."""
+    open_tables: list[tuple[str, Schema]] = [("", schema)]
+    while open_tables:
+        path, entries = open_tables.pop(0)
+        yield path, entries
+        open_tables[:0] = [
+            (f"{path}.{key}".lstrip("."), definitions[name])
+            for key, entry in entries["properties"].items()
+            for name in dict.fromkeys(re.findall(r"'#/\$?\w+/(\w+)'", str(entry)))
+        ]
+
+
+def _kind(entry: Schema) -> str:
+    """The values that an entry may have, in words."""
+    if "$ref" in entry:
+        return "table"
+    if "anyOf" in entry:
+        kinds = [_kind(one) for one in entry["anyOf"] if one.get("type") != "null"]
+        return " or ".join(dict.fromkeys(kinds))
+    if "enum" in entry or "const" in entry:
+        return " or ".join(f"`{one}`" for one in entry.get("enum", [entry.get("const")]))
+    if entry["type"] == "array":
+        each = entry.get("prefixItems") or entry.get("items", {})
+        if isinstance(each, list):
+            kinds = [_kind(one) for one in each]
+            same = len(set(kinds)) == 1
+            return f"{len(kinds)} times {kinds[0]}" if same else f"[{', '.join(kinds)}]"
+        bounds = [str(entry[key]) for key in ("minItems", "maxItems") if key in entry]
+        return f"list{' of ' + ' to '.join(bounds) if bounds else ''}: {_kind(each)}"
+    if entry["type"] == "object":
+        return f"by name: {_kind(entry['additionalProperties'])}"
+    names = {"string": "text", "boolean": "true or false"}
+    signs = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
+    bounds = [
+        f"{sign} {entry[key]:.8g}"
+        for key, sign in signs.items()
+        if abs(entry.get(key, VAST)) < VAST
+    ]
+    return f"{names.get(entry['type'], entry['type'])} {', '.join(bounds)}".strip()
+
+
+def _first_of_table(entry: Schema) -> str:
+    """The description; of a table its first sentence, as it stands there in full."""
+    text = _flowing(entry["description"])
+    return text.split(". ")[0].removesuffix(".") + "." if "table" in _kind(entry) else text
+
+
+def _default(entry: Schema) -> str:
+    default = entry.get("default")
+    return "" if default is None else f"`{default}`"
+
+
+def _summary(thing: object) -> str:
+    """A docstring without its sections, in one line."""
+    return _flowing(re.split(r"\n\n(?:Attributes|Args|Raises):\n", inspect.getdoc(thing) or "")[0])
+
+
+def _flowing(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _page(parts: Iterable[str]) -> str:
+    return HEAD + "\n\n".join(parts) + "\n"
+
+
+PAGES = {
+    "commands": commands_page,
+    "scenario": scenario_page,
+    "solution": solution_page,
+    "warnings": warnings_page,
+}
+"""Names of the pages, and what makes them."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write every page into the folder that is named."""
+    (folder,) = sys.argv[1:] if arguments is None else arguments
+    for name, page in PAGES.items():
+        write_atomically(Path(folder) / f"{name}.md", page())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,31 @@
+"""The generated reference pages: current, with every option, entry and key described."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from scp_recon.reference import PAGES, main
+
+PUBLISHED = Path(__file__).parents[2] / "docs" / "reference"
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("reference")
+    assert main([str(folder)]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_current_and_describes_everything(name: str, written: Path) -> None:
+    text = (written / f"{name}.md").read_text("utf-8")
+    assert (PUBLISHED / f"{name}.md").read_text("utf-8") == text, "run make reference"
+    for line in text.splitlines():
+        if line.startswith("| `") and name != "warnings":
+            assert len(line.rstrip(" |").rpartition(" | ")[2]) > 4, line
+
+
+def test_no_other_page_stands_there() -> None:
+    assert {path.stem for path in PUBLISHED.iterdir()} == {*PAGES}
