@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from scipy.spatial import HalfspaceIntersection
 
 from formulations.arrays import Array
 from formulations.problem.polytopes import (
-    BallPolytope,
     ball,
     inner_pyramid_angle,
     paper_ball,
@@ -23,7 +23,7 @@ from tests.helpers import generators, random_rotation, random_unit
 EXACT = 1e-9
 """Qhull's vertices; the rest is rounding of order one."""
 
-COUNTS = [4, 5, 6, 7, 8, 10, 12, 13, 16, 20, 24, 27, 32, 40, 50, 64]
+COUNTS = [4, 5, 6, 7, 8, 12, 13, 24, 32, 64]
 half_angles = st.floats(0.01, np.pi / 2 - 0.01)
 facet_counts = st.integers(3, 512)
 
@@ -43,64 +43,31 @@ def norms(array: Array) -> Array:
     return np.linalg.norm(array, axis=-1)
 
 
-@pytest.fixture(params=["paper", *COUNTS], ids=str)
-def polytope(request: pytest.FixtureRequest) -> BallPolytope:
-    return paper_ball() if request.param == "paper" else ball(request.param)
-
-
 # --- the ball -----------------------------------------------------------------------------------
 
 
-def test_facet_normals_are_unit_vectors(polytope: BallPolytope) -> None:
-    assert norms(polytope.normals) == pytest.approx(1.0, abs=EXACT)
-
-
-@pytest.mark.parametrize("facets", COUNTS)
-def test_a_ball_has_as_many_facets_as_asked_for_and_none_twice(facets: int) -> None:
-    normals = ball(facets).normals
-    assert normals.shape == (facets, 3)
-    cosines = normals @ normals.T - 2.0 * np.eye(facets)
-    assert cosines.max() < 1.0 - 1e-3
-
-
-def test_the_inner_polytope_lies_inside_the_unit_ball(polytope: BallPolytope) -> None:
-    assert norms(vertices(polytope.normals, 1.0 / polytope.reach)).max() <= 1.0 + EXACT
-
-
-def test_the_inner_polytope_touches_the_unit_sphere(polytope: BallPolytope) -> None:
-    assert norms(vertices(polytope.normals, 1.0 / polytope.reach)).max() >= 1.0 - EXACT
-
-
-def test_the_outer_polytope_contains_the_unit_ball_and_every_facet_touches_it(
-    polytope: BallPolytope,
-) -> None:
-    sphere = random_unit(np.random.default_rng(1), 2000)
-    assert np.all(sphere @ polytope.normals.T <= 1.0 + EXACT)
-    assert np.sum(polytope.normals**2, axis=1) == pytest.approx(1.0, abs=EXACT)
-
-
-def test_reach_is_the_distance_of_the_outer_polytopes_farthest_vertex(
-    polytope: BallPolytope,
-) -> None:
-    assert norms(vertices(polytope.normals, 1.0)).max() == pytest.approx(polytope.reach, abs=EXACT)
-
-
-def test_vertex_points_to_a_vertex_of_the_inner_polytope_on_the_unit_sphere(
-    polytope: BallPolytope,
-) -> None:
-    inner = vertices(polytope.normals, 1.0 / polytope.reach)
+@pytest.mark.parametrize("facets", ["paper", *COUNTS])
+def test_a_polytope_fits_the_unit_ball_from_inside_and_from_outside(facets: int | str) -> None:
+    polytope = ball(facets) if isinstance(facets, int) else paper_ball()
+    normals, count = polytope.normals, 24 if facets == "paper" else facets
+    assert normals.shape == (count, 3)
+    assert norms(normals) == pytest.approx(1.0, abs=EXACT)  # all touch the ball from outside
+    assert (normals @ normals.T - 2.0 * np.eye(count)).max() < 1.0 - 1e-3  # none is there twice
+    inner = vertices(normals, 1.0 / polytope.reach)
+    assert norms(inner).max() == pytest.approx(1.0, abs=EXACT)
+    assert norms(vertices(normals, 1.0)).max() == pytest.approx(polytope.reach, abs=EXACT)
     assert norms(polytope.vertex) == pytest.approx(1.0, abs=EXACT)
     assert norms(inner - polytope.vertex).min() == pytest.approx(0.0, abs=1e-7)
 
 
-@pytest.mark.parametrize("facets", range(4, 64))
+@pytest.mark.parametrize("facets", [4, 5, 6, 12, 13, 30, 63])
 def test_outer_polytopes_are_nested(facets: int) -> None:
     fewer, more = ball(facets), ball(facets + 1)
     assert np.array_equal(more.normals[:facets], fewer.normals)
     assert more.reach <= fewer.reach + EXACT
 
 
-@pytest.mark.parametrize("facets", [*COUNTS, 128, 256])
+@pytest.mark.parametrize("facets", [*COUNTS, 256])
 def test_tightness_lies_between_the_covering_and_the_packing_bound(facets: int) -> None:
     # Caps of the angle alpha = acos(1 / reach) about the normals cover the sphere, each a fraction
     # (1 - cos alpha) / 2 of it; and as every normal was put where the covering was worst, caps of
@@ -128,22 +95,21 @@ def test_the_paper_polytope_has_24_facets_at_one_distance_and_14_vertices_on_the
     assert len(found) == 14
     for vertex in expected:
         assert norms(found - vertex).min() == pytest.approx(0.0, abs=EXACT)
+    assert np.abs(polytope.vertex) == pytest.approx(np.full(3, 3**-0.5), abs=EXACT)  # a corner
     # Every facet is a triangle: exactly three of the vertices lie on its plane.
     height = expected @ polytope.normals.T
     assert np.all(np.sum(np.abs(height - 1.0 / polytope.reach) < EXACT, axis=0) == 3)
 
 
-def test_the_paper_polytope_turns_a_cube_corner_to_the_line_of_sight() -> None:
-    assert np.abs(paper_ball().vertex) == pytest.approx(np.full(3, 3**-0.5), abs=EXACT)
+@pytest.mark.parametrize(("least", "make"), [(4, ball), (3, lambda n: inner_pyramid_angle(0.5, n))])
+def test_too_few_facets_bound_nothing(least: int, make: Callable[[int], object]) -> None:
+    for facets in (-1, 0, least - 1):
+        with pytest.raises(ValueError, match=f"at least {least} facets, got {facets}"):
+            make(facets)
+    make(least)
 
 
-@pytest.mark.parametrize("facets", [-1, 0, 3])
-def test_fewer_than_four_facets_bound_no_polytope(facets: int) -> None:
-    with pytest.raises(ValueError, match="at least 4"):
-        ball(facets)
-
-
-LARGE = [100, 128, 200, 256, 384, 511, 512]
+LARGE = [100, 256, 512]
 """Up to the most that a scenario may ask for."""
 
 
@@ -182,15 +148,6 @@ def test_the_inner_pyramids_edges_lie_on_the_cone(half_angle: float, facets: int
     assert off_axis(edges) == pytest.approx(half_angle, abs=EXACT)
 
 
-@given(half_angles, facet_counts, generators)
-def test_the_inner_pyramid_lies_inside_the_cone(
-    half_angle: float, facets: int, rng: np.random.Generator
-) -> None:
-    _, edges = pyramid(inner_pyramid_angle(half_angle, facets), facets)
-    inside = rng.exponential(size=(100, facets)) @ edges
-    assert np.all(off_axis(inside) <= half_angle + EXACT)
-
-
 @given(half_angles, facet_counts)
 def test_the_outer_pyramid_contains_the_cone(half_angle: float, facets: int) -> None:
     normals, edges = pyramid(half_angle, facets)
@@ -223,17 +180,6 @@ def test_pyramids_approach_the_cone_at_the_rate_of_one_over_the_square_of_the_fa
     assert gap(facets) * facets**2 == pytest.approx(0.5 * np.pi**2, rel=0.02)
 
 
-@given(half_angles)
-def test_pyramids_become_the_cone(half_angle: float) -> None:
-    assert inner_pyramid_angle(half_angle, 10_000) == pytest.approx(half_angle, rel=1e-6)
-
-
-@pytest.mark.parametrize("facets", [-1, 0, 2])
-def test_fewer_than_three_facets_bound_no_pyramid(facets: int) -> None:
-    with pytest.raises(ValueError, match="at least 3"):
-        inner_pyramid_angle(0.5, facets)
-
-
 # --- turning ------------------------------------------------------------------------------------
 
 
@@ -256,16 +202,12 @@ def test_turn_is_the_smallest_rotation_from_start_to_end(
     assert_smallest_rotations(rotations_between(start, end), start, end)
 
 
-@given(generators)
-def test_turn_is_the_identity_where_nothing_is_to_turn(rng: np.random.Generator) -> None:
-    start = random_unit(rng)
-    assert rotations_between(start, start[None])[0] == pytest.approx(np.eye(3), abs=EXACT)
-
-
 @given(st.sampled_from([*np.eye(3), -np.ones(3) / np.sqrt(3.0)]), generators)
-def test_turn_reverses_antiparallel_vectors(axis: Array, rng: np.random.Generator) -> None:
+def test_turn_reverses_antiparallel_vectors_and_leaves_parallel_ones(
+    axis: Array, rng: np.random.Generator
+) -> None:
     for start in (axis, random_unit(rng)):
-        end = -start[None]
+        end = np.stack([-start, start])
         assert_smallest_rotations(rotations_between(start, end), start, end)
 
 

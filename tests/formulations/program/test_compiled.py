@@ -93,23 +93,6 @@ def test_its_numbers_are_what_cvxpys_own_form_gives(kind: str, penalty: Penalty)
     assert len(sparsity) >= 4
 
 
-@pytest.mark.parametrize("kind", MODELS)
-@pytest.mark.parametrize("penalty", PENALTIES)
-def test_the_entries_of_a_column_are_in_ascending_rows_each_once(
-    kind: str, penalty: Penalty
-) -> None:
-    model = MODELS[kind](penalty)
-    matrix = CompiledProgram(model).evaluate(random_values(model, np.random.default_rng(0))).matrix
-    for first, last in zip(matrix.indptr, matrix.indptr[1:], strict=False):
-        assert np.all(np.diff(matrix.indices[first:last]) > 0)
-
-
-@pytest.mark.parametrize("penalty", PENALTIES)
-@pytest.mark.parametrize("kind", MODELS)
-def test_programs_are_disciplined_convex_in_their_parameters(kind: str, penalty: Penalty) -> None:
-    assert MODELS[kind](penalty).program.is_dcp(dpp=True)
-
-
 def test_a_program_that_is_not_disciplined_is_refused() -> None:
     burns, one, other = cp.Variable(3), cp.Parameter(3), cp.Parameter()
     parameters = {"one": one, "other": other}

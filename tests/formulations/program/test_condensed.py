@@ -14,7 +14,7 @@ from formulations.linearisation.condensation import CONDENSATIONS, condense
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program import condensed
 from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
-from formulations.program.subproblem import Penalty, PenaltyParameters, Step
+from formulations.program.subproblem import Penalty, Step
 from formulations.rows.cones import NEAR_LENGTH, Rows
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
@@ -25,12 +25,10 @@ from tests.helpers import constrain, generators, near_from, random_flyby, share_
 
 from .support import (
     PENALTIES,
-    alone,
     charge_for,
     every_row,
     linearised,
     minimum,
-    need,
     solve_plainly,
     tighten,
 )
@@ -167,25 +165,6 @@ def test_the_room_of_a_row_is_its_cones(lin: Linearisation) -> None:
     assert subproblem._slack(burns) == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize("near", [-np.inf, 0.0, 0.2])
-@pytest.mark.parametrize("penalty", PENALTIES)
-@pytest.mark.parametrize("name", ["P3", "P2"])
-@settings(max_examples=share_of_examples(50, usual=4))
-@given(generators)
-def test_rows_that_are_left_out_change_nothing(
-    name: str, penalty: Penalty, near: float, rng: np.random.Generator
-) -> None:
-    lin = linearised(rng)
-    rows = every_row(lin, name)
-    charge, found = charge_for(penalty, rows, lin), []
-    with pytest.MonkeyPatch.context() as patch:
-        tighten(patch)
-        for room in (near, np.inf):
-            near_from(patch, room)
-            found.append(minimum(make(lin, rows, penalty).solve(0.5, charge), lin, charge))
-    assert found[0] == pytest.approx(found[1], rel=1e-7 if penalty == "exact" else 1e-6)
-
-
 def test_rows_far_from_binding_are_left_out_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
     lin = linearised(np.random.default_rng(7))
     subproblem = Told(lin)
@@ -283,29 +262,6 @@ def test_few_slots_and_no_row_at_first_end_where_everything_taken_does(
     assert every == pytest.approx(plain.value, rel=rel)
 
 
-@pytest.mark.parametrize("penalty", PENALTIES)
-@pytest.mark.parametrize("name", ["P3", "P2"])
-def test_unused_slots_change_nothing(
-    name: str, penalty: Penalty, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Twice as many as rows, one more, or many times as many."""
-    tighten(monkeypatch)
-    near_from(monkeypatch, np.inf)
-    lin = linearised(np.random.default_rng(12))
-    rows = every_row(lin, name)
-    charge, found = charge_for(penalty, rows, lin), []
-    largest = max(len(cones.rows) for cones in make(lin, rows)._cones)
-    for slots in (2 * largest, 2 * largest + 1, 4 * largest):
-        monkeypatch.setattr(condensed, "SLOTS", slots)
-        subproblem = make(lin, rows, penalty)
-        step = subproblem.solve(0.5, charge)
-        assert subproblem._active.all()
-        assert set(subproblem._slots) == {slots}
-        found.append(minimum(step, lin, charge))
-    rel = 1e-8 if penalty == "exact" else 1e-6
-    assert found == pytest.approx([found[0]] * 3, rel=rel)
-
-
 def test_the_entries_of_a_cone_are_its_rows_or_a_triangle_below_its_first() -> None:
     rows, columns = ConeSize(3, 2, triangular=False, slots=5).entries
     assert list(zip(rows, columns, strict=True)) == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]
@@ -366,58 +322,3 @@ def test_triangular_factors_preserve_every_facets_deviation(rng: np.random.Gener
         assert cones.triangular
         assert not np.any(np.tril(cones.values[:, 1:], -1))
     assert np.all(seen == 1)
-
-
-@pytest.mark.parametrize("name", ["P3", "P2"])
-def test_an_updated_program_is_a_new_one(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The solver keeps its factorisation's pattern; nothing else may be left of the last numbers."""
-    tighten(monkeypatch)
-    rng = np.random.default_rng(2)
-    first = linearised(rng)
-    moved = replace(first.iterate, burns=first.iterate.burns + 0.05 * rng.normal(size=(4, 3)))
-    flyby = Linearisation(first.problem, moved, first.arcs)
-    rows = every_row(first, name)
-    used, fresh = (make(first, rows) for _ in range(2))
-    used.solve(0.3, 5.0)
-    for subproblem in (used, fresh):
-        subproblem.update(flyby)
-    assert used.solve(0.8, 10.0).merit == pytest.approx(fresh.solve(0.8, 10.0).merit, rel=1e-9)
-
-
-@pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("penalty", PENALTIES)
-def test_conic_solvers_agree(name: str, penalty: Penalty) -> None:
-    need("QOCO")
-    lin = linearised(np.random.default_rng(4))
-    rows = every_row(lin, name)
-    merits = []
-    for solver in ("CLARABEL", "QOCO"):
-        with pytest.MonkeyPatch.context() as patch:
-            tighten(patch)
-            alone(patch, solver)
-            subproblem = make(lin, rows, penalty, solver)
-            for radius in (0.1, 0.8):  # built, then updated
-                subproblem.update(lin)
-                merits.append(subproblem.solve(radius, charge_for(penalty, rows, lin)).merit)
-    assert merits[2:] == pytest.approx(merits[:2], rel=1e-6)
-
-
-@pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("penalty", PENALTIES)
-def test_a_solver_that_starts_anew_each_time_agrees(name: str, penalty: Penalty) -> None:
-    """ECOS, by CVXPY's interface to it, with the tolerance that it has in use."""
-    need("ECOS")
-    lin = linearised(np.random.default_rng(4))
-    rows = every_row(lin, name)
-    charge, found = charge_for(penalty, rows, lin), []
-    for solver in ("CLARABEL", "ECOS"):
-        subproblem = make(lin, rows, penalty, solver)
-        found += [minimum(subproblem.solve(radius, charge), lin, charge) for radius in (0.1, 0.8)]
-    assert found[2:] == pytest.approx(found[:2], rel=1e-6)
-
-
-def test_a_number_is_the_exact_penaltys_weight() -> None:
-    lin = linearised(np.random.default_rng(4))
-    subproblem = make(lin, every_row(lin, "P2"))
-    one, other = subproblem.solve(0.5, 10.0), subproblem.solve(0.5, PenaltyParameters(10.0))
-    assert one.merit == pytest.approx(other.merit, rel=1e-9)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.problem.flyby import FlybyProblem
 from formulations.program.subproblem import (
     MeritFunction,
     PenaltyParameters,
@@ -115,15 +115,6 @@ def test_the_merit_is_delta_v_plus_what_the_penalty_charges(rng: np.random.Gener
         assert evaluation(lin, charge) == pytest.approx(augmented)
         alone = MeritFunction(lin.problem, DeterministicRows(lin.problem))(other, 7.0)
         assert evaluation(other, 7.0) == pytest.approx(alone) != pytest.approx(exact)
-
-
-def test_a_subproblem_costs_its_iterates_as_any_evaluation() -> None:
-    lin = linearised(np.random.default_rng(6))
-    rows = DeterministicRows(lin.problem)
-    subproblem, evaluation = make_subproblem(lin.problem, rows), MeritFunction(lin.problem, rows)
-    assert subproblem.merit(lin, 3.0) == evaluation(lin, 3.0)
-    moved = Linearisation(lin.problem, Iterate(2.0 * lin.iterate.burns, lin.iterate.mean), lin.arcs)
-    assert subproblem.merit(moved, 3.0) == evaluation(moved, 3.0)
 
 
 def strange_flight(rng: np.random.Generator) -> tuple[FlybyProblem, Linearisation]:

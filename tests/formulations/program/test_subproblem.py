@@ -1,4 +1,4 @@
-"""Convex subproblems: convex, compiled once, exact at their iterate, and alike in every form."""
+"""Convex subproblems: compiled once, exact at their iterate, wrong by the square of the step."""
 
 from __future__ import annotations
 
@@ -8,20 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
 from cvxpy.reductions.solvers.solving_chain import SolvingChain
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from formulations.arrays import Array
-from formulations.linearisation.condensation import CONDENSATIONS, Condensation, condense
-from formulations.linearisation.linearisation import Linearisation, propagate_factor
+from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program import condensed, lifted
 from formulations.program.certificate import ConeProgram
 from formulations.program.model import CompiledProgram, Model
 from formulations.program.solvers import SOLVERS, Answer, FallbackSolver
-from formulations.program.subproblem import DYNAMICS_WEIGHT, Subproblem, SubproblemError
+from formulations.program.subproblem import Subproblem, SubproblemError
 from formulations.registry import FORMULATIONS, make_subproblem
 from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
@@ -33,9 +30,8 @@ from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.status import Status
 from tests.helpers import constrain, generators, random_flyby, share_of_examples
 
-from .support import every_row, need, tighten
+from .support import every_row
 
-CONDENSED = ["condensed", "frozen-stm", "frozen-covariance"]
 FROZEN = ["frozen-stm", "frozen-covariance"]
 WEIGHT = SCvx.weight
 
@@ -63,15 +59,10 @@ class Case:
         return ChanceRows(self.problem, self.p2_rows.facets, self.p2_rows.included)
 
     def at(self, name: str) -> Linearisation:
-        """Linearised at the guess or the solution of that name."""
+        """Linearised at the ballistic guess, or at the solution of that name."""
         if name in ("P3", "P2"):
             return self.solved(name)
-        if name == "missed":
-            astray = 0.003 * np.random.default_rng(0).normal(size=(4, 3))  # m/s
-            burns = self.solved("P3").iterate.burns * self.mission.units.speed_m_s + astray
-            iterate = initial_guess.from_burns(self.mission, burns)
-        else:
-            iterate = getattr(initial_guess, name)(self.mission)
+        iterate = getattr(initial_guess, name)(self.mission)
         start = self.problem.initial_state + np.r_[0.0, 0.0, 0.0, iterate.burns[0]]
         iterate = Iterate(iterate.burns, np.vstack([start, iterate.mean[1:]]))
         return self.mission.dynamics.linearise(self.problem, iterate)
@@ -105,7 +96,7 @@ def build(case: Case) -> Build:
     return get
 
 
-# --- convex, and compiled once ------------------------------------------------------------------
+# --- compiled once ------------------------------------------------------------------
 
 
 def compiling(monkeypatch: pytest.MonkeyPatch) -> list[Model]:
@@ -121,19 +112,6 @@ def compiling(monkeypatch: pytest.MonkeyPatch) -> list[Model]:
     monkeypatch.setattr(condensed, "SLOTS", 128)
     condensed.compile_condensed.cache_clear()
     return compiled
-
-
-@pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_programs_are_disciplined_convex_and_parametrised(
-    case: Case, formulation: str, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    compiled = compiling(monkeypatch)
-    subproblem = make_subproblem(case.problem, case.rows(name), formulation)
-    subproblem.update(case.at("P3"))
-    subproblem.solve(0.5, WEIGHT)
-    (model,) = compiled
-    assert model.program.is_dcp(dpp=True)
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
@@ -172,19 +150,6 @@ def test_programs_are_compiled_once_and_only_their_numbers_change(
 # --- exact at the iterate -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("around", ["missed", "P3", "P2"])
-@pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_without_a_step_the_model_predicts_the_nonlinear_merit(
-    case: Case, build: Build, formulation: str, name: str, around: str
-) -> None:
-    subproblem, lin = build(formulation, name), case.at(around)
-    assert np.abs(lin.defects[:-1]).max() < 1e-12  # a flown iterate; the model would close them
-    subproblem.update(lin)
-    merit = subproblem.merit(lin, WEIGHT)
-    assert subproblem.solve(1e-12, WEIGHT).merit == pytest.approx(merit, rel=1e-6)
-
-
 def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
     """A flown iterate on the wrong side of every constraint, its burns too large and sunward."""
     flyby = constrain(rng, random_flyby(rng, nodes=7))
@@ -203,8 +168,8 @@ def breaking_every_limit(rng: np.random.Generator) -> Linearisation:
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-@settings(max_examples=share_of_examples(100, usual=2))
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@settings(max_examples=share_of_examples(100, usual=1))
 @given(st.integers(0, 2**32 - 1))
 @example(1)  # a constraint on the last node, where the final state is missed
 def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(
@@ -218,94 +183,28 @@ def test_without_a_step_the_model_predicts_what_breaking_every_limit_costs(
     assert subproblem.solve(1e-12, WEIGHT).merit == pytest.approx(merit, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("name", "around"), [("P3", "missed"), ("P2", "missed"), ("P3", "P2"), ("P2", "P3")]
-)
+@pytest.mark.parametrize("name", ["P3", "P2"])
+@settings(max_examples=share_of_examples(10))
+@given(generators, st.integers(4, 8))
 def test_the_predicted_merit_errs_quadratically_in_the_step(
-    case: Case, build: Build, name: str, around: str
+    name: str, rng: np.random.Generator, facets: int
 ) -> None:
-    subproblem, lin = build("condensed", name), case.at(around)
+    keeps = [("in",), ("out",), ("in", "out")][int(rng.integers(3))]
+    flyby = constrain(rng, random_flyby(rng, nodes=7), keeps)
+    # A spread that counts, or its linearisation would not.
+    wide = replace(flyby.problem, initial_factor=20.0 * flyby.problem.initial_factor)
+    flyby = replace(flyby, problem=wide)
+    lin = flyby.perturbed(rng, 0.1, 0.0)
+    subproblem = make_subproblem(wide, every_row(lin, name, facets))
     subproblem.update(lin)
     errors = []
-    for radius in (1e-3, 1e-4):
+    for radius in (1e-2, 1e-4):
         step = subproblem.solve(radius, WEIGHT)
-        mean = case.mission.dynamics.rollout(case.problem.initial_state, step.burns)
-        flown = case.mission.dynamics.linearise(case.problem, Iterate(step.burns, mean))
+        flown = flyby.waves.linearise(wide, flyby.waves.rollout(wide, step.burns))
         errors.append(abs(subproblem.merit(flown, WEIGHT) - step.merit))
-    assert errors[0] > 1e-6 * subproblem.merit(lin, WEIGHT)  # so that an order can be observed
-    assert np.log10(errors[0] / errors[1]) >= 1.8
-
-
-@pytest.mark.parametrize("name", ["P3", "P2"])
-def test_the_merit_is_the_total_delta_v_plus_the_weighted_violations(
-    case: Case, build: Build, name: str
-) -> None:
-    subproblem, lin = build("condensed", name), case.at("cold")
-    amounts = subproblem.merit.violations(lin)
-    constraints = {c.name for c in case.problem.constraints}
-    assert set(amounts) == {"dynamics", "dv_max", "dv_battery"} | constraints
-    violation = DYNAMICS_WEIGHT * np.abs(lin.defects).sum()
-    if name == "P3":
-        for c in case.problem.constraints:
-            inside = c.region.inside(lin.iterate.mean[c.nodes, :3])
-            violation += np.maximum(-inside if c.keep == "in" else inside, 0.0).sum()
-    else:
-        facets, used = case.p2_rows.facets, case.p2_rows.included
-        margin = facets.margin(lin.iterate.mean, lin.factor)[used]
-        violation += np.maximum(-margin, 0.0).sum()
-    # Burns of 1e-10 m/s are below every limit, but may lie in the battery's cone.
-    assert subproblem.merit(lin, 1e3) == pytest.approx(1e3 * violation, rel=1e-6)
-    assert subproblem.merit(lin, 0.0) == pytest.approx(lin.iterate.total_dv)
-
-
-# --- every form of the same problem -------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "around"),
-    [("P3", "cold"), ("P3", "ballistic"), ("P3", "P2"), ("P2", "ballistic"), ("P2", "P3")],
-)
-def test_lifted_and_condensed_have_the_same_solution(
-    case: Case, name: str, around: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tighten(monkeypatch)
-    lin, speed = case.at(around), case.mission.units.speed_m_s
-    steps = []
-    for formulation in ("condensed", "lifted"):  # built here, with the tight tolerance
-        subproblem = make_subproblem(case.problem, case.rows(name), formulation)
-        subproblem.update(lin)
-        steps.append(subproblem.solve(SCvx.initial_radius, WEIGHT))
-    assert steps[1].merit == pytest.approx(steps[0].merit, rel=1e-6)
-    assert speed * steps[1].burns == pytest.approx(speed * steps[0].burns, abs=1e-6)  # m/s
-
-
-@pytest.mark.parametrize("name", ["P3", "P2"])
-def test_lifted_and_condensed_agree_where_the_final_state_is_out_of_reach(
-    case: Case, build: Build, name: str
-) -> None:
-    merits = []
-    for formulation in ("condensed", "lifted"):
-        subproblem = build(formulation, name)
-        subproblem.update(case.at("missed"))
-        merits.append(subproblem.solve(1e-3, WEIGHT).merit)
-    assert merits[1] == pytest.approx(merits[0], rel=1e-6)
-
-
-@pytest.mark.parametrize("name", ["P3", "P2"])
-@settings(max_examples=share_of_examples(50, usual=4))
-@given(generators, st.sampled_from([("in",), ("out",), ("in", "out")]))
-def test_lifted_and_condensed_agree_on_random_flybys(
-    name: str, rng: np.random.Generator, keeps: tuple[str, ...]
-) -> None:
-    lin = constrain(rng, random_flyby(rng, nodes=7), keeps).perturbed(rng, 0.1, 0.05)
-    merits = []
-    with pytest.MonkeyPatch.context() as patch:
-        tighten(patch)
-        for formulation in ("condensed", "lifted"):
-            subproblem = make_subproblem(lin.problem, every_row(lin, name), formulation)
-            subproblem.update(lin)
-            merits.append(subproblem.solve(2.0, WEIGHT).merit)
-    assert merits[1] == pytest.approx(merits[0], rel=1e-6)
+    # A ten-thousandth, but that the step may turn, and for the solver's tolerance; a model that
+    # leaves out a derivative errs by a hundredth.
+    assert errors[1] < 2e-3 * errors[0] + 1e-7 * subproblem.merit(lin, WEIGHT)
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
@@ -329,35 +228,8 @@ def test_two_burns_on_linear_arcs_are_what_the_boundary_demands(formulation: str
     assert step.merit == pytest.approx(np.linalg.norm(burns, axis=1).sum(), rel=1e-6)
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_p2_without_facets_near_binding_is_p3_without_constraints(
-    case: Case, formulation: str
-) -> None:
-    unconstrained = replace(case.problem, constraints=())
-    none = np.zeros_like(case.p2_rows.included)
-    lin, merits = case.at("P3"), []
-    for rows in (
-        DeterministicRows(unconstrained),
-        ChanceRows(case.problem, case.p2_rows.facets, none),
-    ):
-        subproblem = make_subproblem(case.problem, rows, formulation)
-        subproblem.update(lin)
-        merits.append(subproblem.solve(1.0, WEIGHT).merit)
-    assert merits[1] == pytest.approx(merits[0], rel=1e-6)
-
-
-@pytest.mark.parametrize("formulation", CONDENSED)
-def test_p3_is_the_same_in_every_condensed_form(case: Case, build: Build, formulation: str) -> None:
-    merits = []
-    for other in ("condensed", formulation):
-        subproblem = build(other, "P3")
-        subproblem.update(case.at("ballistic"))
-        merits.append(subproblem.solve(1.0, WEIGHT).merit)
-    assert merits[1] == pytest.approx(merits[0], rel=1e-8)
-
-
 def test_facets_left_out_are_missed_exactly_where_the_iterate_violates_them(case: Case) -> None:
-    lin, facets = case.at("cold"), case.p2_rows.facets
+    lin, facets = case.at("ballistic"), case.p2_rows.facets
     margin = facets.margin(lin.iterate.mean, lin.factor)
     violated = margin < -1e-6
     included = np.random.default_rng(0).uniform(size=len(margin)) < 0.5
@@ -369,63 +241,15 @@ def test_facets_left_out_are_missed_exactly_where_the_iterate_violates_them(case
 # --- what is frozen -----------------------------------------------------------------------------
 
 
-def frozen(kind: Condensation, lin: Linearisation) -> tuple[Array, ...]:
-    """Mean and factor that a frozen form models for other burns than the iterate's."""
-    s = kind(lin, np.arange(lin.problem.n_nodes), factor=True)
-    burns = other_burns(lin)
-    z = burns.ravel()
-    return s.mean_constant + s.mean_jacobian @ z, s.factor_constant + s.factor_jacobian @ z
-
-
-def other_burns(lin: Linearisation) -> Array:
-    return lin.iterate.burns + np.random.default_rng(3).normal(size=lin.iterate.burns.shape)
-
-
-@settings(max_examples=20)
-@given(generators)
-def test_frozen_stm_moves_the_factor_with_the_burns_by_the_iterates_stms(
-    rng: np.random.Generator,
-) -> None:
-    lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
-    expected = propagate_factor(
-        lin.problem, lin.problem.legs.compose(lin.arcs.stm), other_burns(lin)
-    )
-    assert frozen(CONDENSATIONS["frozen-stm"], lin)[1] == pytest.approx(
-        expected, rel=1e-9, abs=1e-11
-    )
-
-
-@settings(max_examples=20)
-@given(generators)
-def test_frozen_covariance_keeps_the_iterates_factor_whatever_the_burns(
-    rng: np.random.Generator,
-) -> None:
-    lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
-    assert np.array_equal(frozen(CONDENSATIONS["frozen-covariance"], lin)[1], lin.factor)
-
-
-@pytest.mark.parametrize("formulation", FROZEN)
-@settings(max_examples=20)
-@given(generators)
-def test_frozen_forms_model_the_mean_in_full(formulation: str, rng: np.random.Generator) -> None:
-    lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
-    s = condense(lin)
-    expected = s.mean_constant + s.mean_jacobian @ other_burns(lin).ravel()
-    assert frozen(CONDENSATIONS[formulation], lin)[0] == pytest.approx(expected, rel=1e-12)
-
-
-@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
-def test_the_full_model_promises_nothing_at_the_solution_of_p2(
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_only_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(
     case: Case, build: Build, formulation: str
 ) -> None:
-    assert promised(case, build(formulation, "P2")) <= SCvx.stationary
-
-
-@pytest.mark.parametrize("formulation", FROZEN)
-def test_frozen_models_promise_what_is_not_to_be_had_at_the_solution_of_p2(
-    case: Case, build: Build, formulation: str
-) -> None:
-    assert promised(case, build(formulation, "P2")) >= 10.0 * SCvx.stationary
+    promise = promised(case, build(formulation, "P2"))
+    if formulation in FROZEN:
+        assert promise >= 10.0 * SCvx.stationary
+    else:
+        assert promise <= SCvx.stationary
 
 
 def promised(case: Case, subproblem: Subproblem) -> float:
@@ -440,50 +264,36 @@ def promised(case: Case, subproblem: Subproblem) -> float:
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
-def test_at_convergence_every_buffer_is_zero(case: Case, build: Build, name: str) -> None:
-    lin, subproblem = case.at(name), build("condensed", name)
-    assert max(v.max(initial=0.0) for v in subproblem.merit.violations(lin).values()) <= 1e-8
-    subproblem.update(lin)
-    step = subproblem.solve(1.0, WEIGHT)
-    buffers = step.merit - np.linalg.norm(step.burns, axis=1).sum()
-    assert buffers == pytest.approx(0.0, abs=1e-7 * step.merit)
-
-
-@pytest.mark.parametrize("name", ["P3", "P2"])
-def test_the_penalty_is_exact_at_convergence_a_larger_weight_changes_nothing(
+def test_at_convergence_every_buffer_is_zero_and_a_larger_weight_changes_nothing(
     case: Case, build: Build, name: str
 ) -> None:
     lin, subproblem = case.at(name), build("condensed", name)
+    assert max(v.max(initial=0.0) for v in subproblem.merit.violations(lin).values()) <= 1e-8
     subproblem.update(lin)
-    for weight in (WEIGHT, 2.0 * WEIGHT, 10.0 * WEIGHT):
+    for weight in (WEIGHT, 10.0 * WEIGHT):
         step = subproblem.solve(1.0, weight)
         assert step.merit == pytest.approx(lin.iterate.total_dv, rel=1e-6)
-
-
-def test_a_weight_below_the_multipliers_is_not_exact(case: Case, build: Build) -> None:
-    lin, subproblem = case.at("P2"), build("condensed", "P2")
-    subproblem.update(lin)
-    assert subproblem.solve(1.0, 1e-2).merit < 0.9 * lin.iterate.total_dv
+        assert np.linalg.norm(step.burns, axis=1).sum() == pytest.approx(step.merit, rel=1e-7)
+    if name == "P2":  # below the multipliers it is not exact
+        assert subproblem.solve(1.0, 1e-2).merit < 0.9 * lin.iterate.total_dv
 
 
 # --- trust region and failures ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("radius", [1e-3, 0.1])
-def test_no_component_of_a_burn_moves_by_more_than_the_radius(
-    case: Case, build: Build, name: str, radius: float
+def test_the_trust_region_bounds_every_component_and_a_larger_one_promises_no_less(
+    case: Case, build: Build, name: str
 ) -> None:
-    lin, subproblem = case.at("ballistic"), build("condensed", name)
+    lin, subproblem, merits = case.at("ballistic"), build("condensed", name), []
     subproblem.update(lin)
-    step = subproblem.solve(radius, WEIGHT).burns - lin.iterate.burns
-    assert np.abs(step).max() == pytest.approx(radius, rel=1e-4)  # the guess is far: it binds
-
-
-def test_a_larger_trust_region_never_promises_less(case: Case, build: Build) -> None:
-    subproblem = build("condensed", "P3")
-    subproblem.update(case.at("ballistic"))
-    merits = [subproblem.solve(radius, WEIGHT).merit for radius in (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)]
+    for radius in (1e-3, 0.03, 0.1, 1.0):
+        step = subproblem.solve(radius, WEIGHT)
+        moved = np.abs(step.burns - lin.iterate.burns).max()
+        assert moved <= radius * (1.0 + 1e-4)
+        if radius <= 0.1:  # the guess is far: it binds
+            assert moved == pytest.approx(radius, rel=1e-4)
+        merits.append(step.merit)
     assert all(after <= before * (1.0 + 1e-8) for before, after in itertools.pairwise(merits))
     assert merits[-1] < merits[0]
 
@@ -506,47 +316,27 @@ def scripted(monkeypatch: pytest.MonkeyPatch, answer: Answer | str, other: str) 
     monkeypatch.setitem(SOLVERS, "QOCO", lambda _: Scripted(other))
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_solvers_that_fail_raise_our_own_error_with_their_words(
-    case: Case, formulation: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        ("it broke down", r"^it broke down; so did I$"),
+        (Answer(np.full(1, np.nan), "good", True, 0.0), "no finite burns"),
+        (Answer(np.full(1, 1e300), "good", True, 0.0), "no finite burns"),
+    ],
+)
+def test_solvers_that_fail_or_give_no_finite_answer_raise_our_own_error(
+    case: Case, formulation: str, answer: Answer | str, words: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scripted(monkeypatch, "it broke down", other="so did I")
+    scripted(monkeypatch, answer, other="so did I")
     subproblem = make_subproblem(case.problem, case.rows("P3"), formulation)
     subproblem.update(case.at("P3"))
-    with pytest.raises(SubproblemError, match=r"^it broke down; so did I$") as caught:
+    with pytest.raises(SubproblemError, match=words) as caught:
         subproblem.solve(1.0, WEIGHT)
     assert isinstance(caught.value.__cause__, ValueError)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_solvers_without_a_finite_answer_raise_our_own_error(
-    case: Case, formulation: str, value: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    scripted(monkeypatch, Answer(np.full(1, value), "good", True, 0.0), other="no")
-    subproblem = make_subproblem(case.problem, case.rows("P3"), formulation)
-    subproblem.update(case.at("P3"))
-    with pytest.raises(SubproblemError, match="no finite burns"):
-        subproblem.solve(1.0, WEIGHT)
-
-
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_a_solver_behind_cvxpy_that_fails_raises_our_own_error_with_its_words(
-    case: Case, formulation: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    need("ECOS")
-
-    def fail(*_: object) -> None:
-        raise RuntimeError("it broke down")
-
-    monkeypatch.setattr(SOLVER_MAP_CONIC["ECOS"], "solve_via_data", fail)
-    subproblem = make_subproblem(case.problem, case.rows("P3"), formulation, "ECOS")
-    subproblem.update(case.at("P3"))
-    with pytest.raises(SubproblemError, match=r"^it broke down$"):
-        subproblem.solve(1.0, WEIGHT)
-
-
-@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_a_step_is_as_accurate_as_its_answer(
     case: Case, formulation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
