@@ -25,11 +25,13 @@ from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import ForceModel
 from tests.helpers import Arcs, Flyby, generators, random_flyby, random_rotation
 
-EXACT = {"rel": 1e-9, "abs": 1e-11}
-"""Rounding of a product of a dozen matrices of order one."""
-
 flybys = st.builds(random_flyby, generators, nodes=st.integers(5, 10), burns=st.integers(2, 4))
 curvatures = st.booleans()
+
+
+def close(found: Array, expected: Array | float, rel: float = 1e-9, size: float = 1e-11) -> None:
+    """Up to the rounding of a product of a dozen matrices of order one."""
+    np.testing.assert_allclose(found, expected, rtol=rel, atol=size)
 
 
 def covariance(factor: Array) -> Array:
@@ -75,7 +77,7 @@ def test_the_factors_square_obeys_the_covariance_recursion(
             expected = stm[k - 1] @ expected @ stm[k - 1].T
         for burn in burns[problem.burn_nodes == k]:
             expected[3:, 3:] += covariance(errors.columns(burn[None])[0])
-        assert lifted[k] == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+        close(lifted[k], expected, 1e-9, 1e-9 * np.abs(expected).max())
 
 
 @given(flybys, generators)
@@ -89,7 +91,7 @@ def test_the_factor_is_affine_in_the_burns(flyby: Flyby, rng: np.random.Generato
         propagate_factor(problem, problem.legs.compose(stm), burns) for burns in (first, second)
     ]
     expected = ends[0] + t * (ends[1] - ends[0])
-    assert between == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+    close(between, expected, 1e-9, 1e-9 * np.abs(expected).max())
 
 
 @given(flybys, generators)
@@ -120,8 +122,8 @@ def test_columns_in_use_are_the_initial_ones_and_three_per_burn_before(flyby: Fl
 def test_condense_is_exact_at_the_iterate(flyby: Flyby, rng: np.random.Generator) -> None:
     lin = flyby.perturbed(rng, 0.3, 0.0)
     mean, factor = applied(condense(lin), lin.iterate.burns)
-    assert mean == pytest.approx(lin.iterate.mean, **EXACT)
-    assert factor == pytest.approx(lin.factor, **EXACT)
+    close(mean, lin.iterate.mean)
+    close(factor, lin.factor)
 
 
 @given(flybys, generators)
@@ -133,8 +135,8 @@ def test_condense_is_the_derivative_by_the_burns(flyby: Flyby, rng: np.random.Ge
     ahead, behind = (nonlinear(flyby, lin.iterate.burns + x) for x in (step, -step))
     mean, factor = ((a - b) / (2.0 * h) for a, b in zip(ahead, behind, strict=True))
     # Truncation and rounding of the central difference are both of order 1e-10.
-    assert s.mean_jacobian @ direction.ravel() == pytest.approx(mean, rel=1e-7, abs=1e-8)
-    assert s.factor_jacobian @ direction.ravel() == pytest.approx(factor, rel=1e-7, abs=1e-8)
+    close(s.mean_jacobian @ direction.ravel(), mean, 1e-7, 1e-8)
+    close(s.factor_jacobian @ direction.ravel(), factor, 1e-7, 1e-8)
 
 
 @given(flybys, st.sampled_from([0.0, 0.1]), curvatures, generators)
@@ -165,7 +167,7 @@ def test_linear_arcs_are_modelled_exactly(
     burns = some_burns(rng, flyby.problem)
     model = applied(condense(lin, curvature=curvature), burns)
     for found, expected in zip(model, nonlinear(flyby, burns), strict=True):
-        assert found == pytest.approx(expected, **EXACT)
+        close(found, expected)
 
 
 @given(flybys, generators)
@@ -176,7 +178,7 @@ def test_without_curvature_the_factor_is_that_of_the_iterates_stms(
     burns = some_burns(rng, flyby.problem)
     _, factor = applied(condense(lin, curvature=False), burns)
     expected = propagate_factor(flyby.problem, flyby.problem.legs.compose(lin.arcs.stm), burns)
-    assert factor == pytest.approx(expected, **EXACT)
+    close(factor, expected)
 
 
 @given(generators)
@@ -202,8 +204,8 @@ def test_condense_is_the_derivative_of_a_keplerian_arc_with_oblateness(
     (ahead, up), (behind, down) = flown(burns + step), flown(burns - step)
     mean = s.mean_jacobian @ step.ravel()
     factor = s.factor_jacobian @ step.ravel()
-    assert mean == pytest.approx((ahead.mean - behind.mean) / 2.0, rel=1e-6, abs=1e-13)
-    assert factor == pytest.approx((up.factor - down.factor) / 2.0, rel=1e-6, abs=1e-13)
+    close(mean, (ahead.mean - behind.mean) / 2.0, 1e-6, 1e-13)
+    close(factor, (up.factor - down.factor) / 2.0, 1e-6, 1e-13)
 
 
 # --- one model in several forms -----------------------------------------------------------------
@@ -216,12 +218,12 @@ def test_means_are_the_condensed_ones_which_close_every_defect_from_the_initial_
     lin = flyby.perturbed(rng, 0.3, 0.1)
     burns, s = some_burns(rng, flyby.problem), condense(lin)
     constant, jacobian = final_state_map(lin)
-    assert constant == pytest.approx(s.mean_constant[-1], **EXACT)
-    assert jacobian == pytest.approx(s.mean_jacobian[-1], **EXACT)
+    close(constant, s.mean_constant[-1])
+    close(jacobian, s.mean_jacobian[-1])
     mean = step_mean(lin, burns)
-    assert mean == pytest.approx(applied(s, burns)[0], **EXACT)
+    close(mean, applied(s, burns)[0])
     start = flyby.problem.initial_state + np.r_[0.0, 0.0, 0.0, burns[0]]
-    assert mean[0] == pytest.approx(start, **EXACT)
+    close(mean[0], start)
     linear = np.einsum("kij,kj->ki", lin.arcs.stm, mean[:-1] - lin.iterate.mean[:-1])
     defects = flyby.problem.defects(Iterate(burns, mean), lin.arcs.state + linear)
     assert defects[:-1] == pytest.approx(0.0, abs=1e-9)
@@ -248,8 +250,8 @@ def test_composed_arcs_give_the_condensed_map_at_their_nodes(
             mean[3:] += burns[i] - lin.iterate.burns[i]
             columns = problem.execution_errors.columns(burns[i : i + 1])[0]
             factor[3:, problem.columns_of_burn(i)] += columns
-        assert mean == pytest.approx(expected[0][last], **EXACT)
-        assert factor == pytest.approx(expected[1][last], **EXACT)
+        close(mean, expected[0][last])
+        close(factor, expected[1][last])
 
 
 @given(flybys, generators)
@@ -273,14 +275,14 @@ def test_composed_arcs_have_the_derivatives_of_the_composed_flow(
         return total, state
 
     start, h = lin.iterate.mean[0], 1e-5
-    assert arcs.stm[0] == pytest.approx(stm(start)[0], **EXACT)
+    close(arcs.stm[0], stm(start)[0])
     for j in range(6):
         shift = h * np.eye(6)[j]
         (up, end_up), (down, end_down) = stm(start + shift), stm(start - shift)
         slope = (end_up - end_down) / (2.0 * h)
-        assert arcs.stm[0, :, j] == pytest.approx(slope, rel=1e-7, abs=1e-8)
+        close(arcs.stm[0, :, j], slope, 1e-7, 1e-8)
         bend = (up - down) / (2.0 * h)
-        assert arcs.tensor[0, :, :, j] == pytest.approx(bend, rel=1e-7, abs=1e-8)
+        close(arcs.tensor[0, :, :, j], bend, 1e-7, 1e-8)
 
 
 # --- invariance ---------------------------------------------------------------------------------
@@ -322,8 +324,8 @@ def test_mean_and_factor_do_not_depend_on_the_units(
     speed = length / time * np.eye(3)
     old, new = both(flyby, in_coordinates(flyby, units, speed), speed, rng)
     inverse = np.linalg.inv(units)
-    assert new[0] @ inverse.T == pytest.approx(old[0], rel=1e-8, abs=1e-10)
-    assert inverse @ new[1] == pytest.approx(old[1], rel=1e-8, abs=1e-10)
+    close(new[0] @ inverse.T, old[0], 1e-8, 1e-10)
+    close(inverse @ new[1], old[1], 1e-8, 1e-10)
 
 
 SIGNED_AXES = [
@@ -341,10 +343,10 @@ def test_mean_and_covariance_do_not_depend_on_the_axes(
     q = random_rotation(rng) if turned else axes
     matrix, columns = np.kron(np.eye(2), q), flyby.problem.factor_columns
     old, new = both(flyby, in_coordinates(flyby, matrix, q), q, rng)
-    assert new[0] == pytest.approx(old[0] @ matrix.T, **EXACT)
+    close(new[0], old[0] @ matrix.T)
     kept = flyby.problem.initial_factor.shape[1] if turned else columns
     expected = matrix @ covariance(old[1][..., :kept]) @ matrix.T
-    assert covariance(new[1][..., :kept]) == pytest.approx(expected, **EXACT)
+    close(covariance(new[1][..., :kept]), expected)
 
 
 # --- no derivative, no model --------------------------------------------------------------------
@@ -381,7 +383,7 @@ def test_legs_compose_the_arcs_since_the_last_burn(
     assert np.array_equal(composed[0], product)
     for k in range(1, n_nodes):
         product = maps[k - 1] @ (np.eye(size) if k - 1 in burns else product)
-        assert composed[k] == pytest.approx(product, rel=1e-9, abs=1e-11)
+        close(composed[k], product, 1e-9, 1e-11)
         assert burns[legs.of[k]] == burns[burns < k].max()
     assert np.array_equal(legs.ends, burns[1:])
 
@@ -393,6 +395,6 @@ def test_condensing_some_nodes_is_condensing_all_and_choosing(
     lin, nodes = flyby.perturbed(rng, 0.3, 0.1), some_nodes(rng, flyby.problem)
     every, some, mean = condense(lin), condense(lin, nodes), condense(lin, nodes, factor=False)
     for name in Sensitivity.__annotations__:
-        assert getattr(some, name) == pytest.approx(getattr(every, name)[nodes], **EXACT)
+        close(getattr(some, name), getattr(every, name)[nodes])
     assert np.array_equal(mean.mean_jacobian, some.mean_jacobian)
     assert mean.factor_jacobian.shape[2] == mean.factor_constant.shape[2] == 0

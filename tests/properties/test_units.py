@@ -105,51 +105,49 @@ WRONG = [
 ]
 
 
-@given(consistent(), st.sampled_from(WRONG))
-def test_a_length_speed_or_mass_in_another_unit_is_told(
-    scenario: Scenario, wrong: tuple[str, float]
-) -> None:
-    path, factor = wrong
-    assert is_told(scenario, {path: scaled(entry_of(scenario, path), factor)})
-
-
-@given(consistent(), st.sampled_from([KM, MM]), st.integers(1, 2**7 - 2))
-def test_some_lengths_in_another_unit_than_the_others_are_told(
-    scenario: Scenario, factor: float, which: int
-) -> None:
-    """All but all of them, which is the next property."""
-    chosen = [path for i, path in enumerate(LENGTHS) if which >> i & 1]
-    assert is_told(scenario, {path: scaled(entry_of(scenario, path), factor) for path in chosen})
-
-
-@given(consistent())
-def test_a_scenario_that_is_wholly_in_kilometres_is_told(scenario: Scenario) -> None:
-    """Gravity and speeds too: a smaller body of the same density, which nobody flies to."""
-    changes = {path: scaled(entry_of(scenario, path), KM) for path in (*LENGTHS, *SPEEDS)}
-    assert is_told(scenario, changes | {"body.gm_m3_s2": KM**3 * scenario.body.gm_m3_s2})
-
-
 LIMITS = (
     *("observation.emission_min_deg", "observation.emission_max_deg", "observation.phase_min_deg"),
     *("observation.incidence_max_deg", "battery.delta_v_cone_deg"),
     "battery.observation_cone_deg",
 )
-
-
-@given(consistent(), st.sets(st.sampled_from(LIMITS), min_size=1))
-def test_limits_in_radians_are_told(scenario: Scenario, paths: set[str]) -> None:
-    assert is_told(scenario, {path: np.deg2rad(entry_of(scenario, path)) for path in paths})
-
-
 BODY_ANGLES = ("body.pole_ra_deg", "body.pole_dec_deg", "body.prime_meridian_rate_deg_day")
+Factors = dict[str, float]
+"""Numbers that entries are multiplied by."""
+
+some_lengths = st.builds(
+    lambda factor, paths: dict.fromkeys(paths, factor),
+    st.sampled_from([KM, MM]),
+    st.sets(st.sampled_from(LENGTHS), min_size=1, max_size=len(LENGTHS) - 1),
+)
+in_radians = st.sets(st.sampled_from(LIMITS), min_size=1).map(
+    lambda paths: dict.fromkeys(paths, np.deg2rad(1.0))
+)
+wholly_in_km: Factors = dict.fromkeys((*LENGTHS, *SPEEDS), KM) | {"body.gm_m3_s2": KM**3}
+"""Gravity and speeds too: a smaller body of the same density, which nobody flies to."""
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        st.sampled_from(WRONG).map(lambda pair: dict([pair])),
+        some_lengths,
+        in_radians,
+        st.just(wholly_in_km),
+    ],
+    ids=["one entry", "some lengths", "limits in radians", "all in kilometres"],
+)
+@given(consistent(), st.data())
+def test_entries_in_another_unit_are_told(
+    wrong: st.SearchStrategy[Factors], scenario: Scenario, data: st.DataObject
+) -> None:
+    factors = data.draw(wrong)
+    changes = {path: scaled(entry_of(scenario, path), factor) for path, factor in factors.items()}
+    assert is_told(scenario, changes)
 
 
 @given(st.sets(st.sampled_from(BODY_ANGLES), min_size=1))
-def test_pole_and_spin_of_a_known_body_in_radians_are_told(paths: set[str]) -> None:
+def test_pole_and_spin_of_a_known_body_in_radians_or_swapped_are_told(paths: set[str]) -> None:
     assert is_told(RECON_B, {path: np.deg2rad(entry_of(RECON_B, path)) for path in paths})
-
-
-def test_right_ascension_and_declination_swapped_are_told() -> None:
     body = RECON_B.body
     changes = {"body.pole_ra_deg": body.pole_dec_deg, "body.pole_dec_deg": body.pole_ra_deg}
     assert is_told(RECON_B, changes)

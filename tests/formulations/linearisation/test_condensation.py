@@ -36,3 +36,19 @@ def test_every_model_is_exact_at_its_iterate(name: str, rng: np.random.Generator
     factor = s.factor_constant + s.factor_jacobian @ z
     assert mean == pytest.approx(lin.iterate.mean[nodes], rel=1e-9, abs=1e-11)
     assert factor == pytest.approx(lin.factor[nodes], rel=1e-9, abs=1e-11)
+
+
+@settings(max_examples=10)
+@given(generators)
+def test_frozen_forms_are_those_without_curvature_and_without_a_derivative(
+    rng: np.random.Generator,
+) -> None:
+    lin = random_flyby(rng).perturbed(rng, 0.2, 0.1)
+    nodes = np.arange(lin.problem.n_nodes)
+    stm, still = (
+        CONDENSATIONS[f"frozen-{part}"](lin, nodes, factor=True) for part in ("stm", "covariance")
+    )
+    assert np.array_equal(stm.factor_jacobian, condense(lin, curvature=False).factor_jacobian)
+    assert not np.allclose(stm.factor_jacobian, condense(lin).factor_jacobian)
+    assert np.array_equal(still.factor_constant, lin.factor)
+    assert not still.factor_jacobian.any()

@@ -42,6 +42,7 @@ from scp_recon.planning.planner import Plan, Stage, plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
+from tests.helpers import usually
 from tests.scenarios import COARSE
 
 
@@ -155,7 +156,7 @@ def _stm(arcs: Arcs) -> tuple[list[ca.SX], list[ca.SX]]:
     return [x, h], [ca.jacobian(arcs.flow(x, h), x)]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", usually(range(3), 1))
 @pytest.mark.parametrize("style", ["called", "mapped", "differentiated"])
 def test_p3_has_the_rows_of_the_convex_side(coarse: Case, style: ArcStyle, seed: int) -> None:
     lin, problem = coarse.near(seed), coarse.problem
@@ -171,7 +172,7 @@ def test_p3_has_the_rows_of_the_convex_side(coarse: Case, style: ArcStyle, seed:
         assert rows[name] == within(margin), name
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", usually(range(3), 1))
 @pytest.mark.parametrize("spread", SPREADS)
 def test_p2_has_the_rows_of_the_convex_side(coarse: Case, spread: str, seed: int) -> None:
     lin, problem, facets = coarse.near(seed), coarse.problem, coarse.p2.facets
@@ -192,7 +193,7 @@ def test_p2_has_the_rows_of_the_convex_side(coarse: Case, spread: str, seed: int
     _check_facet_rows(problem, facets, lin, rows)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", usually(range(3), 1))
 def test_single_shooting_has_the_rows_of_the_convex_side(coarse: Case, seed: int) -> None:
     lin, problem, facets = coarse.near(seed, flown=True), coarse.problem, coarse.p2.facets
     assert facets is not None
@@ -221,7 +222,7 @@ def _check_facet_rows(
         assert rows[name] == within(expected.margin), name
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", usually(range(3), 1))
 def test_p3_as_printed_bounds_the_same_sets(coarse: Case, seed: int) -> None:
     """The paper's ratios, turned into distances from the apex, are the convex side's margins."""
     lin, problem = coarse.near(seed), coarse.problem
@@ -250,7 +251,7 @@ def test_p3_as_printed_bounds_the_same_sets(coarse: Case, seed: int) -> None:
         assert distance(cone, burns, -value) == within(cone.inside(burns))
 
 
-@pytest.mark.parametrize("spread", ["36 entries", "21 entries scaled", "factor"])
+@pytest.mark.parametrize("spread", usually(["factor", "21 entries scaled", "36 entries"], 2))
 def test_derivatives_formed_arc_by_arc_are_those_of_the_whole(coarse: Case, spread: str) -> None:
     lin = coarse.near(5)
     by_arc, whole = (
@@ -277,32 +278,15 @@ def test_derivatives_formed_arc_by_arc_are_those_of_the_whole(coarse: Case, spre
         assert float(ca.norm_inf(ca.vec(mine - theirs))) < 1e-11 * scale
 
 
-@pytest.mark.parametrize("name", ["tuned", "shooting"])
-def test_ipopt_and_scp_find_the_same_p3(coarse: Case, name: str) -> None:
-    start = Start(initial_guess.cold(coarse.mission))
-    result = solve_nlp(coarse.problem, coarse.arcs, None, start, VARIANTS[name])
-    assert result.outcome is NlpOutcome.SOLVED, result.status
-    expected = coarse.p3.result.lin.iterate.total_dv
-    assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
-
-
 @pytest.mark.parametrize(
     "variant",
-    [VARIANTS["tuned"], VARIANTS["shooting"]],
-    ids=["tuned", "shooting"],
+    [VARIANTS["tuned"], VARIANTS["shooting"], replace(VARIANTS["tuned"], p2=QUASI_NEWTON)],
+    ids=["tuned", "shooting", "quasi-Newton"],
 )
 def test_ipopt_and_scp_find_the_same_p2_from_the_same_p3(coarse: Case, variant: Variant) -> None:
     start = coarse.start(coarse.p3)
     result = solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, variant)
-    assert result.outcome is NlpOutcome.SOLVED, result.status
-    expected = coarse.p2.result.lin.iterate.total_dv
-    assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
-
-
-def test_a_quasi_newton_hessian_finds_the_same_p2(coarse: Case) -> None:
-    variant = replace(VARIANTS["tuned"], p2=QUASI_NEWTON)
-    start = coarse.start(coarse.p3)
-    result = solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, variant)
+    assert result.outcome is NlpOutcome.SOLVED or variant.p2 is QUASI_NEWTON, result.status
     expected = coarse.p2.result.lin.iterate.total_dv
     assert result.iterate.total_dv == pytest.approx(expected, rel=1e-4)
 
@@ -332,7 +316,7 @@ def test_the_penalty_weighs_as_the_merit_does(coarse: Case, name: str) -> None:
 
 
 @pytest.mark.parametrize("variant", ["tuned", "shooting"])
-def test_the_three_stages_give_a_solution(
+def test_ipopt_and_scp_find_the_same_plan(
     coarse: Case, variant: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     mission = coarse.mission
@@ -351,6 +335,8 @@ def test_the_three_stages_give_a_solution(
     expected = coarse.p2.result.lin.iterate.total_dv * mission.units.speed_m_s
     assert solution.total_dv_m_s == pytest.approx(expected, rel=1e-4)
     assert not solution.violation.by_constraint
+    p3 = result.stages[0].result.lin.iterate.total_dv
+    assert p3 == pytest.approx(coarse.p3.result.lin.iterate.total_dv, rel=1e-4)
 
 
 def test_what_does_not_converge_begins_again_at_the_ballistic_arc(
@@ -417,7 +403,7 @@ def test_p2_needs_a_factor_to_start_from(coarse: Case) -> None:
         solve_nlp(coarse.problem, coarse.arcs, coarse.facets, start, VARIANTS["tuned"])
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", usually(["tuned", "printed", "shooting"], 2))
 def test_without_a_facet_p2_only_flies(coarse: Case, name: str) -> None:
     none = Facets(*(getattr(coarse.facets, field)[:0] for field in Facets.__annotations__))
     start = coarse.start(coarse.p3)

@@ -82,23 +82,6 @@ def test_the_largest_number_may_be_a_variable_and_the_largest_price_a_multiplier
     assert not is_optimal(steep, np.zeros(1), np.array([1e3 + 1.1]))
 
 
-@pytest.mark.parametrize(
-    ("dx", "dz"),
-    [
-        ((0.1, 0.0, 0.0), (0.0,) * 5),  # dearer than it has to be
-        ((-0.1, 0.0, 0.0), (0.0,) * 5),  # outside the second-order cone
-        ((0.0, 0.0, 0.1), (0.0,) * 5),  # off the equality
-        ((10.0, 11.0, 11.0), (0.0,) * 5),  # beyond the bound
-        ((0.0,) * 3, (0.0, 0.0, 0.1, 0.0, 0.0)),  # a gradient that does not vanish
-        ((0.0,) * 3, (0.0, -0.1, 0.0, 0.1, 0.0)),  # a negative multiplier
-    ],
-)
-def test_nothing_else_is_taken_for_an_optimum(dx: tuple[float, ...], dz: tuple[float, ...]) -> None:
-    program, x, z = tent()
-    assert is_optimal(program, x, z)
-    assert not is_optimal(program, x + np.array(dx), z + np.array(dz))
-
-
 def test_multipliers_outside_their_cone_prove_nothing() -> None:
     """Min x subject to -1 <= x <= 10: signs of multipliers make any gap close anywhere."""
     matrix, bound = sp.csc_array(np.array([[1.0], [-1.0]])), np.array([10.0, 1.0])

@@ -22,7 +22,7 @@ from formulations.program.condensed import (
 from formulations.program.lifted import LiftedSubproblem
 from formulations.program.model import CompiledProgram, Model, write_model
 from formulations.program.subproblem import Penalty
-from tests.helpers import generators
+from tests.helpers import generators, share_of_examples
 
 from .support import PENALTIES, charge_for, every_row, linearised
 
@@ -65,11 +65,12 @@ def test_its_numbers_are_what_cvxpys_own_form_gives(kind: str, penalty: Penalty)
     compiled = CompiledProgram(model)
     sparsity: list[tuple[Array, Array]] = []
 
-    @settings(max_examples=4)
+    @settings(max_examples=share_of_examples(50, usual=2))
     @given(generators)
     def check(rng: np.random.Generator) -> None:
-        values = random_values(model, rng)
+        values, between = random_values(model, rng), random_values(model, rng)
         program = compiled.evaluate(values)
+        kept = program.cost.copy(), program.matrix.data.copy(), program.bound.copy()
         form = program.form
         by_id = {model.parameters[name].id: value for name, value in values.items()}
         assert set(program.values) == set(by_id) == set(form.id_to_param)
@@ -79,18 +80,24 @@ def test_its_numbers_are_what_cvxpys_own_form_gives(kind: str, penalty: Penalty)
         assert np.array_equal(program.matrix.indptr, a.indptr)
         assert np.array_equal(program.matrix.indices, a.indices)
         # To the order in which a sum is taken.
-        assert program.cost == pytest.approx(q, rel=1e-14, abs=1e-14)
-        assert program.matrix.data == pytest.approx(-a.data, rel=1e-14, abs=1e-14)
-        assert program.bound == pytest.approx(b, rel=1e-14, abs=1e-14)
+        for ours, theirs in ((program.cost, q), (program.matrix.data, -a.data), (program.bound, b)):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-14, atol=1e-14)
         cones = form.cone_dims
         counts = program.zero, program.nonnegative, list(program.second_order)
         assert counts == (cones.zero, cones.nonneg, list(cones.soc))
         assert cones.zero + cones.nonneg + sum(cones.soc) == len(b)
+        # It has no state: nothing that comes between is left in it.
+        compiled.evaluate(between)
+        for parameter in model.parameters.values():
+            parameter.value = np.full(parameter.shape, 7.0)
+        for again in (program, compiled.evaluate(values)):
+            for ours, first in zip((again.cost, again.matrix.data, again.bound), kept, strict=True):
+                assert np.array_equal(ours, first)
         sparsity.append((program.matrix.indices.copy(), program.matrix.indptr.copy()))
         assert all(np.array_equal(x, y) for x, y in zip(sparsity[0], sparsity[-1], strict=True))
 
     check()
-    assert len(sparsity) >= 4
+    assert len(sparsity) >= 2
 
 
 def test_a_program_that_is_not_disciplined_is_refused() -> None:
@@ -148,8 +155,9 @@ def subproblem_at(lin: Linearisation, penalty: Penalty, name: str) -> CondensedS
     return subproblem
 
 
-@pytest.mark.parametrize("penalty", PENALTIES)
-@pytest.mark.parametrize("name", ["P3", "P2"])
+@pytest.mark.parametrize(
+    ("name", "penalty"), [("P3", "exact"), ("P2", "proximal"), ("P2", "augmented")]
+)
 def test_subproblems_that_share_a_program_answer_as_if_alone(name: str, penalty: Penalty) -> None:
     one = linearised(np.random.default_rng(21))
     rng = np.random.default_rng(22)
@@ -174,22 +182,4 @@ def test_subproblems_that_share_a_program_answer_as_if_alone(name: str, penalty:
     assert {id(compiled) for compiled in used[0]} & {id(compiled) for compiled in used[1]}
     for found, expected in zip(together, alone, strict=True):
         for ours, theirs in zip(found, expected, strict=True):
-            assert np.array_equal(ours, theirs)
-
-
-def test_evaluating_again_gives_the_same_numbers_whatever_came_between() -> None:
-    model = condensed_model("augmented")
-    compiled = CompiledProgram(model)
-    rng = np.random.default_rng(4)
-    first, second = (random_values(model, rng) for _ in range(2))
-    before = compiled.evaluate(first)
-    kept = before.cost.copy(), before.matrix.data.copy(), before.bound.copy()
-    compiled.evaluate(second)
-    for parameter in model.parameters.values():
-        parameter.value = np.full(parameter.shape, 7.0)
-    after = compiled.evaluate(first)
-    for program in (before, after):
-        for ours, theirs in zip(
-            (program.cost, program.matrix.data, program.bound), kept, strict=True
-        ):
             assert np.array_equal(ours, theirs)

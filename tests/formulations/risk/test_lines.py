@@ -53,20 +53,14 @@ def test_the_chi_law_is_scipys_in_both_tails(dimension: int, one: float, other: 
 
 
 @pytest.mark.parametrize("law", LAWS, ids=NAMES)
-@pytest.mark.parametrize("far", [5.0, 8.0, 15.0, 30.0])
-def test_a_tail_keeps_its_digits(law: TwoSidedChiLaw, far: float) -> None:
-    """Where 1 - F has none left; both tails alike."""
-    tail = 0.5 * float(chi(law.dimension).sf(far))
-    for low, high in ((far, np.inf), (-np.inf, -far)):
-        assert between(law, low, high) == pytest.approx(tail, rel=1e-9)
-
-
-@pytest.mark.parametrize("law", LAWS, ids=NAMES)
 def test_all_of_a_law_is_one_and_none_of_it_nothing(law: TwoSidedChiLaw) -> None:
     assert between(law, -np.inf, np.inf) == pytest.approx(1.0, abs=1e-15)
     assert between(law, -np.inf, 0.0) == pytest.approx(0.5, abs=1e-15)
     for s in (-np.inf, -1.0, 0.0, 2.0, np.inf):
         assert between(law, s, s) == 0.0
+    tail = 0.5 * float(chi(law.dimension).sf(15.0))  # where 1 - F has no digits left
+    for low, high in ((15.0, np.inf), (-np.inf, -15.0)):
+        assert between(law, low, high) == pytest.approx(tail, rel=1e-9)
 
 
 @given(st.sampled_from(LAWS), st.floats(-8.0, 8.0), st.floats(0.01, 6.0))
@@ -81,18 +75,11 @@ def test_the_density_integrates_to_the_law(law: TwoSidedChiLaw, low: float, widt
 def test_the_density_is_even_and_finite_and_vanishes_at_infinity(law: TwoSidedChiLaw) -> None:
     s = np.array([0.0, 1e-300, 1e-3, 1.0, 50.0, np.inf])
     density = law.density(s)
+    if law.dimension == 1:
+        np.testing.assert_allclose(density, normal_density(s), rtol=1e-12)
     np.testing.assert_array_equal(density, law.density(-s))
     assert np.isfinite(density).all()
     assert density[-1] == 0.0
-
-
-def test_the_chi_law_of_one_dimension_is_the_normal_law() -> None:
-    s = np.linspace(-6.0, 6.0, 25)
-    one = TwoSidedChiLaw(1)
-    np.testing.assert_allclose(one.density(s), normal_density(s), rtol=1e-12)
-    np.testing.assert_allclose(
-        one.between(s[:-1], s[1:]), np.diff(norm.cdf(s)), rtol=1e-9, atol=1e-15
-    )
 
 
 # --- segments -----------------------------------------------------------------------------------

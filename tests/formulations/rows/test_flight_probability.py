@@ -63,15 +63,6 @@ def probability(flight: Flight, lines: int = LINES) -> float:
     return float(ndtr(of_flight(flight, lines)(flight.mean, flight.factor).value))
 
 
-def node_probabilities(flight: Flight) -> Array:
-    return np.concatenate(
-        [
-            ndtr(node_quantiles(e, flight.mean[e.nodes], flight.factor[e.nodes]).value)
-            for e in flight.events
-        ]
-    )
-
-
 def sampled(flight: Flight, count: int = 100_000) -> float:
     """Share of plain random flights of the linear law that keep everything everywhere."""
     w = np.random.default_rng(5).normal(size=(count, flight.factor.shape[2]))
@@ -88,30 +79,6 @@ def sampled(flight: Flight, count: int = 100_000) -> float:
 
 
 # --- the probability ----------------------------------------------------------------------------
-
-
-@given(seeds, st.floats(0.02, 0.2), st.floats(-3.0, 3.0))
-@few
-def test_of_one_event_at_one_node_it_is_the_nodes(
-    seed: int, sigma: float, deviations: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    mean = ((1.0 + deviations * sigma) * random_unit(rng))[None]
-    factor = sigma * np.linalg.qr(rng.normal(size=(6, 3)))[0].T[None]
-    event = Event("ball", np.array([0]), (Ball(np.zeros((1, 3)), 1.0),), ())
-    flight = Flight(mean, factor, (event,))
-    (expected,) = node_probabilities(flight)
-    assert probability(flight) == pytest.approx(expected, abs=8e-3)
-
-
-@given(seeds)
-@few
-def test_a_flight_keeps_less_than_every_node_and_more_than_boole_allows(seed: int) -> None:
-    flight = some_flight(seed)
-    found, nodes = probability(flight), node_probabilities(flight)
-    sampling = 5e-3
-    assert found <= nodes.min() + sampling
-    assert found >= 1.0 - (1.0 - nodes).sum() - sampling
 
 
 @given(seeds, st.sampled_from([None, 0.0, 0.01]))
@@ -165,47 +132,12 @@ def test_half_spaces_that_only_one_part_of_the_errors_knows_have_their_closed_fo
     assert probability(flight) == pytest.approx(float(ndtr(deviations)), abs=8e-3)
 
 
-@given(seeds, st.floats(1.001, 3.0))
-@few
-def test_about_the_means_convex_limits_are_kept_less_by_a_wider_law(
-    seed: int, wider: float
-) -> None:
-    """Line by line, so that sampling does not matter."""
-    flight = some_flight(seed)
-    n = len(flight.mean)
-    event = Event("tube", np.arange(n), (Ball(flight.mean, 0.08),), ())
-    flight = flight._replace(events=(event,))
-    before = of_flight(flight, 256)(flight.mean, flight.factor).value
-    after = of_flight(flight, 256)(flight.mean, wider * flight.factor).value
-    assert after <= before + 1e-9
-
-
 def test_limits_out_of_reach_do_not_matter() -> None:
     flight = some_flight(1)
     all_of_them = of_flight(flight, reach=100.0)(flight.mean, flight.factor)
     near = of_flight(flight)(flight.mean, flight.factor)
     assert len(near.nodes) < len(all_of_them.nodes)
     assert near.value == pytest.approx(all_of_them.value, abs=1e-6)
-
-
-@given(seeds, st.floats(1.0001, 1.2))
-@few
-def test_wider_limits_are_kept_by_more_flights(seed: int, wider: float) -> None:
-    """Line by line, so that sampling does not matter."""
-    flight = some_flight(seed)
-    shell, cones = flight.events
-    (outer,), (inner,), (cone,) = shell.keep_in, shell.keep_out, cones.keep_in
-    assert isinstance(outer, Ball)
-    assert isinstance(inner, Ball)
-    assert isinstance(cone, Cone)
-    before = of_flight(flight)(flight.mean, flight.factor).value
-    for events in (
-        (Event("s", shell.nodes, (Ball(outer.center, wider * 1.4),), (inner,)), cones),
-        (Event("s", shell.nodes, (outer,), (Ball(inner.center, 0.98 / wider),)), cones),
-        (shell, Event("c", cones.nodes, (Cone(cone.apex, cone.axis, wider * 0.6),), ())),
-    ):
-        after = of_flight(flight._replace(events=events))(flight.mean, flight.factor).value
-        assert after >= before - 1e-9
 
 
 @pytest.mark.parametrize("keep", ["in", "out"])
