@@ -22,7 +22,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "default")
 
-settings.register_profile("default", max_examples=40, deadline=None, derandomize=False)
+settings.register_profile("default", max_examples=25, deadline=None, derandomize=False)
 settings.register_profile("ci", max_examples=30, deadline=None, derandomize=True)
 settings.register_profile("nightly", max_examples=500, deadline=None, derandomize=False)
 # For mutation testing: fast and repeatable, and a failure needs no simple example.

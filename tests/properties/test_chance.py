@@ -151,7 +151,7 @@ def joint_probability(facets: Facets, mean: Array, factor: Array) -> float:
     return float(law.cdf(distance))
 
 
-INTEGRATION_ERROR = 1e-4
+INTEGRATION_ERROR = 5e-4
 few_facets = st.builds(
     Polytopes, st.sampled_from([paper_ball(), *map(ball, (4, 5, 8, 13, 24))]), st.integers(3, 24)
 )

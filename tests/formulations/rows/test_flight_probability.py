@@ -63,7 +63,10 @@ def probability(flight: Flight, lines: int = LINES) -> float:
     return float(ndtr(of_flight(flight, lines)(flight.mean, flight.factor).value))
 
 
-def sampled(flight: Flight, count: int = 100_000) -> float:
+SAMPLES = 40_000
+
+
+def sampled(flight: Flight, count: int = SAMPLES) -> float:
     """Share of plain random flights of the linear law that keep everything everywhere."""
     w = np.random.default_rng(5).normal(size=(count, flight.factor.shape[2]))
     kept = np.ones(count, dtype=np.bool_)
@@ -87,7 +90,7 @@ def test_plain_monte_carlo_agrees(seed: int, outside: float | None) -> None:
     """Also where the mean of a node is outside a limit, so that flights come in and leave again."""
     flight = some_flight(seed, outside)
     share, found = sampled(flight), probability(flight)
-    deviation = np.sqrt(max(share * (1.0 - share), 1e-4) / 100_000)
+    deviation = np.sqrt(max(share * (1.0 - share), 1e-4) / SAMPLES)
     assert found == pytest.approx(share, abs=4.0 * deviation + 1e-3)
 
 
