@@ -1,14 +1,15 @@
-"""Whether the spacecraft can fly a plan.
+"""Check whether the spacecraft can fly a plan.
 
 The plan is simulated with every source of error, once for each seed. Charge, modes, pointing and the
-flown path against the planned covariance go to OUT/flown_plan.csv, a line for each seed, and .md;
-the flights themselves to OUT/seed_N/simulation.npz. Flights of the same scenario, burns and vehicle
-that are there already are not flown again.
+flown path against the planned covariance go to OUT/flown_plan.csv, a row for each seed, and .md;
+the flights themselves to OUT/seed_N/simulation.npz. Flights of the same plan and vehicle that are there
+already are not flown again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +26,10 @@ from experiments.harness import (
     option,
     records,
 )
+from experiments.harness import Record as Row
 from formulations.arrays import Array, Booleans
-from scp_recon.errors import InputError, needing
+from scp_recon.api.flights import simulate
+from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
@@ -40,7 +43,6 @@ from scp_recon.simulation.record import (
     Record,
     WindowPointing,
     inputs_digest,
-    make_record,
     read_record,
     write_record,
 )
@@ -57,37 +59,27 @@ ANGLES: dict[str, Callable[[WindowPointing], Angles]] = {
 }
 
 
-def fly(solution: Solution, vehicle: Vehicle, seed: int, folder: Path, *, fresh: bool) -> Record:
-    """One flight: the one in the folder if it is of these burns, else simulated and written there.
+def fly(solution: Solution, vehicle: Path | None, out: Path, seed: int) -> Row:
+    """Simulate a flight, and write it to `seed_N` in a folder: a row of the table.
 
     Raises:
-        InputError: if Basilisk is not installed and the flight is not there.
+        InputError: if Basilisk is not installed.
         OSError: if the folder cannot be written.
     """
-    found = None if fresh else _found(solution, vehicle, seed, folder)
-    if found is not None:
-        return found
-    with needing("python -m experiments flown_plan", "sim", "Basilisk"):
-        from scp_recon.simulation.basilisk.simulation import simulate
+    record = simulate(solution, seed=seed, vehicle=vehicle)
+    folder = folder_of(out, seed)
     folder.mkdir(parents=True, exist_ok=True)
-    record = make_record(simulate(solution, vehicle, seed), solution, seed)
     write_record(record, folder)
-    return record
+    return row(record)
 
 
-def _found(solution: Solution, vehicle: Vehicle, seed: int, folder: Path) -> Record | None:
-    try:
-        record = read_record(folder)
-    except InputError:
-        return None
-    # Files of earlier versions lack the digests, and are flown again.
-    flown = record.summary.seed, record.plan_hash, record.summary.inputs_sha256
-    asked = seed, solution.plan_hash, inputs_digest(solution, vehicle)
-    return record if flown == asked else None
+def folder_of(out: Path, seed: int) -> Path:
+    """Where a flight is."""
+    return out / f"seed_{seed}"
 
 
-def line(record: Record) -> dict[str, Value]:
-    """One line of the table."""
+def row(record: Record) -> Row:
+    """A flight as a row of the table."""
     summary, distance = record.summary, record.arrays["node_sigma_distance"]
     camera, site = summary.window_pointing_deg.camera, summary.window_pointing_deg.site
     return {
@@ -279,19 +271,20 @@ def sample_distances(
 
 def run(session: Session) -> Findings:
     """Fly the plan once for each seed, and sample what it would do without a spacecraft."""
-    options = session.options
+    options, out = session.options, session.out
     solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
-    mission, flights = solution.mission, []
-    with session.steps("flights", options.seeds) as done:
-        for seed in range(options.seeds):
-            folder = session.out / f"seed_{seed}"
-            flights.append(fly(solution, vehicle, seed, folder, fresh=options.fresh))
-            done()
+    store = session.store("flown_plan.jsonl", inputs=inputs_digest(solution, vehicle))
+    if options.fresh:
+        store.forget()
+    work = partial(fly, solution, options.vehicle, out)
+    jobs = [Job(seed, seed) for seed in range(options.seeds)]
+    rows = session.rows("flights", work, jobs, store)
+    flights = [read_record(folder_of(out, seed)) for seed in range(options.seeds)]
     sampled = [sample_distances(solution, errs, SAMPLES) for errs in (vehicle, None)]
     return Findings(
-        report(flights, mission, sampled),
-        {"flown_plan.csv": records([line(record) for record in flights])},
-        claims([record.summary for record in flights]),
+        report(flights, solution.mission, sampled),
+        {"flown_plan.csv": records(rows)},
+        claims([flight.summary for flight in flights]),
     )
 
 

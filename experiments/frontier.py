@@ -11,23 +11,19 @@ is kept and taken up.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from time import process_time
 from typing import Any
 
 from experiments.harness import Findings, Record, Session, Study, option, records
-from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan_mission
-from scp_recon.jobs.store import Store
-from scp_recon.mission.mission import Mission
+from scp_recon.api.planning import plan
+from scp_recon.jobs.job import Job
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.results.table import Column, Table, Value
 from scp_recon.scenario.load import load_scenario
-from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 
 PROBABILITIES = (0.55, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
@@ -46,7 +42,7 @@ KINDS: Mapping[str, tuple[dict[str, Any], bool | None]] = {
 }
 """Changes to the scenario, and of exact risk whether flights certify the plan."""
 NOT_CERTIFIED = "not certified"
-"""Status of a plan that has converged, of which flights reach less than was asked."""
+"""Status of a plan that has converged, and of which flights reach less than was required."""
 
 AIMED = {
     "certified, each node": "exact, each node",
@@ -55,39 +51,26 @@ AIMED = {
 """The kind that a certified one is held against: the same problem, aiming at the probability itself."""
 
 
-def planned(scenario: Scenario, *, certified: bool | None) -> Plan:
-    """A cold plan."""
-    mission = Mission.from_scenario(scenario)
-    return plan_mission(mission, initial_guess.cold(mission), PlanOptions(certify=certified))
-
-
-def study(probabilities: Sequence[float], flights: int, kept: Store) -> Iterator[Record]:
-    """A row for each kind of plan and probability; those that are kept are not made again."""
-    base = load_scenario()
-    found: dict[tuple[str, float], Record] = {}
-    for kind, (changes, certified) in KINDS.items():
-        for p in probabilities:
-            scenario = base.replace({**changes, "risk.p_chance": p})
-            row = kept.row(
-                f"{kind} {p:g}",
-                partial(_row, kind, p, scenario, certified, flights),
-            )
-            found[kind, p] = row
-            yield row | certifying_costs(row, found.get((AIMED.get(kind, ""), p)))
-
-
-def certifying_costs(row: Record, aimed: Record | None) -> Record:
-    """What a certified plan costs more than one that aims at the probability itself; NaN of others."""
-    keys = {"certifying_dv_m_s": "total_dv_m_s", "certifying_processor_s": "processor_s"}
-    if aimed is None:
-        return dict.fromkeys(keys, float("nan"))
-    return {key: row[cost] - aimed[cost] for key, cost in keys.items()}
-
-
-def _row(kind: str, p: float, scenario: Scenario, certified: bool | None, flights: int) -> Record:
+def measure(flights: int, case: tuple[str, float]) -> Record:
+    """Plan a kind for a probability from a cold start, and fly it: a row."""
+    kind, p = case
+    changes, certified = KINDS[kind]
+    scenario = load_scenario().replace({**changes, "risk.p_chance": p})
     begin = process_time()
-    found = planned(scenario, certified=certified)
+    found = plan(scenario, certify=certified)
     return record(kind, p, found, flights, process_time() - begin)
+
+
+def with_costs(rows: Sequence[Record]) -> list[Record]:
+    """Rows with what certifying costs more than aiming at the probability itself, NaN of others."""
+    found = {(row["kind"], row["asked"]): row for row in rows}
+    keys = {"certifying_dv_m_s": "total_dv_m_s", "certifying_processor_s": "processor_s"}
+    nothing = dict.fromkeys(keys.values(), float("nan"))
+    result = []
+    for row in rows:
+        aimed = found.get((AIMED.get(row["kind"], ""), row["asked"]), nothing)
+        result.append(row | {key: row[cost] - aimed[cost] for key, cost in keys.items()})
+    return result
 
 
 def record(kind: str, p: float, found: Plan, flights: int, processor_s: float) -> Record:
@@ -178,13 +161,14 @@ def run(session: Session) -> Findings:
     probabilities, flights = (
         (QUICK, QUICK_FLIGHTS) if session.options.quick else (PROBABILITIES, FLIGHTS)
     )
-    rows: list[Record] = []
-    for row in study(probabilities, flights, session.finished(flights=flights)):
-        session.say(
-            f"{row['kind']}, {row['asked']:g}: {row['status']}, {row['total_dv_m_s']:.5f} m/s"
-        )
-        rows.append(row)
+    jobs = [Job(f"{kind} {p:g}", (kind, p)) for kind in KINDS for p in probabilities]
+    store = session.store(flights=flights)
+    rows = with_costs(session.rows("plans", partial(measure, flights), jobs, store, line=_line))
     return Findings(report(rows, flights), {"frontier.csv": records(rows)})
+
+
+def _line(row: Record) -> str:
+    return f"{row['kind']}, {row['asked']:g}: {row['status']}, {row['total_dv_m_s']:.5f} m/s"
 
 
 STUDY = Study(

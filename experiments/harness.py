@@ -31,7 +31,9 @@ from scp_recon.cli.options import int_between
 from scp_recon.cli.rendering import terminal
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
+from scp_recon.jobs.job import Executor, Job, Key, Work
 from scp_recon.jobs.store import Store, sources, versions
+from scp_recon.jobs.store import run as run_jobs
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.read import read_solution
@@ -160,8 +162,8 @@ class Session:
             task = bar.add_task("", total=total)
             yield lambda: bar.advance(task)
 
-    def finished(self, file: str = "", work: str = "", **setting: Any) -> Store:
-        """Rows of finished work in OUT, taken up again if sources and setting are the same.
+    def store(self, file: str = "", work: str = "", **setting: Any) -> Store:
+        """Open the rows of finished work in OUT; those of other sources or settings do not count.
 
         They stay in `file`; without one they are forgotten once the study has ended, because its tables
         have them. The sources are those of the module `work`, or of the study's own.
@@ -174,6 +176,33 @@ class Session:
         store = Store(self.out / (file or f"{self.name}_partial.jsonl"), depends_on)
         self._stores.append((store, bool(file)))
         return store
+
+    def rows(
+        self,
+        label: str,
+        work: Work,
+        jobs: Sequence[Job],
+        store: Store,
+        *,
+        executor: Executor | None = None,
+        line: Callable[[Record], str] | None = None,
+    ) -> list[Record]:
+        """Run the jobs whose rows a store lacks, under a bar, and return the rows of all in order.
+
+        Each row is said in a `line`, where there is one, as soon as it is there.
+        """
+        with self.steps(label, len(jobs)) as done:
+
+            def tell(_: Key, row: Mapping[str, Any]) -> None:
+                if line:
+                    self.say(line(dict(row)))
+                done()
+
+            for job in jobs:
+                if job.key in store:
+                    tell(job.key, store[job.key])
+            run_jobs(work, jobs, store, executor, on_done=tell)
+        return [store[job.key] for job in jobs]
 
     def end(self, study: Study, found: Findings) -> Answer:
         """Write what was found, and show the claims."""

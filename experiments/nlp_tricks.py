@@ -1,4 +1,4 @@
-"""What each trick gains the nonlinear program.
+"""Measure what each trick gains the nonlinear program.
 
 P2 of the default scenario from SCP's P3 solution, the facets chosen there. First the tricks that lead
 from the program as the paper prints it to the tuned one, each on top of those before it; then what
@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from time import process_time
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ from experiments.harness import Findings, Record, Session, Study, records
 from formulations.problem.facets import choose_facets
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
-from scp_recon.jobs.store import Store
+from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.scenario.load import load_scenario
@@ -82,26 +81,20 @@ def tricks() -> dict[str, Variant]:
     }
 
 
-def measure(
-    mission: Mission, chosen: Mapping[str, Variant], kept: Store, tell: Callable[[str], None]
-) -> list[Record]:
-    """Solve P2 with each, from the same P3 solution; what is kept is not solved again.
-
-    Figures stand in the rows as they are printed.
-    """
+def measuring(mission: Mission, chosen: Mapping[str, Variant]) -> Callable[[str], Record]:
+    """Return what solves P2 with a trick, always from the same P3 solution: a row, as it is printed."""
     from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
     p3 = plan_mission(mission, initial_guess.cold(mission), PlanOptions(problem="P3"))
     start = p3.final.result.lin
-    mean, factor = start.iterate.mean, start.factor
-    facets = choose_facets(mission.problem, mission.polytopes, mean, factor)
+    facets = choose_facets(mission.problem, mission.polytopes, start.iterate.mean, start.factor)
     arcs = casadi_arcs(mission.dynamics)
 
-    def solved(name: str) -> Record:
+    def measure(name: str) -> Record:
         solver = IpoptStages(mission, arcs, chosen[name])
         begin = process_time()
-        rows_ = solver.p2_rows(facets, start)
-        stage = solver.solve("P2", rows_, start, mission.dynamics, lambda *_: None)
+        rows = solver.p2_rows(facets, start)
+        stage = solver.solve("P2", rows, start, mission.dynamics, lambda *_: None)
         run = stage.runs[-1]
         return {
             "trick": name,
@@ -116,19 +109,21 @@ def measure(
             "processor s": f"{process_time() - begin:.2f}",
         }
 
-    rows = []
-    for name in chosen:
-        rows.append(kept.row(name, partial(solved, name)))
-        tell(", ".join(f"{column} {value}" for column, value in rows[-1].items()))
-    return rows
+    return measure
 
 
 def run(session: Session) -> Findings:
     """Measure every trick."""
     os.environ.update(FOR_SPRAL)
-    mission = Mission.from_scenario(load_scenario())
-    table = records(measure(mission, tricks(), session.finished(), session.say))
-    return Findings([table], {"nlp_tricks.csv": table})
+    chosen = tricks()
+    work = measuring(Mission.from_scenario(load_scenario()), chosen)
+    jobs = [Job(name, name) for name in chosen]
+    found = records(session.rows("tricks", work, jobs, session.store(), line=_line))
+    return Findings([found], {"nlp_tricks.csv": found})
+
+
+def _line(row: Record) -> str:
+    return ", ".join(f"{column} {value}" for column, value in row.items())
 
 
 STUDY = Study("What each trick gains", __doc__, run)

@@ -44,6 +44,7 @@ from formulations.rows.uniform import DeterministicRows
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.errors import InputError
+from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.forces import acceleration
@@ -298,27 +299,28 @@ def _turning(ox: Any, mission: Mission, values: Array, time: Any, times_s: Array
     return fixed + ox.Cos(rate * time[0]) * cosine + ox.Sin(rate * time[0]) * sine
 
 
-def _as_record(solve: Callable[[], Row]) -> Record:
-    return asdict(solve())
-
-
 def run(session: Session) -> Findings:
     """Solve every case by the peer, and P3 by the planner from the same start."""
     mission = Mission.from_scenario(load_scenario())
     start = initial_guess.ballistic(mission)
     if importlib.util.find_spec("openscvx") is None:
         raise InputError("the peer", "no OpenSCvx", "install the extra scp_recon[peer]")
-    store = session.finished(PEER_FILE)
-    methods = [
+    solves = (
         partial(our_row, mission, start, "scvx", "CLARABEL"),
         partial(our_row, mission, start, "ptr", "QOCO"),
         *(partial(peers_row, mission, start, case) for case in CASES),
-    ]
-    rows = []
-    for number, solve in enumerate(methods):
-        rows.append(row_from(store.row(number, partial(_as_record, solve))))
-        session.say(f"{rows[-1].method}: {rows[-1].status}")
-    return Findings([peer_table(rows)], {})
+    )
+    jobs = [Job(number, solve) for number, solve in enumerate(solves)]
+    rows = session.rows("methods", _called, jobs, session.store(PEER_FILE), line=_line)
+    return Findings([peer_table([row_from(row) for row in rows])], {})
+
+
+def _called(solve: Callable[[], Row]) -> Record:
+    return asdict(solve())
+
+
+def _line(row: Record) -> str:
+    return f"{row_from(row).method}: {row['status']}"
 
 
 STUDY = Study(

@@ -27,6 +27,7 @@ from experiments.harness import (
 )
 from formulations.arrays import Array
 from scp_recon.errors import needing
+from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics import geometry
@@ -78,7 +79,7 @@ def coast(
     return sim.flight()
 
 
-def measure_slew(mission: Mission, vehicle: Vehicle, index: int, seed: int) -> Record:
+def measure_slew(mission: Mission, vehicle: Vehicle, seed: int, index: int) -> Record:
     """A half turn about a principal axis of the body (the first three) or a random one: a row.
 
     It ends where the star tracker sees stars, as in every mode: otherwise the gyro's random walk
@@ -194,13 +195,9 @@ def run(session: Session) -> Findings:
     """Simulate half turns and recharges."""
     options = session.options
     mission, vehicle = Mission.from_scenario(load_scenario()), load_vehicle(options.vehicle)
-    finished = session.finished(seed=options.seed, vehicle=repr(vehicle))
-    slews = []
-    with session.steps("slews", options.slews) as done:
-        for index in range(options.slews):
-            measured = partial(measure_slew, mission, vehicle, index, options.seed)
-            slews.append(finished.row(f"{index}", measured))
-            done()
+    store = session.store(seed=options.seed, vehicle=repr(vehicle))
+    work = partial(measure_slew, mission, vehicle, options.seed)
+    slews = session.rows("slews", work, [Job(k, k) for k in range(options.slews)], store)
     recharges = (
         measure_recharge(mission, vehicle, options.seed),
         measure_recharge(mission, vehicle, options.seed, vehicle.loads.attitude_control_w),

@@ -112,7 +112,7 @@ def run(session: Session) -> Findings:
         raise InputError(f"--{sizes[0]}", f"--{sizes[1]} beside it", "goes alone")
     if options.quick and options.out == DEFAULT_OUT:
         session.out = QUICK_OUT
-    store = session.finished(ROWS_FILE, WORK)
+    store = session.store(ROWS_FILE, WORK)
     if options.fresh:
         store.forget()
     cells, rows = design(options), []

@@ -1,4 +1,4 @@
-"""How good a model the planner needs.
+"""Find how good a model the planner needs.
 
 A flight under the degree-8 field, light pressure on the vehicle's plates in their commanded attitude
 and finite burns is the truth. Each of these is replaced by its cruder models in turn, and the distance
@@ -9,7 +9,7 @@ Written are OUT/model_fidelity.csv, .md and, with the distances over time, model
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from experiments.harness import (
 )
 from experiments.model_fidelity.models import PLANNER, Choices, Flight, fly, passing, relapses
 from formulations.arrays import Array
+from scp_recon.jobs.job import Job
 from scp_recon.jobs.store import Store
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import ballistic_arc
@@ -72,13 +73,12 @@ class Compared:
         return self.terminal_m < LIMIT_M
 
 
-def compare(flight: Flight, kept: Store, tell: Callable[[], None] = lambda: None) -> list[Compared]:
-    """Every model of every effect, then the named ones and the planner's together.
+def compare(flight: Flight, session: Session, store: Store) -> list[Compared]:
+    """Fly every model of every effect, then the named ones and the planner's together.
 
     Distances that are kept are not flown again; the truth is.
     """
-    mission, choices = flight.plan.mission, Choices.of(flight)
-    vehicle = flight.plan.vehicle
+    mission, choices, vehicle = flight.plan.mission, Choices.of(flight), flight.plan.vehicle
 
     def path(names: dict[str, str]) -> Array:
         states = fly(
@@ -92,30 +92,26 @@ def compare(flight: Flight, kept: Store, tell: Callable[[], None] = lambda: None
         return states[:, :3]
 
     truth = path(choices.truth)
-    tell()
 
-    def against_truth(effect: str, model: str, names: dict[str, str]) -> Compared:
-        row = kept.row(
-            f"{flight.name}, {effect}, {model}",
-            lambda: {"distance_m": np.linalg.norm(path(names) - truth, axis=1).tolist()},
-        )
-        tell()
-        distance, window_s = np.array(row["distance_m"]), mission.schedule.window_s
-        return Compared(flight.name, effect, model, mission.times_s, distance, window_s)
+    def distances(names: dict[str, str]) -> Record:
+        return {"distance_m": np.linalg.norm(path(names) - truth, axis=1).tolist()}
 
-    found = [against_truth(*single) for single in choices.single()]
+    def against_truth(cases: Sequence[tuple[str, str, dict[str, str]]]) -> list[Compared]:
+        jobs = [Job(f"{flight.name}, {effect}, {model}", names) for effect, model, names in cases]
+        rows = session.rows(flight.name, distances, jobs, store)
+        times, window = mission.times_s, mission.schedule.window_s
+        return [
+            Compared(flight.name, effect, model, times, np.array(row["distance_m"]), window)
+            for (effect, model, _), row in zip(cases, rows, strict=True)
+        ]
+
+    found = against_truth(list(choices.single()))
     lowest = {
         effect: passing(names, terminal_distances(found, effect), LIMIT_M)
         for effect, names in choices.effects.items()
     }
-    found.append(against_truth(TOGETHER, ", ".join(lowest.values()), lowest))
-    found.append(against_truth(TOGETHER, ", ".join(PLANNER.values()), PLANNER))
-    return found
-
-
-def flown_models(flight: Flight) -> int:
-    """How many flights `compare` makes."""
-    return 3 + sum(1 for _ in Choices.of(flight).single())
+    together = [(TOGETHER, ", ".join(names.values()), names) for names in (lowest, PLANNER)]
+    return [*found, *against_truth(together)]
 
 
 def terminal_distances(found: Sequence[Compared], effect: str) -> dict[str, float]:
@@ -240,9 +236,8 @@ def run(session: Session) -> Findings:
     mission, vehicle = Mission.from_scenario(load_scenario()), load_vehicle(options.vehicle)
     cases = flights(mission, vehicle, options.solution)
     flown = {case.name: json.dumps(case.burns_m_s.tolist()) for case in cases}
-    kept = session.finished(**flown, vehicle=repr(vehicle))
-    with session.steps("flights", sum(map(flown_models, cases))) as done:
-        entries = [entry for case in cases for entry in compare(case, kept, done)]
+    store = session.store(**flown, vehicle=repr(vehicle))
+    entries = [entry for case in cases for entry in compare(case, session, store)]
     return Findings(
         report(entries),
         {

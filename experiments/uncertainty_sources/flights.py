@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from types import ModuleType
 
 import numpy as np
@@ -14,9 +13,6 @@ from scipy.stats import chi2, probplot, shapiro
 from experiments.harness import Record
 from formulations.arrays import Array
 from scp_recon.errors import needing
-from scp_recon.jobs.job import Job, here
-from scp_recon.jobs.processes import Processes
-from scp_recon.jobs.store import Store, run
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.vehicle import Vehicle
@@ -100,28 +96,6 @@ def fly_spacecraft(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -
         **dict(zip(STATE, flight.terminal_state.tolist(), strict=True)),
         "attitude_error_rad": float(off),
     }
-
-
-def fly_all(
-    store: Store,
-    solution: Solution,
-    vehicle: Vehicle,
-    wanted: Sequence[tuple[str, int]],
-    *,
-    workers: int = 1,
-    tell: Callable[[], None] = lambda: None,
-) -> list[Record]:
-    """The flights that are wanted, by error sources and seed; those that the store lacks are flown."""
-    jobs = [Job(f"{error_sources} {seed}", (error_sources, seed)) for error_sources, seed in wanted]
-    missing = [job for job in jobs if job.key not in store]
-    for _ in range(len(jobs) - len(missing)):
-        tell()
-    if missing and workers > 1:
-        simulator()  # if it is not there, that is said once, and here
-    work = partial(fly_spacecraft, solution, vehicle)
-    executor = Processes(workers) if workers > 1 else here
-    run(work, jobs, store, executor, on_done=lambda *_: tell())
-    return [store[job.key] for job in jobs]
 
 
 TESTED_MAX = 5000

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import compress
 
 import numpy as np
@@ -28,6 +29,7 @@ from experiments.harness import (
     plan_or_default,
     records,
 )
+from experiments.uncertainty_sources import flights
 from experiments.uncertainty_sources.flights import (
     ATTITUDE,
     CHEMICAL,
@@ -38,11 +40,12 @@ from experiments.uncertainty_sources.flights import (
     TRANSLATION,
     Normality,
     dispersion,
-    fly_all,
     fly_paths,
     normality,
 )
 from formulations.arrays import Array
+from scp_recon.jobs.job import Job, here
+from scp_recon.jobs.processes import Processes
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Column, Table
@@ -299,9 +302,13 @@ def run(session: Session) -> Findings:
         for error_sources in SETS
         if error_sources not in TRANSLATION and (error_sources != NO_ERRORS or k == 0)
     ]
-    store = session.finished("uncertainty_flights.jsonl", inputs=inputs_digest(solution, vehicle))
-    with session.steps("flights", len(wanted)) as done:
-        flown = fly_all(store, solution, vehicle, wanted, workers=options.workers, tell=done)
+    store = session.store("uncertainty_flights.jsonl", inputs=inputs_digest(solution, vehicle))
+    jobs = [Job(f"{error_sources} {seed}", (error_sources, seed)) for error_sources, seed in wanted]
+    if any(job.key not in store for job in jobs):
+        flights.simulator()  # if it is not there, that is said once, and here
+    work = partial(flights.fly_spacecraft, solution, vehicle)
+    executor = Processes(options.workers) if options.workers > 1 else here
+    flown = session.rows("flights", work, jobs, store, executor=executor)
     found = measure_flights(flown, solution)
     found |= measure_paths(solution, vehicle, options.paths, options.seed)
     entries = [found[error_sources] for error_sources in SOURCES if error_sources in found]

@@ -30,7 +30,7 @@ def read(folder: Path) -> list[Record]:
             another than a solution beside them.
     """
     files = [folder / f"seed_{row['seed']}" / FILE_NAME for row in SOURCE.rows(folder)]
-    written = f"written anew by `{SOURCE.command} --out {folder}`"
+    written = f"written anew by `{SOURCE.command} --fresh --out {folder}`"
     try:
         records = [read_record(file) for file in files]
     except InputError as error:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from rich.console import Console
 
-from experiments.harness import Record
+from experiments.harness import Record, Session
 from experiments.observation_table.rows import BENNU_ID, OSIRIS_REX_ID
 from experiments.uncertainty_sources.flights import SETS, STATE, TRANSLATION
 from formulations.arrays import Array
@@ -18,6 +20,13 @@ from scp_recon.results.solution import Solution
 from scp_recon.simulation.vehicle import Vehicle
 
 SAMPLES = 1500
+
+
+def session_in(out: Path, name: str = "study", module: str = "experiments.harness") -> Session:
+    """A session of a study that writes into a folder, in silence."""
+    return Session(name, module, Namespace(), out, Console(quiet=True))
+
+
 QUICK = ("--quick", "--skip-ipopt", "--samples", str(SAMPLES))
 
 

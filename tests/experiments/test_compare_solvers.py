@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from collections.abc import Generator, Iterable
+from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -28,6 +30,8 @@ from experiments.compare_solvers.study import ROWS_FILE, Solve, run_cells
 from experiments.compare_solvers.tables import csv_of, report, shown
 from experiments.harness import Findings
 from experiments.harness import report as as_markdown
+from scp_recon.jobs.job import TIMED_OUT, Done, Executor, Failure, Job, attempt
+from scp_recon.jobs.processes import Limits
 from scp_recon.jobs.store import Store, read_rows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -36,17 +40,46 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from tests.scp_recon.support import flight_beyond
 
-from .cell_works import dies, fine, raises, works_for_ever
+from .cell_works import works_for_ever
 
 CELLS = [Cell("matrix", "recon_b", (), REFERENCE, "random", seed) for seed in range(3)]
 LIMIT_S = 2.0
 UNGUARDED_FROZEN = Method("frozen-covariance", UNGUARDED, "CLARABEL")
 
 
+def figures_of(cell: Cell, flights: int) -> Row:
+    """What stands for the solving of a cell."""
+    # NaN is not even equal to itself.
+    figures = dict.fromkeys([f.name for f in fields(Row) if f.default is np.nan], float(flights))
+    return replace(failed_row(cell, ""), status="converged", problem="P2", **figures)
+
+
+def raises(cell: Cell, flights: int) -> Row:
+    raise ArithmeticError(f"nothing for {cell.seed} with {flights}")
+
+
+def never_ends(cell: Cell, flights: int) -> Row:
+    raise NotImplementedError
+
+
+def in_process(_: int, limits: Limits) -> Executor:
+    """Run cells here; what never ends runs into its limit."""
+
+    def run(work: Any, jobs: Iterable[Job]) -> Generator[Done, None, None]:
+        for job in jobs:
+            if work.func is never_ends:
+                failure = Failure(TIMED_OUT, f"{limits.cpu_s:g} s")
+                yield Done(job.key, None, failure, 1.0, limits.cpu_s, 1)
+            else:
+                yield attempt(work, job)
+
+    return run
+
+
 def collect(
     path: Path, solve: Solve, cells: list[Cell] = CELLS, limit_s: float = LIMIT_S
 ) -> list[Row]:
-    with Store(path, {}) as store:
+    with mock.patch.object(compare_solvers, "Processes", in_process), Store(path, {}) as store:
         return list(run_cells(cells, store, flights=5, limit_s=limit_s, solve=solve))
 
 
@@ -57,42 +90,29 @@ def to_markdown(rows: list[Row]) -> str:
 # --- cells and rows -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("solve", "words"),
-    [
-        (raises, "ArithmeticError: nothing for 0 with 5"),
-        (dies, "ended its process in each of 3 tries, at last with status 12"),
-        (works_for_ever, "no end after 2 s"),
-    ],
-)
-def test_a_cell_that_fails_is_a_row(tmp_path: Path, solve: Solve, words: str) -> None:
-    (row,) = collect(tmp_path / ROWS_FILE, solve, CELLS[:1])
-    assert (row.key, row.status, row.detail) == (CELLS[0].key, FAILED, words)
-    assert not row.solved
-
-
-def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_a_cell_that_fails_is_a_row_and_is_tried_again_but_for_one_at_its_limit(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / ROWS_FILE
-    (first,) = collect(path, fine, CELLS[:1])
+    (first,) = collect(path, figures_of, CELLS[:1])
     rows = collect(path, raises)
-    np.testing.assert_equal(asdict(rows[0]), asdict(first))  # NaN where there is no figure
+    np.testing.assert_equal(asdict(rows[0]), asdict(first))
     assert [row.status for row in rows] == ["converged", FAILED, FAILED]
-
-
-def test_what_failed_is_tried_again_but_for_what_ran_into_its_limit(tmp_path: Path) -> None:
-    path = tmp_path / ROWS_FILE
-    collect(path, raises)
-    assert {row.status for row in collect(path, fine)} == {"converged"}
-    for solve in (works_for_ever, fine):
+    assert (rows[1].key, rows[1].solved) == (CELLS[1].key, False)
+    assert rows[1].detail == "ArithmeticError: nothing for 1 with 5"
+    assert {row.status for row in collect(path, figures_of)} == {"converged"}
+    # Rows of another limit are left alone.
+    assert {row.status for row in collect(path, raises, limit_s=LIMIT_S + 1.0)} == {FAILED}
+    assert {row.status for row in collect(path, raises)} == {"converged"}
+    for solve in (never_ends, figures_of):
         (row,) = collect(tmp_path / "other", solve, CELLS[:1])
         assert row.detail == "no end after 2 s"
 
 
-def test_rows_of_another_limit_are_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / ROWS_FILE
-    collect(path, fine)
-    assert {row.status for row in collect(path, raises, limit_s=LIMIT_S + 1.0)} == {FAILED}
-    assert {row.status for row in collect(path, raises)} == {"converged"}
+def test_a_process_solves_a_cell_and_is_ended_at_its_limit(tmp_path: Path) -> None:
+    with Store(tmp_path / ROWS_FILE, {}) as store:
+        (row,) = run_cells(CELLS[:1], store, flights=0, limit_s=0.3, solve=works_for_ever)
+    assert (row.status, row.detail, row.limit_s) == (FAILED, "no end after 0.3 s", 0.3)
 
 
 def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
@@ -230,7 +250,7 @@ def test_who_does_not_solve_what_others_solve_is_named_and_breaks_the_claim() ->
 
 def test_the_share_of_solved_guesses_comes_with_its_interval() -> None:
     cells = [Cell("guesses", "recon_b", (), REFERENCE, "random", seed) for seed in range(50)]
-    solved = [replace(fine(cell, 0), total_dv_m_s=0.14) for cell in cells[:40]]
+    solved = [replace(figures_of(cell, 0), total_dv_m_s=0.14) for cell in cells[:40]]
     text = to_markdown([*solved, *(failed_row(cell, "no") for cell in cells[40:])])
     # Clopper-Pearson for 40 of 50, from tables.
     assert "| 50 | 80 % | 66 to 90 % | 80 % | 66 to 90 % |" in text
@@ -249,7 +269,7 @@ def test_what_a_second_try_solves_is_not_solved_at_the_first() -> None:
 
 
 def test_a_second_try_that_was_discarded_is_not_named() -> None:
-    row = replace(fine(CELLS[0], 0), status="infeasible", first_status="infeasible")
+    row = replace(figures_of(CELLS[0], 0), status="infeasible", first_status="infeasible")
     assert shown(row) == "infeasible"
 
 
@@ -280,6 +300,7 @@ def test_the_command_leaves_its_tables_and_takes_up_its_rows(
     cells = (Cell("matrix", "recon_b", (), REFERENCE, "cold"),)
     monkeypatch.setattr(compare_solvers, "quick_design", lambda: cells)
     monkeypatch.setattr(compare_solvers, "exact_design", lambda *_: ())
+    monkeypatch.setattr(compare_solvers, "Processes", in_process)
     monkeypatch.setattr(compare_solvers, "FLIGHTS", 1000)
     written = []
     for _ in range(2):

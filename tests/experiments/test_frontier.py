@@ -14,16 +14,16 @@ from experiments.frontier import (
     KINDS,
     NOT_CERTIFIED,
     PROBABILITIES,
-    certifying_costs,
+    measure,
     record,
     report,
-    study,
+    with_costs,
 )
 from experiments.harness import Record
 from formulations.problem.flyby import Iterate
 from scp_recon.api import planning
+from scp_recon.api.planning import plan
 from scp_recon.certification.certify import AimedPlanning
-from scp_recon.jobs.store import Store
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Certificate, Plan
 from scp_recon.scenario.load import load_scenario
@@ -38,16 +38,13 @@ def aiming_higher(mission: Mission, start: Iterate, make_plan: AimedPlanning, _:
 
 
 @pytest.fixture(scope="module")
-def rows(tmp_path_factory: pytest.TempPathFactory) -> list[Record]:
+def rows() -> list[Record]:
     """Of one probability, per node, on the coarse grid."""
-    kinds = {kind: of for kind, of in KINDS.items() if kind in (*AIMED, *AIMED.values())}
-    kinds = {kind: of for kind, of in kinds.items() if "node" in kind}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(planning, "certify", aiming_higher)
-        patch.setattr(frontier, "KINDS", kinds)
         patch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
-        with Store(tmp_path_factory.mktemp("rows") / "partial.jsonl", {}) as kept:
-            return list(study([0.9], 200, kept))
+        kinds = ("exact, each node", "certified, each node")
+        return with_costs([measure(200, (kind, 0.9)) for kind in kinds])
 
 
 def test_the_study_spans_what_is_asked_of_it() -> None:
@@ -70,33 +67,28 @@ def test_certifying_costs_more_than_aiming_at_the_probability(rows: list[Record]
 
 def test_all_rounds_count(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not only the last one's planning."""
-    scenario = load_scenario(None, (COARSE,))
 
-    def rounds(scenario: Scenario, certified: bool) -> Plan:
-        assert certified
+    def rounds(scenario: Scenario, certify: bool | None) -> Plan:
         begin = process_time()
         while process_time() - begin < 0.2:  # what the rounds before the last one take
             pass
-        return planned(scenario, certified=None)
+        return plan(scenario, certify=certify)
 
-    planned = frontier.planned
-    monkeypatch.setattr(frontier, "planned", rounds)
-    row = frontier._row("uniform, paper polytopes", 0.7, scenario, True, 100)
+    monkeypatch.setattr(frontier, "plan", rounds)
+    monkeypatch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
+    row = measure(100, ("uniform, paper polytopes", 0.7))
     assert float(row["processor_s"]) >= 0.2
+    assert math.isnan(with_costs([row])[0]["certifying_dv_m_s"])  # it has no counterpart
 
 
 def test_a_plan_whose_flights_fall_short_is_no_certified_one() -> None:
     """Its delta-v is not the price of what was asked."""
     short = Certificate(10_000, 1_000, 0.7, 0.69, 0.71, 0.7, 1)
-    plain = frontier.planned(load_scenario(None, (COARSE,)), certified=None)
+    plain = plan(load_scenario(None, (COARSE,)))
     found = replace(plain, certificate=short, target=0.7)
     kept, missed = (record("certified, each node", p, found, 100, 1.0) for p in (0.69, 0.7))
     assert kept["total_dv_m_s"] == plain.total_dv_m_s
     assert (missed["status"], math.isnan(float(missed["total_dv_m_s"]))) == (NOT_CERTIFIED, True)
-
-
-def test_a_plan_without_a_counterpart_has_no_such_cost() -> None:
-    assert all(math.isnan(float(cost)) for cost in certifying_costs({}, None).values())
 
 
 def test_the_tables_have_costs_time_and_observation(rows: list[Record]) -> None:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from experiments import frontier
 from experiments.__main__ import STUDIES, main, module_of
-from experiments.harness import Claim, Findings, report
-from experiments.timing_rules import SETTLED
-from scp_recon.jobs.store import Store
+from experiments.harness import Claim, Findings, Record, Study, report
+from scp_recon.jobs.job import Job
 from scp_recon.results.table import Table
+
+from .support import session_in
 
 PACKAGE = Path(frontier.__file__).parent
 
@@ -63,37 +63,33 @@ def test_a_report_ends_with_the_claims_a_row_each() -> None:
     assert text.endswith("| a is b | within 1 | 0.5 | yes |\n| c | all | none | not tested |\n")
 
 
-def test_the_frontier_goes_on_after_ctrl_c(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(frontier, "KINDS", dict(list(frontier.KINDS.items())[:2]))
-    planned: list[str] = []
+def test_a_study_goes_on_after_ctrl_c(tmp_path: Path) -> None:
+    jobs, done, said = [Job(k, k) for k in range(4)], [], list[str]()
 
-    def made(kind: str, p: float, *_: object) -> dict[str, Any]:
-        if len(planned) == 1 and not (tmp_path / "pressed").exists():
-            (tmp_path / "pressed").touch()
+    def work(k: int) -> Record:
+        if k == 2 and done == [0, 1]:
             raise KeyboardInterrupt
-        planned.append(f"{kind} {p:g}")
-        figures = ("certified_low", "node", "whole_flight", "observed_mean_s", "seconds")
-        return {
-            "kind": kind, "asked": p, "status": "converged", "total_dv_m_s": 0.1, "aim": math.nan,
-            **dict.fromkeys(figures, 0.5),
-        }  # fmt: skip
+        done.append(k)
+        return {"root": math.sqrt(k), "never": math.inf}
 
-    monkeypatch.setattr(frontier, "_row", made)
-    words = ["frontier", "--quick", "--out", str(tmp_path)]
-    assert main(words) == 130
-    assert (tmp_path / "frontier_partial.jsonl").exists()
-    assert main(words) == 0
-    assert len(planned) == len(set(planned)) == 4
-    assert not (tmp_path / "frontier_partial.jsonl").exists()
-    assert capsys.readouterr().out.count("0.10000 m/s") == 5
+    def rows() -> list[Record]:
+        with session_in(tmp_path) as session:
+            session.say = said.append  # type: ignore[method-assign]
+            return session.rows("roots", work, jobs, session.store(), line=lambda r: str(r["root"]))
+
+    with pytest.raises(KeyboardInterrupt):
+        rows()
+    done.append(-1)  # from now on nothing stops it
+    assert [row["root"] for row in rows()] == [math.sqrt(k) for k in range(4)]
+    assert done == [0, 1, -1, 2, 3]
+    assert said == [str(math.sqrt(k)) for k in (0, 1, 0, 1, 2, 3)]
+    assert {row["never"] for row in rows()} == {math.inf}
 
 
-def test_a_slew_is_kept_whole(tmp_path: Path) -> None:
-    slew = {"axis_x": 0.6, "wheel_share": 0.25, **dict.fromkeys(SETTLED.values(), math.inf)}
-    slew["steady_rms_deg"] = 1 / 3
-    with Store(tmp_path / "partial.jsonl", {}) as store:
-        assert store.row("0", lambda: slew) == slew
-    with Store(tmp_path / "partial.jsonl", {}) as store:
-        assert store["0"] == slew
+def test_what_was_kept_goes_once_the_tables_have_it(tmp_path: Path) -> None:
+    with session_in(tmp_path) as session:
+        for file in ("", "stays.jsonl"):
+            session.store(file).put(0, {})
+        session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
+    kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
+    assert kept == ["stays.jsonl"]

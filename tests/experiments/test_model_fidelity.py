@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +24,7 @@ from experiments.model_fidelity.models import (
     passing,
     relapses,
 )
-from experiments.model_fidelity.study import Compared, claims, compare, flown_models
-from scp_recon.jobs.store import Store
+from experiments.model_fidelity.study import Compared, claims, compare
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
 from scp_recon.physics.flow import propagate
@@ -34,6 +32,8 @@ from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.results.solution import ballistic_arc
 from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.vehicle import load_vehicle
+
+from .support import session_in
 
 THRUST_M_S2 = 1.0 / 178.0
 
@@ -49,14 +49,18 @@ def flight(mission: Mission) -> Flight:
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Store]:
-    with Store(tmp_path_factory.mktemp("fidelity") / "partial.jsonl", {}) as store:
-        yield store
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("fidelity")
+
+
+def compared_in(folder: Path, flight: Flight) -> list[Compared]:
+    with session_in(folder) as session:
+        return compare(flight, session, session.store())
 
 
 @pytest.fixture(scope="module")
-def compared(flight: Flight, kept: Store) -> list[Compared]:
-    return compare(flight, kept)
+def compared(flight: Flight, folder: Path) -> list[Compared]:
+    return compared_in(folder, flight)
 
 
 def no_light(_: float) -> np.ndarray:
@@ -187,7 +191,7 @@ def test_where_nothing_passes_the_truth_is_needed() -> None:
 
 def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
     """Orders of magnitude that follow from the forces alone; no light pressure shifts by 10 m."""
-    assert len(compared) == flown_models(flight) - 1
+    assert len(compared) == 2 + len(list(Choices.of(flight).single()))
     end = {entry.model: entry.terminal_m for entry in compared}
     assert end["none"] == pytest.approx(10.0, abs=1.0)
     assert end["cannonball"] < 0.2 * end["none"]
@@ -205,7 +209,7 @@ def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
 
 
 def test_what_was_flown_is_kept(
-    flight: Flight, kept: Store, compared: list[Compared], monkeypatch: pytest.MonkeyPatch
+    flight: Flight, folder: Path, compared: list[Compared], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flown = []
 
@@ -214,7 +218,7 @@ def test_what_was_flown_is_kept(
         return np.zeros((len(flight.plan.mission.times_s), 6))
 
     monkeypatch.setattr(model_fidelity, "fly", path)
-    again = compare(flight, kept)
+    again = compared_in(folder, flight)
     assert flown == [1]  # the truth
     assert all(
         np.array_equal(a.distance_m, b.distance_m) for a, b in zip(again, compared, strict=True)

@@ -34,7 +34,7 @@ def test_a_half_turn_takes_at_least_the_limited_rate_and_settles(
     mission: Mission, vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(timing_rules, "SLEW_S", 1500.0)
-    slew = measure_slew(mission, vehicle, 2, 0)
+    slew = measure_slew(mission, vehicle, 0, 2)
     settling_s = [slew[column] for column in SETTLED.values()]
     assert settling_s == sorted(settling_s)
     assert settling_s[0] > 180.0 / 0.4

@@ -1,31 +1,25 @@
-"""Flights of the uncertainty study: its samples, and going on after a stop."""
+"""Flights of the uncertainty study: its samples, and what it says without Basilisk."""
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments.harness import Record
-from experiments.uncertainty_sources import flights
+from experiments.__main__ import main
 from experiments.uncertainty_sources.flights import (
     CHEMICAL,
     INITIAL,
     SETS,
     TRANSLATION,
     dispersion,
-    fly_all,
     fly_paths,
 )
-from scp_recon.jobs.store import Store
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.vehicle import Vehicle
-
-from .support import simulated
 
 # --- flights --------------------------------------------------------------------------------------
 
@@ -77,74 +71,18 @@ def test_sets_are_the_simulations_sources() -> None:
     assert {source.value for source in simulation.Source} == set(SETS["all"])
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
 def test_without_basilisk_the_extra_is_named(
-    solution: Solution, tmp_path: Path, workers: str
+    solution: Solution,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     solution.write(tmp_path)
-    code = (
-        "import sys; sys.modules['Basilisk'] = None\n"
-        "from experiments.__main__ import main; sys.exit(main(sys.argv[1:]))"
-    )
-    options = [
-        "uncertainty_sources",
-        "--solution",
-        str(tmp_path),
-        "--out",
-        str(tmp_path),
-        "--workers",
-        workers,
-    ]
-    run = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code, *options],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert run.returncode == 2
-    assert "needs the extra scp_recon[sim]" in run.stderr
-    assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
-
-
-# --- going on where it stopped --------------------------------------------------------------------
-
-
-def test_flights_in_the_store_are_not_flown_again(
-    solution: Solution, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    flown: list[tuple[str, int]] = []
-
-    def spy(solution: Solution, vehicle: Vehicle, job: tuple[str, int]) -> Record:
-        if job == ("imu", 1) and not flown.count(("all", 0)):
-            raise KeyboardInterrupt
-        flown.append(job)
-        return simulated(solution, vehicle, job)
-
-    monkeypatch.setattr(flights, "fly_spacecraft", spy)
-    jobs = [("none", 0), ("imu", 0), ("imu", 1), ("all", 0)]
-    with (
-        Store(tmp_path / "flights.jsonl", {}) as store,
-        pytest.raises(KeyboardInterrupt),
-    ):
-        fly_all(store, solution, vehicle, jobs)
-    assert flown == jobs[:2]
-    flown.append(("all", 0))  # from now on nothing stops it
-    told: list[None] = []
-    with Store(tmp_path / "flights.jsonl", {}) as store:
-        again = fly_all(store, solution, vehicle, jobs, tell=lambda: told.append(None))
-    assert flown == [*jobs[:2], ("all", 0), *jobs[2:]]
-    assert again == [simulated(solution, vehicle, job) for job in jobs]
-    assert len(told) == len(jobs)
-
-
-def test_two_processes_fly_what_one_does(
-    solution: Solution, vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("Basilisk")
-    monkeypatch.setattr(flights, "fly_spacecraft", simulated)
-    jobs = [("imu", seed) for seed in range(5)]
-    with Store(tmp_path / "flights.jsonl", {}) as store:
-        found = fly_all(store, solution, vehicle, jobs, workers=2)
-        assert len(store) == len(jobs)
-    assert found == [simulated(solution, vehicle, job) for job in jobs]
+    for name in [name for name in sys.modules if name.split(".")[0] == "Basilisk"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "scp_recon.simulation.basilisk.simulation", raising=False)
+    monkeypatch.setitem(sys.modules, "Basilisk", None)
+    words = ["--solution", str(tmp_path), "--out", str(tmp_path), "--workers", "2"]
+    assert main(["uncertainty_sources", *words]) == 2
+    assert "needs the extra scp_recon[sim]" in capsys.readouterr().err
+    assert [file.name for file in tmp_path.iterdir() if file.suffix] == ["solution.json"]
