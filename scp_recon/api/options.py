@@ -14,11 +14,13 @@ from scp_recon.planning.method import (
     FACET_ROUNDS_MAX,
     FORMULATION,
     PROBLEMS,
+    SEED_MAX,
     SOLVER,
+    STARTS_MAX,
+    WORKERS_MAX,
     ScpMethod,
     scp_method,
 )
-from scp_recon.planning.starts import SEED_MAX, STARTS_MAX, WORKERS_MAX
 from scp_recon.scenario.schema import Scenario
 
 METHODS = ("scp", "ipopt")

@@ -7,8 +7,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.resources import files
 from math import factorial, sqrt
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from formulations.arrays import Array
 
@@ -59,56 +61,39 @@ class HarmonicField:
     def acceleration(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
         """Acceleration in the body's frame by Cunningham's recursion.
 
-        Montenbruck & Gill, Satellite Orbits, eqs. 3.29 to 3.33.
+        Montenbruck & Gill, Satellite Orbits, eq. 3.33, with the harmonics as V + i W and the
+        coefficients as C - i S.
         """
-        degree = len(self.c) - 1
-        v, w = self._solid_harmonics(x, y, z, degree + 1)
-        ax, ay, az = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
-        for n in range(degree + 1):
-            for m in range(n + 1):
-                c, s = self.c[n, m], self.s[n, m]
-                if c == 0.0 and s == 0.0:
-                    continue
-                if m == 0:
-                    ax -= c * v[n + 1, 1]
-                    ay -= c * w[n + 1, 1]
-                else:
-                    k = (n - m + 2) * (n - m + 1)
-                    ax += 0.5 * (
-                        -c * v[n + 1, m + 1]
-                        - s * w[n + 1, m + 1]
-                        + k * (c * v[n + 1, m - 1] + s * w[n + 1, m - 1])
-                    )
-                    ay += 0.5 * (
-                        -c * w[n + 1, m + 1]
-                        + s * v[n + 1, m + 1]
-                        + k * (-c * w[n + 1, m - 1] + s * v[n + 1, m - 1])
-                    )
-                az -= (n - m + 1) * (c * v[n + 1, m] + s * w[n + 1, m])
+        harmonics = self._solid_harmonics(x, y, z, len(self.c))
+        across, up = np.zeros_like(x, dtype=complex), np.zeros_like(x)
+        for n, m in np.argwhere((self.c != 0.0) | (self.s != 0.0)).tolist():
+            k = complex(self.c[n, m], -self.s[n, m])
+            outer = k * harmonics[n + 1, m + 1]
+            if m == 0:
+                across -= outer
+            else:
+                inner = k * harmonics[n + 1, m - 1]
+                across += 0.5 * ((n - m + 2) * (n - m + 1) * inner.conj() - outer)
+            up -= (n - m + 1) * (k * harmonics[n + 1, m]).real
         scale = self.gm / self.radius**2
-        return scale * ax, scale * ay, scale * az
+        return scale * across.real, scale * across.imag, scale * up
 
     def _solid_harmonics(
         self, x: Array, y: Array, z: Array, degree: int
-    ) -> tuple[dict[tuple[int, int], Array], dict[tuple[int, int], Array]]:
-        """V_nm and W_nm of Montenbruck & Gill, eqs. 3.29 to 3.31."""
+    ) -> dict[tuple[int, int], npt.NDArray[Any]]:
+        """V_nm + i W_nm of Montenbruck & Gill, eqs. 3.29 to 3.31."""
         r2 = x * x + y * y + z * z
         rho = self.radius**2 / r2
         x0, y0, z0 = (self.radius * u / r2 for u in (x, y, z))
-        v = {(0, 0): self.radius / np.sqrt(r2)}
-        w = {(0, 0): np.zeros_like(r2)}
+        found = {(0, 0): self.radius / np.sqrt(r2) + 0j}
         for m in range(degree + 1):
             if m > 0:
-                v[m, m] = (2 * m - 1) * (x0 * v[m - 1, m - 1] - y0 * w[m - 1, m - 1])
-                w[m, m] = (2 * m - 1) * (x0 * w[m - 1, m - 1] + y0 * v[m - 1, m - 1])
+                found[m, m] = (2 * m - 1) * (x0 + 1j * y0) * found[m - 1, m - 1]
             for n in range(m + 1, degree + 1):
-                first, second = (2 * n - 1) / (n - m) * z0, (n + m - 1) / (n - m) * rho
-                v[n, m] = first * v[n - 1, m]
-                w[n, m] = first * w[n - 1, m]
+                found[n, m] = (2 * n - 1) / (n - m) * z0 * found[n - 1, m]
                 if n > m + 1:
-                    v[n, m] = v[n, m] - second * v[n - 2, m]
-                    w[n, m] = w[n, m] - second * w[n - 2, m]
-        return v, w
+                    found[n, m] -= (n + m - 1) / (n - m) * rho * found[n - 2, m]
+        return found
 
 
 def _normalisation(n: int, m: int) -> float:

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.integrate import solve_bvp
-from scipy.interpolate import CubicHermiteSpline
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
@@ -102,8 +100,12 @@ def _circular_positions(
 
 
 def _two_impulses(mission: Mission, way: float) -> Iterate | None:
+    from scipy.integrate import solve_bvp  # what is not begun at this arc needs no integrators
+
     first, times = mission.burn_nodes[0], mission.times_s
-    coast = _coast(mission)
+    none = np.zeros((len(mission.burn_nodes), 3))
+    coast = mission.dynamics.rollout(mission.problem.initial_state, none)[: first + 1]
+    coast *= mission.units.state
     start, end = coast[-1], mission.final_state
     duration, forces = times[-1] - times[first], mission.forces
     mesh = np.linspace(0.0, 1.0, 41)
@@ -129,14 +131,6 @@ def _two_impulses(mission: Mission, way: float) -> Iterate | None:
     burns[1:-1] = COLD_BURN_M_S
     states[-1, 3:] = end[3:]
     return nondimensional(mission, burns, states)
-
-
-def _coast(mission: Mission) -> Array:
-    """States at the nodes up to the first burn, before it, shape (n, 6)."""
-    states = [mission.initial_state]
-    for duration in np.diff(mission.times_s[: mission.burn_nodes[0] + 1]):
-        states.append(propagate(states[-1], duration, mission.forces, mission.arc_substeps))
-    return np.array(states)
 
 
 def random(mission: Mission, seed: int) -> Iterate:
@@ -246,6 +240,8 @@ def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
 
 def _interpolated(pieces: Sequence[Array], times: Array) -> Array:
     """States by cubics within each piece of a table, at a burn those after it; shape (n, 6)."""
+    from scipy.interpolate import CubicHermiteSpline  # only a table is interpolated
+
     index = np.searchsorted([piece[0, 0] for piece in pieces[1:]], times, side="right")
     states = np.empty((len(times), 6))
     for i, piece in enumerate(pieces):

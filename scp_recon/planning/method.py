@@ -1,4 +1,4 @@
-"""Names of the methods of planning, checked without importing the planner."""
+"""Names of the methods of planning and limits of its options, without importing the planner."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scp_recon.scp.algorithms import ALGORITHMS
 FORMULATION, ALGORITHM, SOLVER = "condensed", "scvx", "CLARABEL"
 PROBLEMS = ("P2", "P3")
 FACET_ROUNDS_MAX = 100
+STARTS_MAX, WORKERS_MAX, SEED_MAX = 1_000, 256, 2**63 - 1
 
 
 class ScpMethod(NamedTuple):

@@ -17,7 +17,6 @@ import numpy as np
 from pydantic import Field
 
 from formulations.arrays import Array, Booleans
-from formulations.linearisation.linearisation import Linearisation
 from formulations.program.multipliers import VANISHED, multipliers, primer, slope_left
 from scp_recon.mission.legal_burns import legal_additions
 from scp_recon.mission.mission import Mission
@@ -73,8 +72,12 @@ def primer_history(mission: Mission, stage: Stage) -> PrimerHistory | None:
         no small burn is like none, and of flights under way.
     """
     lin, merit = stage.result.lin, stage.merit
-    converged = stage.result.status is Status.CONVERGED
-    if not (converged and lin.problem.execution_errors.affine and _is_whole(mission, lin)):
+    if (
+        stage.result.status is not Status.CONVERGED
+        or mission.scenario.in_flight is not None
+        or not lin.problem.execution_errors.affine
+        or not np.any(np.linalg.norm(lin.iterate.burns, axis=1) > VANISHED)
+    ):
         return None
     prices = multipliers(merit.problem, merit.rows, lin)
     vector = primer(merit.rows, lin, prices)
@@ -85,12 +88,6 @@ def primer_history(mission: Mission, stage: Stage) -> PrimerHistory | None:
         allowed_part(vector, sun, lin.problem.dv_cone).tolist(),
         legal_nodes(mission).tolist(),
         slope_left(merit.problem, merit.rows, lin, prices),
-    )
-
-
-def _is_whole(mission: Mission, lin: Linearisation) -> bool:
-    return mission.scenario.in_flight is None and bool(
-        np.any(np.linalg.norm(lin.iterate.burns, axis=1) > VANISHED)
     )
 
 

@@ -274,17 +274,17 @@ def _interrupted(stages: list[Stage]) -> Stage:
 
 
 def standing(stage: Stage) -> tuple[int, float]:
-    """What makes a run better than another: how it ended, then how little it costs."""
-    return _rank(stage), -_merit(stage)
+    """What makes a run better than another: how it ended, then how little it costs.
 
-
-def _rank(stage: Stage) -> int:
-    """Rank of a run's end: 3 solved, 2 at a point that violates nothing, 0 failed, 1 otherwise."""
+    It ended solved (3), at a point that violates nothing (2), without an answer of the solver (0) or
+    otherwise (1).
+    """
+    rank = 0 if stage.result.status is Status.SOLVER_FAILED else 1
     if stage.result.status is Status.CONVERGED:
-        return 3
-    if stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
-        return 2
-    return 0 if stage.result.status is Status.SOLVER_FAILED else 1
+        rank = 3
+    elif stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
+        rank = 2
+    return rank, -_merit(stage)
 
 
 def _merit(stage: Stage) -> float:

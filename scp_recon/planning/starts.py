@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,42 +19,14 @@ from scp_recon.planning.plan import Optimum, Plan, Stage, Starts, as_interrupted
 from scp_recon.planning.stages import FIRST_STAGE, same_optimum, standing
 from scp_recon.scp.status import Status
 
-STARTS_MAX, WORKERS_MAX, SEED_MAX = 1_000, 256, 2**63 - 1
-
 BEND, BURN = 0.5, 0.75
 """Of a random flight's path and burns before it is made to fly, in the mission's units, 1 sigma."""
-
-
-class MakePlan(Protocol):
-    """Plans a mission; with `once` from this start alone. It pickles."""
-
-    def __call__(self, mission: Mission, guess: Iterate, /, *, once: bool, init: str) -> Plan:
-        """The plan from a start, and what the start is called."""
-        ...
-
-
-@dataclass(frozen=True)
-class _PlanStart:
-    """Plans one of the starts, in whatever process."""
-
-    mission: Mission
-    guess: Iterate
-    init: str
-    make_plan: MakePlan
-    seed: int
-
-    def __call__(self, number: int) -> Plan:
-        if number == 0:
-            return self.make_plan(self.mission, self.guess, once=False, init=self.init)
-        start = random_flight(self.mission, self.seed, number)
-        name = f"random flight {number} of seed {self.seed}"
-        return self.make_plan(self.mission, start, once=True, init=name)
 
 
 def plan_from_several(
     mission: Mission,
     guess: Iterate,
-    make_plan: MakePlan,
+    make_plan: Callable[..., Plan],
     *,
     starts: int,
     seed: int = 0,
@@ -64,11 +36,12 @@ def plan_from_several(
 ) -> Plan:
     """The best plan of several starts: the guess, as it is planned alone, and random flights.
 
+    `make_plan` is as `planner.plan`, and pickles: with `once` it plans from the given start alone.
     Neither the plan nor the list of optima depends on the number of processes. An interrupt ends with
     the best plan so far, marked as interrupted. `starts` counts the guess too; `seen` is called with
     each start's number and plan, in order.
     """
-    plan_start = _PlanStart(mission, guess, init, make_plan, seed)
+    plan_start = partial(_plan_start, mission, guess, init, make_plan, seed)
     found: list[Plan] = []
     interrupted = False
     executor = here if workers == 1 else Processes(min(workers, starts))
@@ -90,6 +63,21 @@ def plan_from_several(
     best = max(whole or found, key=lambda plan: standing(plan.final))
     listed = Starts(starts, seed, local_optima(found))
     return replace(as_interrupted(best) if interrupted else best, starts=listed)
+
+
+def _plan_start(
+    mission: Mission,
+    guess: Iterate,
+    init: str,
+    make_plan: Callable[..., Plan],
+    seed: int,
+    number: int,
+) -> Plan:
+    """The plan of one of the starts, in whatever process."""
+    if number == 0:
+        return make_plan(mission, guess, once=False, init=init)
+    start = random_flight(mission, seed, number)
+    return make_plan(mission, start, once=True, init=f"random flight {number} of seed {seed}")
 
 
 def random_flight(mission: Mission, seed: int, number: int) -> Iterate:

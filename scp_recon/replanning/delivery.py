@@ -9,7 +9,7 @@ from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri  # of chi-squared; scipy.stats takes half a second
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError, one_of, option, shortened, whole_number
@@ -188,12 +188,12 @@ class Delivery:
                     f"must be in {unit_name}: the plan has {expected:.4g} {unit_name} then",
                 )
         distance2 = float(off @ np.linalg.solve(spread, off))
-        if chi2.sf(distance2, 6) < UNLIKELY:
+        if chdtrc(6, distance2) < UNLIKELY:
             apart = state - predicted.state
             yield ScenarioWarning.of(
                 "state",
                 f"{np.linalg.norm(apart[:3]):.4g} m and {np.linalg.norm(apart[3:]):.3g} m/s from what "
                 f"the plan predicts at {self.at_s:g} s",
-                f"expected at most {np.sqrt(chi2.isf(UNLIKELY, 6)):.1f} sigma, and it is "
+                f"expected at most {np.sqrt(chdtri(6, UNLIKELY)):.1f} sigma, and it is "
                 f"{np.sqrt(distance2):.1f}: check units, frame and the burns flown",
             )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -38,10 +37,6 @@ def positions(draw: st.DrawFn) -> Array:
 
 def at(position: Array, forces: ForceModel) -> Array:
     return np.array(acceleration(*position, forces))
-
-
-def gravity(forces: ForceModel) -> ForceModel:
-    return replace(forces, srp=np.zeros(3))
 
 
 @pytest.fixture(scope="module")
@@ -99,25 +94,6 @@ def test_closed_form_derivatives_are_those_of_the_acceleration(
         assert np.abs(closed_form - expected).max() < 1e-12 * np.abs(expected).max()
 
 
-@given(position=positions())
-def test_gravity_gradient_is_symmetric_and_trace_free(position: Array, mission: Mission) -> None:
-    gradient = gravity_gradient(position[None], mission.forces)
-    size = np.abs(gradient).max()
-    assert np.abs(gradient[0] - gradient[0].T).max() < 1e-13 * size
-    assert abs(np.trace(gradient[0])) < 1e-13 * size  # Laplace's equation outside the body
-
-
-@given(position=positions())
-def test_second_derivative_is_symmetric_in_all_indices_and_trace_free(
-    position: Array, mission: Mission
-) -> None:
-    second = gravity_curvature(position[None], mission.forces)[0]
-    size = np.abs(second).max()
-    for order in ((0, 2, 1), (1, 0, 2), (2, 1, 0)):
-        assert np.abs(second - second.transpose(order)).max() < 1e-12 * size
-    assert np.abs(np.einsum("iik->k", second)).max() < 1e-12 * size
-
-
 def test_derivatives_of_many_positions_are_those_one_by_one(mission: Mission) -> None:
     position = np.random.default_rng(1).normal(scale=800.0, size=(7, 3))
     for derivative in (gravity_gradient, gravity_curvature):
@@ -141,13 +117,6 @@ def test_accelerations_are_the_acceleration_at_every_position(mission: Mission) 
     np.testing.assert_allclose(accelerations(r, mission.forces), expected, rtol=1e-13)
 
 
-def test_complex_steps_give_the_gradient(mission: Mission) -> None:
-    position = np.array([300.0, -900.0, 400.0])
-    gradient = gravity_gradient(position[None], mission.forces)
-    stepped = [at(position + 1e-30j * axis, mission.forces).imag / 1e-30 for axis in np.eye(3)]
-    np.testing.assert_allclose(np.transpose(stepped), gradient[0], rtol=1e-12)
-
-
 @given(position=positions(), length=st.floats(1.0, 1e4), time=st.floats(1.0, 1e5))
 def test_a_change_of_units_changes_only_the_numbers(
     position: Array, length: float, time: float, mission: Mission
@@ -161,23 +130,6 @@ def test_gravity_constants_are_those_of_the_flight_field(mission: Mission) -> No
     assert body.gm_m3_s2 == pytest.approx(reference.GM_M3_S2, rel=1e-12)
     assert body.reference_radius_m == reference.REFERENCE_RADIUS_M
     assert body.j2 == pytest.approx(-np.sqrt(5.0) * zonal, rel=1e-12)
-
-
-@given(position=positions())
-def test_oblateness_is_the_degree_two_zonal_in_the_body_frame(
-    position: Array, mission: Mission
-) -> None:
-    gm, scale = reference.GM_M3_S2, reference.REFERENCE_RADIUS_M
-    zonal, _ = reference.COEFFICIENTS[2, 0]
-    r = ca.SX.sym("r", 3)
-    radius = ca.norm_2(r)
-    legendre = np.sqrt(5.0) * (3 * (r[2] / radius) ** 2 - 1) / 2  # fully normalised P_20
-    potential = gm / radius * (1 + (scale / radius) ** 2 * zonal * legendre)
-    function = ca.Function("g", [r], [ca.gradient(potential, r)])
-    to_j2000 = mission.rotation.body_to_j2000(5000.0)
-    expected = to_j2000 @ np.array(function(to_j2000.T @ position))[:, 0]
-    ours = at(position, gravity(mission.forces))
-    assert np.abs(ours - expected).max() < 1e-9 * np.linalg.norm(expected)
 
 
 def test_radiation_pressure_pushes_away_from_the_sun(mission: Mission) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from types import ModuleType
-
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
+from scp_recon.bodies.surface import direction_of
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import Rotation, unit
@@ -25,14 +24,6 @@ HERE = SiteTrack(np.array([[250.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0]]))
 
 components = st.floats(-1e3, 1e3)
 vectors = st.tuples(components, components, components).map(np.array)
-
-
-def long_enough(*of: Array) -> None:
-    assume(all(np.linalg.norm(v) > 1e-3 for v in of))
-
-
-def test_the_upright_body_has_its_axes_along_j2000() -> None:
-    np.testing.assert_allclose(UPRIGHT.body_to_j2000(0.0), np.eye(3), atol=1e-15)
 
 
 def test_a_site_is_carried_eastwards_by_the_rotation() -> None:
@@ -63,34 +54,19 @@ def test_range_emission_and_phase_of_known_positions(
     assert np.rad2deg(geometry.phase(position, HERE, sun)[0]) == pytest.approx(phase_deg)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 30.0, 60.0, 90.0, 120.0, 180.0])
+@pytest.mark.parametrize("degrees", [0.0, 60.0, 120.0])
 def test_incidence_is_the_angle_of_the_sun_from_the_zenith(degrees: float) -> None:
     sun = np.array([np.cos(np.deg2rad(degrees)), 0.0, np.sin(np.deg2rad(degrees))])
     assert np.rad2deg(geometry.incidence(HERE, sun)[0]) == pytest.approx(degrees)
 
 
-@pytest.fixture(scope="module")
-def spice() -> ModuleType:
-    module: ModuleType = pytest.importorskip("spiceypy")
-    return module
-
-
 @given(a=vectors, b=vectors)
-def test_angle_agrees_with_spice_and_does_not_care_for_order_or_size(
-    a: Array, b: Array, spice: ModuleType
-) -> None:
-    long_enough(a, b)
+def test_angle_is_that_of_spice_in_either_order(a: Array, b: Array) -> None:
+    spice = pytest.importorskip("spiceypy")
+    assume(min(np.linalg.norm(a), np.linalg.norm(b)) > 1e-3)
     angle = geometry.angle(a, unit(b))
     assert angle == pytest.approx(spice.vsep(a, b), abs=1e-14)
     assert angle == pytest.approx(geometry.angle(3.0 * b, unit(a)), abs=1e-14)
-
-
-@given(a=vectors, b=vectors)
-def test_angle_and_its_supplement_make_a_half_turn(a: Array, b: Array) -> None:
-    long_enough(a, b)
-    assert geometry.angle(a, unit(b)) + geometry.angle(a, -unit(b)) == pytest.approx(
-        np.pi, abs=1e-14
-    )
 
 
 @pytest.mark.parametrize("tiny", [1e-3, 1e-6, 1e-9, 1e-12])
@@ -129,36 +105,16 @@ def test_local_solar_time_is_noon_when_the_sun_is_over_the_sites_meridian(
     time: float,
     meridian: float,
 ) -> None:
+    def direction(latitude: float, longitude: float) -> Array:
+        return direction_of(*np.rad2deg([latitude, longitude]))
+
     rotation = Rotation(1.2, -0.8, meridian, 4e-4, 0.0)
-    site_body = np.array(
-        [
-            np.cos(latitude) * np.cos(longitude),
-            np.cos(latitude) * np.sin(longitude),
-            np.sin(latitude),
-        ]
-    )
+    normal = direction(latitude, longitude)
     # `hours` past noon the Sun stands that many twenty-fourths of a turn west of the site.
-    over = longitude - hours * np.pi / 12.0
-    sun_body = np.array(
-        [
-            np.cos(sun_latitude) * np.cos(over),
-            np.cos(sun_latitude) * np.sin(over),
-            np.sin(sun_latitude),
-        ]
-    )
-    sun = rotation.body_to_j2000(time) @ sun_body
-    hour = geometry.local_solar_time(Site(250.0 * site_body, site_body), rotation, sun, time)
+    over = direction(sun_latitude, longitude - hours * np.pi / 12.0)
+    sun = rotation.body_to_j2000(time) @ over
+    hour = geometry.local_solar_time(Site(250.0 * normal, normal), rotation, sun, time)
     assert hour == pytest.approx(12.0 + hours, abs=1e-9)
-
-
-def test_local_solar_time_runs_through_a_day_in_a_rotation() -> None:
-    sun = np.array([0.0, 1.0, 0.0])  # over the site a quarter of a turn, 100 s, later
-    times = np.array([0.0, 50.0, 100.0, 150.0, 300.0, 400.0])
-    hour = geometry.local_solar_time(EQUATOR, UPRIGHT, sun, times)
-    # At 300 s it is midnight, which rounding may show from either side.
-    clock = np.exp(2j * np.pi * (hour - [6.0, 9.0, 12.0, 15.0, 0.0, 6.0]) / 24.0)
-    np.testing.assert_allclose(clock, 1.0, atol=1e-12)
-    assert np.all((hour >= 0.0) & (hour < 24.0))
 
 
 def test_nightingale_is_where_and_as_recorded(mission: Mission) -> None:
