@@ -32,7 +32,7 @@ from scp_recon.cli.rendering import terminal
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Executor, Job, Key, Work
-from scp_recon.jobs.store import Store, sources, versions
+from scp_recon.jobs.store import Store, code
 from scp_recon.jobs.store import run as run_jobs
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
@@ -168,11 +168,7 @@ class Session:
         They stay in `file`; without one they are forgotten once the study has ended, because its tables
         have them. The sources are those of the module `work`, or of the study's own.
         """
-        depends_on = {
-            "sources": sources(work or self.module, "scp_recon.data"),
-            "versions": versions(),
-            **setting,
-        }
+        depends_on = {**code(work or self.module, "scp_recon.data"), **setting}
         store = Store(self.out / (file or f"{self.name}_partial.jsonl"), depends_on)
         self._stores.append((store, bool(file)))
         return store

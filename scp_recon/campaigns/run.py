@@ -20,12 +20,12 @@ from scp_recon.campaigns.results import (
     open_rows,
     write_results,
 )
-from scp_recon.campaigns.study import Study
+from scp_recon.campaigns.study import WORK, Study
 from scp_recon.errors import InputError, option
 from scp_recon.files import check_writable, only_run_in, unwritable, write_atomically
 from scp_recon.jobs.job import Done, Executor, Job, Key, here
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.jobs.store import Row, run, versions
+from scp_recon.jobs.store import Row, code, run
 
 SCHEMA, FILE_NAME = "scp_recon.campaign/1", "campaign.json"
 EARLIER = "rows"
@@ -119,7 +119,7 @@ def _take(folder: Path, study: Study) -> None:
         "hash": study.hash,
         "cases": len(study.cases),
         "entries": list(study.entries),
-        "versions": versions(),
+        **code(WORK, "scp_recon.data"),
         "study": study.tables,
         "base": study.base.model_dump(mode="json", exclude_none=True),
     }
@@ -152,10 +152,12 @@ def _take(folder: Path, study: Study) -> None:
 
 
 def _differing(found: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
-    """Say which versions differ from those that the rows were made with."""
+    """Say what differs of the code that the rows were made with."""
     old, new = found.get("versions", {}), identity.get("versions", {})
     names = [
         f"{name} ({old.get(name)}, now {new[name]})" for name in new if old.get(name) != new[name]
     ]
-    listed = f", and versions: {', '.join(names)}" if names else ""
+    if found.get("sources") != identity["sources"]:
+        names.append("source files of this program")
+    listed = f", and code: {', '.join(names)}" if names else ""
     return f" and files that it names{listed}"

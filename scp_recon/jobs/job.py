@@ -115,7 +115,7 @@ def attempt(work: Work, job: Job) -> Done:
         failure = Failure(REFUSED, str(error), error)
     except MemoryError:
         failure = Failure(OUT_OF_MEMORY, "more memory than a job may take")
-    except Exception as error:
+    except Exception as error:  # whatever the work raises is the job's: the others go on
         failure = Failure(FAILED, printable(f"{type(error).__name__}: {error}"), error)
     except SystemExit as error:
         failure = Failure(FAILED, printable(f"SystemExit: {error}"))

@@ -47,9 +47,8 @@ class Row(NamedTuple):
 class Store:
     """Rows by key in a file, which one process at a time has open; its folder is made.
 
-    `depends_on` is all that the rows depend on besides their jobs: scenario, options, `versions()`,
-    `sources(...)`; as JSON. Rows of a file that depends on anything else do not count. Messages call
-    the folder `entry`.
+    `depends_on` is all that the rows depend on besides their jobs: scenario, options, `code(...)`; as
+    JSON. Rows of a file that depends on anything else do not count. Messages call the folder `entry`.
 
     Raises:
         InputError: if another process has it open, or the folder cannot be written.
@@ -257,6 +256,11 @@ def _line(key: Key, values: Values) -> bytes:
 def versions() -> dict[str, str]:
     """Versions by name of the packages on which the last bits of a result depend."""
     return {name: version_of(name) for name in PACKAGES}
+
+
+def code(*names: str) -> dict[str, Any]:
+    """What rows depend on besides inputs: versions of packages, sources of modules (see `sources`)."""
+    return {"versions": versions(), "sources": sources(*names)}
 
 
 @cache

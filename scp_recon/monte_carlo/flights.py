@@ -16,7 +16,7 @@ from formulations.arrays import Array
 from scp_recon.errors import InputError, one_of, whole_number
 from scp_recon.jobs.job import Executor, Job, here, in_order
 from scp_recon.jobs.processes import Limits, Processes
-from scp_recon.jobs.store import Store, versions
+from scp_recon.jobs.store import Store, code
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
@@ -270,7 +270,7 @@ def keep_flights(flown: FlightTally, solution: Solution, folder: Path) -> Path:
 
 
 def kept_flights(config: FlightConfig, solution: Solution, folder: Path) -> FlightTally | None:
-    """What was flown of this very configuration by this version, in whole blocks; None if nothing was.
+    """What was flown of this configuration by this very code, in whole blocks; None if nothing was.
 
     A file that is damaged, or of other flights, counts as none.
     """
@@ -291,7 +291,7 @@ def _kept(config: FlightConfig, solution: Solution, folder: Path) -> Store:
         "truth": config.truth,
         "errors": config.errors,
         "block": BLOCK,
-        "versions": versions(),
+        **code(__name__, "scp_recon.data"),
     }
     return Store(folder / PARTIAL, depends_on, "folder")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Generator, Iterable
 from dataclasses import replace
 from itertools import islice
@@ -13,7 +14,7 @@ import pytest
 
 from scp_recon.campaigns.cases import Case
 from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_results
-from scp_recon.campaigns.run import Observer, run_study
+from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
 from scp_recon.campaigns.study import Campaign, Study
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
@@ -69,8 +70,17 @@ def test_two_campaigns_in_one_folder_are_refused(tmp_path: Path) -> None:
             run(tmp_path)
 
     run(tmp_path, here, again)
-    with pytest.raises(InputError, match="holds another campaign"):
+    with pytest.raises(InputError, match=r"holds another campaign.* files that it names$"):
         run_study(replace(STUDY, campaign=Campaign(seed=1)), tmp_path, work, here)
+
+
+def test_rows_of_other_code_are_refused_and_what_differs_is_told(tmp_path: Path) -> None:
+    run(tmp_path)
+    found = json.loads((tmp_path / FILE_NAME).read_text("utf-8"))
+    earlier = found | {"hash": "0", "sources": "0", "versions": found["versions"] | {"numpy": "1"}}
+    (tmp_path / FILE_NAME).write_text(json.dumps(earlier), "utf-8")
+    with pytest.raises(InputError, match=r"numpy \(1, now .*\), source files of this program"):
+        run(tmp_path)
 
 
 @pytest.mark.parametrize("left", [RESULTS, ROWS, "rows"])
