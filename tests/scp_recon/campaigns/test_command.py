@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from scp_recon.campaigns.results import ROWS, read_results
+from scp_recon.campaigns.results import read_results
 from scp_recon.campaigns.run import executor_of
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import campaigns
 from scp_recon.cli.commands.campaigns import campaign as command
 from scp_recon.jobs.job import here
 from scp_recon.jobs.processes import Processes
+from scp_recon.jobs.store import Store
 from scp_recon.results.read import read_solution
 from tests.scp_recon.campaigns.support import table_of
 
-PROJECT = Path(__file__).parents[3]
 STUDY = """
 [campaign]
 keep_solutions = true
@@ -129,26 +126,27 @@ def test_another_study_is_refused_in_the_same_folder(
     assert "holds another campaign" in capsys.readouterr().err
 
 
-def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(tmp_path: Path) -> None:
-    """Ctrl-C, on real processes."""
-    study, out = written(tmp_path / "study.toml", REFUSED), tmp_path / "out"
-    words = [sys.executable, "-m", "scp_recon", "campaign", study, "--out", str(out)]
-    env = os.environ | {"PYTHONPATH": str(PROJECT)}
-    rows = out / ROWS
-    begun = subprocess.Popen([*words, "--workers", "2"], env=env, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 200
-    while not (rows.is_file() and rows.read_bytes().count(b"\n") > 1) and time.monotonic() < until:
-        time.sleep(0.02)
-    begun.send_signal(signal.SIGINT)
-    _, said = begun.communicate(timeout=100)
-    assert begun.returncode == 130, said
-    assert "interrupted" in said
-    assert "Traceback" not in said
+def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-C with the third row, of real processes."""
+    text = REFUSED.replace("count = 40", "count = 12")
+    study, out, put = written(tmp_path / "study.toml", text), tmp_path / "out", Store.put
+
+    def pressed(store: Store, *row: Any) -> None:
+        put(store, *row)
+        if len(store) == 3:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "put", pressed)
+        assert command.main([study, "--out", str(out), "--workers", "2"]) == 130
+    assert "interrupted" in capsys.readouterr().err
     kept = read_results(out)
-    assert 0 < len(kept) < 40
-    assert command.main([study, "--out", str(out), "--workers", "0", "--quiet"]) == 0
-    assert command.main([study, "--out", str(tmp_path / "b"), "--workers", "0", "--quiet"]) == 0
+    assert len(kept) == 3
+    for folder in (out, tmp_path / "b"):
+        assert command.main([study, "--out", str(folder), "--workers", "0", "--quiet"]) == 0
     assert table_of(out).equals(table_of(tmp_path / "b"))
     whole = read_results(out)
-    assert len(whole) == 40
+    assert len(whole) == 12
     assert whole[whole.case.isin(kept.case)].reset_index(drop=True).equals(kept)

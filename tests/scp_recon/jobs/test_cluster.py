@@ -343,7 +343,7 @@ def test_flights_are_the_same_on_a_cluster(
     cluster: LocalCluster, solution: Solution, verification: Verification, tmp_path: Path
 ) -> None:
     replace(solution, verification=verification).write(tmp_path)
-    words = [str(tmp_path), "--samples", "5000", "--seed", "4"]
+    words = [str(tmp_path), "--samples", "2500", "--seed", "4"]
     assert montecarlo.main(words) == 0
     alone = (tmp_path / FILE_NAME).read_bytes()
     assert montecarlo.main([*words, "--scheduler", cluster.address]) == 0

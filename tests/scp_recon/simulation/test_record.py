@@ -127,7 +127,7 @@ def test_the_digest_knows_every_entry_of_the_vehicle(
     assert inputs_digest(again, vehicle) in digests
 
 
-def test_a_simulation_is_one_document_with_json(
+def test_the_command_writes_one_file_and_says_one_document_with_json(
     perfect: Flight,
     short_solution: Solution,
     tmp_path: Path,
@@ -137,10 +137,18 @@ def test_a_simulation_is_one_document_with_json(
     simulation = pytest.importorskip("scp_recon.simulation.basilisk.simulation")
     monkeypatch.setattr(simulation, "simulate", lambda *_, **__: perfect)
     short_solution.write(tmp_path)
-    status = simulate.main([str(tmp_path), "--json", "--quiet"])
+    words = [str(tmp_path), "--seed", "7", "--out", str(tmp_path / "out")]
+    assert simulate.main(words) == 0
+    said = capsys.readouterr()
+    assert "within 3 sigma" in said.out
+    assert "flight" in said.err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [FILE_NAME]
+    summary = read_record(tmp_path / "out").summary
+    assert (summary.seed, summary.least_charge > 0.3) == (7, True)
+    assert simulate.main([*words, "--json", "--quiet"]) == 0
     said = capsys.readouterr()
     document = json.loads(said.out)
-    assert (document["command"], document["status"]) == ("simulate", status)
+    assert (document["command"], document["status"]) == ("simulate", 0)
     assert document["summary"]["terminal_miss"]["position_m"] > 0.0
     assert said.err == ""
 
