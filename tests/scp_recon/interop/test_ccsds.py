@@ -33,33 +33,26 @@ def message(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Any:
     return oem.OrbitEphemerisMessage.open(str(path))
 
 
-def test_the_message_says_frame_centre_and_time_scale(message: Any) -> None:
-    for segment in message:
-        assert segment.metadata["REF_FRAME"] == "EME2000"
-        assert segment.metadata["CENTER_NAME"] == "BENNU"
-        assert segment.metadata["TIME_SYSTEM"] == "TDB"
-        assert segment.metadata["INTERPOLATION"] == "HERMITE"
+def test_every_segment_is_a_coast_of_the_path(message: Any, export: Export) -> None:
+    from astropy.time import Time
 
-
-def test_states_and_covariances_are_the_paths(message: Any, export: Export) -> None:
-    segments = list(message)
-    assert len(segments) == len(export.path.coasts)
-    for segment, coast in zip(segments, export.path.coasts, strict=True):
+    epoch = Time(export.mission.scenario.epoch.tdb, scale="tdb")
+    about = {
+        "REF_FRAME": "EME2000",
+        "CENTER_NAME": "BENNU",
+        "TIME_SYSTEM": "TDB",
+        "INTERPOLATION": "HERMITE",
+    }
+    for segment, coast in zip(message, export.path.coasts, strict=True):
+        assert {key: segment.metadata[key] for key in about} == about
+        read = [(state.epoch - epoch).sec for state in segment.states]
+        np.testing.assert_allclose(read, coast.times_s, atol=1e-9)
         states = np.array([np.r_[s.position, s.velocity] for s in segment.states]) * 1e3
         np.testing.assert_allclose(states, coast.states, rtol=1e-14)
         matrices = np.array([c.matrix for c in segment.covariances]) * 1e6
         np.testing.assert_allclose(
             matrices, coast.covariances, rtol=1e-12, atol=1e-12 * coast.covariances.max()
         )
-
-
-def test_epochs_are_the_paths_in_tdb(message: Any, export: Export) -> None:
-    from astropy.time import Time
-
-    epoch = Time(export.mission.scenario.epoch.tdb, scale="tdb")
-    for segment, coast in zip(message, export.path.coasts, strict=True):
-        read = [(state.epoch - epoch).sec for state in segment.states]
-        np.testing.assert_allclose(read, coast.times_s, atol=1e-9)
 
 
 def test_the_readers_interpolation_is_within_a_centimetre(message: Any, export: Export) -> None:
@@ -84,14 +77,6 @@ def test_segments_meet_at_the_burns_which_are_their_jumps(message: Any, export: 
         np.testing.assert_allclose((first.velocity - last.velocity) * 1e3, burn.dv_m_s, atol=1e-12)
 
 
-def test_burns_plan_and_verdict_stand_in_the_comments(export: Export) -> None:
-    text = oem_text(export)
-    assert f"COMMENT plan {export.solution.plan_hash}" in text
-    assert "\nCOMMENT verified\n" in text
-    assert "2020-01-21T22:45:27.999494078 UTC" in text  # burn 2
-    assert all(f"COMMENT burn {i}: " in text for i in (1, 2, 3, 4))
-
-
 def test_a_plan_in_flight_numbers_its_burns_as_the_flight_does(default_plan: Plan) -> None:
     flown = FlownPlan.of(default_plan)
     delivery = Delivery(17_000.0, predict(flown, 17_000.0, {}).state)
@@ -104,17 +89,20 @@ def test_a_plan_in_flight_numbers_its_burns_as_the_flight_does(default_plan: Pla
     assert "burn 1" not in text
 
 
-def test_what_is_not_verified_says_so(export: Export) -> None:
-    update = {"verification": None, "status": "interrupted"}
-    doubtful = Export(replace(export.solution, **update), export.mission, export.path, export.ids)
-    for text in (oem_text(doubtful), opm_text(doubtful)):
-        assert "COMMENT NOT VERIFIED: interrupted" in text
-
-
-def test_lines_are_as_short_as_the_standard_asks(export: Export) -> None:
-    for text in (oem_text(export), opm_text(export)):
+def test_comments_tell_burns_plan_and_verdict_in_lines_as_short_as_the_standard_asks(
+    export: Export,
+) -> None:
+    unchecked = replace(export.solution, verification=None, status="interrupted")
+    doubtful = replace(export, solution=unchecked)
+    for form in (oem_text, opm_text):
+        text = form(export)
         assert text.isascii()
         assert max(map(len, text.splitlines())) <= LINE_MAX
+        assert f"COMMENT plan {export.solution.plan_hash}" in text
+        assert "\nCOMMENT verified\n" in text
+        assert "2020-01-21T22:45:27.999494078 UTC" in text  # burn 2
+        assert all(f"COMMENT burn {i}: " in text for i in (1, 2, 3, 4))
+        assert "COMMENT NOT VERIFIED: interrupted" in form(doubtful)
 
 
 def test_the_opm_has_the_state_before_the_burns_and_every_burn(

@@ -137,6 +137,15 @@ def test_a_chance_margin_is_that_of_the_most_probable_tangent_plane(
     assert mission.scenario.risk.p_chance == 0.70
 
 
+def test_the_primer_is_known_at_every_node(solution: Solution) -> None:
+    primer = solution.primer
+    assert primer is not None
+    assert primer.t_s == solution.nodes.t_s
+    assert np.all(np.array(primer.allowed) <= np.linalg.norm(primer.vector, axis=1) + 1e-12)
+    assert primer.residual < 1e-3
+    assert not any(primer.legal)  # four burns leave none of the default flight's gaps to a fifth
+
+
 def test_nothing_is_violated_in_a_solution(solution: Solution) -> None:
     assert solution.status == "converged"
     assert solution.violation == Violation(0.0, 0.0, {})
