@@ -34,6 +34,8 @@ ABOVE: dict[str, Any] = {
 BANDS = ((2.28, 97.72, "0.85", "2 sigma"), (15.87, 84.13, "0.65", "1 sigma"))
 """Percentiles between which a normal variable lies with 95.4 % and 68.3 % probability."""
 
+BURN = "C3"
+
 HALO = [withStroke(linewidth=2.5, foreground="w")]
 """Around text that lies over lines."""
 
@@ -55,6 +57,14 @@ def shade_bands(axes: Axes, times: Array, sampled: Array, prefix: str = "") -> N
     for low, high, shade, name in BANDS:
         edges = np.percentile(sampled, (low, high), axis=1)
         axes.fill_between(times, *edges, color=shade, lw=0, label=f"{prefix}{name}")
+
+
+def draw_burns(axes: Axes, starts: Array, arrows: Array, shortest: float) -> None:
+    """Draw an arrow for each burn that is not too short for one; shape (m, 2) in data coordinates."""
+    look = {"arrowstyle": "-|>", "color": BURN, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
+    for start, arrow in zip(starts, arrows, strict=True):
+        if np.hypot(*arrow) >= shortest:
+            axes.annotate("", start + arrow, start, zorder=7, arrowprops=look)
 
 
 def label_outer(panels: Any, across: str, up: str) -> None:

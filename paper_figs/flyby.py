@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from formulations.arrays import Array
-from paper_figs.drawing import page, shade_bands
+from paper_figs.drawing import BURN, draw_burns, page, shade_bands
 from paper_figs.labels import place_labels
 from paper_figs.paper.observed import SEED, observed
 from scp_recon.mission.mission import Mission
@@ -68,23 +68,23 @@ def seen_from_sun(mission: Mission, vectors: Array) -> Array:
     return (vectors @ to_frame)[..., 1:] / 1000.0
 
 
+def _arrows(mission: Mission, solution: Solution) -> tuple[Array, Array]:
+    """Where the burns are, and their arrows, km, shape (m, 2) each."""
+    states = np.array(solution.nodes.state)[:, :3]
+    burns = seen_from_sun(mission, solution.burns_m_s)
+    extent = float(np.ptp(states, axis=0).max()) / 1000.0
+    arrows = ARROW * extent * burns / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
+    return seen_from_sun(mission, states[mission.burn_nodes]), arrows
+
+
 def _name_burns(axes: Axes, mission: Mission, solution: Solution) -> None:
     """Number and size of each, beside where it is."""
-    burns = solution.burns_m_s
+    starts, arrows = _arrows(mission, solution)
     path = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
-    starts, tips = path[mission.burn_nodes], _tips(mission, solution)
-    words = [f"{i}: {1000.0 * np.linalg.norm(b):.0f} mm/s" for i, b in enumerate(burns, start=1)]
-    shares = np.linspace(0.0, 1.0, 9)[:, None, None]
-    arrows = (starts + shares * (tips - starts)).reshape(-1, 2)
-    place_labels(axes, starts, words, np.vstack([path, arrows]), color="C3")
-
-
-def _tips(mission: Mission, solution: Solution) -> Array:
-    """Ends of the burns' arrows, shape (m, 2)."""
-    burns = seen_from_sun(mission, solution.burns_m_s)
-    starts = seen_from_sun(mission, np.array(solution.nodes.state)[mission.burn_nodes, :3])
-    extent = float(np.ptp(np.array(solution.nodes.state)[:, :3], axis=0).max()) / 1000.0
-    return starts + ARROW * extent * burns / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
+    sizes = 1000.0 * np.linalg.norm(solution.burns_m_s, axis=1)
+    words = [f"{i}: {size:.0f} mm/s" for i, size in enumerate(sizes, start=1)]
+    along = (starts + np.linspace(0.0, 1.0, 9)[:, None, None] * arrows).reshape(-1, 2)
+    place_labels(axes, starts, words, np.vstack([path, along]), color=BURN)
 
 
 def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
@@ -100,16 +100,7 @@ def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
     axes.plot(*seen(track.position).T, color="C1", lw=3, label="site in the window", zorder=3)
     radius = float(np.linalg.norm(mission.site.position_body)) / 1000.0
     axes.add_patch(Circle((0.0, 0.0), radius, facecolor="0.9", edgecolor="0.4", zorder=2))
-    for start, tip in zip(mean[mission.burn_nodes], _tips(mission, solution), strict=True):
-        if np.linalg.norm(tip - start) < SHORT:
-            continue
-        axes.annotate(
-            "",
-            tip,
-            start,
-            arrowprops={"arrowstyle": "-|>", "color": "C3", "lw": 1.5},
-            zorder=4,
-        )
+    draw_burns(axes, *_arrows(mission, solution), SHORT)
     axes.set(xlabel="Sun-North Y (km), seen from the Sun", ylabel="Sun-North Z (km)")
     axes.set_aspect("equal")
     axes.margins(0.12)
@@ -124,8 +115,7 @@ def _draw_histories(panels: Sequence[Axes], mission: Mission, solution: Solution
         shade_bands(axes, times, quantity.sampled)
         axes.plot(times, quantity.plan, color="k", lw=1.2, label="plan")
         for bound in quantity.limits:
-            if bound is not None:
-                axes.axhline(bound, color="C3", ls="--", lw=1)
+            axes.axhline(bound, color="C3", ls="--", lw=1)
         axes.set(ylabel=quantity.label, xlim=(first, last))
         axes.margins(y=0.12)
         if axes is not panels[-1]:

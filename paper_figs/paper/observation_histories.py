@@ -28,8 +28,7 @@ def draw(runs: Runs) -> Figure:
             axes.plot(times, quantity.plan, "k-", lw=1.4, label="plan")
             axes.plot(times, other.plan, "k:", lw=1.4, label=runs.reference.label)
             for bound in quantity.limits:
-                if bound is not None:
-                    axes.hlines(bound, first, last, color="k", ls="--", lw=1.2, label="limit")
+                axes.hlines(bound, first, last, color="k", ls="--", lw=1.2, label="limit")
             for edge in (first, last):
                 axes.axvline(edge, color="0.4", lw=0.8)
             axes.set(ylabel=quantity.label, xlim=(times[0], times[-1]))

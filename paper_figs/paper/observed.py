@@ -8,11 +8,12 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.observation_time import measured
 from scp_recon.monte_carlo.sampling import sample_positions
-from scp_recon.physics import geometry
 from scp_recon.scenario.uncertainty import Uncertainty
 
 SAMPLES, SEED = 2000, 1
+DEGREES = float(np.rad2deg(1.0))
 
 
 @dataclass(frozen=True)
@@ -23,45 +24,31 @@ class Quantity:
         label: with its unit, for an axis.
         plan: of the planned flight, shape (n,).
         sampled: of sampled flights, shape (n, samples).
-        limits: lower and upper, None where there is none.
+        limits: those that it has to keep.
     """
 
     label: str
     plan: Array
     sampled: Array
-    limits: tuple[float | None, float | None]
+    limits: list[float]
 
 
 def observed(
     mission: Mission, burns_m_s: Array, times_s: Array, samples: int = SAMPLES
-) -> tuple[Quantity, Quantity, Quantity]:
+) -> list[Quantity]:
     """Site distance (m), emission and phase (deg) at times of the flight, shape (n,)."""
-    position = sample_positions(mission, burns_m_s, times_s, samples, SEED)
-    plan = planned_positions(mission, burns_m_s, times_s)
-    track = geometry.track(mission.site, mission.rotation, times_s)
-    wide = geometry.SiteTrack(track.position[:, None], track.normal[:, None])
-    sun = mission.sun_direction(times_s)
-    limits = mission.scenario.observation
-    return (
-        Quantity(
-            "site distance (m)",
-            geometry.distance(plan, track),
-            geometry.distance(position, wide),
-            (limits.site_distance_min_m, limits.site_distance_max_m),
-        ),
-        Quantity(
-            "emission (deg)",
-            np.rad2deg(geometry.emission(plan, track)),
-            np.rad2deg(geometry.emission(position, wide)),
-            (limits.emission_min_deg, limits.emission_max_deg),
-        ),
-        Quantity(
-            "phase (deg)",
-            np.rad2deg(geometry.phase(plan, track, sun)),
-            np.rad2deg(geometry.phase(position, wide, sun[:, None])),
-            (limits.phase_min_deg, limits.phase_max_deg),
-        ),
+    plan = measured(mission, times_s, planned_positions(mission, burns_m_s, times_s))
+    flights = sample_positions(mission, burns_m_s, times_s, samples, SEED)
+    sampled, limits = measured(mission, times_s, flights), mission.scenario.observation
+    looks = (
+        ("site distance (m)", 1.0, (limits.site_distance_min_m, limits.site_distance_max_m)),
+        ("emission (deg)", DEGREES, (limits.emission_min_deg, limits.emission_max_deg)),
+        ("phase (deg)", DEGREES, (limits.phase_min_deg, limits.phase_max_deg)),
     )
+    return [
+        Quantity(label, scale * mean, scale * sampled[of], [x for x in both if x is not None])
+        for (of, mean), (label, scale, both) in zip(plan.items(), looks, strict=True)
+    ]
 
 
 def planned_positions(mission: Mission, burns_m_s: Array, times_s: Array) -> Array:

@@ -69,7 +69,7 @@ def _constraints(mission: Mission) -> Iterable[Line]:
     yield "smallest distance from the centre", "h_min", f"{s.safety.radius_min_m:g} m"
     cones = f"{s.battery.delta_v_cone_deg:g} deg, {s.battery.observation_cone_deg:g} deg"
     yield "battery cones of burns, of observation", "theta_deltaV, theta_obs", cones
-    yield "probability asked", "p_chance", f"{100 * s.risk.p_chance:g} %"
+    yield "required probability", "p_chance", f"{100 * s.risk.p_chance:g} %"
 
 
 def _flight(mission: Mission) -> Iterable[Line]:

@@ -12,7 +12,7 @@ from matplotlib.patches import Circle
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from formulations.arrays import Array
-from paper_figs.drawing import HALO, LEGEND_PT, page
+from paper_figs.drawing import BURN, HALO, LEGEND_PT, draw_burns, page
 from paper_figs.inputs import Flown, Runs
 from paper_figs.labels import place_labels
 from paper_figs.paper.observed import SEED, planned_positions
@@ -73,7 +73,8 @@ def draw(runs: Runs) -> Figure:
             2, 2, width_ratios=(spans[1], spans[0]), height_ratios=(spans[2], spans[0])
         )
         corner = panels[1, 1]
-        for axes, plane in zip((panels[0, 0], panels[0, 1], panels[1, 0]), PLANES, strict=True):
+        shown = list(zip(panels.flat, PLANES, strict=False))
+        for axes, plane in shown:
             _panel(axes, runs, flown, list(plane))
             across, up = plane
             axes.set(
@@ -86,7 +87,7 @@ def draw(runs: Runs) -> Figure:
             axes.xaxis.set_major_locator(MultipleLocator(step))
             axes.yaxis.set_major_locator(MultipleLocator(step))
             axes.set_axisbelow(True)
-        for axes, plane in zip((panels[0, 0], panels[0, 1], panels[1, 0]), PLANES, strict=True):
+        for axes, plane in shown:
             _number(axes, runs.plan, list(plane), ARROW * max(spans))
         corner.axis("off")
         handles, labels = panels[0, 0].get_legend_handles_labels()
@@ -167,28 +168,16 @@ def _bodies(axes: Axes, runs: Runs) -> None:
 def _burns(axes: Axes, flown: Flown, pair: list[int], arrow_km: float) -> None:
     """Numbered dots and arrows in proportion to the impulses."""
     starts, arrows = _arrows(flown, pair, arrow_km)
-    for start, arrow in zip(starts, arrows, strict=True):
-        if np.hypot(*arrow) < SHORT * arrow_km:
-            continue
-        axes.annotate(
-            "", start + arrow, start, zorder=7,
-            arrowprops={"arrowstyle": "-|>", "color": "C3", "lw": 1.8, "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
-    axes.plot(
-        *starts.T,
-        "o",
-        color="C3",
-        ms=4.5,
-        zorder=7,
-        label=f"burns 1 to {len(starts)}, arrows to scale",
-    )
+    draw_burns(axes, starts, arrows, SHORT * arrow_km)
+    label = f"burns 1 to {len(starts)}, arrows to scale"
+    axes.plot(*starts.T, "o", color=BURN, ms=4.5, zorder=7, label=label)
 
 
 def _number(axes: Axes, flown: Flown, pair: list[int], arrow_km: float) -> None:
     """The burns' numbers at their arrows' tips."""
     starts, arrows = _arrows(flown, pair, arrow_km)
     numbers = [str(number) for number in range(1, len(starts) + 1)]
-    look = {"color": "C3", "fontweight": "bold", "path_effects": HALO, "zorder": 7}
+    look = {"color": BURN, "fontweight": "bold", "path_effects": HALO, "zorder": 7}
     place_labels(axes, starts + arrows, numbers, np.vstack([starts, starts + arrows]), **look)
 
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from formulations.arrays import Array
 from paper_figs.drawing import legend, page
-from paper_figs.inputs import Row, Source, numbers
+from paper_figs.inputs import Row, Source, Tables, numbers
 
 SOURCE = Source(
     "battery_cones",
@@ -24,51 +20,17 @@ COLOURS = ("k", "tab:red")
 """Of the two loads' boundaries, as in the paper."""
 
 
-@dataclass(frozen=True)
-class BatteryCones:
-    """What the study found.
-
-    Attributes:
-        direction: sampled positions on the unit sphere, Sun-North frame, shape (n, 3).
-        power_w: best generation there, shape (n,).
-        cones: a dictionary per mode and calibration.
-    """
-
-    direction: Array
-    power_w: Array
-    cones: list[Row]
-
-    @property
-    def calibrated(self) -> list[Row]:
-        """The modes' cones with the housekeeping taken off."""
-        return [cone for cone in self.cones if cone["calibrated"] == "true"]
-
-    @property
-    def uncalibrated(self) -> list[Row]:
-        """The modes' cones as the panels give them."""
-        return [cone for cone in self.cones if cone["calibrated"] == "false"]
+def _calibrated(cones: list[Row]) -> list[Row]:
+    """The modes' cones with the housekeeping taken off."""
+    return [cone for cone in cones if cone["calibrated"] == "true"]
 
 
-def read(folder: Path) -> BatteryCones:
-    """Read the study's folder.
-
-    Raises:
-        InputError: if a file is missing or unusable.
-    """
-    cones, samples = SOURCE.read(folder)
-    direction = np.stack([numbers(samples, axis) for axis in "xyz"], axis=1)
-    return BatteryCones(direction, numbers(samples, "power_w"), cones)
-
-
-def draw(found: BatteryCones) -> Figure:
+def draw(found: Tables) -> Figure:
     """Both halves of the sphere as seen along the Sun line, and generation against the angle to it."""
     with page(5.9) as figure:
         grid = figure.add_gridspec(2, 2, height_ratios=(1.5, 1.0))
         halves = [figure.add_subplot(grid[0, k]) for k in range(2)]
-        titles = (
-            "sunward half, seen from the Sun",
-            "anti-sunward half, same view",
-        )
+        titles = "sunward half, seen from the Sun", "anti-sunward half, same view"
         for axes, sign, title in zip(halves, (1.0, -1.0), titles, strict=True):
             points = _half(axes, found, sign)
             axes.set_title(title, loc="left")
@@ -80,14 +42,15 @@ def draw(found: BatteryCones) -> Figure:
     return figure
 
 
-def _half(axes: Axes, found: BatteryCones, sign: float) -> PathCollection:
-    seen = sign * found.direction[:, 0] > 0.0
-    y, z = found.direction[seen, 1], found.direction[seen, 2]
+def _half(axes: Axes, found: Tables, sign: float) -> PathCollection:
+    cones, samples = found
+    x, y, z, power_w = (numbers(samples, column) for column in ("x", "y", "z", "power_w"))
+    seen = sign * x > 0.0
     points = axes.scatter(
-        y, z, c=found.power_w[seen], s=7.0, cmap="cividis", lw=0, rasterized=True,
-        vmin=0.0, vmax=float(found.power_w.max()),
+        y[seen], z[seen], c=power_w[seen], s=7.0, cmap="cividis", lw=0, rasterized=True,
+        vmin=0.0, vmax=float(power_w.max()),
     )  # fmt: skip
-    for cone, colour in zip(found.calibrated, COLOURS, strict=True):
+    for cone, colour in zip(_calibrated(cones), COLOURS, strict=True):
         angle = float(cone["half_angle_deg"])
         label = f"{float(cone['load_w']):.0f} W, {cone['mode']}: {angle:.1f} deg"
         radius = np.sin(np.deg2rad(angle))
@@ -101,10 +64,11 @@ def _half(axes: Axes, found: BatteryCones, sign: float) -> PathCollection:
     return points
 
 
-def _profile(axes: Axes, found: BatteryCones) -> None:
-    angle = np.rad2deg(np.arccos(np.clip(found.direction[:, 0], -1.0, 1.0)))
-    axes.plot(angle, found.power_w, ".", ms=1.5, color="0.45", rasterized=True)
-    for cone, colour in zip(found.calibrated, COLOURS, strict=True):
+def _profile(axes: Axes, found: Tables) -> None:
+    cones, samples = found
+    angle = np.rad2deg(np.arccos(np.clip(numbers(samples, "x"), -1.0, 1.0)))
+    axes.plot(angle, numbers(samples, "power_w"), ".", ms=1.5, color="0.45", rasterized=True)
+    for cone, colour in zip(_calibrated(cones), COLOURS, strict=True):
         half = float(cone["half_angle_deg"])
         axes.axhline(float(cone["load_w"]), color=colour, lw=1.0, ls="--")
         for edge in (half, 180.0 - half):
@@ -115,13 +79,18 @@ def _profile(axes: Axes, found: BatteryCones) -> None:
     axes.annotate("shadow", (171.0, 0.0), (0, 4), ha="center", textcoords="offset points")
 
 
-def caption(found: BatteryCones) -> str:
+def caption(found: Tables) -> str:
     """What the figure shows."""
-    plain = " and ".join(f"{float(cone['half_angle_deg']):.2f} deg" for cone in found.uncalibrated)
-    fitted = " and ".join(f"{float(cone['half_angle_deg']):.2f} deg" for cone in found.calibrated)
-    loads = " and ".join(f"{float(cone['load_w']):.0f} W" for cone in found.calibrated)
+    cones, samples = found
+    calibrated = _calibrated(cones)
+    raw = [cone for cone in cones if cone not in calibrated]
+    fitted, plain = (
+        " and ".join(f"{float(cone['half_angle_deg']):.2f} deg" for cone in some)
+        for some in (calibrated, raw)
+    )
+    loads = " and ".join(f"{float(cone['load_w']):.0f} W" for cone in calibrated)
     return (
-        f"Generation of the five panels at {len(found.power_w)} random positions on a sphere of 1 km "
+        f"Generation of the five panels at {len(samples)} random positions on a sphere of 1 km "
         "about the asteroid's centre, the bottom face to nadir and the rotation about it that "
         "generates most; 0 in the asteroid's shadow. Circles and vertical lines: the two cones in "
         f"which generation less housekeeping is below {loads}, {fitted}; without housekeeping the "

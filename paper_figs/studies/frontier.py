@@ -30,20 +30,20 @@ def draw(rows: list[Row]) -> Figure:
         )
         for kind, (mark, colour) in MARKS.items():
             chosen = [row for row in rows if row["kind"] == kind]
-            asked = ndtri(numbers(chosen, "asked"))
+            required = ndtri(numbers(chosen, "asked"))
             dv, more, observed = (
                 numbers(chosen, key)
                 for key in ("total_dv_m_s", "certifying_dv_m_s", "observed_mean_s")
             )
-            panels["dv"].plot(asked, dv, mark, color=colour, ms=4, label=kind)
-            panels["observed"].plot(asked, observed, mark, color=colour, ms=3)
+            panels["dv"].plot(required, dv, mark, color=colour, ms=4, label=kind)
+            panels["observed"].plot(required, observed, mark, color=colour, ms=3)
             if np.isfinite(more).any():
-                panels["more"].plot(asked, 100.0 * more / (dv - more), mark, color=colour, ms=3)
+                panels["more"].plot(required, 100.0 * more / (dv - more), mark, color=colour, ms=3)
         for name, ticks in (("dv", TICKS), ("more", FEW_TICKS), ("observed", FEW_TICKS)):
             panels[name].set_xticks(ndtri(ticks), [f"{p:g}" for p in ticks])
-        panels["dv"].set(xlabel="probability asked (-)", ylabel="delta-v (m/s)")
+        panels["dv"].set(xlabel="required probability (-)", ylabel="delta-v (m/s)")
         panels["more"].set(ylabel="certifying adds (%)")
-        panels["observed"].set(xlabel="probability asked (-)", ylabel="mean time observed (s)")
+        panels["observed"].set(xlabel="required probability (-)", ylabel="mean time observed (s)")
         legend(figure, 3)
     return figure
 
@@ -54,9 +54,9 @@ def caption(rows: list[Row]) -> str:
     kinds = ("uniform, paper polytopes", "exact, whole flights")
     paper, whole = (cost.get((kind, 0.9), float("nan")) for kind in kinds)
     return (
-        "Delta-v of the default scenario against the probability asked: uniform risk on polytopes, "
+        "Delta-v of the default scenario against the required probability: uniform risk on polytopes, "
         "exact risk, and exact risk certified by flights; what certifying adds to the delta-v of "
-        "aiming at the probability itself; and the mean time observed. Missing points have no plan. "
+        "targeting it itself; and the mean time observed. Missing points have no plan. "
         f"For 0.9 the paper's bookkeeping pays {paper:.4f} m/s at each node, exact risk {whole:.4f} "
         "m/s for whole flights."
     )

@@ -102,7 +102,7 @@ def draw_guesses(rows: Sequence[Row]) -> Figure:
 
 
 def draw_scenarios(rows: Sequence[Row]) -> Figure:
-    """Delta-v against the probability asked and against the execution error, frozen forms beside."""
+    """Delta-v against the required probability and against the execution error, frozen forms beside."""
     chosen = [
         row for row in rows if row["group"] == "scenarios" and row["algorithm"] != "unguarded"
     ]

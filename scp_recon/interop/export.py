@@ -86,7 +86,7 @@ def heading(export: Export) -> list[str]:
         f"mean and covariance of the planner's model; coasting {MARGIN_S:g} s before the first burn "
         "and after the last is not part of the plan",
         f"a straight line between neighbouring states is within {path.linear_error_m:.1e} m of the "
-        f"flight (asked: {WITHIN_M:g}), a cubic of both states within {path.cubic_error_m:.1e} m",
+        f"flight (required: {WITHIN_M:g}), a cubic of both states within {path.cubic_error_m:.1e} m",
         f"{len(solution.burns)} burns, impulses; {solution.total_dv_m_s:.6f} m/s in all, the last at "
         f"t_s = {end:g}:",
         *(burn_line(export, number) for number in range(1, len(solution.burns) + 1)),

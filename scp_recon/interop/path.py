@@ -14,14 +14,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import OdeSolution, solve_ivp
+from scipy.integrate import OdeSolution
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.solution import Solution
-from scp_recon.verification.reintegration import DEFECT_LIMIT_M, Spread, variational_rate
+from scp_recon.verification.reintegration import DEFECT_LIMIT_M, Spread, integrated
 
 WITHIN_M = 0.01
 """Of the flight, straight lines between neighbours."""
@@ -116,18 +116,11 @@ def _joined(one: Coast, other: Coast) -> Coast:
 
 def _flight(mission: Mission, state: Array, begin: float, end: float) -> OdeSolution:
     """State and STM from one time to another, be it an earlier one; shape (42,) of a time."""
-    flown = solve_ivp(
-        lambda _, y: variational_rate(y, mission.forces),
-        (begin, end),
-        np.concatenate([state, np.eye(6).ravel()]),
-        method="DOP853",
-        dense_output=True,
-        rtol=1e-12,
-        atol=1e-13 * np.concatenate([mission.units.state, np.ones(36)]),
-    )
-    if not flown.success or flown.sol is None:
+    flown = integrated(mission, state, (begin, end), dense_output=True)
+    if not flown.success:
         raise InputError("solution", "a path that falls into the body", "must be one that flies on")
-    return flown.sol
+    sol: OdeSolution = flown.sol
+    return sol
 
 
 def _sampled(flown: OdeSolution, edges: Array, covariance: Array) -> Coast:

@@ -1,6 +1,6 @@
 """Trajectories and bodies from other tools' files: SPICE kernels, CCSDS OEM, tables.
 
-What is read is held to J2000 axes about the body that was asked for: another frame or centre is
+What is read is held to J2000 axes about the requested body: another frame or centre is
 refused. What is strange about a trajectory and cannot be refused is a warning that goes with the plan.
 """
 
@@ -39,7 +39,7 @@ GAP_MAX = 10.0
 SPREAD_MAX, APART_MAX = 0.5, 1e-3
 """Of the way, and of the distance from the centre: how far off velocities may lead."""
 LATE_MAX_S = 1.0
-"""From the asked ends of a trajectory to those that it has."""
+"""From the requested ends of a trajectory to those that it has."""
 BESIDE_S, JUMP_MAX_M_S = 1.0, 1e-3
 """How near an end a burn is looked for, and what is none."""
 
@@ -251,9 +251,9 @@ def step_doubts(track: Track) -> Iterator[ScenarioWarning]:
 def late_doubts(
     begin: datetime | None, end: datetime | None, got: tuple[datetime, datetime]
 ) -> Iterator[ScenarioWarning]:
-    """Whether a trajectory begins and ends where it was asked to (TDB)."""
-    for entry, asked, found in (("--from", begin, got[0]), ("--to", end, got[1])):
-        off = 0.0 if asked is None else (found - asked).total_seconds()
+    """Whether a trajectory begins and ends at the requested times (TDB)."""
+    for entry, wanted, found in (("--from", begin, got[0]), ("--to", end, got[1])):
+        off = 0.0 if wanted is None else (found - wanted).total_seconds()
         if abs(off) > LATE_MAX_S:
             yield ScenarioWarning.of(
                 entry,

@@ -99,7 +99,7 @@ def probability_chart(plans: Sequence[Shown]) -> dict[str, Any]:
             panels.curve(one.times_s, one.value, name, colour)
             lowest = min(lowest, float(one.low.min()))
         lowest = min(lowest, required)
-        panels.limit("asked: at least", required, 0)
+        panels.limit("required: at least", required, 0)
     panels.window(plans[0].subject.mission.schedule.window_s)
     panels.y_axis(0, range=[max(0.0, lowest - 0.06), 1.02])
     return panels.chart("probability", "Probability achieved over time")

@@ -107,7 +107,7 @@ def mean_margins_table(mission: Mission, v: Verification) -> Table:
         "Margins of the mean, between the nodes too",
         (
             "original constraint on the mean",
-            "asked",
+            "required",
             Column("worst margin", form="+.4f"),
             "unit",
             AT,
@@ -144,7 +144,7 @@ def probabilities_table(v: Verification, required: float) -> Table:
             "joint constraint",
             *(Column(name, form=".4f") for name in ("lowest probability", "low", "high")),
             AT,
-            Column("asked", form="g"),
+            Column("required", form="g"),
         ),
         ([p.name, p.estimate, p.low, p.high, p.worst_t_s, required] for p in v.probabilities),
         key="probabilities",
@@ -213,7 +213,7 @@ def flown_probabilities_table(summary: Summary, required: float | None) -> Table
         rows.append(
             ["all limits, whole flight", interval_cell(summary.whole_flight, 4), None, None]
         )
-    columns = ("joint constraint", "lowest probability", AT, Column("asked", form="g"))
+    columns = ("joint constraint", "lowest probability", AT, Column("required", form="g"))
     return Table.of("Lowest probabilities", columns, rows)
 
 

@@ -288,7 +288,7 @@ class FinalSigma:
         """In words."""
         return (
             f"{self.name} of flights {self.flown:.4g} +- {self.error:.2g} {self.unit}, "
-            f"asked at most {self.required:g}"
+            f"required at most {self.required:g}"
         )
 
 

@@ -11,7 +11,7 @@ acceleration, the body's rotation, the Sun's direction and the boundary states.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -144,7 +144,6 @@ def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown
     start, firing = mission.scenario.start_s, mission.scenario.burn_times_s
     stops = firing if firing[0] == start else (start, *firing)
     burns = np.vstack([np.zeros((len(stops) - len(firing), 3)), burns])  # none where it coasts
-    scale = np.concatenate([mission.units.state, np.ones(36)])
     times = np.union1d(times, stops)
     states = np.full((len(times), 6), DIVERGED)  # for what the integrator does not reach
     covariances = np.full((len(times), 6, 6), DIVERGED)
@@ -156,15 +155,7 @@ def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown
             break
         # The leg's last time is overwritten by the next leg's first, after the burn.
         leg = (times >= begin) & (times <= stops[i + 1])
-        answer = solve_ivp(
-            lambda _, y: variational_rate(y, mission.forces),
-            (begin, stops[i + 1]),
-            np.concatenate([state, np.eye(6).ravel()]),
-            method="DOP853",
-            t_eval=times[leg],
-            rtol=1e-12,
-            atol=1e-13 * scale,
-        )
+        answer = integrated(mission, state, (begin, stops[i + 1]), t_eval=times[leg])
         if not answer.success:
             return _Flown(times, states, covariances)
         stm = answer.y[6:].T.reshape(-1, 6, 6)
@@ -173,6 +164,22 @@ def _fly(mission: Mission, burns: Array, times: Array, initial: Array) -> _Flown
         state, spread = states[leg][-1].copy(), spread.carried(stm[-1])
     states[-1], covariances[-1] = state, spread.covariance
     return _Flown(times, states, covariances)
+
+
+def integrated(mission: Mission, state: Array, span: tuple[float, float], **looks: Any) -> Any:
+    """SciPy's answer for the state and the flattened STM, shape (42,), from one time to another.
+
+    `looks` says where it is looked at, as `solve_ivp` takes it.
+    """
+    return solve_ivp(
+        lambda _, y: variational_rate(y, mission.forces),
+        span,
+        np.concatenate([state, np.eye(6).ravel()]),
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-13 * np.concatenate([mission.units.state, np.ones(36)]),
+        **looks,
+    )
 
 
 def variational_rate(y: Array, forces: ForceModel) -> Array:

@@ -187,7 +187,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_captions_carry_the_findings(studies: Path) -> None:
-    found = battery_cones.read(studies / battery_cones.SOURCE.folder)
+    found = battery_cones.SOURCE.read(studies / battery_cones.SOURCE.folder)
     words = battery_cones.caption(found)
     assert "2000 random positions" in words
     assert "23.30 deg and 18.20 deg" in words
