@@ -48,7 +48,7 @@ def numbers(rows: Iterable[Row], column: str) -> Array:
 
 @dataclass(frozen=True)
 class Source:
-    """What a command leaves for a figure.
+    """Files that a command leaves for a figure.
 
     Attributes:
         folder: name of its folder among those of the studies.
@@ -68,11 +68,11 @@ class Source:
         """
         found = []
         for name, column in self.tables.items():
-            path = _require(place / name, place, self.command)
+            path = require(place / name, place, self.command)
             with path.open(encoding="utf-8", newline="") as file:
                 rows = list(csv.DictReader(file))
             if not rows or column not in rows[0]:
-                raise _unusable(path, place, self.command)
+                raise unusable(path, place, self.command)
             found.append(rows)
         return found
 
@@ -121,7 +121,7 @@ def read_runs(folder: Path) -> Runs:
         if flown
         else _flown(folder, SURROGATE, "OSIRIS-REx surrogate (ballistic arc)")
     )
-    _require(folder / TABLE, folder)
+    require(folder / TABLE, folder)
     table = Source("paper", f"{COMMAND} --fresh", {TABLE: "mean_s"}).rows(folder)
     return Runs(_flown(folder, PLAN, "plan"), reference, table)
 
@@ -150,13 +150,13 @@ def _fly(mission: Mission, solution: Solution) -> Summary:
 
 
 def _flown(folder: Path, key: str, label: str) -> Flown:
-    plan_file = _require(folder / key / SOLUTION_FILE, folder)
-    summary_file = _require(folder / key / SUMMARY_FILE, folder)
+    plan_file = require(folder / key / SOLUTION_FILE, folder)
+    summary_file = require(folder / key / SUMMARY_FILE, folder)
     solution = read_solution(plan_file)
     try:
         summary = read_summary(summary_file)
     except InputError:
-        raise _unusable(summary_file, folder) from None
+        raise unusable(summary_file, folder) from None
     check_same_plan(
         summary.plan_hash, summary_file, solution, plan_file, f"{COMMAND} --out {folder}"
     )
@@ -181,13 +181,19 @@ def check_same_plan(
         raise InputError(str(file), flown, f"must be of {beside}: run `{command}`")
 
 
-def _require(path: Path, folder: Path, command: str = COMMAND) -> Path:
+def require(path: Path, folder: Path, command: str = COMMAND) -> Path:
+    """A file that is there.
+
+    Raises:
+        InputError: if it is not, naming the command that writes it.
+    """
     if not path.is_file():
         raise InputError(str(path), "no such file", f"written by `{command} --out {folder}`")
     return path
 
 
-def _unusable(path: Path, folder: Path, command: str = f"{COMMAND} --fresh") -> InputError:
+def unusable(path: Path, folder: Path, command: str = f"{COMMAND} --fresh") -> InputError:
+    """The refusal of a damaged file, naming the command that writes it anew."""
     written = f"written anew by `{command} --out {folder}`"
     return InputError(str(path), "an unusable file", written)
 

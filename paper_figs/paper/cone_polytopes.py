@@ -219,7 +219,7 @@ def _in_space(
 
 
 def caption(runs: Runs) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     cut, limits = section(runs.plan), runs.plan.mission.scenario.observation
     facets = runs.plan.mission.polytopes.cone_facets
     return (

@@ -61,7 +61,7 @@ def _shade(axes: Axes, runs: Runs, times: Array) -> None:
 
 
 def caption(runs: Runs) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     scenario, solution = runs.plan.mission.scenario, runs.plan.solution
     first, last = runs.plan.mission.schedule.window_s
     return (

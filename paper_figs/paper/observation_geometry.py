@@ -185,7 +185,7 @@ def _direction(azimuth_deg: float) -> Array:
 
 
 def caption(runs: Runs) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     mission = runs.plan.mission
     limits = mission.scenario.observation
     seen = sight(mission, runs.plan.solution.burns_m_s, float(np.mean(mission.schedule.window_s)))

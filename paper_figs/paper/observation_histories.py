@@ -44,7 +44,7 @@ def draw(runs: Runs) -> Figure:
 
 
 def caption(runs: Runs) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     first, last = runs.plan.mission.schedule.window_s
     return (
         "Emission, phase and site distance of the plan (solid) and of the "

@@ -1,4 +1,4 @@
-"""How long emission and site distance are held."""
+"""Times for which the limits on emission and site distance are held."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def rebinned(summary: Summary, name: str, edges: Array) -> Array:
 
 
 def caption(runs: Runs) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     first, last = runs.plan.mission.schedule.window_s
     return (
         "Distribution of the time in which the emission limits (above) and the site distance limits "

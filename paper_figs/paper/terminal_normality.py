@@ -1,4 +1,4 @@
-"""How normal the final state is."""
+"""Quantiles of the final state against those of a normal variable."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def draw(runs: Runs) -> Figure:
 
 
 def caption(runs: Runs) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     normality = runs.plan.summary.terminal.normality
     kept = next(iter(normality.values())).samples
     worst = max(

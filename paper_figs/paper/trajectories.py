@@ -190,7 +190,7 @@ def _arrows(flown: Flown, pair: list[int], arrow_km: float) -> tuple[Array, Arra
 
 
 def caption(runs: Runs) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     solution, mission = runs.plan.solution, runs.plan.mission
     sizes = 1000.0 * np.linalg.norm(solution.burns_m_s, axis=1)
     listed = ", ".join(f"{size:.1f}" for size in sizes)

@@ -73,7 +73,7 @@ def _bands(axes: Axes, record: Record, name: str, labels: dict[int, str]) -> Non
 
 
 def caption(record: Record) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     summary = record.summary
     camera = summary.window_pointing_deg.camera
     worst = max(burn.pointing_deg for burn in summary.burns)

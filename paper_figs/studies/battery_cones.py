@@ -80,7 +80,7 @@ def _profile(axes: Axes, found: Tables) -> None:
 
 
 def caption(found: Tables) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     cones, samples = found
     calibrated = _calibrated(cones)
     raw = [cone for cone in cones if cone not in calibrated]

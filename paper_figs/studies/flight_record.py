@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from formulations.arrays import Array
-from paper_figs.inputs import Source, check_same_plan
+from paper_figs.inputs import Source, check_same_plan, require, unusable
 from scp_recon.errors import InputError
 from scp_recon.results.pictures import HOUR_S
 from scp_recon.results.read import read_solution
@@ -26,26 +26,27 @@ def read(folder: Path) -> Record:
         InputError: if it is missing or unusable, or of another plan than a solution beside it,
             naming the command that writes it.
     """
-    file, written = folder / FILE_NAME, f"written by `{SOURCE.command} --out {folder}`"
-    if not file.is_file():
-        raise InputError(str(file), "no such file", written)
+    return read_flight(folder / FILE_NAME, folder, SOURCE.command, SOURCE.command)
+
+
+def read_flight(file: Path, folder: Path, command: str, anew: str) -> Record:
+    """Read a flight of a folder, and hold it against the solution there, if there is one.
+
+    `command` writes what is missing, `anew` what is damaged.
+
+    Raises:
+        InputError: if a file is missing or unusable, or another plan was flown.
+    """
+    require(file, folder, command)
     try:
         record = read_record(file)
     except InputError:
-        raise InputError(str(file), "an unusable file", written) from None
-    check_beside(record, file, folder, f"{SOURCE.command} --out {folder}")
-    return record
-
-
-def check_beside(record: Record, file: Path, folder: Path, command: str) -> None:
-    """Hold a flight against the solution in a folder, where there is one.
-
-    Raises:
-        InputError: if the solution is unusable, or another plan was flown.
-    """
+        raise unusable(file, folder, anew) from None
     plan_file = folder / SOLUTION_FILE
     if plan_file.is_file():
-        check_same_plan(record.plan_hash, file, read_solution(plan_file), plan_file, command)
+        again = f"{command} --out {folder}"
+        check_same_plan(record.plan_hash, file, read_solution(plan_file), plan_file, again)
+    return record
 
 
 def bands(values: Array, times: Array, value: int) -> Iterator[tuple[float, float]]:

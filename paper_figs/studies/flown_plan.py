@@ -1,4 +1,4 @@
-"""How well a plan is flown."""
+"""Accuracy of simulated flights of a plan."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from scipy.stats import chi
 from formulations.arrays import Array
 from paper_figs.drawing import ABOVE, page
 from paper_figs.inputs import Source
-from paper_figs.studies.flight_record import check_beside
+from paper_figs.studies.flight_record import read_flight
 from scp_recon.errors import InputError
-from scp_recon.simulation.record import FILE_NAME, Record, read_record
+from scp_recon.simulation.record import FILE_NAME, Record
 
 SOURCE = Source(
     "flown_plan", "python -m experiments flown_plan SOLUTION", {"flown_plan.csv": "seed"}
@@ -29,15 +29,12 @@ def read(folder: Path) -> list[Record]:
         InputError: if a file is missing or unusable, or flights are of different plans or of
             another than a solution beside them.
     """
+    anew = f"{SOURCE.command} --fresh"
     files = [folder / f"seed_{row['seed']}" / FILE_NAME for row in SOURCE.rows(folder)]
-    written = f"written anew by `{SOURCE.command} --fresh --out {folder}`"
-    try:
-        records = [read_record(file) for file in files]
-    except InputError as error:
-        raise InputError(str(folder), f"an unusable flight ({error})", written) from None
+    records = [read_flight(file, folder, SOURCE.command, anew) for file in files]
     if len({record.plan_hash for record in records}) > 1:
-        raise InputError(str(folder), "flights of different plans", f"must be of one; {written}")
-    check_beside(records[0], files[0], folder, f"{SOURCE.command} --out {folder}")
+        written = f"must be of one; written anew by `{anew} --out {folder}`"
+        raise InputError(str(folder), "flights of different plans", written)
     return records
 
 
@@ -85,7 +82,7 @@ def _angles(axes: Axes, records: list[Record]) -> None:
 
 
 def caption(records: list[Record]) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     distances = _distances(records)
     inside = distances <= RADIUS_SIGMA
     charge = min(record.summary.least_charge for record in records)

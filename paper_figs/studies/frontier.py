@@ -1,4 +1,4 @@
-"""What probability costs."""
+"""Delta-v against the required probability."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def draw(rows: list[Row]) -> Figure:
 
 
 def caption(rows: list[Row]) -> str:
-    """What the figure shows, and what it proves."""
+    """Describe the figure and its finding."""
     cost = {(row["kind"], float(row["asked"])): float(row["total_dv_m_s"]) for row in rows}
     kinds = ("uniform, paper polytopes", "exact, whole flights")
     paper, whole = (cost.get((kind, 0.9), float("nan")) for kind in kinds)

@@ -1,4 +1,4 @@
-"""How good a model the planner needs."""
+"""Errors of cruder models of the dynamics."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _over_time(axes: Axes, history: list[Row], limit_m: float) -> None:
 
 
 def caption(found: Tables) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     table = found[0]
     named = [
         f"{row['effect']} of the {row['flight']}: {row['model']} ({float(row['terminal_m']):.2g} m)"

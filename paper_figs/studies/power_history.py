@@ -53,7 +53,7 @@ def _panels(axes: Axes, record: Record) -> None:
 
 
 def caption(record: Record) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     generated = record.arrays["panel_w"].sum(axis=1)[1:]
     ratio = generated / record.arrays["consumed_w"][1:]
     return (

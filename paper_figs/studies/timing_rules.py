@@ -1,4 +1,4 @@
-"""Whether the schedule's durations hold."""
+"""Measured durations against those of the schedule."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def draw(found: Tables) -> Figure:
 
 
 def caption(found: Tables) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     listed = [
         f"{rule['name']} ({rule['how']}) {float(rule['measured_s']) / 60.0:.1f} of "
         f"{float(rule['allowed_s']) / 60.0:.0f} min, "

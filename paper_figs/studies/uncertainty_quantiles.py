@@ -1,4 +1,4 @@
-"""How normal positions are, by source."""
+"""Quantiles of the final position against those of a normal variable, by source of error."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _panel(axes: Axes, found: Tables, source: str, axis: str) -> None:
 
 
 def caption(found: Tables) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     words = []
     for source in SHOWN:
         test = _tested(found, source)

@@ -1,4 +1,4 @@
-"""What each source of uncertainty does."""
+"""Dispersion by source of uncertainty."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _decades(rows: list[Row]) -> tuple[float, float]:
 
 
 def caption(rows: list[Row]) -> str:
-    """What the figure shows."""
+    """Describe the figure."""
     listed = [
         f"{row['label']} {float(row['rms_m']):.3g} m" for row in rows if float(row["rms_m"]) > 0.0
     ]

@@ -30,7 +30,7 @@ class Ids(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """What is exported: a solution as its file has it, and the path on which its burns lead."""
+    """A plan to be exported: its solution as the file has it, and the path of its burns."""
 
     solution: Solution
     mission: Mission

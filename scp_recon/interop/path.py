@@ -164,7 +164,7 @@ def _errors_m(flown: OdeSolution, times: Array) -> tuple[float, float]:
 
 
 def _check(path: FlownPath, solution: Solution) -> None:
-    """What the file says must be what is exported."""
+    """Hold the flown path against the stored nodes."""
     nodes = np.array(solution.nodes.t_s)
     stored = np.array(solution.nodes.state)
     times = np.concatenate([coast.times_s for coast in path.coasts])

@@ -200,7 +200,7 @@ def _one_of(entry: str, key: str, given: str, known: Sequence[str]) -> None:
 
 
 def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:
-    """Whether the body pulls as the trajectory bends: not so another body's, or axes that turn.
+    """Warn of a trajectory that does not bend as the body pulls: another body's, or in turning axes.
 
     States are carried to later ones by the planner's forces; half of them have to arrive with about the
     change of velocity that the trajectory has. Axes that stand still and are turned look the same.
@@ -223,7 +223,7 @@ def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:
 
 
 def step_doubts(track: Track) -> Iterator[ScenarioWarning]:
-    """Whether there is a gap, or a state that is not where its neighbours' velocities lead."""
+    """Warn of a gap, and of a state that is not where its neighbours' velocities lead."""
     times, position, velocity = track.times_s, track.states[:, :3], track.states[:, 3:]
     took = np.diff(times)
     usual, k = float(np.median(took[took > 0.0])), int(np.argmax(took))
@@ -251,7 +251,7 @@ def step_doubts(track: Track) -> Iterator[ScenarioWarning]:
 def late_doubts(
     begin: datetime | None, end: datetime | None, got: tuple[datetime, datetime]
 ) -> Iterator[ScenarioWarning]:
-    """Whether a trajectory begins and ends at the requested times (TDB)."""
+    """Warn of a trajectory that begins or ends beside the requested times (TDB)."""
     for entry, wanted, found in (("--from", begin, got[0]), ("--to", end, got[1])):
         off = 0.0 if wanted is None else (found - wanted).total_seconds()
         if abs(off) > LATE_MAX_S:
@@ -266,7 +266,7 @@ def late_doubts(
 def jump_doubts(
     meta: Path, spacecraft: int, body: int, ends: tuple[float, float], entry: str
 ) -> Iterator[ScenarioWarning]:
-    """Whether kernels have a burn just outside of a trajectory's ends, TDB seconds past J2000."""
+    """Warn of a burn just outside of a trajectory's ends, TDB seconds past J2000."""
     for flag, at, out in (("--from", ends[0], -BESIDE_S), ("--to", ends[1], BESIDE_S)):
         beside = at + out * np.array([1.0, 0.5, 0.0])
         try:

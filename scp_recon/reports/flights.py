@@ -59,7 +59,7 @@ class Flown:
 
     @property
     def samples(self) -> int:
-        """How many flights."""
+        """Number of flights."""
         return len(self.executed_m_s)
 
 

@@ -125,7 +125,7 @@ class Panels:
             self._write(f"<b>{title}</b>", where | {"name": _axis(i), "yanchor": "bottom"})
 
     def chart(self, key: str, title: str) -> dict[str, Any]:
-        """What was drawn, as pages take it."""
+        """The chart as pages take it."""
         return chart(key, title, self.data, self.layout)
 
     def y_axis(self, panel: int, **entries: Any) -> None:
@@ -158,7 +158,7 @@ class Panels:
         self, x: Any, edges: tuple[Any, Any], name: str, number: int, panel: int, shade: float,
         *, legend: bool,
     ) -> None:  # fmt: skip
-        """What lies between two curves, in the colour of a number with an opacity."""
+        """Fill between two curves, in the colour of a number with an opacity."""
         filled: Trace = {"fill": "tonexty", "fillcolor": faint(PLANS[number], shade)}
         for y, more in zip(edges, (Trace(), filled), strict=True):
             named = legend and bool(more)

@@ -43,7 +43,7 @@ NOTES = {
 
 @dataclass(frozen=True)
 class Verdict:
-    """What stands at the head of the page, in words: probability required and achieved, delta-v."""
+    """The head of the page, in words: probability required and achieved, delta-v."""
 
     good: bool
     word: str
@@ -137,7 +137,7 @@ class Page:
 
 
 def identity(page: Page) -> str:
-    """What every sheet says: scenarios, their epochs in UTC, plans, version, and when it was made."""
+    """Foot of every sheet: scenarios, their epochs in UTC, plans, version, and when it was made."""
     plans = "; ".join(
         f"{s.solution.scenario.name}, "
         f"t = 0 at {shown_utc(instant(s.solution.scenario.epoch.tdb))} UTC, "
@@ -174,7 +174,7 @@ def render(page: Page) -> str:
 
 
 def _groups(page: Page) -> list[tuple[str, bool, str]]:
-    """What may be shown and hidden in the view: name, whether it is shown at first, and colour."""
+    """Groups of traces that the view shows and hides: name, whether shown at first, colour."""
     found: dict[str, tuple[bool, str]] = {}
     for trace in page.scene["traces"]:
         shown = trace.get("visible", True) is not False
@@ -188,7 +188,7 @@ def _colours(trace: Trace) -> list[str | None]:
 
 
 def made_by(made: datetime) -> str:
-    """What made a page, and when."""
+    """Program, version and time of making."""
     return f"scp_recon {version_of('scp_recon')} | made {made:%Y-%m-%d %H:%M:%S} UTC"
 
 

@@ -188,7 +188,7 @@ def _site(mission: Mission, shape: Shape) -> Trace:
 
 
 def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
-    """What positions and burns of the first plan have to keep in or out of; shown on demand."""
+    """Sets that positions and burns of the first plan keep in or out of; shown on demand."""
     mission = subject.mission
     scenario, site = mission.scenario, mission.site
     limits = {limit.name: limit.value for limit in observation_limits(scenario)}

@@ -60,7 +60,7 @@ class Subject:
 
     @property
     def window_s(self) -> tuple[float, float]:
-        """What is left of the observation window where the plan begins; its end first if nothing is."""
+        """The rest of the observation window from the plan's start; nothing left: its end first."""
         over = float(self.nodes_s[0]), self.mission.schedule.window_s[1]
         return self.mission.observed_s or over
 

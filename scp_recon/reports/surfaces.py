@@ -161,7 +161,7 @@ class Shape(Solid):
 
 
 def shape_of(scenario: Scenario) -> Shape:
-    """What is known of the body's shape; a file that is no longer there is said to be missing."""
+    """Shape of a scenario's body; the description names a shape file that is missing."""
     body, site = scenario.body, scenario.site
     missing = ""
     if body.shape_file is not None:

@@ -118,7 +118,7 @@ def mean_margins_table(mission: Mission, v: Verification) -> Table:
 
 
 def reintegration_table(mission: Mission, v: Verification) -> Table:
-    """What a flight by another integrator differs by; no limit where it is not judged."""
+    """Differences of a flight by another integrator; no limit where they are not judged."""
     limits = limits_of(mission)
     return Table.of(
         "Integrated again without the solver",
@@ -176,7 +176,7 @@ def starts_table(starts: Starts) -> Table:
 
 
 def observation_times_table(summary: Summary) -> Table:
-    """How long flights observe, in seconds, and the probability that a limit holds throughout."""
+    """Time observed by flights, s, and the probability that a limit holds throughout."""
     return Table.of(
         "Observation times",
         ("time held", *(Column(name, "s") for name in ("mean", "worst 1 sigma", "worst 2 sigma")),
@@ -288,7 +288,7 @@ def simulated_table(summary: FlightSummary) -> Table:
 
 
 def stages_table(solution: Solution) -> Table:
-    """How each stage of planning ended."""
+    """Status, iterations and delta-v of each stage of planning."""
     return Table.of(
         "Stages",
         ("stage", "status", "iterations", Column("total delta-v", "m/s", ".6f")),

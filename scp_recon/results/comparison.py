@@ -99,7 +99,7 @@ def _verdict(verification: Verification | None) -> str:
 
 
 def _total_dv(solution: Solution) -> float:
-    """Of the burns: what a file says of it may be wrong."""
+    """Sum of the burns' sizes, m/s; a file's own total may be wrong."""
     return float(np.linalg.norm(solution.burns_m_s, axis=1).sum())
 
 
@@ -111,7 +111,7 @@ def _whole_flight(solution: Solution) -> Array:
 def _history(
     solutions: Sequence[Solution],
 ) -> list[tuple[str, str, tuple[float | str | None, ...]]]:
-    """What was flown before plans in flight begin, and what they miss of the final state."""
+    """Rows of plans made in flight: parent, burns flown before, miss of the final state."""
     whole = [float(np.linalg.norm(_whole_flight(s), axis=1).sum()) for s in solutions]
     missed = [s.verification.missed if s.verification else None for s in solutions]
     return [
