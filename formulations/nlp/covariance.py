@@ -48,7 +48,7 @@ class Spread(Protocol):
         """Entries at the end of an arc with that STM (6, 6)."""
 
     def kick(self, burn: ca.MX, burns: int) -> ca.MX:
-        """What a burn (3,) adds to the entries of its node, which has that many burns before it."""
+        """Entries that a burn (3,) adds at its node, which has that many burns before it."""
 
     def pack(self, factor: Array, burns: int) -> Array:
         """Entries from a factor (6, c) whose columns of later burns are zero."""

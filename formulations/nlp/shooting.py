@@ -224,7 +224,7 @@ def _burn_part(
 
 
 def kick(spread: Spread | None, burn: ca.MX, burns: int) -> ca.MX:
-    """What a burn (3,) with that many before it adds to y = (mean, entries)."""
+    """Addition of a burn (3,) with that many before it to y = (mean, entries)."""
     state = ca.vertcat(ca.MX(3, 1), burn)
     return state if spread is None else ca.vertcat(state, spread.kick(burn, burns))
 

@@ -26,8 +26,7 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 class Settings:
     """IPOPT's options that matter here; its defaults otherwise.
 
-    The tolerance is that of the scaled optimality conditions, seconds are of the wall clock, and an
-    inexact Hessian is a limited-memory BFGS approximation. With CasADi's wheels there is also the
+    An inexact Hessian is a limited-memory BFGS approximation. With CasADi's wheels there is also the
     linear solver "spral", which needs the environment variables OMP_CANCELLATION=TRUE and
     OMP_PROC_BIND=TRUE.
     """
@@ -35,9 +34,7 @@ class Settings:
     hessian: Literal["exact", "limited-memory"] = "exact"
     linear_solver: str = "mumps"
     barrier: Literal["monotone", "adaptive"] = "monotone"
-    tolerance: float = 1e-8
     max_iterations: int = 1000
-    max_seconds: float = 600.0
 
     def options(self) -> dict[str, Any]:
         """As CasADi wants them; nothing is printed."""
@@ -45,12 +42,12 @@ class Settings:
             "ipopt.hessian_approximation": self.hessian,
             "ipopt.linear_solver": self.linear_solver,
             "ipopt.mu_strategy": self.barrier,
-            "ipopt.tol": self.tolerance,
+            "ipopt.tol": 1e-8,  # of the scaled optimality conditions
             # Of the rows unscaled; by default 1e-4, a decimetre.
             "ipopt.constr_viol_tol": CONSTRAINT_TOLERANCE,
             "ipopt.acceptable_constr_viol_tol": CONSTRAINT_TOLERANCE,
             "ipopt.max_iter": self.max_iterations,
-            "ipopt.max_wall_time": self.max_seconds,
+            "ipopt.max_wall_time": 600.0,
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
             "print_time": False,

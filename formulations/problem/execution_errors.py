@@ -20,7 +20,7 @@ VANISHED = 1e-3
 
 
 class ExecutionErrors(ABC):
-    """How burns err, in the units of the burns."""
+    """Model of the errors of burns, in their units."""
 
     @property
     @abstractmethod

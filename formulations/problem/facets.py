@@ -37,7 +37,7 @@ def quantile(probability: float) -> float:
 
 @dataclass(frozen=True)
 class Polytopes:
-    """How regions become polytopes.
+    """Polytopes that stand for regions.
 
     Attributes:
         ball: polytope about the unit ball, or None for a single facet through the sphere's point on
@@ -78,7 +78,7 @@ class Facets:
         return np.linalg.norm(np.einsum("mi,mic->mc", self.normal, factor[self.node, :3]), axis=1)
 
     def margin(self, mean: Array, factor: Array) -> Array:
-        """What is left of b - a'r_k after q ||S_k'a||, >= 0 where satisfied, (m,)."""
+        """Room b - a'r_k - q ||S_k'a||, >= 0 where satisfied, (m,)."""
         distance = self.offset - np.einsum("mi,mi->m", self.normal, mean[self.node, :3])
         return distance - self.quantile * self.deviation(factor)
 

@@ -216,7 +216,7 @@ class FlybyProblem:
         return Cone(apex, self.sun, self.dv_cone), Cone(apex, -self.sun, self.dv_cone)
 
     def missed(self, defects: Array) -> float:
-        """What the miss of the final state costs, of `defects`; nothing where it is a condition."""
+        """Cost of the miss of the final state, of `defects`; zero where it is a condition."""
         return (self.miss_weight or 0.0) * float(np.abs(defects[-1]).sum())
 
     def burn_margins(self, burns: Array) -> dict[str, Array]:

@@ -19,8 +19,8 @@ import cvxpy as cp
 import numpy as np
 
 from formulations.arrays import Array, Booleans, Indices
-from formulations.linearisation.condensation import Condensation
 from formulations.linearisation.linearisation import (
+    Condensation,
     Linearisation,
     LinearisationError,
     final_state_map,

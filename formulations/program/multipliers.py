@@ -24,8 +24,11 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import condense
-from formulations.linearisation.linearisation import Linearisation, final_state_map
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+    final_state_map,
+)
 from formulations.problem.flyby import FlybyProblem
 from formulations.rows.cones import Rows
 

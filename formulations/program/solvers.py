@@ -20,11 +20,9 @@ TOLERANCE = 1e-9
 
 
 class Answer(NamedTuple):
-    """The answer of a solver.
+    """The answer of a solver: variables x (n,) and multipliers z (rows,), which prove them optimal.
 
-    Variables x and the solver's word for them; whether it vouches for its tolerances; the seconds spent
-    in it, with the set-up or update of its data; and the multipliers z, by which it is held to its
-    word.
+    It is accurate where the solver reports its tolerances met; its seconds include set-up or update.
     """
 
     x: Array

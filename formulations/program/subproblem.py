@@ -90,7 +90,7 @@ class MeritFunction:
         return by_burn | self.rows.margins(lin)
 
     def violations(self, lin: Linearisation) -> dict[str, Array]:
-        """What the buffers would have to hold, by constraint name; the defects are `dynamics`."""
+        """Amounts that the buffers would have to hold, by constraint; the defects are `dynamics`."""
         return {name: np.maximum(amount, 0.0) for name, amount in self._signed(lin).items()}
 
     def worst_violation(self, lin: Linearisation) -> float:
@@ -121,7 +121,7 @@ class SubproblemError(RuntimeError):
 class Step:
     """Answer of a subproblem: new burns (m, 3), the merit its model predicts, solver's seconds.
 
-    Whether it is `accurate` is the solver's own word; a verdict needs an accurate answer.
+    It is `accurate` where the conic solver reports so; a verdict needs an accurate answer.
     """
 
     burns: Array

@@ -94,7 +94,7 @@ def kept_segments(keep_in: tuple[Array, Array], keep_out: tuple[Array, Array]) -
 def _segments(
     keep_in: tuple[Array, Array], keep_out: tuple[Array, Array], first: Array, last: Array
 ) -> Segments:
-    """What is left of [first, last] of each line, shape (lines, 1), outside the keep-out intervals."""
+    """Parts of [first, last] of each line, shape (lines, 1), outside the keep-out intervals."""
     (in_low, in_high), (out_low, out_high) = keep_in, keep_out
     order = np.argsort(out_low, axis=1)
     opens = np.take_along_axis(out_low, order, axis=1)

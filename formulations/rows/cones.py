@@ -7,8 +7,10 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.condensation import Sensitivity
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    Sensitivity,
+)
 from formulations.problem.flyby import FlybyProblem
 
 Unit = Literal["length", "sigma"]
@@ -108,7 +110,7 @@ class Rows(Protocol):
 
     @property
     def unit(self) -> Unit:
-        """What margins count."""
+        """Unit of the margins."""
 
     @property
     def resolution(self) -> float:
@@ -175,7 +177,7 @@ class FinalSpread:
         return cones
 
     def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:
-        """What the rows before pull, and these: vec(S) / ||vec(S)|| each, at the prices of all rows."""
+        """Pull of the other rows and of these, vec(S) / ||vec(S)|| each, at the prices of all rows."""
         if not self.count:
             return others
         by_factor = np.zeros((self._last + 1, 6, lin.factor.shape[2]))

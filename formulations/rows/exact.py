@@ -16,8 +16,11 @@ import numpy as np
 from scipy.linalg import null_space
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.condensation import Sensitivity
-from formulations.linearisation.linearisation import Linearisation, final_state_map
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    Sensitivity,
+    final_state_map,
+)
 from formulations.problem.facets import quantile
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.rows.cones import (

@@ -121,7 +121,7 @@ class FlightProbability:
     reach: float = 6.0
 
     def limits(self, mean: Array, factor: Array) -> Limits:
-        """What some flight within reach meets, for mean positions (n, 3) and factors (n, 3, c)."""
+        """Limits that a flight within reach meets, for mean positions (n, 3) and factors (n, 3, c)."""
         spread = self.reach * factor[:, :, : self.directions.shape[1]]
         radius = np.sqrt(np.linalg.eigvalsh(spread @ spread.swapaxes(1, 2))[:, -1])
         inner = (limit for e in self.events for limit in _met_inside(e, mean, radius))

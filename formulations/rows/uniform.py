@@ -12,8 +12,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from formulations.arrays import Array, Booleans
-from formulations.linearisation.condensation import Sensitivity
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    Sensitivity,
+)
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem
 from formulations.rows.cones import (
@@ -124,7 +126,7 @@ class ChanceRows:
         self.count = len(self.carried.node) + self.final.count
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """What is left of b - a'mu after q ||S'a||, of the included facets."""
+        """Room b - a'mu - q ||S'a|| of the included facets."""
         margin = self.carried.margin(lin.iterate.mean, lin.factor)
         ends = np.searchsorted(
             self.carried.constraint, np.arange(len(self.problem.constraints) + 1)

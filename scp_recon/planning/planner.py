@@ -15,7 +15,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, included_rows
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import Subproblem
-from formulations.registry import subproblem_maker
+from formulations.registry import make_subproblem
 from formulations.rows.cones import Rows
 from formulations.rows.exact import FlightRows, NodeRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
@@ -129,7 +129,7 @@ class Planner:
             )
         if formulation != "condensed":
             require_no_final_limit(mission, f"the formulation condensed, not with {formulation}")
-        self._make = subproblem_maker(formulation)
+        self._formulation = formulation
         self._p2_rows: ChanceRows | None = None
         self._exact_rows: Sequence[tuple[str, Rows]] = ()
         self._kept: dict[type[Rows], Subproblem] = {}
@@ -223,7 +223,9 @@ class Planner:
         kept = self._kept.get(type(rows))
         if kept is None or kept.merit.rows is not rows:
             penalty = self.algorithm.penalty
-            kept = self._make(self.mission.problem, rows, penalty, self.solver)
+            kept = make_subproblem(
+                self.mission.problem, rows, self._formulation, self.solver, penalty
+            )
             self._kept[type(rows)] = kept
         return kept
 

@@ -7,8 +7,11 @@ import pytest
 from scipy.optimize import linprog
 
 from experiments.compare_solvers.cell import Unguarded
-from formulations.linearisation.condensation import condense
-from formulations.linearisation.linearisation import Linearisation, final_state_map
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+    final_state_map,
+)
 from formulations.registry import make_subproblem
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission

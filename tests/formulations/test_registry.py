@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from formulations.linearisation.condensation import CONDENSATIONS
+from formulations.linearisation.linearisation import CONDENSATIONS
 from formulations.program import condensed, lifted
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.lifted import LiftedSubproblem

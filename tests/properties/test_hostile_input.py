@@ -332,16 +332,9 @@ def test_a_damaged_scenario_is_solved_or_refused(data: dict[str, Any]) -> None:
 AT_THE_ENDS = [
     *("risk.p_chance=0.999999999", "grid.step_max_s=1e7", "body.gm_m3_s2=1e-6"),
     *("body.gm_m3_s2=1e4", "safety.radius_min_m=1e12", "uncertainty.initial_sigma_fraction=0.999"),
-    *(
-        f"{entry}=[{size}, {size}, {size}]"
-        for entry, size in (
-            ("boundary.final_position_m", 1e12),
-            ("boundary.initial_velocity_m_s", 1e6),
-            ("site.position_body_m", 1e12),
-            ("sun.body_position_km", 1e12),
-        )
-    ),
-    "spacecraft.mass_kg=1e-9",
+    *("spacecraft.mass_kg=1e-9", "boundary.initial_velocity_m_s=[1e6, 1e6, 1e6]"),
+    *("site.position_body_m=[1e12, 0.0, 0.0]", "sun.body_position_km=[1e12, 1e12, 1e12]"),
+    "boundary.final_position_m=[1e12, 1e12, 1e12]",
 ]
 
 

@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.condensation import Sensitivity, condense
 from formulations.linearisation.linearisation import (
     Linearisation,
     LinearisationError,
+    Sensitivity,
+    condense,
     final_state_map,
     propagate_factor,
     step_mean,

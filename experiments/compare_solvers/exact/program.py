@@ -21,10 +21,11 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import Sensitivity, condense
 from formulations.linearisation.linearisation import (
     Linearisation,
     LinearisationError,
+    Sensitivity,
+    condense,
     final_state_map,
     step_mean,
 )

@@ -10,8 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import condense
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+)
 from formulations.problem.flyby import Legs
 from formulations.program.subproblem import MeritFunction, Subproblem
 from formulations.registry import make_subproblem

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.linearisation.condensation import CONDENSATIONS, condense
+from formulations.linearisation.linearisation import CONDENSATIONS, condense
 from tests.helpers import generators, random_flyby
 
 

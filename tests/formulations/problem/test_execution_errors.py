@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import condense
+from formulations.linearisation.linearisation import condense
 from formulations.nlp.covariance import own_columns, own_covariance, shared_columns
 from formulations.problem.execution_errors import (
     VANISHED,

@@ -11,8 +11,11 @@ import pytest
 import scipy.sparse as sp
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import Condensation, condense
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import (
+    Condensation,
+    Linearisation,
+    condense,
+)
 from formulations.problem.facets import Polytopes, choose_facets
 from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball

@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given, settings
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import condense
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+)
 from formulations.program.condensed import (
     CondensedSubproblem,
     ConeSize,

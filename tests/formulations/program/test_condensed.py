@@ -10,8 +10,11 @@ import pytest
 from hypothesis import given, settings
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import CONDENSATIONS, condense
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import (
+    CONDENSATIONS,
+    Linearisation,
+    condense,
+)
 from formulations.program import condensed
 from formulations.program.condensed import CondensedSubproblem, ConeSize, compile_condensed
 from formulations.program.subproblem import Penalty, Step

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import condense
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+)
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
 from formulations.program.subproblem import PenaltyParameters, Step

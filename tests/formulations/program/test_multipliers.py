@@ -10,8 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import condense
-from formulations.linearisation.linearisation import Linearisation, final_state_map
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+    final_state_map,
+)
 from formulations.problem.execution_errors import (
     ComponentwiseErrors,
     ExecutionErrors,

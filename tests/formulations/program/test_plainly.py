@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from formulations.linearisation.condensation import CONDENSATIONS
+from formulations.linearisation.linearisation import CONDENSATIONS
 from formulations.program.subproblem import Penalty
 from formulations.registry import FORMULATIONS, make_subproblem
 from tests.helpers import generators, share_of_examples

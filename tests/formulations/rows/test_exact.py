@@ -10,8 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.linearisation.condensation import condense
-from formulations.linearisation.linearisation import Linearisation, final_state_map
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+    final_state_map,
+)
 from formulations.rows.cones import Cones, Rows
 from formulations.rows.exact import BEND, FLIGHT, FlightRows, NodeRows, curved_cones
 from scp_recon.mission.mission import Mission

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from formulations.linearisation.condensation import condense
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    condense,
+)
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, FinalSpread, Pulled
 from tests.helpers import generators, random_flyby
 
