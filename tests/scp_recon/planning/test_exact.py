@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import os
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from scp_recon.scp.status import Status
 from tests.helpers import share_of_examples
 from tests.properties.test_optimality import Values, conditions_of
 from tests.scenarios import COARSE, planned, scenarios
-from tests.scp_recon.support import mission_of, run_solve
+from tests.scp_recon.support import mission_of
 
 GOALS = {
     "node": {0.70: 0.1087, 0.90: 0.1101, 0.95: 0.1109, 0.99: 0.1166, 0.997: 0.1320},
@@ -201,36 +200,11 @@ def never(*_: object) -> None:
     raise AssertionError("what is refused is refused before any work")
 
 
-@pytest.mark.parametrize("formulation", ["lifted", "frozen-stm", "frozen-covariance"])
+@pytest.mark.parametrize("formulation", ["lifted", "frozen-stm", "frozen-covariance", "ipopt"])
 def test_other_formulations_have_no_exact_rows(formulation: str) -> None:
     mission = mission_of(*exact("node", 0.9, COARSE))
-    with pytest.raises(InputError, match=r"risk\.allocation.*condensed"):
-        plan(mission, initial_guess.cold(mission), formulation=formulation, observe=never)
-
-
-def test_ipopt_has_no_exact_rows() -> None:
-    mission = mission_of(*exact("node", 0.9, COARSE))
-    with pytest.raises(InputError, match=r"risk\.allocation.*scp"):
-        ipopt.plan(mission, initial_guess.cold(mission), variant="shooting", observe=never)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("--formulation", "lifted"),
-        ("--formulation", "frozen-stm"),
-        ("--method", "ipopt"),
-        ("--set", "risk.allocation=uniform", "--set", "risk.scope=flight"),
-    ],
-    ids=lambda arguments: arguments[-1],
-)
-def test_what_does_not_go_together_ends_in_one_message(
-    tmp_path: Path, arguments: tuple[str, ...]
-) -> None:
-    run = run_solve(
-        tmp_path, "--init", "cold", "--set", "risk.allocation=exact", "--set", COARSE, *arguments
-    )
-    assert run.exit_code == 2
-    assert len(run.errors.strip().splitlines()) == 1
-    assert "risk" in run.errors
-    assert "Traceback" not in run.errors + run.output
+    cold = initial_guess.cold(mission)
+    needed = "scp" if formulation == "ipopt" else "condensed"
+    planned = ipopt.plan if formulation == "ipopt" else partial(plan, formulation=formulation)
+    with pytest.raises(InputError, match=rf"risk\.allocation.*{needed}"):
+        planned(mission, cold, observe=never)

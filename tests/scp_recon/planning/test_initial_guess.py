@@ -50,31 +50,18 @@ def test_cold_is_the_straight_line_with_next_to_no_burns(mission: Mission) -> No
 # --- ballistic ----------------------------------------------------------------------------------
 
 
-def test_ballistic_arc_obeys_the_dynamics(mission: Mission, ballistic: Iterate) -> None:
-    defects = defects_of(mission, ballistic)
-    assert np.abs(defects[:, :3]).max() < 1e-3
-    assert np.abs(defects[:, 3:]).max() < 1e-6
-
-
-def test_ballistic_arc_joins_the_boundary_states(mission: Mission, ballistic: Iterate) -> None:
+def test_ballistic_arc_flies_between_the_boundary_states_with_two_impulses(
+    mission: Mission, ballistic: Iterate
+) -> None:
     states, burns = states_of(mission, ballistic), burns_of(mission, ballistic.burns)
+    defects = np.abs(defects_of(mission, ballistic))
+    assert defects[:, :3].max() < 1e-3
+    assert defects[:, 3:].max() < 1e-6
     np.testing.assert_allclose(states[0, :3], mission.initial_state[:3], atol=1e-3)
     np.testing.assert_allclose(states[0, 3:] - burns[0], mission.initial_state[3:], atol=1e-12)
     np.testing.assert_allclose(states[-1], mission.final_state, atol=1e-3)
-
-
-def test_ballistic_arc_is_found_by_an_adaptive_integration_too(
-    mission: Mission, ballistic: Iterate
-) -> None:
-    states = states_of(mission, ballistic)
     flown = integrate(mission.forces, states[0], mission.times_s)
     assert np.linalg.norm(flown[:, :3] - states[:, :3], axis=1).max() < 0.1
-
-
-def test_ballistic_arc_has_two_impulses_of_a_plausible_size(
-    mission: Mission, ballistic: Iterate
-) -> None:
-    burns = burns_of(mission, ballistic.burns)
     sizes = np.linalg.norm(burns, axis=1)
     assert np.all(sizes[1:-1] < 1e-9)
     # An independent prototype's, with a gravity field of degree 10.
@@ -130,34 +117,25 @@ def write(path: Path, times: Array, states: Array, header: tuple[str, ...] = WIT
     return path
 
 
-@pytest.mark.parametrize("header", [SHORT, WITH_UNITS], ids=["short", "with units"])
-def test_a_table_at_the_nodes_gives_the_trajectory_back(
-    tmp_path: Path, mission: Mission, ballistic: Iterate, header: tuple[str, ...]
+@pytest.mark.parametrize(
+    ("rows", "header"), [(None, SHORT), (None, WITH_UNITS), (2, SHORT), (3, SHORT), (300, SHORT)]
+)
+def test_a_table_gives_the_trajectory_back(
+    tmp_path: Path, mission: Mission, ballistic: Iterate, rows: int | None, header: tuple[str, ...]
 ) -> None:
-    file = write(tmp_path / "t.csv", mission.times_s, states_of(mission, ballistic), header)
-    read = initial_guess.from_table(mission, file)
-    np.testing.assert_allclose(read.mean, ballistic.mean, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(
-        burns_of(mission, read.burns), burns_of(mission, ballistic.burns), rtol=0.0, atol=1e-6
-    )
-
-
-def test_a_table_at_other_times_is_interpolated(
-    tmp_path: Path, mission: Mission, ballistic: Iterate
-) -> None:
-    start = states_of(mission, ballistic)[0]
-    times = np.linspace(0.0, 34_900.0, 300)
-    file = write(tmp_path / "t.csv", times, integrate(mission.forces, start, times))
-    read = initial_guess.from_table(mission, file)
-    np.testing.assert_allclose(
-        states_of(mission, read)[:, :3], states_of(mission, ballistic)[:, :3], rtol=0.0, atol=0.1
-    )
-    np.testing.assert_allclose(
-        burns_of(mission, read.burns)[[0, -1]],
-        burns_of(mission, ballistic.burns)[[0, -1]],
-        rtol=0.0,
-        atol=1e-4,
-    )
+    """At the nodes exactly, at other times interpolated; a sparse one is read."""
+    times, states = mission.times_s, states_of(mission, ballistic)
+    if rows is not None:
+        times = np.linspace(0.0, times[-1] + 60.0, rows)
+        states = integrate(mission.forces, states[0], times)
+    read = initial_guess.from_table(mission, write(tmp_path / "t.csv", times, states, header))
+    assert read.mean.shape == ballistic.mean.shape
+    if rows is None or rows > 100:
+        position_m, burn_m_s = (1e-6, 1e-6) if rows is None else (0.1, 1e-4)
+        off = (read.mean - ballistic.mean)[:, :3] * mission.units.length_m
+        assert np.abs(off).max() < position_m
+        apart = burns_of(mission, read.burns) - burns_of(mission, ballistic.burns)
+        assert np.abs(apart[[0, -1]]).max() < burn_m_s
 
 
 def test_burns_of_a_table_are_what_the_arcs_miss(
@@ -204,10 +182,6 @@ def refused(mission: Mission, path: Path) -> InputError:
     return caught.value
 
 
-def test_a_missing_table_is_refused(mission: Mission, tmp_path: Path) -> None:
-    assert "no such file" in refused(mission, tmp_path / "none.csv").given
-
-
 HEADER = ",".join(WITH_UNITS)
 ROWS = ["0,1,2,3,4,5,6", "40000,1,2,3,4,5,6"]
 
@@ -215,6 +189,8 @@ ROWS = ["0,1,2,3,4,5,6", "40000,1,2,3,4,5,6"]
 @pytest.mark.parametrize(
     ("content", "named"),
     [
+        (None, "no such file"),
+        ("\x89PNG\r\n\x1a\n\x00\xff", "must be"),
         ("", "none that is known"),
         (HEADER, "columns"),
         ("\n".join(["a,b,c", "1,2,3"]), "none that is known"),
@@ -232,63 +208,32 @@ ROWS = ["0,1,2,3,4,5,6", "40000,1,2,3,4,5,6"]
         ("\n".join(["x,x_m,y,z,vx,vy,vz", *ROWS]), "t_s"),
         ("\n".join(["t,t_s,x,y,z,vx,vy", *ROWS]), "vz_m_s"),
     ],
-    ids=[
-        *("empty", "header only", "other columns", "a column less", "a word", "a short row", "NaN"),
-        *("infinity", "one row", "descending", "twice the same", "too short", "too late"),
-        *("x twice and no t", "t twice and no vz"),
-    ],
 )
-def test_a_bad_table_is_refused(mission: Mission, tmp_path: Path, content: str, named: str) -> None:
+def test_a_bad_table_is_refused(
+    mission: Mission, tmp_path: Path, content: str | None, named: str
+) -> None:
     file = tmp_path / "bad.csv"
-    file.write_text(content, "utf-8")
+    if content is not None:
+        file.write_bytes(content.encode("latin-1"))
     assert named in str(refused(mission, file))
 
 
-@pytest.mark.parametrize(
-    ("scales", "named"),
-    [
-        ((1e-3, 1e-3), "in metres"),  # kilometres and kilometres a second
-        ((1e3, 1e3), "in metres"),
-        ((1.0, 1e-3), "metres per second"),
-        ((1.0, 1e3), "metres per second"),
-        ((1.0, 1.0 / 24.0 / 3600.0), "metres per second"),  # metres a day
-    ],
-)
-def test_a_table_in_other_units_is_refused(
-    mission: Mission,
-    ballistic: Iterate,
-    tmp_path: Path,
-    scales: tuple[float, float],
-    named: str,
-) -> None:
-    states = states_of(mission, ballistic) * np.repeat(scales, 3)
-    error = refused(mission, write(tmp_path / "t.csv", mission.times_s, states))
-    assert named in error.allowed
-
-
-def test_velocities_of_other_axes_are_refused(
+def test_a_table_in_other_units_or_axes_is_refused(
     mission: Mission, ballistic: Iterate, tmp_path: Path
 ) -> None:
     states = states_of(mission, ballistic)
-    backwards = states * [1.0, 1.0, 1.0, -1.0, -1.0, -1.0]
     turning = np.array([mission.rotation.body_to_j2000(t).T for t in mission.times_s])
     body_fixed = np.einsum("nij,nkj->nki", turning, states.reshape(-1, 2, 3)).reshape(-1, 6)
-    for wrong in (backwards, body_fixed, states[:, [0, 1, 2, 4, 5, 3]]):
+    velocity = "metres per second"
+    for wrong, named in (
+        (1e-3 * states, "in metres"),  # kilometres and kilometres a second
+        (1e3 * states, "in metres"),
+        (states * np.repeat([1.0, 1e-3], 3), velocity),
+        (states * np.repeat([1.0, 1e3], 3), velocity),
+        (states * np.repeat([1.0, 1.0 / 86_400.0], 3), velocity),  # metres a day
+        (states * np.repeat([1.0, -1.0], 3), "how the positions move"),
+        (body_fixed, "how the positions move"),
+        (states[:, [0, 1, 2, 4, 5, 3]], "how the positions move"),
+    ):
         error = refused(mission, write(tmp_path / "t.csv", mission.times_s, wrong))
-        assert "how the positions move" in error.given
-
-
-@pytest.mark.parametrize("rows", [2, 3, 10])
-def test_a_sparse_table_in_metres_is_read(
-    mission: Mission, ballistic: Iterate, tmp_path: Path, rows: int
-) -> None:
-    at = np.linspace(0, len(mission.times_s) - 1, rows).astype(int)
-    states = states_of(mission, ballistic)
-    file = write(tmp_path / "t.csv", mission.times_s[at], states[at])
-    assert initial_guess.from_table(mission, file).mean.shape == (len(mission.times_s), 6)
-
-
-def test_a_binary_file_is_no_table(mission: Mission, tmp_path: Path) -> None:
-    file = tmp_path / "bad.csv"
-    file.write_bytes(b"\x89PNG\r\n\x1a\n\x00\xff")
-    refused(mission, file)
+        assert named in str(error)

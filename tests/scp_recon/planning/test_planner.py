@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,15 +19,14 @@ from scp_recon.mission import mission as mission_module
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt, stages
 from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
-from scp_recon.results.solution import Solution, make_solution
+from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from scp_recon.scp.loop import Record, Result, run
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 from tests.helpers import near_from
+from tests.scenarios import COARSE
 from tests.scp_recon.support import burns_of, flight_beyond, mission_of
-
-TIGHT = ("polytopes.ball=tangent", "polytopes.cone=12")
 
 
 def total_dv(mission: Mission, stage: Stage) -> float:
@@ -39,102 +39,57 @@ def assert_no_buffer_is_used(of: Plan) -> None:
 
 
 @pytest.fixture(scope="module")
+def coarse_plan() -> Plan:
+    mission = mission_of(COARSE)
+    return plan(mission, initial_guess.cold(mission))
+
+
+@pytest.fixture(scope="module")
 def two_rounds(mission: Mission) -> Plan:
     return plan(mission, initial_guess.cold(mission), facet_rounds=1)
-
-
-@pytest.fixture(scope="module")
-def tight_mission() -> Mission:
-    return mission_of(*TIGHT)
-
-
-@pytest.fixture(scope="module")
-def tight(tight_mission: Mission) -> Plan:
-    return plan(tight_mission, initial_guess.cold(tight_mission))
 
 
 # --- delta-v and iterations to reach ------------------------------------------------------------
 
 
-def test_p3_cold(mission: Mission, default_plan: Plan) -> None:
-    stage = default_plan.stages[0]
-    assert stage.name == "P3"
-    assert stage.result.status is Status.CONVERGED
-    assert total_dv(mission, stage) == pytest.approx(0.1078, rel=0.01)
-    assert len(stage.result.records) <= 12
-
-
-def test_p2_with_the_papers_polytopes(mission: Mission, default_plan: Plan) -> None:
-    stage = default_plan.final
-    assert stage is default_plan.stages[-1]
-    assert stage.name == "P2"
-    assert stage.result.status is Status.CONVERGED
-    assert total_dv(mission, stage) <= 0.1420
-    assert len(stage.result.records) <= 8
-    assert_no_buffer_is_used(default_plan)
-    # Certainty costs: P2 contains P3's constraints.
-    assert total_dv(mission, stage) > 1.1 * total_dv(mission, default_plan.stages[0])
-
-
-def test_p2_with_the_facets_chosen_again(mission: Mission, two_rounds: Plan) -> None:
-    assert total_dv(mission, two_rounds.final) <= 0.1390
-    assert two_rounds.final.result.status is Status.CONVERGED
-    assert len(two_rounds.stages) == 3
-    assert all(len(stage.result.records) <= 8 for stage in two_rounds.stages[1:])
-    assert_no_buffer_is_used(two_rounds)
-
-
-def test_p2_with_tight_polytopes(tight_mission: Mission, tight: Plan) -> None:
-    assert total_dv(tight_mission, tight.final) <= 0.1135
-    assert tight.final.result.status is Status.CONVERGED
-    assert len(tight.final.result.records) <= 8
-    assert_no_buffer_is_used(tight)
-
-
-def test_the_prototypes_numbers(mission: Mission, default_plan: Plan, two_rounds: Plan) -> None:
-    # An independent prototype: IPOPT on the same grid.
-    assert total_dv(mission, default_plan.stages[0]) == pytest.approx(0.10777, rel=2e-3)
-    assert total_dv(mission, default_plan.final) == pytest.approx(0.1400, rel=2e-3)
-    assert total_dv(mission, two_rounds.final) == pytest.approx(0.1376, rel=2e-3)
+def test_every_stage_converges_and_costs_what_it_should(
+    mission: Mission, default_plan: Plan, two_rounds: Plan
+) -> None:
+    """The first three figures are those of an independent prototype: IPOPT on the same grid."""
+    tight_mission = mission_of("polytopes.ball=tangent", "polytopes.cone=12")
+    tight = plan(tight_mission, initial_guess.cold(tight_mission))
+    p3, p2 = default_plan.stages
+    assert (p3.name, p2.name, len(two_rounds.stages)) == ("P3", "P2", 3)
+    assert default_plan.final is p2
+    for stage, cost, records in (
+        (p3, 0.10777, 12),
+        (p2, 0.1400, 8),
+        (two_rounds.final, 0.1376, 8),
+        (tight.final, 0.11286, 8),
+    ):
+        assert stage.result.status is Status.CONVERGED
+        assert total_dv(mission, stage) == pytest.approx(cost, rel=2e-3)
+        assert len(stage.result.records) <= records
+        start = mission.problem.initial_state.copy()
+        start[3:] += stage.result.lin.iterate.burns[0]
+        first = stage.result.lin.iterate.mean[0]
+        np.testing.assert_allclose(first, start, rtol=0.0, atol=1e-12)  # mu_0 = x_0 + B dv_0
+    for found in (default_plan, two_rounds, tight):
+        assert_no_buffer_is_used(found)
 
 
 # --- starts -------------------------------------------------------------------------------------
 
 
-def test_warm_and_cold_meet_in_the_same_p3(mission: Mission, default_plan: Plan) -> None:
-    warm = plan(mission, initial_guess.ballistic(mission), problem="P3")
-    assert warm.final.result.status is Status.CONVERGED
-    assert [stage.name for stage in warm.stages] == ["P3"]
-    assert total_dv(mission, warm.final) == pytest.approx(
-        total_dv(mission, default_plan.stages[0]), rel=1e-5
-    )
-
-
-def test_a_solution_started_from_itself_stays(mission: Mission, solution: Solution) -> None:
-    again = plan(mission, initial_guess.from_burns(mission, solution.burns_m_s))
-    assert again.final.result.status is Status.CONVERGED
-    # P3 is flat at its optimum: its burns, and with them the facets, are known less well than its
-    # cost.
-    assert total_dv(mission, again.final) == pytest.approx(solution.total_dv_m_s, rel=1e-4)
-
-
-def test_every_plan_starts_at_the_initial_state(mission: Mission, default_plan: Plan) -> None:
-    """mu_0 = x_0 + B dv_0."""
-    for stage in default_plan.stages:
-        iterate = stage.result.lin.iterate
-        start = mission.problem.initial_state.copy()
-        start[3:] += iterate.burns[0]
-        np.testing.assert_allclose(iterate.mean[0], start, rtol=0.0, atol=1e-12)
-
-
-def test_a_guess_that_starts_elsewhere_is_brought_to_the_initial_state(
-    mission: Mission, default_plan: Plan
+@pytest.mark.parametrize("aside_m", [0.0, 20.0])
+def test_a_warm_start_meets_the_cold_one_wherever_it_begins(
+    mission: Mission, default_plan: Plan, aside_m: float
 ) -> None:
     """A table of states need not begin where the flight does; the plan must."""
     arc = initial_guess.ballistic(mission)
     aside = arc.mean.copy()
-    aside[:, :3] += 20.0 / mission.units.length_m
-    found = plan(mission, Iterate(arc.burns, aside), problem="P3").final
+    aside[:, :3] += aside_m / mission.units.length_m
+    (found,) = plan(mission, Iterate(arc.burns, aside), problem="P3").stages
     first = found.result.lin.iterate.mean[0, :3]
     np.testing.assert_allclose(first, mission.problem.initial_state[:3], rtol=0.0, atol=1e-9)
     assert found.result.status is Status.CONVERGED
@@ -208,8 +163,8 @@ def test_facets_wrongly_left_out_are_restored(
 # --- formulations -------------------------------------------------------------------------------
 
 
-def solve_p2(mission: Mission, default_plan: Plan, formulation: str) -> tuple[Result, Subproblem]:
-    start, facets = default_plan.stages[0].result.lin, default_plan.final.facets
+def solve_p2(of: Plan, formulation: str) -> tuple[Result, Subproblem]:
+    mission, start, facets = of.mission, of.stages[0].result.lin, of.final.facets
     assert facets is not None
     margin = facets.margin(start.iterate.mean, start.factor)
     clearance = CLEARANCE_M / mission.units.length_m
@@ -221,18 +176,16 @@ def solve_p2(mission: Mission, default_plan: Plan, formulation: str) -> tuple[Re
     return result, subproblem
 
 
-def test_lifted_and_condensed_agree_at_convergence(mission: Mission, default_plan: Plan) -> None:
-    lifted, _ = solve_p2(mission, default_plan, "lifted")
+def test_lifted_and_condensed_agree_at_convergence(coarse_plan: Plan) -> None:
+    lifted, _ = solve_p2(coarse_plan, "lifted")
     assert lifted.status is Status.CONVERGED
-    condensed = default_plan.final.result
+    condensed = coarse_plan.final.result
     assert lifted.lin.iterate.total_dv == pytest.approx(condensed.lin.iterate.total_dv, rel=1e-6)
 
 
-def test_frozen_stm_stops_where_the_exact_model_goes_on(
-    mission: Mission, default_plan: Plan
-) -> None:
+def test_frozen_stm_stops_where_the_exact_model_goes_on(default_plan: Plan) -> None:
     """Why the product rule is kept: without it the answer is no solution of P2."""
-    frozen, subproblem = solve_p2(mission, default_plan, "frozen-stm")
+    frozen, subproblem = solve_p2(default_plan, "frozen-stm")
     exact = default_plan.final.result
     weight = SCvx.weight
     assert subproblem.merit(frozen.lin, weight) > subproblem.merit(exact.lin, weight) + 1e-5
@@ -247,38 +200,20 @@ def test_an_unknown_formulation_is_an_error(mission: Mission) -> None:
 # --- manners ------------------------------------------------------------------------------------
 
 
-def test_planning_prints_nothing_and_leaves_global_state_alone(
-    mission: Mission, capfd: pytest.CaptureFixture[str]
+def test_planning_again_is_the_same_silent_and_observed(
+    mission: Mission, default_plan: Plan, capfd: pytest.CaptureFixture[str]
 ) -> None:
     rng, errors, filters = np.random.get_state(), np.geterr(), list(warnings.filters)  # noqa: NPY002
-    plan(mission, initial_guess.cold(mission))
+    seen: list[tuple[str, Record]] = []
+    found = plan(mission, initial_guess.cold(mission), observe=lambda *of: seen.append(of))
     after = np.random.get_state()  # noqa: NPY002
     np.testing.assert_array_equal(rng[1], after[1])
-    assert np.geterr() == errors
-    assert warnings.filters == filters
-    assert capfd.readouterr() == ("", "")
-
-
-def test_planning_twice_gives_the_same_plan(mission: Mission, default_plan: Plan) -> None:
-    again = plan(mission, initial_guess.cold(mission))
-    # To the last bits that a conic solver on several threads may leave open.
-    np.testing.assert_allclose(
-        again.final.result.lin.iterate.burns,
-        default_plan.final.result.lin.iterate.burns,
-        rtol=0.0,
-        atol=1e-8,
-    )
-
-
-def test_iterations_are_observed_with_their_stage(mission: Mission) -> None:
-    seen: list[tuple[str, Record]] = []
-    found = plan(
-        mission,
-        initial_guess.cold(mission),
-        observe=lambda stage, record: seen.append((stage, record)),
-    )
+    assert (np.geterr(), warnings.filters, capfd.readouterr()) == (errors, filters, ("", ""))
     told = [(stage.name, record) for stage in found.stages for record in stage.result.records]
     assert seen == told
+    # To the last bits that a conic solver on several threads may leave open.
+    ours, before = (of.final.result.lin.iterate.burns for of in (found, default_plan))
+    np.testing.assert_allclose(ours, before, rtol=0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize("when", ["P3", "P2"])
@@ -329,7 +264,7 @@ def test_hopeless_magnitudes_end_in_a_status(
     # Most of these are refused before they are planned.
     monkeypatch.setattr(mission_module, "check_scene", lambda _: ())
     mission = mission_of(*overrides)
-    found = plan(mission, initial_guess.cold(mission), problem="P3")
+    found = plan(mission, initial_guess.cold(mission), problem="P3", once=True)
     assert found.final.result.status is not Status.CONVERGED
 
 
@@ -343,6 +278,7 @@ def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) 
     assert total_dv(mission, found.final) == pytest.approx(0.140135, rel=1e-4)
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_facets_that_leave_nothing_feasible_are_chosen_again() -> None:
     """Where the first choice ended; every stage has a name of its own."""
     mission = mission_of("risk.p_chance=0.9")
@@ -368,25 +304,14 @@ def how_made(found: Plan) -> tuple[str | None, ...]:
     return s.method, s.formulation, s.algorithm, s.solver, s.init
 
 
-def test_a_plan_knows_how_it_was_made(mission: Mission) -> None:
-    found = plan(
-        mission,
-        initial_guess.cold(mission),
-        formulation="frozen-stm",
-        algorithm="ptr",
-        solver="QOCO",
-        init="mine",
-        problem="P3",
-    )
-    assert how_made(found) == ("scp", "frozen-stm", "ptr", "QOCO", "mine")
+def test_a_plan_knows_how_it_was_made(mission: Mission, default_plan: Plan) -> None:
+    made = {"formulation": "frozen-stm", "algorithm": "ptr", "solver": "QOCO", "init": "mine"}
+    coarse = mission_of(COARSE)
+    found = plan(coarse, initial_guess.cold(coarse), problem="P3", **made)  # type: ignore[arg-type]
+    assert how_made(found) == ("scp", *made.values())
+    start = default_plan.stages[0].result.lin.iterate
     for elastic, algorithm in ((False, "interior point"), (True, "interior point, elastic")):
-        by_ipopt = ipopt.plan(
-            mission,
-            found.final.result.lin.iterate,
-            variant="shooting",
-            problem="P3",
-            elastic=elastic,
-        )
+        by_ipopt = ipopt.plan(mission, start, variant="shooting", problem="P3", elastic=elastic)
         assert how_made(by_ipopt) == ("ipopt", "shooting", algorithm, "IPOPT", "given")
 
 
@@ -395,11 +320,11 @@ def test_a_plan_knows_how_it_was_made(mission: Mission) -> None:
 
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_planning_again_finds_what_p2_with_these_facets_finds_from_afar(
-    mission: Mission, formulation: str
+    coarse_plan: Plan, formulation: str
 ) -> None:
     """Also in CVXPY, whose kept program must not remember the old initial state."""
+    mission, last = coarse_plan.mission, coarse_plan
     again = Planner(mission, formulation=formulation)
-    last = Planner(mission).plan(initial_guess.cold(mission))
     state = mission.initial_state + mission.initial_sigma * np.array([1, -1, 1, -1, 1, 0.5])
     again.replan(last, mission.initial_state)
     found = again.replan(last, state).final
@@ -419,38 +344,26 @@ def test_planning_again_finds_what_p2_with_these_facets_finds_from_afar(
     assert rows.missed(found.result.lin, 1e-6).sum() == 0
 
 
-def test_planning_again_from_the_same_state_changes_nothing(mission: Mission) -> None:
-    planner = Planner(mission)
-    last = planner.plan(initial_guess.cold(mission))
-    again = planner.replan(last, mission.initial_state)
-    assert len(again.stages) == 1
-    assert len(again.final.result.records) == 1
-    assert total_dv(mission, again.final) == pytest.approx(total_dv(mission, last.final), rel=1e-6)
-
-
 def test_a_planner_keeps_its_programs(mission: Mission, default_plan: Plan) -> None:
     planner = Planner(mission)
     first, second = (planner.plan(initial_guess.cold(mission)) for _ in range(2))
     assert first.stages[0].merit is second.stages[0].merit
     replans = [planner.replan(first, mission.initial_state) for _ in range(2)]
     assert replans[0].final.merit is replans[1].final.merit
+    assert [len(stage.result.records) for stage in replans[0].stages] == [1]  # nothing to change
     # What is kept shows in what is found by no more than where P3 stops.
-    for found in (first, second):
+    for found in (first, second, *replans):
         assert total_dv(mission, found.final) == pytest.approx(
             total_dv(mission, default_plan.final), rel=1e-5
         )
 
 
-def test_only_p2_can_be_planned_again(mission: Mission) -> None:
-    planner = Planner(mission)
-    p3 = planner.plan(initial_guess.cold(mission), problem="P3")
-    with pytest.raises(ValueError, match="only a plan of P2"):
-        planner.replan(p3, mission.initial_state)
-
-
-def test_a_plan_of_another_mission_cannot_be_planned_again(
+def test_only_p2_of_the_same_mission_can_be_planned_again(
     mission: Mission, default_plan: Plan
 ) -> None:
+    p3 = replace(default_plan, final=default_plan.stages[0])
+    with pytest.raises(ValueError, match="only a plan of P2"):
+        Planner(mission).replan(p3, mission.initial_state)
     for override in ("risk.p_chance=0.9", "grid.step_max_s=400", "burns.dv_max_m_s=0.1"):
         with pytest.raises(ValueError, match="another mission"):
             Planner(mission_of(override)).replan(default_plan, mission.initial_state)
@@ -466,6 +379,7 @@ def test_no_plan_starts_from_what_is_no_state_outside_the_body(
         Planner(mission).replan(default_plan, state)
 
 
+@pytest.mark.usefixtures("few_flights")
 def test_what_is_planned_again_is_verified_with_its_own_mission(
     mission: Mission, default_plan: Plan
 ) -> None:

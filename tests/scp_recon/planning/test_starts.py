@@ -57,7 +57,7 @@ def test_another_seed_draws_other_flights(mission: Mission) -> None:
         assert np.abs(one.mean - other.mean).max() > 0.01
 
 
-@pytest.mark.parametrize("number", range(1, 9))
+@pytest.mark.parametrize("number", range(1, 4))
 def test_a_random_flight_obeys_the_dynamics_and_ends_where_it_should(
     mission: Mission, number: int
 ) -> None:
@@ -67,13 +67,6 @@ def test_a_random_flight_obeys_the_dynamics_and_ends_where_it_should(
     assert not contradicts_itself(lin)
     flown = initial_guess.from_burns(mission, flight.burns * mission.units.speed_m_s)
     np.testing.assert_allclose(flown.mean, flight.mean, atol=1e-8)
-
-
-def test_the_first_start_is_planned_as_alone(mission: Mission, default_plan: Plan) -> None:
-    alone = plan_from_several(mission, initial_guess.cold(mission), plan, starts=1, init="cold")
-    assert alone.stages[-1].result.lin.iterate.burns.tobytes() == (
-        default_plan.stages[-1].result.lin.iterate.burns.tobytes()
-    )
 
 
 def test_what_p2_finds_infeasible_is_listed_and_not_kept(
@@ -102,14 +95,6 @@ def test_an_interrupt_keeps_the_best_start_so_far(mission: Mission) -> None:
     assert found.total_dv_m_s == pytest.approx(0.107723, rel=1e-4)
     assert found.starts is not None
     assert [o.starts for o in found.starts.optima] == [(0, 1)]
-
-
-def test_an_interrupt_before_any_start_is_no_plan(mission: Mission) -> None:
-    def stop(*_: object, **__: object) -> Plan:
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        plan_from_several(mission, initial_guess.cold(mission), stop, starts=2)
 
 
 def test_the_front_door_and_the_file_list_the_optima() -> None:

@@ -71,12 +71,16 @@ def reference(subproblem: CondensedSubproblem) -> Array:
 # --- what every run must do ---------------------------------------------------------------------
 
 
-def test_merit_falls_by_the_actual_reduction_on_every_accepted_step(some_plan: Plan) -> None:
+def test_every_run_goes_by_its_rules(some_plan: Plan) -> None:
+    """Merit, trust region, last record; all but the guess is flown."""
     for stage in some_plan.stages:
-        records = stage.result.records
+        records, lin = stage.result.records, stage.result.lin
+        assert [record.k for record in records] == list(range(1, len(records) + 1))
         assert any(record.accepted for record in records)
         merit = None
         for record in records:
+            # The conic solver keeps the bound to its accuracy, an absolute one.
+            assert record.step <= record.trust_radius + 1e-6
             if record.accepted:
                 assert record.actual > 0.0
                 if merit is not None and record.merit < 10.0 * merit:  # else it was weighed anew
@@ -84,53 +88,19 @@ def test_merit_falls_by_the_actual_reduction_on_every_accepted_step(some_plan: P
             else:
                 assert merit is None or record.merit >= merit - 1e-12
             merit = record.merit
-
-
-def test_steps_stay_within_the_trust_region(some_plan: Plan) -> None:
-    for stage in some_plan.stages:
-        for record in stage.result.records:
-            # The conic solver keeps the bound to its accuracy, an absolute one.
-            assert record.step <= record.trust_radius + 1e-6
-
-
-def test_an_actual_reduction_far_below_the_predicted_one_shrinks_the_trust_region(
-    some_plan: Plan,
-) -> None:
-    for stage in some_plan.stages:
-        records = stage.result.records
         for record, after in itertools.pairwise(records):
             # With a new penalty weight, or to look again before a verdict.
-            resets = (SCvx.initial_radius, SCvx.VERDICT_RADIUS)
-            reset = after.trust_radius in resets
+            reset = after.trust_radius in (SCvx.initial_radius, SCvx.VERDICT_RADIUS)
             if record.actual < 0.01 * record.predicted and not reset:
                 assert after.trust_radius < record.trust_radius
             if record.actual > 0.9 * record.predicted > 0.0 and not reset:
                 assert after.trust_radius >= record.trust_radius
-
-
-def test_records_are_numbered_and_observed_in_order(
-    p3: Subproblem, cold: Linearisation, mission: Mission
-) -> None:
-    seen: list[Record] = []
-    result = run(p3, mission.dynamics, cold, SCvx(), seen.append)
-    assert tuple(seen) == result.records
-    assert [record.k for record in seen] == list(range(1, len(seen) + 1))
-
-
-def test_the_result_is_the_iterate_of_the_last_record(some_plan: Plan) -> None:
-    for stage in some_plan.stages:
-        last = stage.result.records[-1]
-        assert last.total_dv == pytest.approx(stage.result.lin.iterate.total_dv, rel=1e-12)
-        violations = stage.merit.violations(stage.result.lin)
-        defect = violations.pop("dynamics").max()
-        assert last.max_defect == pytest.approx(defect, abs=1e-15)
+        last, violations = records[-1], stage.merit.violations(lin)
+        assert np.abs(lin.defects[:-1]).max() < 1e-9
+        assert last.total_dv == pytest.approx(lin.iterate.total_dv, rel=1e-12)
+        assert last.max_defect == pytest.approx(violations.pop("dynamics").max(), abs=1e-15)
         worst = max(v.max(initial=0.0) for v in violations.values())
         assert last.max_violation == pytest.approx(worst)
-
-
-def test_every_iterate_is_flown(some_plan: Plan) -> None:
-    for stage in some_plan.stages:
-        assert np.abs(stage.result.lin.defects[:-1]).max() < 1e-9
 
 
 def test_p2_ends_superlinearly(default_plan: Plan) -> None:
@@ -189,23 +159,7 @@ def test_iteration_limit(p3: Subproblem, cold: Linearisation, mission: Mission) 
         assert len(result.records) == limit
 
 
-def test_a_solver_that_always_fails_ends_the_run(
-    p3: Subproblem, cold: Linearisation, mission: Mission, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def solve(_: CondensedSubproblem, radius: float, weight: float) -> Step:
-        raise SubproblemError(f"no answer within {radius} at {weight}")
-
-    inject(monkeypatch, solve)
-    result = run(p3, mission.dynamics, cold, SCvx(), ignore)
-    assert result.status is Status.SOLVER_FAILED
-    assert result.lin is cold
-    assert all("no answer" in record.failure for record in result.records)
-    radii = [record.trust_radius for record in result.records]
-    assert all(after < before for before, after in itertools.pairwise(radii))
-    assert 2 <= len(radii) < SCvx.max_iterations
-
-
-@pytest.mark.parametrize("failing", [{1}, {3}, {2, 3, 4}])
+@pytest.mark.parametrize("failing", [{1}, {2, 3, 4}])
 def test_a_solver_that_fails_now_and_then_is_survived(
     p3: Subproblem,
     cold: Linearisation,
@@ -333,7 +287,7 @@ def test_the_model_agrees_with_the_merit_where_it_is_made(
     assert answer.merit == pytest.approx(merit, rel=1e-2)
 
 
-@pytest.mark.parametrize("radius", [0.3, 1.5, 6.0])
+@pytest.mark.parametrize("radius", [0.3, 6.0])
 def test_the_first_trust_region_is_no_matter_of_life_and_death(
     p3: Subproblem, cold: Linearisation, mission: Mission, radius: float
 ) -> None:

@@ -76,7 +76,7 @@ def test_a_burn_that_vanishes_beside_the_batterys_cone_does_not_cycle() -> None:
     assert len(final.records) <= 8
 
 
-CYCLED = usually((92, 165, 166, 321, 368, 380, 405, 463), 4)
+CYCLED = usually((92, 165, 166, 321, 368, 380, 405, 463), 2)
 FALSELY_INFEASIBLE = {
     44: "by a burn that vanishes",
     505: "at a penalty weight that is not exact",
@@ -96,7 +96,7 @@ def test_what_was_once_called_infeasible_is_solved(seed: int) -> None:
 
 def test_what_is_called_infeasible_no_other_method_solves() -> None:
     scenario = random_scenario(78)
-    for start, algorithm in (("cold", "scvx"), ("cold", "ptr"), ("warm", "scvx-star")):
+    for start, algorithm in (("cold", "scvx"), ("warm", "ptr")):
         final = planned(scenario, start, algorithm).final.result
         assert final.status is not Status.CONVERGED
 
@@ -110,7 +110,7 @@ def test_what_is_called_infeasible_no_other_method_solves() -> None:
             (180, 240, -1),  # these without a solution: the iteration limit, stalled
             (210, 270, 1),
         ],
-        3,
+        2,
     ),
 )
 def test_flights_between_phases_of_an_orbit_end_with_a_verdict(
