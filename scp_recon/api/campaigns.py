@@ -16,7 +16,7 @@ from scp_recon.campaigns.cases import Case, changed, solution_name
 from scp_recon.campaigns.checks import check_do
 from scp_recon.campaigns.results import VERIFIED
 from scp_recon.campaigns.run import WORKERS_MAX, Observer, executor_of, run_study
-from scp_recon.campaigns.study import Do, Study, study_of
+from scp_recon.campaigns.study import Campaign, Study, study_of
 from scp_recon.errors import InputError, needing, option, path_of, whole_number
 from scp_recon.jobs.store import Row
 from scp_recon.mission.mission import Mission
@@ -125,29 +125,19 @@ def work_of(study: Study) -> StudyWork:
     if study.campaign.do == "simulate":
         with needing("campaign.do", "sim", "Basilisk"):
             import scp_recon.simulation.basilisk.simulation  # noqa: F401 -- whether it is there
-    given = study.campaign
-    return StudyWork(
-        study.base, study.folder.absolute(), given.do, given.samples, given.keep_solutions
-    )
+    return StudyWork(study.base, study.folder.absolute(), study.campaign)
 
 
 @dataclass(frozen=True)
 class StudyWork:
-    """Does the same with each case: a `run.CaseWork`.
+    """Does with each case what its campaign says: a `run.CaseWork`.
 
-    Attributes:
-        base: scenario that the cases change.
-        folder: to which files are relative that they name.
-        do: what is done.
-        samples: flights with "fly".
-        keep: whether solutions are kept.
+    Cases change the base, and the files that they name are relative to the folder.
     """
 
     base: Scenario
     folder: Path
-    do: Do
-    samples: int
-    keep: bool
+    campaign: Campaign
 
     def __call__(self, case: Case, /) -> Row:
         """Plan, verify, and what else is to be done.
@@ -156,16 +146,16 @@ class StudyWork:
             InputError: if the case is no mission.
             KeyboardInterrupt: if the plan was interrupted.
         """
-        scenario = changed(self.base, case.changes, self.folder)
+        do, scenario = self.campaign.do, changed(self.base, case.changes, self.folder)
         row: dict[str, Any] = {"asked": scenario.risk.p_chance}
-        check_do(self.do, scenario)
-        if self.do == "design":
+        check_do(do, scenario)
+        if do == "design":
             found, own = designed(scenario)
             row |= own
             if found is None:
                 return Row(row)
         else:
-            found = planned(scenario, certify=self.do == "certify")
+            found = planned(scenario, certify=do == "certify")
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         solution = make_solution(found)
@@ -174,13 +164,15 @@ class StudyWork:
         row |= planned_row(solution, verification)
         if found.status is not Status.CONVERGED:
             row["binds"] = binding(found.final)
-        if self.do == "certify":
+        if do == "certify":
             row |= certified_row(found)
-        elif self.do == "fly" and found.status is Status.CONVERGED:
-            row |= flown_row(found, solution, self.samples, case.seed)
-        elif self.do == "simulate" and found.status is Status.CONVERGED:
+        elif do == "fly" and found.status is Status.CONVERGED:
+            row |= flown_row(found, solution, self.campaign.samples, case.seed)
+        elif do == "simulate" and found.status is Status.CONVERGED:
             row |= simulated_row(solution, case.seed)
-        files = {solution_name(case.number): solution.text().encode()} if self.keep else {}
+        files = {}
+        if self.campaign.keep_solutions:
+            files[solution_name(case.number)] = solution.text().encode()
         return Row(row, files)
 
 

@@ -71,10 +71,8 @@ def draw_map(results: CampaignResults) -> Figure:
     Of several cases at a site it is the cheapest.
     """
     results = results.by_site
-    table, ends = results.table, np.array(results.ends)
-    figure = sheet(6.6, dpi=DPI)
+    figure, good = sheet(6.6, dpi=DPI), results.ending(FEASIBLE)
     rows = figure.subplots(2, 1, sharex=True, sharey=True)
-    good = table[ends == FEASIBLE]
     for axes, (column, name) in zip(rows, MEASURES, strict=True):
         points = axes.scatter(
             _east(good[LONGITUDE]),
@@ -88,7 +86,7 @@ def draw_map(results: CampaignResults) -> Figure:
         )
         figure.colorbar(points, ax=axes, label=name, pad=0.01)
         for end, mark in MARKS.items():
-            there = table[ends == end]
+            there = results.ending(end)
             if len(there):
                 axes.scatter(
                     _east(there[LONGITUDE]),
@@ -116,7 +114,7 @@ def draw_curves(results: CampaignResults) -> Figure:
     in a fourth entry, or in text, the cheapest is drawn.
     """
     along, by, panels = axes_of(results)
-    table = results.table[np.array(results.ends) == FEASIBLE]
+    table = results.ending(FEASIBLE)
     values = [None] if panels is None else _some(results, panels, PANELS_MAX)
     figure = sheet(5.6, dpi=DPI)
     grid = figure.subplots(2, len(values), sharex=True, sharey="row", squeeze=False)

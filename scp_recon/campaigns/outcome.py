@@ -88,7 +88,11 @@ class CampaignResults:
             for status, verdict, missed in zip(rows["status"], rows["verdict"], short, strict=True)
         ]
 
-    @cached_property
+    def ending(self, end: str) -> pandas.DataFrame:
+        """The rows that ended so."""
+        return self.table[np.array(self.ends) == end]
+
+    @property
     def feasible(self) -> int:
         """Cases with a verified plan."""
         return self.ends.count(FEASIBLE)
@@ -218,8 +222,7 @@ def remarks(results: CampaignResults) -> list[str]:
     """How the cases ended, what the feasible ones cost, what stopped the others."""
     counts = ", ".join(f"{count:,} {end}" for end, count in results.counts().items())
     found = [f"Ends: {counts}."]
-    table, ends = results.table, np.array(results.ends)
-    good = table[ends == FEASIBLE]
+    table, good = results.table, results.ending(FEASIBLE)
     if len(good):
         low, middle, high = np.percentile(good[COST], (0, 50, 100))
         found.append(
@@ -227,14 +230,14 @@ def remarks(results: CampaignResults) -> list[str]:
             f"Lowest probability of a joint constraint: {good[CHANCE].min():.3f} to "
             f"{good[CHANCE].max():.3f}."
         )
-    doubted = table[ends == NOT_VERIFIED]
+    doubted = results.ending(NOT_VERIFIED)
     found += _reasons("Broken most", table.get("binds"))
     refuted = doubted["verdict"] != VERIFIED
     found += _reasons("Not borne out", doubted["verdict"][refuted])
     for column in SHORTFALLS:
         found += _reasons("Not borne out", doubted[~refuted].get(column))
     for end in (NO_MISSION, NO_ANSWER):
-        found += _reasons(end.capitalize(), table[ends == end].get("message"))
+        found += _reasons(end.capitalize(), results.ending(end).get("message"))
     found += _reasons("Warned", table.get("warnings"))
     if results.overlaid:
         found.append(

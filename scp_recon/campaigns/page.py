@@ -216,7 +216,7 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
     """A measure of the feasible cases along an axis, a curve for each value of the others."""
     along, *others = axes_of(results)
     by = [entry for entry in others if entry is not None]
-    table = results.table[np.array(results.ends) == FEASIBLE]
+    table = results.ending(FEASIBLE)
     groups = [((), table)] if not by else list(table.groupby(by))
     shown = f", {CURVES_MAX} of {len(groups)} curves" if len(groups) > CURVES_MAX else ""
     scattered = results.scatters(along)
@@ -251,11 +251,9 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
 
 def _by_end(results: CampaignResults, size: int) -> list[tuple[Trace, Any]]:
     """Markers of the cases that ended alike, without their places, and their rows."""
-    ends, found = np.array(results.ends), []
-    for end in ENDS:
-        rows = results.table[ends == end]
-        if not len(rows):
-            continue
+    found = []
+    for end in results.counts():
+        rows = results.ending(end)
         marker: dict[str, Any] = {"symbol": SYMBOLS[end], "size": size}
         if end == FEASIBLE:
             bar = {"title": {"text": DELTA_V, "side": "right"}}

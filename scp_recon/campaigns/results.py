@@ -139,15 +139,6 @@ def read_results(folder: Path) -> pandas.DataFrame:
     return found
 
 
-def status_counts(path: Path) -> dict[str, int]:
-    """Count the cases of a file of results by status, the most frequent first."""
-    column = needing_parquet().parquet.read_table(path, columns=["status"])["status"]
-    counts = {
-        str(item["values"]): int(item["counts"]) for item in column.value_counts().to_pylist()
-    }
-    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
-
-
 def cell(value: Any, kind: type) -> Any:
     """Convert a value of an entry to its column's kind; in a column of text other kinds become JSON."""
     if kind is str:

@@ -62,13 +62,12 @@ def run_study(
     study: Study,
     folder: Path,
     work: CaseWork,
-    executor: Executor | None = None,
+    executor: Executor,
     observe: Observer | None = None,
 ) -> Path:
     """Run the cases of a study that have no row yet, and return the file `results.parquet`.
 
-    What the folder holds of the same study is kept and continued. Without an executor the cases are run
-    in one process of their own.
+    What the folder holds of the same study is kept and continued.
 
     Raises:
         InputError: if the folder cannot be written, is at work, or holds another campaign.
@@ -90,7 +89,6 @@ def run_study(
 
             observe(len(rows), len(cases), None)
             jobs = (Job(number, cases[number]) for number in range(len(cases)))
-            executor = executor or executor_of(study, 1, None)
             run(work, jobs, rows, executor, row_of=partial(_row_of, study), on_done=on_done)
             if len(rows) != len(cases):
                 raise RuntimeError(f"{len(rows)} rows of {len(cases)} cases")

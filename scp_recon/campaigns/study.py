@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from scp_recon.campaigns.axes import Axis, Draws, Windows, axis_of
-from scp_recon.campaigns.cases import Case, Cases, Changes, changed, layer_of
+from scp_recon.campaigns.cases import Cases, Changes, layer_of
 from scp_recon.campaigns.checks import check_axes, check_count, check_do, ineffective, refuse
 from scp_recon.campaigns.results import kind_of
 from scp_recon.errors import InputError, shortened
@@ -112,14 +112,6 @@ class Study:
         return {
             entry: kind_of(row[entry] for row in rows) for rows in self.axes for entry in rows[0]
         }
-
-    def scenario_of(self, case: Case) -> Scenario:
-        """Make the scenario of a case.
-
-        Raises:
-            InputError: if it is none.
-        """
-        return changed(self.base, case.changes, self.folder)
 
     @cached_property
     def hash(self) -> str:

@@ -318,18 +318,18 @@ def shortfalls(summary: Summary, solution: Solution) -> list[str]:
     converged = Status.CONVERGED.value.name
     found = []
     if solution.status != converged:
-        found.append(f"the plan is {solution.status}, asked {converged}")
+        found.append(f"the plan is {solution.status}, required {converged}")
     required = required_probability(solution)
     if required is None:
         return found
     for name, lowest in summary.probability.items():
         if name != ALL and _judged(lowest, solution) < required:
             value, at = lowest.estimate.value, lowest.worst_t_s
-            found.append(f"{name} {value:.4f} at {at:.0f} s, asked {required:g}")
+            found.append(f"{name} {value:.4f} at {at:.0f} s, required {required:g}")
     whole = summary.whole_flight
     flights = solution.scenario.risk.scope == "flight"
     if flights and whole is not None and _judged(whole, solution) < required:
-        found.append(f"whole flights {whole.estimate.value:.4f}, asked {required:g}")
+        found.append(f"whole flights {whole.estimate.value:.4f}, required {required:g}")
     return found
 
 
@@ -338,7 +338,7 @@ def too_wide(width: float, until: float | None) -> list[str]:
     if until is None or width <= until:
         return []
     return [
-        f"widest interval {100.0 * width:.3g} %, asked {100.0 * until:g} %: needs more --samples"
+        f"widest interval {100.0 * width:.3g} %, required {100.0 * until:g} %: needs more --samples"
     ]
 
 

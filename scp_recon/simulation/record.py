@@ -362,24 +362,24 @@ def _shape_of(name: str) -> str:
 def shortfalls(summary: FlightSummary, solution: Solution) -> list[str]:
     """Requirements that were not kept, each beside what was required; empty if all were.
 
-    Asked are a plan that converged, a charge above the vehicle's floor with every load served, and of
-    every mode the length and the steady attitude that the schedule's rules give it.
+    A plan has to have converged, the charge to stay above the vehicle's floor with every load served,
+    and every mode to have the length and the steady attitude that the schedule's rules give it.
     """
     converged = Status.CONVERGED.value.name
     failed = []
     if solution.status != converged:
-        failed.append(f"the plan is {solution.status}, asked {converged}")
+        failed.append(f"the plan is {solution.status}, required {converged}")
     charge, floor = summary.least_charge, summary.floor_charge
     if charge < floor:
-        failed.append(f"least state of charge {charge:.3f}, asked {floor:.2f}")
+        failed.append(f"least state of charge {charge:.3f}, required {floor:.2f}")
     if (short := summary.energy_wh.short) > SHORT_WH:
-        failed.append(f"{short:.3g} Wh short, asked 0")
+        failed.append(f"{short:.3g} Wh short, required 0")
     rule = solution.scenario.schedule.attitude_s
     for leg in summary.legs:
         name = f"{leg.mode} mode from {leg.start_s:.0f} s"
         if not leg.ok:
-            failed.append(f"{name} {leg.duration_s:.0f} s long, asked {leg.required_s:.0f} s")
+            failed.append(f"{name} {leg.duration_s:.0f} s long, required {leg.required_s:.0f} s")
         if not leg.settled_in_time:
             after = "never" if leg.settled_s is None else f"after {leg.settled_s:.0f} s"
-            failed.append(f"{name} steady {after}, asked {rule:.0f} s")
+            failed.append(f"{name} steady {after}, required {rule:.0f} s")
     return failed

@@ -15,7 +15,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from scp_recon.api.campaigns import run_campaign
 from scp_recon.campaigns.outcome import CampaignResults, read_campaign, remarks
 from scp_recon.campaigns.page import PAGE, has_extras, write_pictures
-from scp_recon.campaigns.results import status_counts
 from scp_recon.campaigns.study import ASK_FROM, read_study
 from scp_recon.cli.command import Answer, Command, progress_console, show_line, show_written
 from scp_recon.cli.options import add_where
@@ -41,11 +40,12 @@ def _campaign(options: argparse.Namespace, console: Console) -> Answer:
     where = {"workers": options.workers, "scheduler": options.scheduler}
     with _progress(console) as (observe, say):
         path = run_campaign(study, options.out, **where, observe=observe, say=say)
-    counts = status_counts(path)
+    results = read_campaign(options.out)
+    statuses = Counter(results.table["status"]).items()
+    counts = dict(sorted(statuses, key=lambda item: (-item[1], item[0])))
     for status, count in counts.items():
         show_line(console, f"{count:10,}  {status}")
     show_written(console, path)
-    results = read_campaign(options.out)
     pictures = write_pictures(results) if has_extras() else []
     show_campaign(results, pictures, console)
     if not pictures:

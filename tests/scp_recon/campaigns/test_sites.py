@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull, KDTree
 
 from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, direction_of
 from scp_recon.campaigns.axes import ShapeSites
+from scp_recon.campaigns.cases import changed
 from scp_recon.campaigns.sites import even_sites, fibonacci, noon_s, parts, surface_of
 from scp_recon.campaigns.study import Study
 from scp_recon.errors import InputError
@@ -102,7 +103,7 @@ def test_a_study_spreads_sites_and_moves_their_epochs() -> None:
         "epoch.tdb",
     )
     for case in (study.cases[0], study.cases[7]):
-        scenario = study.scenario_of(case)
+        scenario = changed(study.base, case.changes, study.folder)
         assert scenario.site.name == case.changes["site.name"]
         assert noon_s(scenario, case.changes["site.longitude_deg"]) == pytest.approx(14_838, abs=2)
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.campaigns.cases import Cases, case_seed
+from scp_recon.campaigns.cases import Cases, case_seed, changed
 from scp_recon.campaigns.study import Study, files_in, read_study
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -66,7 +66,7 @@ def test_every_kind_of_axis_gives_its_rows() -> None:
     masses = [row["spacecraft.mass_kg"] for row in found.axes[3]]
     assert len(set(masses)) == 6
     assert all(170 <= mass < 190 for mass in masses)
-    scenario = found.scenario_of(found.cases[found.cases[0].number + 6 * 5])
+    scenario = changed(found.base, found.cases[6 * 5].changes, found.folder)
     assert (scenario.site.latitude_deg, scenario.site.longitude_deg) == (0.0, 90.0)
 
 
@@ -99,7 +99,8 @@ def test_epochs_are_taken_from_the_lighting_windows() -> None:
     base = Mission.from_scenario(load_scenario("recon_b"))
     gap = np.searchsorted(base.scenario.burns.times_s, base.schedule.window_s)
     for number in (0, len(found.cases) - 1):
-        mission = Mission.from_scenario(found.scenario_of(found.cases[number]))
+        scenario = changed(found.base, found.cases[number].changes, found.folder)
+        mission = Mission.from_scenario(scenario)
         times = mission.scenario.burns.times_s
         assert (np.searchsorted(times, mission.schedule.window_s) == gap).all()
 

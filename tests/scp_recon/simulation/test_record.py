@@ -165,15 +165,15 @@ def leg(**changes: object) -> dict[str, Any]:
     [
         ({}, []),
         ({"least_charge": 0.3}, []),
-        ({"least_charge": 0.0}, ["least state of charge 0.000, asked 0.30"]),
-        ({"energy_wh": KEPT["energy_wh"] | {"short": 2.5}}, ["2.5 Wh short, asked 0"]),
+        ({"least_charge": 0.0}, ["least state of charge 0.000, required 0.30"]),
+        ({"energy_wh": KEPT["energy_wh"] | {"short": 2.5}}, ["2.5 Wh short, required 0"]),
         (
             leg(ok=False, duration_s=800.0),
-            ["delta-V mode from 100 s 800 s long, asked 900 s"],
+            ["delta-V mode from 100 s 800 s long, required 900 s"],
         ),
         (
             leg(settled_s=None, settled_in_time=False),
-            ["delta-V mode from 100 s steady never, asked 650 s"],
+            ["delta-V mode from 100 s steady never, required 650 s"],
         ),
     ],
 )
@@ -185,7 +185,7 @@ def test_what_is_not_kept_stands_beside_what_was_asked(
 
 def test_a_plan_that_did_not_converge_is_named(short_solution: Solution) -> None:
     stalled = replace(short_solution, status="stalled")
-    assert shortfalls(summary(), stalled) == ["the plan is stalled, asked converged"]
+    assert shortfalls(summary(), stalled) == ["the plan is stalled, required converged"]
 
 
 def test_a_vehicle_that_is_not_the_plans_spacecraft_is_warned_about(
