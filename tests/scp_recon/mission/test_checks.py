@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from datetime import timedelta
-from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -24,57 +23,40 @@ from scp_recon.mission.checks.intervals import (
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.two_body import two_body
-from scp_recon.scenario.boundary import HomeOrbit
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Scenario
-from scp_recon.scenario.uncertainty import Gates
 from tests import reliability
-from tests.scp_recon.support import file_of, mission_of, run_solve
+from tests.scp_recon.support import file_of, mission_of
 
 ELSEWHERE = [-91.0, 81.0, 181.0]
 LATER = "2020-03-21T20:33:17"
 SUN_M = [1.51e11, -4.9e9, -3.4e9]
+SUN_M_S = [-4300.0, 26811.0, 15168.0]
 INWARD = [0.4, -0.5, -0.7]
+SITE_KM = [0.0914, 0.0817, 0.1811]
+SITE, NORMAL, PLACE, SPEED = (
+    *("site.position_body_m", "site.normal_body"),
+    *("sun.body_position_km", "sun.body_velocity_km_s"),
+)
+NEAR_SITE = {"observation.site_distance_min_m": 0.5, "observation.site_distance_max_m": 0.74}
+IN_THE_DARK = {
+    "observation.window_s": [20_000.0, 24_000.0],
+    "burns.times_s": [0.0, 8000.0, 30_000.0, 34_842.0],
+}
+FAR_ENOUGH = "observation.site_distance_max_m"
 REFUSED = [
-    ({"site.position_body_m": ELSEWHERE}, "site.normal_body", "49.4 deg away"),
-    (
-        {"site.position_body_m": ELSEWHERE, "site.normal_body": INWARD},
-        "site.normal_body",
-        "must point outward",
-    ),
-    ({"epoch.tdb": LATER}, "sun.body_position_km", "must be given for the new epoch"),
-    (
-        {"epoch.tdb": LATER, "sun.body_position_km": [1e8, 1e8, 0.0]},
-        "sun.body_velocity_km_s",
-        "new epoch",
-    ),
-    ({"sun.body_position_km": SUN_M}, "sun.body_position_km", "0.1 to 50 au"),
-    (
-        {"sun.body_velocity_km_s": [-4300.0, 26811.0, 15168.0]},
-        "sun.body_velocity_km_s",
-        "km/s",
-    ),
+    ({SITE: ELSEWHERE}, NORMAL, "49.4 deg away"),
+    ({SITE: ELSEWHERE, NORMAL: INWARD}, NORMAL, "must point outward"),
+    ({"epoch.tdb": LATER}, PLACE, "must be given for the new epoch"),
+    ({"epoch.tdb": LATER, PLACE: [1e8, 1e8, 0.0]}, SPEED, "new epoch"),
+    ({PLACE: SUN_M}, PLACE, "0.1 to 50 au"),
+    ({SPEED: SUN_M_S}, SPEED, "km/s"),
     ({"safety.radius_min_m": 0.5}, "safety.radius_min_m", "at least 290 m"),
-    (
-        {"site.position_body_m": [0.0914, 0.0817, 0.1811]},
-        "site.position_body_m",
-        "29 to 1450 m",
-    ),
+    ({SITE: SITE_KM}, SITE, "29 to 1450 m"),
     ({"body.reference_radius_m": 0.29}, "body.gm_m3_s2", "kg/m^3"),
-    (
-        {"observation.site_distance_min_m": 0.5, "observation.site_distance_max_m": 0.74},
-        "observation.site_distance_max_m",
-        "outside the safety radius",
-    ),
-    (
-        {
-            "observation.window_s": [20_000.0, 24_000.0],
-            "burns.times_s": [0.0, 8000.0, 30_000.0, 34_842.0],
-        },
-        "observation.window_s",
-        "incidence reaches 136.0 deg",
-    ),
+    (NEAR_SITE, FAR_ENOUGH, "outside the safety radius"),
+    (IN_THE_DARK, "observation.window_s", "incidence reaches 136.0 deg"),
 ]
 
 
@@ -90,79 +72,53 @@ def test_what_physics_rules_out_is_refused(
     reliability.count(reliability.BAD_INPUTS)
 
 
-@pytest.mark.parametrize(
-    ("changes", "entry"),
-    [
-        ({"site.normal_body": INWARD}, "site.normal_body"),
-        ({"site.normal_body": [0.1, 0.8, 0.3]}, "site.normal_body"),
-        ({"site.position_body_m": [0.0914, 0.0817, 0.1811]}, "site.position_body_m"),
-        ({"epoch.tdb": LATER}, "sun.body_position_km"),
-        ({"sun.body_position_km": SUN_M}, "sun.body_position_km"),
-        ({"sun.body_velocity_km_s": [0.0, 0.0, 0.0]}, "sun.body_velocity_km_s"),
-    ],
-)
+CONTRADICTING = [
+    *[(NORMAL, INWARD), (NORMAL, [0.1, 0.8, 0.3]), (SITE, SITE_KM), ("epoch.tdb", LATER)],
+    *[(PLACE, SUN_M), (SPEED, [0.0, 0.0, 0.0])],
+]
+
+
+@pytest.mark.parametrize(("entry", "value"), CONTRADICTING)
 def test_what_contradicts_what_is_computed_is_refused(
-    changes: dict[str, Any], entry: str, scenario: Scenario
+    entry: str, value: object, scenario: Scenario
 ) -> None:
     """In a file copied for Bennu, of which Sun and surface are known."""
     with pytest.raises(InputError, match="must agree with") as caught:
-        file_of(scenario, changes)
-    assert caught.value.entry == entry
+        file_of(scenario, {entry: value})
+    assert caught.value.entry == (PLACE if entry == "epoch.tdb" else entry)
     reliability.count(reliability.BAD_INPUTS)
 
 
-SLOW = [0.0, 1e-5, 0.0]
 RADII = [283.065, 271.215, 249.72]
+BEGIN, END = "boundary.initial_position_m", "boundary.final_position_m"
+SHADOW = "off the axis of the body's shadow: "
 WARNED = [
-    (
-        {"site.normal_body": [0.1, 0.8, 0.3]},
-        "site.normal_body",
-        "off the direction from the centre: ",
-    ),
+    ({NORMAL: [0.1, 0.8, 0.3]}, NORMAL, "off the direction from the centre: "),
     ({}, "body.gm_m3_s2", "that of Bennu"),
-    ({}, "sun.body_position_km", "that of Bennu"),
-    ({"body.gm_m3_s2": 0.5}, "body.gm_m3_s2", "73.3 kg/m^3"),
-    ({"boundary.initial_velocity_m_s": SLOW}, "boundary.initial_velocity_m_s", "escape"),
-    (
-        {"boundary.final_position_m": [0.0, 1e5, 0.0]},
-        "boundary.final_position_m",
-        "(100 reference radii)",
-    ),
-    (
-        {"boundary.final_position_m": [-1128.7, 19.9, -140.9]},
-        "boundary.final_position_m",
-        "off the axis of the body's shadow: ",
-    ),
-    (
-        {"boundary.initial_position_m": [-1096.3, 70.2, 200.0]},
-        "boundary.initial_position_m",
-        "off the axis of the body's shadow: ",
-    ),
-    ({"burns.dv_max_m_s": 200.0}, "burns.dv_max_m_s", "200 m/s"),
-    ({"uncertainty.execution_error": 0.0008}, "uncertainty.execution_error", "0.0008 of a burn"),
-    ({"battery.delta_v_cone_deg": 0.4067}, "battery.delta_v_cone_deg", "0.4067 deg"),
-    (
-        {"observation.site_distance_min_m": 0.5},
-        "observation.site_distance_min_m",
-        "0.5 (the largest",
+    ({}, PLACE, "that of Bennu"),
+    *(
+        ({entry: value}, entry, words)
+        for entry, value, words in (
+            ("body.gm_m3_s2", 0.5, "73.3 kg/m^3"),
+            ("boundary.initial_velocity_m_s", [0.0, 1e-5, 0.0], "escape"),
+            (END, [0.0, 1e5, 0.0], "(100 reference radii)"),
+            (END, [-1128.7, 19.9, -140.9], SHADOW),
+            (BEGIN, [-1096.3, 70.2, 200.0], SHADOW),
+            ("burns.dv_max_m_s", 200.0, "200 m/s"),
+            ("uncertainty.execution_error", 0.0008, "0.0008 of a burn"),
+            ("uncertainty.execution_error", 0.8, "not in per cent"),
+            ("battery.delta_v_cone_deg", 0.4067, "0.4067 deg"),
+            ("observation.site_distance_min_m", 0.5, "0.5 (the largest"),
+            ("spacecraft.reflectivity_coefficient", 112.7, "0.5 to 2"),
+            ("schedule.heating_s", 30.0, "seconds?"),
+            ("body.j2", -0.0431, "unnormalised"),
+            ("body.radii_m", RADII[::-1], "turn about the shortest"),
+            ("sun.solar_constant_w_m2", 1.361, "1.361"),
+            (SPEED, [0.0, 0.0, 0.0], "eccentricity of the orbit: 1"),
+        )
     ),
     ({"spacecraft.mass_kg": 0.178}, "spacecraft.srp_area_m2", "m^2/kg"),
-    (
-        {"spacecraft.reflectivity_coefficient": 112.7},
-        "spacecraft.reflectivity_coefficient",
-        "0.5 to 2",
-    ),
-    ({"schedule.heating_s": 30.0}, "schedule.heating_s", "seconds?"),
-    ({"uncertainty.execution_error": 0.8}, "uncertainty.execution_error", "not in per cent"),
-    ({"body.j2": -0.0431}, "body.j2", "unnormalised"),
     ({"body.radii_m": RADII, "body.j2": 0.0193}, "body.j2", "has 0.0344 at 290 m"),
-    ({"body.radii_m": RADII[::-1]}, "body.radii_m", "turn about the shortest"),
-    ({"sun.solar_constant_w_m2": 1.361}, "sun.solar_constant_w_m2", "1.361"),
-    (
-        {"sun.body_velocity_km_s": [0.0, 0.0, 0.0]},
-        "sun.body_velocity_km_s",
-        "eccentricity of the orbit: 1",
-    ),
 ]
 
 
@@ -176,31 +132,36 @@ def test_what_is_unlikely_is_warned_about(
     reliability.count(reliability.BAD_INPUTS)
 
 
+def eros(scenario: Scenario, latitude: float = 10.0, year: int | None = None, **body: Any) -> Scene:
+    """Eros and its Sun, known besides Bennu, in the place of this."""
+    tables = scenario.model_dump(mode="json", exclude_none=True)
+    tables |= {
+        "body": {"name": "Eros", **body},
+        "sun": {"solar_constant_w_m2": 1361.0},
+        "site": {"name": "There", "latitude_deg": latitude, "longitude_deg": 10.0},
+    }
+    if year is not None:
+        tables["epoch"] = {"tdb": f"{year}-06-01T00:00:00"}
+    return Scene.of(validate_scenario(tables))
+
+
 def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
     scenario: Scenario,
 ) -> None:
     (warning,) = mission_of("body.gm_m3_s2=4.0").warnings
     assert str(warning) == "body.gm_m3_s2: got 4; Bennu has 4.89045"
     # C20 as fields have it, normalised; the right J2 at another radius; axes in another order.
-    for entry, value in (
-        ("body.j2", "0.01926"),
-        ("body.reference_radius_m", "246.0"),
-        ("body.radii_m", f"{RADII[::-1]}"),
+    for entry, value, told in (
+        ("body.j2", "0.01926", "body.j2"),
+        ("body.reference_radius_m", "246.0", "body.j2"),
+        ("body.radii_m", f"{RADII[::-1]}", "body.radii_m"),
     ):
-        warnings = mission_of(f"{entry}={value}").warnings
-        assert {w.entry for w in warnings} == {entry.replace("reference_radius_m", "j2")}
-    # Bennu is in the packaged scenario; Eros is known besides.
-    tables = scenario.model_dump(mode="json", exclude_none=True)
-    eros = {"name": "Eros", "gm_m3_s2": 4.46e5, "pole_ra_deg": 17.232, "pole_dec_deg": 11.363}
-    found = validate_scenario(
-        {
-            **{key: value for key, value in tables.items() if key != "sun"},
-            "body": eros,
-            "sun": {"solar_constant_w_m2": 1361.0},
-            "site": {"name": "There", "latitude_deg": 10.0, "longitude_deg": 20.0},
-        }
-    )
-    scene = Scene.of(found)
+        assert {w.entry for w in mission_of(f"{entry}={value}").warnings} == {told}
+    # A number beside its name makes it no other body.
+    numbered = file_of(scenario, {"body.name": "(101955) Bennu", "body.gm_m3_s2": 40.0})
+    told = [str(w) for w in Mission.from_scenario(numbered).warnings if "Bennu has" in w.expected]
+    assert told == ["body.gm_m3_s2: got 40; Bennu has 4.89045"]
+    scene = eros(scenario, gm_m3_s2=4.46e5, pole_ra_deg=17.232, pole_dec_deg=11.363)
     assert [w.entry for w in body_checks.known_body(scene)] == ["body.pole_ra_deg"]
     assert list(sun_checks.known_orbit(scene)) == []
 
@@ -251,47 +212,19 @@ def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(
     year: int, meridian: list[float] | None, told: str, scenario: Scenario
 ) -> None:
     """NEAR's rate and the IAU's part after 2001; either may be given."""
-    tables = scenario.model_dump(mode="json", exclude_none=True)
     keys = [f"prime_meridian_{key}" for key in ("deg", "rate_deg_day", "acceleration_deg_day2")]
-    found = validate_scenario(
-        {
-            **{key: value for key, value in tables.items() if key != "sun"},
-            "epoch": {"tdb": f"{year}-06-01T00:00:00"},
-            "body": {"name": "Eros", **dict(zip(keys, meridian or [], strict=False))},
-            "sun": {"solar_constant_w_m2": 1361.0},
-            "site": {"name": "There", "latitude_deg": 10.0, "longitude_deg": 20.0},
-        }
-    )
-    warnings = list(body_checks.known_body(Scene.of(found)))
+    scene = eros(scenario, year=year, **dict(zip(keys, meridian or [], strict=False)))
+    warnings = list(body_checks.known_body(scene))
     assert [w.entry for w in warnings] == ["body.prime_meridian_deg"] * bool(told)
     assert all(told in w.given for w in warnings)
 
 
 def test_the_slopes_of_a_long_body_are_no_question(scenario: Scenario) -> None:
     """On Eros' ellipsoid at 30 deg north the normal is 46 deg off the direction from the centre."""
-    tables = scenario.model_dump(mode="json", exclude_none=True)
-    found = validate_scenario(
-        {
-            **{key: value for key, value in tables.items() if key != "sun"},
-            "body": {"name": "Eros"},
-            "sun": {"solar_constant_w_m2": 1361.0},
-            "site": {"name": "There", "latitude_deg": 30.0, "longitude_deg": 10.0},
-        }
-    )
-    scene = Scene.of(found)
+    scene = eros(scenario, latitude=30.0)
     assert angle_deg(scene.site.position_body, scene.site.normal_body) > 45.0
     rows = [row for row in INTERVALS if row.entries == "site.normal_body"]
     assert [list(row.check(scene)) for row in rows] == [[], []]
-
-
-def test_a_number_beside_its_name_makes_no_other_body(scenario: Scenario) -> None:
-    body = {"name": "(101955) Bennu", "gm_m3_s2": 40.0}
-    warnings = Mission.from_scenario(
-        file_of(scenario, {f"body.{key}": value for key, value in body.items()})
-    ).warnings
-    assert [str(w) for w in warnings if "Bennu has" in w.expected] == [
-        "body.gm_m3_s2: got 40; Bennu has 4.89045"
-    ]
 
 
 def test_a_limit_that_lets_the_site_be_dark_is_refused() -> None:
@@ -333,26 +266,6 @@ def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(
     assert all("would be at 2037" in w.given and "2035" in w.given for w in warnings)
 
 
-KM = {
-    "sigmas": {
-        "initial_sigma_position_m": [0.01, 0.01, 0.01],
-        "initial_sigma_velocity_m_s": [3e-7, 3e-7, 3e-7],
-    },
-    "covariance": {"initial_covariance": np.diag([1e-4] * 3 + [1e-13] * 3).tolist()},
-}
-
-
-@pytest.mark.parametrize("way", KM)
-def test_sigmas_in_kilometres_are_warned_about(way: str, scenario: Scenario) -> None:
-    """Ten metres and 0.3 mm/s, all of a sudden a thousand times less."""
-    layer = {"uncertainty": {**KM[way], "initial_frame": "rtn"}}
-    warnings = Mission.from_scenario(scenario.changed(layer)).warnings
-    assert len(warnings) == 2
-    assert all(w.entry.startswith("uncertainty.initial_") for w in warnings)
-    assert "1 sigma: 0.01 m" in warnings[0].given
-    reliability.count(reliability.BAD_INPUTS)
-
-
 @pytest.mark.parametrize(("fraction", "told"), [(0.0, 0), (0.001, 0), (0.09, 0), (0.3, 2)])
 def test_a_state_that_is_known_raises_no_question_and_a_guess_does(
     fraction: float, told: int
@@ -365,21 +278,25 @@ def test_the_default_raises_no_question(mission: Mission) -> None:
     assert mission.warnings == ()
 
 
-def test_a_window_beyond_the_files_own_limit_is_told_with_the_worst_incidence() -> None:
+@pytest.mark.parametrize(
+    ("window", "hour", "given", "expected"),
+    [
+        (
+            *("[13140.0, 17200.0]", 16.0, "incidence reaches 68.6 deg at 17200 s"),
+            "observation.incidence_max_deg is 60 deg",
+        ),
+        ("[13200.0, 16500.0]", 11.0, "local solar time", "8 and 11 h"),
+    ],
+)
+def test_a_window_beyond_the_files_own_limit_is_told_with_the_worst(
+    window: str, hour: float, given: str, expected: str
+) -> None:
     (warning,) = mission_of(
-        "observation.window_s=[13140.0, 17200.0]", "burns.times_s=[0, 8000, 25000, 34842]"
+        f"observation.window_s={window}", f"observation.local_solar_time_max_h={hour}"
     ).warnings
     assert warning.entry == "observation.window_s"
-    assert "incidence reaches 68.6 deg at 17200 s" in warning.given
-    assert warning.expected == "observation.incidence_max_deg is 60 deg"
-
-
-def test_a_window_beyond_the_local_solar_time_is_told() -> None:
-    warnings = mission_of(
-        "observation.window_s=[13200.0, 16500.0]", "observation.local_solar_time_max_h=11.0"
-    ).warnings
-    assert "local solar time" in warnings[0].given
-    assert "8 and 11 h" in warnings[0].expected
+    assert given in warning.given
+    assert expected in warning.expected
 
 
 def test_the_computed_window_given_again_is_no_question(mission: Mission) -> None:
@@ -409,14 +326,6 @@ def test_another_site_has_its_own_normal(scenario: Scenario) -> None:
     assert np.rad2deg(np.arccos(cosine)) < 10.0
 
 
-def test_another_body_inherits_nothing_of_the_first() -> None:
-    """No message is needed of what would not fit: all of it is asked for."""
-    with pytest.raises(InputError) as caught:
-        load_scenario(None, ["body.name=Other"])
-    for entry in ("gm_m3_s2", "pole_ra_deg", "sun.body_position_km", "site.normal_body"):
-        assert entry in str(caught.value)
-
-
 def test_changes_of_ones_own_scenario_inherit_what_holds_only(scenario: Scenario) -> None:
     """Of a body of which nothing is computed, what followed from the change has to be given."""
     own = file_of(scenario, {"site.normal_body": [0.4, 0.5, 0.7]}, name="Other")
@@ -433,11 +342,6 @@ def test_small_moves_keep_sun_and_normal_that_are_given(scenario: Scenario) -> N
     assert Mission.from_scenario(file_of(scenario, near)).warnings == ()
 
 
-def test_what_is_given_with_it_is_taken(scenario: Scenario) -> None:
-    there = {"site.position_body_m": [150.0, 0.0, 150.0], "site.normal_body": [0.7, 0.0, 0.7]}
-    assert scenario.replace(there).site.normal_body == (0.7, 0.0, 0.7)
-
-
 @pytest.mark.parametrize(
     ("override", "entry", "words"),
     [
@@ -445,11 +349,7 @@ def test_what_is_given_with_it_is_taken(scenario: Scenario) -> None:
         ("sun.body_position_km=[1.0, 0.0, 0.0]", "sun.body_position_km", "elements of Bennu"),
         ("body.reference_radius_m=1140.0", "boundary.final_position_m", "outside the body"),
         # kilometres in the place of metres, and km^3/s^2 converted the wrong way round
-        (
-            "boundary.initial_position_m=[0.0702, -1.0963, 0.4064]",
-            "boundary.initial_position_m",
-            "from the centre: 1.17 m); must be at least 290 m",
-        ),
+        (f"{BEGIN}=[0.0702, -1.0963, 0.4064]", BEGIN, "centre: 1.17 m); must be at least 290 m"),
         ("body.gm_m3_s2=4.89e9", "body.gm_m3_s2", "the planner's steps are 240 s"),
     ],
 )
@@ -483,41 +383,23 @@ def test_a_state_in_flight_is_not_blamed_on_the_gravity(scenario: Scenario) -> N
     check_plausible(Scene.of(heavy.replace({"in_flight.position_m": [800.0, 0.0, 0.0]})))
 
 
-def test_a_home_orbit_inside_the_body_is_refused_by_its_radius(tmp_path: Path) -> None:
-    home = tmp_path / "home.toml"
-    home.write_text(
-        'base = "recon_b"\n[boundary.home]\nradius_m = 250.0\nnormal = [1, 0, 0]\n'
-        "departure_deg = [160, 160]\narrival_deg = [0, 0]\n",
-        "utf-8",
-    )
+def test_a_home_orbit_inside_the_body_is_refused_by_its_radius() -> None:
+    home = {"radius_m": 250.0, "normal": [1, 0, 0], "departure_deg": [160, 160]}
+    given = {"base": "recon_b", "boundary": {"home": home | {"arrival_deg": [0, 0]}}}
     with pytest.raises(InputError, match=r"^boundary\.home\.radius_m: got 250 \(from the centre"):
-        Mission.from_scenario(load_scenario(home))
+        Mission.from_scenario(validate_scenario(given))
 
 
 WHOLE = ("risk.allocation=exact", "risk.scope=flight")
 
 
-def test_more_of_whole_flights_than_directions_tell_is_refused() -> None:
-    with pytest.raises(InputError) as error:
+def test_no_more_may_be_asked_of_whole_flights_than_the_estimates_tell() -> None:
+    with pytest.raises(
+        InputError, match=r"^risk\.p_chance: got 0\.999999 \(.*1e-06.*at least 1e-05"
+    ):
         mission_of(*WHOLE, "risk.p_chance=0.999999")
-    assert error.value.entry == "risk.p_chance"
-    assert error.value.given.startswith("0.999999 (")
-    assert "1e-06" in error.value.given
-    assert "at least 1e-05" in error.value.allowed
-
-
-def test_what_the_estimates_tell_may_be_asked() -> None:
     assert mission_of(*WHOLE, f"risk.p_chance={PROBABILITY_MAX}").scenario.risk.scope == "flight"
     mission_of("risk.allocation=exact", "risk.p_chance=0.999999999")
-
-
-def test_the_command_says_so_in_one_message(tmp_path: Path) -> None:
-    words = [word for entry in (*WHOLE, "risk.p_chance=0.99999999") for word in ("--set", entry)]
-    run = run_solve(tmp_path / "out", *words, "--certify", "no")
-    assert (run.exit_code, run.output) == (2, "")
-    assert run.errors.count("error: ") == 1
-    assert "risk.p_chance" in run.errors
-    assert not (tmp_path / "out").exists()
 
 
 # --- the rows -----------------------------------------------------------------------------------
@@ -527,25 +409,13 @@ ROWS = (*PLANNER_INTERVALS, *INTERVALS, *STATE_INTERVALS)
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.quantity)
-def test_the_rows_are_about_entries_of_a_scenario(row: Interval, scenario: Scenario) -> None:
+def test_the_rows_are_about_entries_of_a_scenario(row: Interval) -> None:
     """And what is refused is beyond what is warned about."""
-    flight = {
-        "at_s": 17_000.0,
-        "flown_m_s": [[0.0, 0.0, 0.0]] * 2,
-        "position_m": [1000.0, 0.0, 0.0],
-        "velocity_m_s": [0.0, 0.1, 0.0],
-    }
-    whole = scenario.replace({"in_flight": flight})
-    home = HomeOrbit(radius_m=1000.0, normal=(1.0, 0.0, 0.0))
-    boundary = whole.boundary.model_copy(update={"home": home})
-    whole = whole.model_copy(update={"boundary": boundary})
-    gates = Gates.model_validate(dict.fromkeys(Gates.model_fields, 1e-3))
-    uncertainty = whole.uncertainty.model_copy(update={"gates": gates})
-    whole = whole.model_copy(update={"uncertainty": uncertainty})
     for entry in row.entries.split():
-        table: Any = whole
+        table: Any = Scenario
         for key in entry.split("."):
-            assert key in type(table).model_fields, entry
-            table = getattr(table, key)
+            assert key in table.model_fields, entry
+            kind = table.model_fields[key].annotation
+            table = next((k for k in (kind, *get_args(kind)) if hasattr(k, "model_fields")), None)
     if row.warn and row.refuse:
         assert row.refuse[0] < row.warn[0] < row.warn[1] < row.refuse[1]

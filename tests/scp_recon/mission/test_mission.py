@@ -42,23 +42,16 @@ def test_grid_has_no_more_nodes_than_it_needs(length: float, step: float) -> Non
     assert arcs == 1 or length / (arcs - 1) > step * (1.0 - 1e-8)
 
 
-def test_default_grid(mission: Mission) -> None:
-    scenario, times = mission.scenario, mission.times_s
-    assert len(times) - 1 == 153  # the grid of the independent prototype
-    assert np.diff(times).max() <= scenario.grid.step_max_s
-    np.testing.assert_array_equal(times[mission.burn_nodes], scenario.burns.times_s)
-    window = times[mission.window_nodes]
-    assert (window[0], window[-1]) == mission.schedule.window_s
-    first, last = mission.schedule.window_s
-    np.testing.assert_array_equal(window, times[(times >= first) & (times <= last)])
-
-
-def test_a_finer_grid_keeps_burns_and_window(mission: Mission) -> None:
-    fine = mission_of("grid.step_max_s=50")
-    assert np.diff(fine.times_s).max() <= 50.0
-    assert fine.schedule.window_s == mission.schedule.window_s
-    np.testing.assert_array_equal(fine.times_s[fine.burn_nodes], fine.scenario.burns.times_s)
-    np.testing.assert_array_equal(fine.times_s[fine.window_nodes[[0, -1]]], fine.schedule.window_s)
+def test_burns_and_window_are_nodes_of_any_grid(mission: Mission) -> None:
+    assert len(mission.times_s) - 1 == 153  # the grid of the independent prototype
+    for one in (mission, mission_of("grid.step_max_s=50")):
+        times, (first, last) = one.times_s, one.schedule.window_s
+        assert np.diff(times).max() <= one.scenario.grid.step_max_s
+        assert (first, last) == mission.schedule.window_s
+        np.testing.assert_array_equal(times[one.burn_nodes], one.scenario.burns.times_s)
+        window = times[one.window_nodes]
+        assert (window[0], window[-1]) == (first, last)
+        np.testing.assert_array_equal(window, times[(times >= first) & (times <= last)])
 
 
 # --- units --------------------------------------------------------------------------------------
@@ -98,26 +91,21 @@ def constraint(mission: Mission, name: str) -> StateConstraint:
     return next(c for c in mission.problem.constraints if c.name == name)
 
 
-def test_joint_risk_is_split_by_boole(mission: Mission) -> None:
+def test_joint_risk_is_split_by_boole(mission: Mission, fully_limited: Mission) -> None:
     two_sided = 1.0 - 0.30 / 2
-    assert {c.name: c.probability for c in mission.problem.constraints} == pytest.approx(
-        {
-            "safety_radius": 0.70,
-            "site_distance_min": two_sided,
-            "site_distance_max": two_sided,
-            "emission_min": two_sided,
-            "emission_max": two_sided,
-            "phase_min": 0.70,  # the paper gives the phase no upper limit
-            "battery_observation": 0.70,
-        }
-    )
-
-
-def test_an_upper_phase_limit_shares_the_risk_of_the_lower_one() -> None:
-    limited = mission_of("observation.phase_max_deg=80")
-    assert constraint(limited, "phase_min").probability == pytest.approx(0.85)
-    assert constraint(limited, "phase_max").probability == pytest.approx(0.85)
-    assert constraint(limited, "phase_max").keep == "in"
+    split = {
+        "safety_radius": 0.70,
+        "site_distance_min": two_sided,
+        "site_distance_max": two_sided,
+        "emission_min": two_sided,
+        "emission_max": two_sided,
+        "phase_min": 0.70,  # the paper gives the phase no upper limit
+        "battery_observation": 0.70,
+    }
+    both_phases = dict.fromkeys(("phase_min", "phase_max"), two_sided)
+    for one, expected in ((mission, split), (fully_limited, split | both_phases)):
+        found = {c.name: c.probability for c in one.problem.constraints}
+        assert found == pytest.approx(expected)
 
 
 def test_safety_holds_at_every_node_and_observation_throughout_the_window(
@@ -180,20 +168,15 @@ def test_constraints_of_the_problem_are_the_limits_on_the_geometry(
             assert ours == pytest.approx(site_range * np.sin(np.deg2rad(margin)), abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("overrides", "ball_facets", "cone_facets"),
-    [
-        ([], 24, 4),
-        (["polytopes.ball=tangent", "polytopes.cone=12"], None, 12),
-        (["polytopes.ball=40", "polytopes.cone=paper"], 40, 4),
-    ],
-)
-def test_polytopes_are_those_chosen(
-    overrides: list[str], ball_facets: int | None, cone_facets: int
-) -> None:
-    polytopes = mission_of(*overrides).polytopes
-    assert (None if polytopes.ball is None else len(polytopes.ball.normals)) == ball_facets
-    assert polytopes.cone_facets == cone_facets
+def test_polytopes_are_those_chosen() -> None:
+    for ball, cone, ball_facets, cone_facets in (
+        ("paper", "paper", 24, 4),
+        ("tangent", "12", None, 12),
+        ("40", "paper", 40, 4),
+    ):
+        polytopes = mission_of(f"polytopes.ball={ball}", f"polytopes.cone={cone}").polytopes
+        assert (polytopes.ball and len(polytopes.ball.normals)) == ball_facets
+        assert polytopes.cone_facets == cone_facets
 
 
 def test_the_sun_stays_a_unit_vector_and_moves_as_the_body_does(mission: Mission) -> None:

@@ -115,14 +115,13 @@ def test_at_the_equator_with_the_sun_above_it_incidence_is_the_hour_angle(
     # With this pole the prime meridian is at right ascension 90 deg + W.
     to_sun = np.array([0.0, 1.0, 0.0])
     lighting = Lighting(site, rotation, lambda t: np.broadcast_to(to_sun, (*np.shape(t), 3)))
-    observation = load_scenario(
-        None,
-        [
-            f"observation.incidence_max_deg={limit}",
-            f"observation.local_solar_time_min_h={hours[0]}",
-            f"observation.local_solar_time_max_h={hours[1]}",
-        ],
-    ).observation
+    observation = load_scenario().observation.model_copy(
+        update={
+            "incidence_max_deg": limit,
+            "local_solar_time_min_h": hours[0],
+            "local_solar_time_max_h": hours[1],
+        }
+    )
     period = 3600.0 * period_h
     span = 0.0, 3.2 * period
     slack = lighting.slack(observation)
