@@ -41,20 +41,23 @@ def write_csv(path: Path, times: Array, states: Array) -> Path:
 def write_oem(path: Path, times: Array, states: Array, center: str = "BENNU") -> Path:
     epoch = home_scenario().epoch.tdb
     whens = [(epoch + timedelta(seconds=round(t, 6))).isoformat() for t in times.tolist()]
-    head = [
-        "CCSDS_OEM_VERS = 2.0",
-        f"CREATION_DATE = {whens[0]}",
-        "ORIGINATOR = TEST",
-        "META_START",
-    ]
-    head += ["OBJECT_NAME = CRAFT", "OBJECT_ID = 1", f"CENTER_NAME = {center}"]
-    head += ["REF_FRAME = EME2000", "TIME_SYSTEM = TDB"]
-    head += [f"START_TIME = {whens[0]}", f"STOP_TIME = {whens[-1]}", "META_STOP"]
-    rows = [
+    head = f"""CCSDS_OEM_VERS = 2.0
+CREATION_DATE = {whens[0]}
+ORIGINATOR = TEST
+META_START
+OBJECT_NAME = CRAFT
+OBJECT_ID = 1
+CENTER_NAME = {center}
+REF_FRAME = EME2000
+TIME_SYSTEM = TDB
+START_TIME = {whens[0]}
+STOP_TIME = {whens[-1]}
+META_STOP"""
+    rows = (
         " ".join([when, *map(repr, (1e-3 * state).tolist())])
         for when, state in zip(whens, states, strict=True)
-    ]
-    path.write_text("\n".join([*head, *rows]) + "\n")
+    )
+    path.write_text("\n".join([head, *rows]) + "\n")
     return path
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from datetime import timedelta
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.mission.schedule import make_schedule
 from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.space import Pass, nearest_legal
 from scp_recon.scenario.load import load_scenario, scenario_text, validate_scenario
@@ -85,16 +87,10 @@ def test_states_and_a_home_orbit_take_each_other_s_place() -> None:
     heavier = scenario.replace({"body.gm_m3_s2": 4.0 * scenario.body.gm_m3_s2})
     speeds = [np.linalg.norm(s.boundary.initial_velocity_m_s) for s in (scenario, heavier)]
     assert speeds[1] == pytest.approx(2.0 * speeds[0], rel=1e-12)
+    home = {"radius_m": 1000.0, "normal": [1.0, 0.0, 0.0]}
+    both = {"home": home, "initial_position_m": [0.0, 900.0, 0.0]}
     with pytest.raises(InputError, match=r"left out beside boundary.home"):
-        validate_scenario(
-            {
-                "base": "recon_b",
-                "boundary": {
-                    "home": {"radius_m": 1000.0, "normal": [1.0, 0.0, 0.0]},
-                    "initial_position_m": [0.0, 900.0, 0.0],
-                },
-            }
-        )
+        validate_scenario({"base": "recon_b", "boundary": both})
 
 
 @pytest.mark.parametrize(
@@ -125,34 +121,30 @@ def test_a_wrong_entry_beside_a_home_orbit_calls_no_state_missing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "design", "told"),
     [
         (
             {"boundary.home.radius_m": 500.0},
-            r"^boundary\.home\.radius_m.*safety\.radius_min_m, 500 m",
+            None,
+            r"^boundary\.home\.radius_m.*radius_min_m, 500 m",
         ),
-        (
-            {"burns.times_s": [8e3 * k for k in range(9)]},
-            r"^burns\.times_s: got 9 burns.*at most 8",
-        ),
+        ({"burns.times_s": [8e3 * k for k in range(9)]}, None, r"^burns\.times_s: got 9 .*most 8"),
+        ({"observation.incidence_max_deg": 10.0}, None, r"design.*none"),
+        ({"schedule.recharge_s": 2e4}, None, r"design.*legal schedule of 4 burns.*13140"),
+        ({}, {"arrival_s": [-10.0, -5.0]}, r"design.arrival_s.*after departure"),
+        ({}, {"arrival_s": [30_000.0, 900_000.0]}, "at most 24"),
     ],
 )
-def test_what_no_design_can_begin_with_is_refused(changes: dict[str, object], told: str) -> None:
+def test_what_no_design_can_begin_with_is_refused(
+    changes: dict[str, object], design: dict[str, object] | None, told: str
+) -> None:
     with pytest.raises(InputError, match=told):
-        spaces_of(home_scenario(changes))
+        spaces_of(home_scenario(changes, design))
 
 
-def test_a_design_without_home_orbit_window_or_legal_time_says_so() -> None:
+def test_a_design_needs_a_home_orbit() -> None:
     with pytest.raises(InputError, match=r"boundary\.home.*nothing"):
         spaces_of(load_scenario())
-    with pytest.raises(InputError, match=r"design.*none"):
-        spaces_of(home_scenario({"observation.incidence_max_deg": 10.0}))
-    with pytest.raises(InputError, match=r"design.*legal schedule of 4 burns.*13140"):
-        spaces_of(home_scenario({"schedule.recharge_s": 20_000.0}))
-    with pytest.raises(InputError, match=r"design.arrival_s.*after departure"):
-        spaces_of(home_scenario(design={"arrival_s": [-10.0, -5.0]}))
-    with pytest.raises(InputError, match="at most 24"):
-        spaces_of(home_scenario(design={"arrival_s": [30_000.0, 900_000.0]}))
 
 
 def test_every_window_of_a_span_has_a_space_with_legal_times() -> None:
@@ -186,13 +178,9 @@ def test_a_settled_pass_starts_and_ends_on_the_ring_with_the_same_window(later_s
     assert fixed.design is None
 
 
-def test_a_scenario_written_out_reads_back_the_same(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
+def test_a_scenario_written_out_reads_back_the_same() -> None:
     scenario = home_scenario({"grid.nodes_s": [100.0]}, design={"departure_s": [0.0, 1.0]})
-    path = tmp_path_factory.mktemp("written") / "scenario.toml"
-    path.write_text(scenario_text(scenario), "utf-8")
-    assert load_scenario(path) == scenario
+    assert validate_scenario(tomllib.loads(scenario_text(scenario))) == scenario
 
 
 @given(
@@ -204,8 +192,6 @@ def test_nearest_legal_times_keep_the_schedule_s_rules(
     wanted: list[float], opens: float, before: int
 ) -> None:
     """The oracle is the schedule itself, which is laid out burn by burn."""
-    from scp_recon.mission.schedule import make_schedule
-
     window, m = (opens, opens + 3000.0), len(wanted)
     spans = [(0.0, 0.0), *[(0.0, 90_000.0)] * (m - 1)]
     times = nearest_legal(wanted, spans, window, min(before, m - 2), RULES)

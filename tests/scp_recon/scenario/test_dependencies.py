@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from scp_recon.errors import InputError
-from scp_recon.scenario.dependencies import GRAPH, Edge, computed_from
+from scp_recon.scenario.dependencies import GRAPH, computed_from
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.scenario.test_resolution import PLACE, rock
@@ -116,15 +116,12 @@ def test_what_follows_from_nothing_is_told_beside_an_entry_that_is_wrong() -> No
 # --- the graph itself ------------------------------------------------------------------------------
 
 
-def names(edge: Edge) -> list[str]:
-    return [*edge.sources, *edge.followers, *([edge.given] if edge.given else [])]
-
-
-@pytest.mark.parametrize("name", sorted({name for edge in GRAPH for name in names(edge)}))
-def test_the_graph_is_of_entries_that_a_scenario_has(name: str) -> None:
-    table, _, key = name.partition(".")
-    model = Scenario.model_fields[table].annotation
-    assert not key or key in getattr(model, "model_fields", {})
+def test_the_graph_is_of_entries_that_a_scenario_has() -> None:
+    for edge in GRAPH:
+        for name in (*edge.sources, *edge.followers, *filter(None, [edge.given])):
+            table, _, key = name.partition(".")
+            model = Scenario.model_fields[table].annotation
+            assert not key or key in getattr(model, "model_fields", {}), name
 
 
 def test_the_page_on_scenarios_shows_what_follows() -> None:

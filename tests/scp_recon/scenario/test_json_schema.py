@@ -6,16 +6,11 @@ import json
 import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from scp_recon.cli.commands.scenarios import schema
 from scp_recon.scenario.json_schema import schema_text
 
 PUBLISHED = Path(__file__).parents[3] / "docs" / "scenario.schema.json"
-
-
-def tables(published: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    return {"the file": published, **published["definitions"]}
 
 
 def test_it_is_up_to_date() -> None:
@@ -25,7 +20,8 @@ def test_it_is_up_to_date() -> None:
 
 
 def test_every_entry_is_described_and_none_unknown_is_let_in() -> None:
-    for name, table in tables(json.loads(PUBLISHED.read_text("utf-8"))).items():
+    published = json.loads(PUBLISHED.read_text("utf-8"))
+    for name, table in {"the file": published, **published["definitions"]}.items():
         assert table["additionalProperties"] is False
         assert "required" not in table  # a base may give it
         for key, entry in table["properties"].items():
