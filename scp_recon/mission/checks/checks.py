@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import body, stale, sun
+from scp_recon.mission.checks import known
 from scp_recon.mission.checks.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.windows import SCAN_STEP_S, Window
@@ -29,13 +29,13 @@ Check = Callable[[Scene], Iterator[ScenarioWarning]]
 
 
 CHECKS: tuple[Check, ...] = (
-    stale.stale_entries,
+    known.stale_entries,
     *(row.check for row in INTERVALS),
-    body.known_body,
-    body.oblateness,
-    body.site_angles,
-    body.named_site,
-    sun.known_orbit,
+    known.known_body,
+    known.oblateness,
+    known.site_angles,
+    known.named_site,
+    known.known_orbit,
 )
 """What a mission is held to before its window is known, in this order."""
 WINDOW_SLACK = 0.05

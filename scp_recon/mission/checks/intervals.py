@@ -17,8 +17,7 @@ from scipy.constants import G
 from formulations.rows.flight_probability import PROBABILITY_MAX
 from scp_recon.bodies.catalogue import AU_KM, ECLIPTIC_NORTH, GM_SUN_KM3_S2, packaged_body
 from scp_recon.errors import InputError
-from scp_recon.mission.checks.body import J2_ENDS
-from scp_recon.mission.checks.sun import Orbit
+from scp_recon.mission.checks.known import J2_ENDS, Orbit
 from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.fields import ScenarioWarning, Section

@@ -11,8 +11,7 @@ import pytest
 from formulations.rows.flight_probability import PROBABILITY_MAX
 from scp_recon.bodies.catalogue import J2000_TDB, packaged_body
 from scp_recon.errors import InputError
-from scp_recon.mission.checks import body as body_checks
-from scp_recon.mission.checks import sun as sun_checks
+from scp_recon.mission.checks import known
 from scp_recon.mission.checks.checks import check_plausible, check_scene
 from scp_recon.mission.checks.intervals import (
     INTERVALS,
@@ -162,8 +161,8 @@ def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
     told = [str(w) for w in Mission.from_scenario(numbered).warnings if "Bennu has" in w.expected]
     assert told == ["body.gm_m3_s2: got 40; Bennu has 4.89045"]
     scene = eros(scenario, gm_m3_s2=4.46e5, pole_ra_deg=17.232, pole_dec_deg=11.363)
-    assert [w.entry for w in body_checks.known_body(scene)] == ["body.pole_ra_deg"]
-    assert list(sun_checks.known_orbit(scene)) == []
+    assert [w.entry for w in known.known_body(scene)] == ["body.pole_ra_deg"]
+    assert list(known.known_orbit(scene)) == []
 
 
 def test_a_prime_meridian_that_is_not_a_packaged_bodys_is_warned_about(scenario: Scenario) -> None:
@@ -214,7 +213,7 @@ def test_how_well_the_phase_of_eros_is_known_goes_with_the_verdict(
     """NEAR's rate and the IAU's part after 2001; either may be given."""
     keys = [f"prime_meridian_{key}" for key in ("deg", "rate_deg_day", "acceleration_deg_day2")]
     scene = eros(scenario, year=year, **dict(zip(keys, meridian or [], strict=False)))
-    warnings = list(body_checks.known_body(scene))
+    warnings = list(known.known_body(scene))
     assert [w.entry for w in warnings] == ["body.prime_meridian_deg"] * bool(told)
     assert all(told in w.given for w in warnings)
 
@@ -261,7 +260,7 @@ def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(
         },
     )
     scene = Scene.of(found)
-    warnings = list(sun_checks.known_orbit(scene))
+    warnings = list(known.known_orbit(scene))
     assert bool(warnings) == told
     assert all("would be at 2037" in w.given and "2035" in w.given for w in warnings)
 

@@ -1,0 +1,317 @@
+"""Checks of body, Sun and site against what is packaged of them, and against each other.
+
+What follows from other entries may be stale: left as a packaged scenario has it. Entries are compared
+by value: they may have been inherited, copied from the base by hand, or left alone by an override.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.arrays import Array
+from scp_recon.bodies.catalogue import (
+    AU_KM,
+    DAY_S,
+    GM_SUN_KM3_S2,
+    J2000_TDB,
+    PackagedBody,
+    packaged_body,
+)
+from scp_recon.bodies.surface import coordinates_of
+from scp_recon.errors import InputError
+from scp_recon.mission.scene import Scene
+from scp_recon.physics.frames import Rotation, unit
+from scp_recon.scenario.dependencies import PLACE, STATE
+from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.scenario.load import base_names, packaged_scenario
+from scp_recon.scenario.resolution.agreement import angle_deg
+from scp_recon.scenario.schema import Scenario
+
+J2_ENDS = 0.0, 0.5
+"""At the reference radius; Itokawa, twice as long as thick, has half of the latter."""
+J2_SHARE, J2_SLACK = 0.4, 0.01
+"""How far J2 may be off that of a homogeneous ellipsoid, as a share of the larger one, and at least.
+
+Bennu's is 20 % above, and Eros' 13 %; C20 normalised in the place of J2 is sqrt(5) times too small.
+"""
+SAME_GM, SAME_J2, SAME_RADIUS, SAME_RATE, SAME_ANGLE_DEG = 0.05, 0.2, 0.2, 0.01, 2.0
+"""How far a known body's figures may be off, relative but for pole and prime meridian."""
+SAME_SITE_DEG = 5.0
+"""How far from a packaged site, seen from the centre, another may be that has its name."""
+
+
+def named_site(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of a packaged site's name 5 deg and more off its place, as seen from the centre."""
+    here = scene.scenario
+    for name in base_names():
+        there = packaged_scenario(name)
+        if (here.body.name, here.site.name) != (there.body.name, there.site.name):
+            continue
+        place = there.site.position_body_m
+        off = angle_deg(scene.site.position_body, place)
+        if off > SAME_SITE_DEG:
+            at, expected = (
+                "latitude {:.1f} deg, longitude {:.1f} deg east".format(
+                    *coordinates_of(np.array(x))
+                )
+                for x in (scene.site.position_body, place)
+            )
+            yield ScenarioWarning.of(
+                "site.name",
+                f"{here.site.name} at {at}, {off:.0f} deg off",
+                f"{here.site.name} is at {expected}; another place has another name",
+            )
+        return  # other packaged scenarios of that site have it at the same place
+
+
+def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of a packaged body's name with figures that are not its own.
+
+    That is another GM (5 %), J2, radius or radii (20 %), spin (1 %), pole or prime meridian (2 deg), or
+    a prime meridian of which two sources are more than that apart, as of Eros.
+    """
+    body = scene.scenario.body
+    packaged = packaged_body(body.name)
+    if packaged is None:
+        return
+    known = packaged.entries
+    radius = known["reference_radius_m"]
+    for entry, right, most in (
+        ("gm_m3_s2", known["gm_m3_s2"], SAME_GM),
+        ("reference_radius_m", radius, SAME_RADIUS),
+        ("j2", known["j2"] * (radius / body.reference_radius_m) ** 2, SAME_J2),
+        ("prime_meridian_rate_deg_day", known["prime_meridian_rate_deg_day"], SAME_RATE),
+    ):
+        value = getattr(body, entry)
+        if abs(value - right) > most * abs(right):
+            yield ScenarioWarning.of(
+                f"body.{entry}", f"{value:g}", f"{known['name']} has {right:g}"
+            )
+    if body.radii_m is not None and not np.allclose(body.radii_m, known["radii_m"], SAME_RADIUS):
+        yield ScenarioWarning.of(
+            "body.radii_m",
+            f"{list(body.radii_m)} m",
+            f"{known['name']} has {known['radii_m']} m along x, y and z",
+        )
+    yield from _known_attitude(scene, packaged)
+
+
+def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWarning]:
+    """Where a packaged body's pole and, if that is its own, its prime meridian are at the epoch."""
+    body, tdb, known = scene.scenario.body, scene.scenario.epoch.tdb, packaged.entries
+    pole = known["pole_ra_deg"], known["pole_dec_deg"]
+    w0, w1, w2 = (
+        known[f"prime_meridian_{key}"] for key in ("deg", "rate_deg_day", "acceleration_deg_day2")
+    )
+    right = Rotation.from_iau(*pole, (w0, w1, w2), tdb)
+    off = angle_deg(scene.rotation.pole, right.pole)
+    if off > SAME_ANGLE_DEG:
+        yield ScenarioWarning.of(
+            "body.pole_ra_deg",
+            f"({body.pole_ra_deg:g}, {body.pole_dec_deg:g}) deg, {off:.1f} deg off",
+            f"the pole of {known['name']} is at ({pole[0]:g}, {pole[1]:g}) deg",
+        )
+        return
+    x = scene.rotation.body_to_j2000(0.0)[:, 0]
+    ahead = angle_deg(x, right.body_to_j2000(0.0)[:, 0])
+    apart = 0.0
+    if packaged.other_meridian is not None:
+        other = Rotation.from_iau(*pole, packaged.other_meridian, tdb).body_to_j2000(0.0)[:, 0]
+        apart = angle_deg(other, right.body_to_j2000(0.0)[:, 0])
+        ahead = min(ahead, angle_deg(x, other))
+    if ahead > SAME_ANGLE_DEG:
+        yield ScenarioWarning.of(
+            "body.prime_meridian_deg",
+            f"a prime meridian that is {ahead:.1f} deg off at the epoch",
+            f"W of {known['name']} is {w0:g} + {w1:.10g} d + {w2:g} d^2 deg",
+        )
+    elif apart > SAME_ANGLE_DEG:
+        minutes = np.deg2rad(apart) / abs(scene.rotation.rate) / 60.0
+        yield ScenarioWarning.of(
+            "body.prime_meridian_deg",
+            f"a prime meridian of {known['name']}, of which two sources are {apart:.1f} deg apart at "
+            "the epoch",
+            f"the window may be {minutes:.0f} minutes off, until a measurement of its phase is given",
+        )
+
+
+def oblateness(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of a J2 40 % and more off that of a homogeneous ellipsoid of `body.radii_m`.
+
+    That is (a^2 + b^2 - 2 c^2) / (10 R^2) at a reference radius R. A packaged body's is known.
+    """
+    body = scene.scenario.body
+    within = J2_ENDS[0] <= body.j2 <= J2_ENDS[1]  # which a row of `intervals` tells
+    if body.radii_m is None or not within or packaged_body(body.name) is not None:
+        return
+    a, b, c = body.radii_m
+    even = (a * a + b * b - 2.0 * c * c) / (10.0 * body.reference_radius_m**2)
+    if abs(body.j2 - even) > max(J2_SHARE * max(body.j2, even), J2_SLACK):
+        yield ScenarioWarning.of(
+            "body.j2",
+            f"{body.j2:g}",
+            f"a homogeneous ellipsoid of body.radii_m has {even:.3g} at "
+            f"{body.reference_radius_m:g} m; unnormalised, which is -sqrt(5) C20?",
+        )
+
+
+def site_angles(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of a latitude within 1.57 and a longitude within 6.28 deg, as in radians."""
+    site = scene.scenario.site
+    latitude, longitude = site.latitude_deg, site.longitude_deg
+    if latitude is None or longitude is None:
+        return
+    if 0.0 < abs(latitude) < 0.5 * np.pi and 0.0 < abs(longitude) < 2.0 * np.pi:
+        yield ScenarioWarning.of(
+            "site.latitude_deg",
+            f"{latitude:g} deg, and longitude {longitude:g} deg",
+            f"expected a latitude beyond {0.5 * np.pi:.2f} or a longitude beyond "
+            f"{2.0 * np.pi:.2f} deg; degrees?",
+        )
+
+
+SAME_AXIS, SAME_PLANE_DEG, SAME_ECCENTRICITY = 0.01, 0.2, 0.02
+"""How far a known body's orbit may be off: room for what the planets do to it in some years."""
+SAME_PLACE_DEG = 0.5
+"""How far along it, for each year outside the elements' span: mean motions change by 4e-4 deg/day."""
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """Osculating orbit about the Sun."""
+
+    axis_au: float
+    """Semi-major axis, negative of what leaves the Solar System."""
+    eccentricity: Array
+    """Vector to the perihelion as long as the eccentricity, shape (3,), J2000."""
+    normal: Array
+    """Unit vector of the angular momentum, shape (3,), J2000; zero of a straight fall."""
+
+    @classmethod
+    def of_body(cls, scene: Scene) -> Orbit:
+        """That of a scene's body at the epoch."""
+        return cls.of(scene.scenario.sun.body_position_km, scene.scenario.sun.body_velocity_km_s)
+
+    @classmethod
+    def of(cls, position_km: npt.ArrayLike, velocity_km_s: npt.ArrayLike) -> Orbit:
+        """From a heliocentric state: Bate, Mueller & White, Fundamentals of Astrodynamics, 2.4."""
+        position, velocity = (np.asarray(x, dtype=float) for x in (position_km, velocity_km_s))
+        away = np.linalg.norm(position)
+        momentum = np.cross(position, velocity)
+        size = np.linalg.norm(momentum)
+        energy = 2.0 / away - velocity @ velocity / GM_SUN_KM3_S2
+        return cls(
+            axis_au=float(1.0 / energy / AU_KM) if energy else np.inf,
+            eccentricity=np.cross(velocity, momentum) / GM_SUN_KM3_S2 - position / away,
+            normal=momentum / size if size else momentum,
+        )
+
+
+def known_orbit(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of a packaged body on another orbit than its own, or at another place on it.
+
+    That is 1 % in size, 0.2 deg in plane, 0.02 in eccentricity; 0.5 deg in place, and as much again for
+    each year outside its elements.
+    """
+    scenario = scene.scenario
+    body, sun, packaged = scenario.body, scenario.sun, packaged_body(scenario.body.name)
+    if packaged is None:
+        return
+    days = (scenario.epoch.tdb - J2000_TDB).total_seconds() / DAY_S
+    found = Orbit.of_body(scene)
+    known = Orbit.of(*packaged.heliocentric(float(np.clip(days, *packaged.span))))
+    tilt = angle_deg(found.normal, known.normal)
+    off = float(np.linalg.norm(found.eccentricity - known.eccentricity))
+    same = abs(found.axis_au / known.axis_au - 1.0) <= SAME_AXIS
+    if not same or tilt > SAME_PLANE_DEG or off > SAME_ECCENTRICITY:
+        yield ScenarioWarning.of(
+            "sun.body_position_km",
+            f"with the velocity an orbit of {found.axis_au:.3f} au, its plane {tilt:.2f} deg and "
+            f"its eccentricity vector {off:.3f} off that of {body.name}",
+            f"expected {known.axis_au:.3f} au, within {SAME_PLANE_DEG:g} deg and "
+            f"{SAME_ECCENTRICITY:g}",
+        )
+        return
+    place = unit(packaged.extrapolated(days)[0])
+    ahead = angle_deg(sun.body_position_km, place)
+    days_beyond = max(packaged.span[0] - days, days - packaged.span[1])
+    most = SAME_PLACE_DEG * max(1.0, days_beyond / 365.25)
+    if ahead > most:
+        first, last = packaged.years
+        yield ScenarioWarning.of(
+            "sun.body_position_km",
+            f"{ahead:.1f} deg from where {body.name} would be at {scenario.epoch.tdb:%Y-%m-%d} on its "
+            f"orbit of {first if days < packaged.span[0] else last}",
+            f"expected at most {most:.1f} deg; is it that of the epoch?",
+        )
+
+
+SUN_MOVED_DEG = 0.01
+"""Below it another epoch may keep the Sun: a quarter of an hour, of a body at 1 au."""
+SITE_MOVED_DEG = 1.0
+"""As seen from the body's centre; below it another position may be on the same slope."""
+OF_ONE_BODY = "body.gm_m3_s2", "body.j2", STATE[0]
+"""What no two bodies share."""
+
+
+def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Refuse the Sun of another epoch and the normal of another site; warn of another body's figures.
+
+    Another epoch is one at which the Sun has moved by 0.01 deg, another site one 1 deg away as seen
+    from the centre; figures are GM, J2 and the Sun's position under another name. Held against it are
+    the file that is named as base, the file itself where `--set` changes it, and every packaged one.
+
+    Raises:
+        InputError: naming the entry that has to be given as well.
+    """
+    here = scene.scenario
+    for base in map(packaged_scenario, base_names()):
+        _refuse_other_sun(base, here)
+        _refuse_other_normal(base, here)
+        if here.body.name != base.body.name:
+            for entry in _kept(base, here, OF_ONE_BODY):
+                yield ScenarioWarning.of(
+                    entry,
+                    f"that of {base.body.name}",
+                    f"the body is {here.body.name}: give its own",
+                )
+
+
+def _kept(base: Scenario, here: Scenario, entries: tuple[str, ...]) -> list[str]:
+    """Those of some entries that are the same in both."""
+    return [entry for entry in entries if attrgetter(entry)(base) == attrgetter(entry)(here)]
+
+
+def _refuse_other_sun(base: Scenario, here: Scenario) -> None:
+    kept = _kept(base, here, STATE)
+    before, after = base.epoch.tdb, here.epoch.tdb
+    position, velocity = np.array(base.sun.body_position_km), np.array(base.sun.body_velocity_km_s)
+    # How fast the Sun's direction turns as seen from the body, in rad/s: |r x v| / r^2.
+    rate = float(np.linalg.norm(np.cross(position, velocity)) / (position @ position))
+    moved = math.degrees(abs((after - before).total_seconds()) * rate)
+    if kept and moved > SUN_MOVED_DEG:
+        was, now = (moment.isoformat(timespec="seconds") for moment in (before, after))
+        # The mean motion says nothing beyond half a turn.
+        turn = f"{moved:.3g} deg" if moved < 180.0 else "more than half a turn"
+        raise InputError(
+            kept[0],
+            f"the Sun of {was} TDB at the epoch {now} TDB",
+            f"must be given for the new epoch: the Sun has moved by {turn} about the body",
+        )
+
+
+def _refuse_other_normal(base: Scenario, here: Scenario) -> None:
+    normal = PLACE[1]
+    moved = angle_deg(base.site.position_body_m, here.site.position_body_m)
+    if moved > SITE_MOVED_DEG and _kept(base, here, (normal,)):
+        raise InputError(
+            normal,
+            f"the normal of a site {moved:.1f} deg away",
+            "must be given with site.position_body_m: the other site has a slope of its own",
+        )
