@@ -6,7 +6,6 @@ An ephemeris is a table of states, a CCSDS OEM or SPICE kernels.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,28 +36,17 @@ LOOKS = 8
 """Between neighbouring states."""
 
 
-@dataclass(frozen=True)
-class Ring:
-    """States by phase, whose waiting spacecraft may be at any of them at any time.
+Ring = Callable[[float], Array]
+"""States by phase, in rad of any turn, whose waiting spacecraft may be at any of them at any time.
 
-    Of a phase in [0, 2 pi), rad: position and velocity, J2000, body-centred, m and m/s, shape (6,).
-    """
-
-    state: Callable[[float], Array]
-
-    def __call__(self, phase_rad: float) -> Array:
-        """The state at a phase of any turn."""
-        return self.state(float(np.mod(phase_rad, TURN)))
+Position and velocity, J2000, body-centred, m and m/s, shape (6,).
+"""
 
 
 def home_ring(home: HomeOrbit, gm: float, axes: Array) -> Ring:
     """The home orbit of a scenario, a circle; axes (3, 3) lead from boundary.frame to J2000."""
-
-    def state(phase: float) -> Array:
-        position, velocity = home.state(phase, gm).reshape(2, 3)
-        return np.concatenate([axes @ position, axes @ velocity])
-
-    return Ring(state)
+    turn = np.kron(np.eye(2), axes)
+    return lambda phase_rad: turn @ home.state(phase_rad, gm)
 
 
 def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
@@ -118,11 +106,11 @@ def ring_of(
         return None
     when = PchipInterpolator(angle[:once], times_s[:once])
 
-    def state(phase: float) -> Array:
-        ahead = np.mod(sense * phase - begin, TURN)
+    def state(phase_rad: float) -> Array:
+        ahead = np.mod(sense * phase_rad - begin, TURN)
         return np.asarray(track(when(begin + ahead)))
 
-    return Ring(state)
+    return state
 
 
 def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
@@ -148,7 +136,7 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
     once = int(np.argmax(turned >= TURN)) + 1 if np.any(turned >= TURN) else 0
     ring = None
     if once and np.all(np.diff(times[:once]) > 0.0) and steps[: once - 1].max() <= APART:
-        track = Track(times[:once], states[:once])
+        track = _cubics(times[:once], states[:once])
         looks = np.interp(np.arange(LOOKS * (once - 1) + 1) / LOOKS, np.arange(once), times[:once])
         ring = ring_of(track, looks, first, second, sense)
     if ring is None:
@@ -161,16 +149,10 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
     return ring
 
 
-class Track:
-    """Cubics between states (n, 6) at ascending times (n,), whose velocities are their slopes."""
-
-    def __init__(self, times_s: Array, states: Array) -> None:
-        self._place = CubicHermiteSpline(times_s, states[:, :3], states[:, 3:])
-        self._speed = self._place.derivative()
-
-    def __call__(self, time_s: Array) -> Array:
-        """States (6, n) at times (n,), or one."""
-        return np.concatenate([self._place(time_s).T, self._speed(time_s).T])
+def _cubics(times_s: Array, states: Array) -> Callable[[Array], Array]:
+    """States (6, n) at times (n,), or one, between states (n, 6) whose velocities are their slopes."""
+    place = CubicHermiteSpline(times_s, states[:, :3], states[:, 3:])
+    return lambda time_s: np.concatenate([place(time_s).T, place(time_s, 1).T])
 
 
 def _states(scenario: Scenario, home: HomeOrbit, path: Path) -> tuple[Array, Array]:
