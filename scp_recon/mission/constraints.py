@@ -5,6 +5,7 @@ The planner makes regions of them and the Monte Carlo margins. Verification has 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -70,14 +71,14 @@ def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
     )
 
 
-def limits_in_words(scenario: Scenario) -> dict[str, str]:
+def limits_in_words(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, str]:
     """What is asked of each margin of the mean, e.g. "at least 500 m", by its constraint."""
     found = {
         "safety_radius": f"at least {scenario.safety.radius_min_m:g} m",
         "dv_max": f"at most {scenario.burns.dv_max_m_s:g} m/s",
         "dv_battery": f"at least {scenario.battery.delta_v_cone_deg:g} deg",
     }
-    for limit in observation_limits(scenario):
+    for limit in limits:
         value = limit.value if limit.unit == "m" else float(np.rad2deg(limit.value))
         sense = "at least" if limit.sense == "min" else "at most"
         found[limit.name] = f"{sense} {value:g} {'m' if limit.unit == 'm' else 'deg'}"
@@ -85,14 +86,20 @@ def limits_in_words(scenario: Scenario) -> dict[str, str]:
 
 
 def state_constraints(
-    scenario: Scenario, length_m: float, n_nodes: int, window: Indices, track: SiteTrack, sun: Array
+    scenario: Scenario,
+    limits: Sequence[Limit],
+    length_m: float,
+    n_nodes: int,
+    window: Indices,
+    track: SiteTrack,
+    sun: Array,
 ) -> tuple[StateConstraint, ...]:
     """Safety at every node and the limits throughout the window, nondimensional.
 
     `window` has the window's nodes, shape (n,), `track` the site there, J2000, m, and `sun` the
     directions to the Sun there, shape (n, 3).
     """
-    p, limits = scenario.risk.p_chance, observation_limits(scenario)
+    p = scenario.risk.p_chance
     at, axes = track.position / length_m, {"emission": track.normal, "phase": sun}
     everywhere = np.arange(n_nodes)
     body = Ball(np.zeros((n_nodes, 3)), scenario.safety.radius_min_m / length_m)

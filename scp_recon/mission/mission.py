@@ -18,7 +18,7 @@ from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.checks import check_plausible, check_scene, check_state, check_window
-from scp_recon.mission.constraints import state_constraints
+from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import Scene, execution_errors, truth_field
 from scp_recon.mission.schedule import (
@@ -199,6 +199,11 @@ class Mission:
         return np.flatnonzero((self.times_s >= first) & (self.times_s <= last))
 
     @cached_property
+    def limits(self) -> tuple[Limit, ...]:
+        """What the position relative to the site has to keep in the window."""
+        return observation_limits(self.scenario)
+
+    @cached_property
     def problem(self) -> FlybyProblem:
         """The nondimensional problem on this mission's grid."""
         units, scenario, window = self.units, self.scenario, self.window_nodes
@@ -217,6 +222,7 @@ class Mission:
             dv_cone=float(np.deg2rad(scenario.battery.delta_v_cone_deg)),
             constraints=state_constraints(
                 scenario,
+                self.limits,
                 units.length_m,
                 len(self.times_s),
                 window,

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans, Indices
-from scp_recon.mission.constraints import Measure, observation_limits
+from scp_recon.mission.constraints import Measure
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
 from scp_recon.physics.flow import interpolate
@@ -28,8 +28,9 @@ def observation_margins(mission: Mission, times_s: Array, position: Array) -> Ma
     At times of shape (n,), of positions in J2000, m, shape (n, ..., 3).
     """
     found = measured(mission, times_s, position)
-    limits = observation_limits(mission.scenario)
-    return {limit.name: (limit.unit, limit.margin(found[limit.measure])) for limit in limits}
+    return {
+        limit.name: (limit.unit, limit.margin(found[limit.measure])) for limit in mission.limits
+    }
 
 
 def measured(mission: Mission, times_s: Array, position: Array) -> dict[Measure, Array]:
@@ -48,7 +49,7 @@ def joint_margins(mission: Mission, times_s: Array, position: Array) -> dict[str
     """Smallest margin of each joint constraint, shape of `position` without its last axis."""
     margins = observation_margins(mission, times_s, position)
     joints: dict[str, list[Array]] = {}
-    for limit in observation_limits(mission.scenario):
+    for limit in mission.limits:
         joints.setdefault(limit.joint, []).append(margins[limit.name][1])
     return {joint: np.minimum.reduce(parts) for joint, parts in joints.items()}
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import binom
 
 from formulations.arrays import Array, Booleans, Indices
-from scp_recon.mission.constraints import Measure, observation_limits
+from scp_recon.mission.constraints import Measure
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.observation_time import measured
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block
@@ -107,7 +107,7 @@ def bands_of(sampled: Array, sigmas: tuple[int, ...]) -> dict[int, tuple[Array, 
 def observation_histories(plan: Shown) -> list[History]:
     """Distance from the site, emission and phase in the window, with every limit on them."""
     mean, sampled = _measured(plan)
-    limits = observation_limits(plan.subject.mission.scenario)
+    limits = plan.subject.mission.limits
     return [
         History(
             title,

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from formulations.arrays import Array
-from scp_recon.mission.constraints import observation_limits
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import sun_north_to_j2000, unit
 from scp_recon.reports.flights import Shown
@@ -191,7 +190,7 @@ def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
     """Sets that positions and burns of the first plan keep in or out of; shown on demand."""
     mission = subject.mission
     scenario, site = mission.scenario, mission.site
-    limits = {limit.name: limit.value for limit in observation_limits(scenario)}
+    limits = {limit.name: limit.value for limit in mission.limits}
     distances = limits["site_distance_min"], limits["site_distance_max"]
     emissions = limits["emission_min"], limits["emission_max"]
     keep_in = shell(site.normal_body, site.position_body, distances, emissions)

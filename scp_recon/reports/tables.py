@@ -98,7 +98,7 @@ def constraints_table(solution: Solution) -> Table:
 
 def mean_margins_table(mission: Mission, v: Verification) -> Table:
     """Worst margins of the original constraints on the mean, each beside its limit."""
-    limits = limits_in_words(mission.scenario)
+    limits = limits_in_words(mission.scenario, mission.limits)
     rows = []
     for m in v.mean_margins:
         scale, unit = (float(np.rad2deg(1.0)), "deg") if m.unit == "rad" else (1.0, m.unit)
