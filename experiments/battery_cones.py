@@ -1,4 +1,4 @@
-"""Where the panels cannot carry the load.
+"""Find where the panels cannot carry the load.
 
 Random positions on a sphere about the asteroid, the bottom face to nadir, the best rotation about it.
 Generation falls below a mode's load in two opposite cones about the Sun line; their half-angles, with
@@ -23,9 +23,10 @@ from experiments.harness import (
     Study,
     number,
     records,
+    view,
 )
 from formulations.arrays import Array
-from scp_recon.monte_carlo.estimates import Estimate, proportion
+from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.results.table import Column, Table
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
@@ -40,7 +41,7 @@ BOTTOM = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class Load:
-    """What a mode draws, and the half-angle that the paper finds for it."""
+    """Power that a mode draws, and the half-angle that the paper finds for it."""
 
     mode: str
     power_w: float
@@ -66,32 +67,6 @@ class Samples:
         return np.arctan2(across, np.abs(self.direction[:, 0]))
 
 
-@dataclass(frozen=True)
-class Cone:
-    """The double cone in which a load is not met.
-
-    Attributes:
-        load: which.
-        calibrated: whether the housekeeping is taken off the generation.
-        half_angle_deg: by the panels' closed form, of the wider of the two cones.
-        inside_deg, outside_deg: of the samples, the farthest that does not meet the load and the
-            nearest that does: the half-angle lies between them.
-        fraction: of the sphere.
-    """
-
-    load: Load
-    calibrated: bool
-    half_angle_deg: float
-    inside_deg: float
-    outside_deg: float
-    fraction: Estimate
-
-    @property
-    def error_deg(self) -> float:
-        """Departure from the paper's."""
-        return self.half_angle_deg - self.load.paper_deg
-
-
 def sample(panels: SolarArray, count: int, seed: int, shadow_radius_m: float) -> Samples:
     """Uniform positions on the sphere; the shadow is a cylinder."""
     drawn = np.random.default_rng(seed).standard_normal((count, 3))
@@ -103,8 +78,12 @@ def sample(panels: SolarArray, count: int, seed: int, shadow_radius_m: float) ->
     return Samples(direction, np.where(dark, 0.0, power))
 
 
-def find_cone(panels: SolarArray, samples: Samples, load: Load, housekeeping_w: float) -> Cone:
-    """The cone in which generation less housekeeping is below a load."""
+def find_cone(panels: SolarArray, samples: Samples, load: Load, housekeeping_w: float) -> Record:
+    """Find the double cone in which generation less housekeeping is below a load: a row.
+
+    Its half-angle is by the panels' closed form, of the wider of the two cones; it lies between that of
+    the farthest sample that does not meet the load, and that of the nearest that does.
+    """
     needed = load.power_w + housekeeping_w
 
     def surplus(angle: float) -> float:
@@ -119,19 +98,28 @@ def find_cone(panels: SolarArray, samples: Samples, load: Load, housekeeping_w: 
         half_angle = float(brentq(surplus, 0.0, np.pi / 2, xtol=1e-12))
     short = samples.power_w < needed
     off = np.rad2deg(samples.off_sun_line)
-    return Cone(
-        load,
-        calibrated=housekeeping_w > 0.0,
-        half_angle_deg=float(np.rad2deg(half_angle)),
-        inside_deg=float(off[short].max(initial=0.0)),
-        outside_deg=float(off[~short].min(initial=90.0)),
-        fraction=proportion(int(short.sum()), len(short)),
-    )
+    fraction = proportion(int(short.sum()), len(short))
+    error_deg = float(np.rad2deg(half_angle)) - load.paper_deg
+    return {
+        "mode": load.mode,
+        "load_w": load.power_w,
+        "calibrated": housekeeping_w > 0.0,
+        "half_angle_deg": float(np.rad2deg(half_angle)),
+        "sampled_below_up_to_deg": float(off[short].max(initial=0.0)),
+        "sampled_met_from_deg": float(off[~short].min(initial=90.0)),
+        "paper_deg": load.paper_deg,
+        "difference_deg": error_deg,
+        "within_tolerance": abs(error_deg) <= TOLERANCE_DEG,
+        "fraction_of_sphere": 1.0 - float(np.cos(half_angle)),
+        "sampled_fraction": fraction.value,
+        "sampled_fraction_low": fraction.low,
+        "sampled_fraction_high": fraction.high,
+    }
 
 
 def find_cones(
     panels: SolarArray, samples: Samples, loads: Sequence[Load], extra_w: float
-) -> list[Cone]:
+) -> list[Record]:
     """Every mode's cone, first as the panels give it and then calibrated by `extra_w`."""
     return [find_cone(panels, samples, load, w) for w in (0.0, extra_w) for load in loads]
 
@@ -144,67 +132,43 @@ def mode_loads(vehicle: Vehicle, scenario: Scenario) -> tuple[Load, Load]:
     )
 
 
-def record(cone: Cone) -> Record:
-    """A row of the CSV."""
-    return {
-        "mode": cone.load.mode,
-        "load_w": cone.load.power_w,
-        "calibrated": cone.calibrated,
-        "half_angle_deg": cone.half_angle_deg,
-        "sampled_below_up_to_deg": cone.inside_deg,
-        "sampled_met_from_deg": cone.outside_deg,
-        "paper_deg": cone.load.paper_deg,
-        "difference_deg": cone.error_deg,
-        "within_tolerance": abs(cone.error_deg) <= TOLERANCE_DEG,
-        "fraction_of_sphere": 1.0 - float(np.cos(np.deg2rad(cone.half_angle_deg))),
-        "sampled_fraction": cone.fraction.value,
-        "sampled_fraction_low": cone.fraction.low,
-        "sampled_fraction_high": cone.fraction.high,
-    }
-
-
-def table(cones: Sequence[Cone], samples: Samples, extra_w: float) -> Table:
+def table(cones: Sequence[Record], samples: Samples, extra_w: float) -> Table:
     """The cones for people."""
-    columns = (
-        "mode",
-        Column("load", "W", ".0f"),
-        "housekeeping taken off",
-        Column("half-angle", "deg", ".2f"),
-        Column("between the samples at", "deg"),
-        Column("paper", "deg", ".1f"),
-        Column("difference", "deg", "+.2f"),
-        Column("share of positions below", "%"),
-    )
-    rows = [
-        (
-            cone.load.mode,
-            cone.load.power_w,
-            f"{extra_w:g} W" if cone.calibrated else "none",
-            cone.half_angle_deg,
-            f"{cone.inside_deg:.2f}, {cone.outside_deg:.2f}",
-            cone.load.paper_deg,
-            cone.error_deg,
-            f"{100 * cone.fraction.value:.2f} ({100 * cone.fraction.low:.2f} to "
-            f"{100 * cone.fraction.high:.2f})",
-        )
-        for cone in cones
-    ]
-    note = f"{len(samples.power_w)} positions, 95 % intervals."
-    return Table.of("", columns, rows, note=note)
+    columns: dict[str, Column | str] = {
+        "mode": "mode",
+        "load_w": Column("load", "W", ".0f"),
+        "housekeeping": "housekeeping taken off",
+        "half_angle_deg": Column("half-angle", "deg", ".2f"),
+        "between": Column("between the samples at", "deg"),
+        "paper_deg": Column("paper", "deg", ".1f"),
+        "difference_deg": Column("difference", "deg", "+.2f"),
+        "share": Column("share of positions below", "%"),
+    }
+    rows = []
+    for cone in cones:
+        ends = (cone[f"sampled_{end}_deg"] for end in ("below_up_to", "met_from"))
+        value, low, high = (100.0 * cone[f"sampled_fraction{end}"] for end in ("", "_low", "_high"))
+        words = {
+            "housekeeping": f"{extra_w:g} W" if cone["calibrated"] else "none",
+            "between": ", ".join(f"{end:.2f}" for end in ends),
+            "share": f"{value:.2f} ({low:.2f} to {high:.2f})",
+        }
+        rows.append(cone | words)
+    return view("", rows, columns, f"{len(samples.power_w)} positions, 95 % intervals.")
 
 
-def claims(cones: Sequence[Cone], extra_w: float) -> list[Claim]:
+def claims(cones: Sequence[Record], extra_w: float) -> list[Claim]:
     """Which half-angles agree with the paper's, and whether the planner's are wide enough for both."""
     found = []
     for calibrated, kind in (
         (False, "uncalibrated half-angles are the paper's"),
         (True, f"half-angles calibrated by {extra_w:g} W of housekeeping are the paper's"),
     ):
-        chosen = [cone for cone in cones if cone.calibrated == calibrated]
-        angles = " and ".join(f"{cone.half_angle_deg:.2f}" for cone in chosen)
-        agree = all(abs(cone.error_deg) <= TOLERANCE_DEG for cone in chosen)
+        chosen = [cone for cone in cones if cone["calibrated"] == calibrated]
+        angles = " and ".join(f"{cone['half_angle_deg']:.2f}" for cone in chosen)
+        agree = all(cone["within_tolerance"] for cone in chosen)
         found.append(Claim(kind, f"within {TOLERANCE_DEG:g} deg", f"{angles} deg", agree))
-    short = max(cone.error_deg for cone in cones)
+    short = max(cone["difference_deg"] for cone in cones)
     words = "the planner's cones are wide enough for both"
     threshold = f"at most {ROUNDING_DEG:g} deg too narrow"
     return [*found, Claim(words, threshold, f"{short:+.2f} deg", short <= ROUNDING_DEG)]
@@ -226,7 +190,7 @@ def run(session: Session) -> Findings:
             "angles are a prediction.",
         ],
         {
-            "battery_cones.csv": records([record(cone) for cone in cones]),
+            "battery_cones.csv": records(cones),
             "battery_cones_samples.csv": Table.of("", ("x", "y", "z", "power_w"), points),
         },
         claims(cones, extra_w),

@@ -38,7 +38,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
-from scp_recon.results.table import Cell, Table
+from scp_recon.results.table import Cell, Column, Table
 from scp_recon.scenario.load import load_scenario
 
 Record = dict[str, Any]
@@ -250,6 +250,18 @@ def plan_or_default(solution: Path | None) -> Solution:
 def records(rows: Sequence[Record]) -> Table:
     """Rows of a CSV file with a column for each key of any of them."""
     return Table.of_records("", rows)
+
+
+def view(
+    title: str, rows: Sequence[Record], columns: Mapping[str, Column | str], note: str = ""
+) -> Table:
+    """Rows of a CSV file as people read them: some of its columns, under other headings."""
+    words = {True: "yes", False: "no"}
+    lines = [
+        [words[row[key]] if isinstance(row[key], bool) else row[key] for key in columns]
+        for row in rows
+    ]
+    return Table.of(title, columns.values(), lines, note=note)
 
 
 def run(name: str, study: Study, module: str, arguments: Sequence[str] | None = None) -> int:

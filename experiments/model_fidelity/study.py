@@ -25,6 +25,7 @@ from experiments.harness import (
     Study,
     plan_or_default,
     records,
+    view,
 )
 from experiments.model_fidelity.models import PLANNER, Choices, Flight, fly, passing, relapses
 from formulations.arrays import Array
@@ -179,23 +180,15 @@ def claims(entries: Sequence[Compared]) -> list[Claim]:
 
 def report(entries: Sequence[Compared]) -> list[str | Table]:
     """The tables, flight by flight."""
-    columns = (
-        "effect",
-        "model",
-        Column("at the end", "m", ".3g"),
-        Column("most in the window", "m", ".3g"),
-        "within the limit",
-    )
+    columns: dict[str, Column | str] = {
+        "effect": "effect",
+        "model": "model",
+        "terminal_m": Column("at the end", "m", ".3g"),
+        "window_max_m": Column("most in the window", "m", ".3g"),
+        "passes": "within the limit",
+    }
     tables = [
-        Table.of(
-            name.capitalize(),
-            columns,
-            [
-                (e.effect, e.model, e.terminal_m, e.window_m, "yes" if e.passes else "no")
-                for e in own
-            ],
-        )
-        for name, own in by_flight(entries).items()
+        view(name.capitalize(), table(own), columns) for name, own in by_flight(entries).items()
     ]
     return [
         *tables,

@@ -1,13 +1,13 @@
-"""A row of the observation-time table from its folder, or computed and left there."""
+"""Compute a row of the observation-time table in its folder, or take it up from there."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from experiments.observation_table.rows import Row
+from experiments.harness import Record
+from experiments.observation_table.rows import PRINTED_CLOSEST_M, PRINTED_WINDOW_S, Row
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
@@ -42,78 +42,16 @@ class RowSummary(Summary):
     counted_on_uniform_grid: Counted
 
 
-@dataclass(frozen=True)
-class Measured:
-    """A row with what its flights showed.
-
-    The window is its length, the time without uncertainty that of the plan itself; it is `reused` where
-    nothing had to be computed.
-    """
-
-    row: Row
-    solution: Solution
-    summary: RowSummary
-    window_s: float
-    without_uncertainty_s: float
-    reused: bool = False
-
-    @property
-    def mean(self) -> Estimate:
-        """Mean observation time, s."""
-        return self.summary.held_s[ALL].mean.estimate
-
-    @property
-    def worst_1_sigma(self) -> Estimate:
-        """Observation time that all but the worst 15.9 % of flights reach, s."""
-        return self.summary.held_s[ALL].worst_1_sigma.estimate
-
-    @property
-    def full_at_1_sigma(self) -> bool:
-        """Whether surely no more than 15.9 % of flights lose any of the window."""
-        return self.summary.held_s[ALL].throughout.estimate.low >= 1.0 - ONE_SIGMA
-
-    @property
-    def closest(self) -> Estimate:
-        """Distance from the body's centre at the 0.3 % quantile, m."""
-        return self.summary.closest_m.worst.estimate
-
-    @property
-    def lowest_joint(self) -> tuple[str, Estimate]:
-        """The least probable joint constraint at its least probable time."""
-        found = {k: p.estimate for k, p in self.summary.probability.items() if k != ALL}
-        name = min(found, key=lambda k: found[k].value)
-        return name, found[name]
-
-    @property
-    def all_at_once(self) -> Estimate:
-        """Probability that all observation constraints hold where it is smallest."""
-        return self.summary.probability[ALL].estimate
-
-    @property
-    def status(self) -> str:
-        """How the design ended, and whether it was verified."""
-        if self.solution.algorithm == NOT_OPTIMISED:
-            return "given, not optimised"
-        v = self.solution.verification
-        words = "" if v is None else ", verified" if v.ok else f", not verified: {v.failed}"
-        return f"{self.solution.problem} {self.solution.status}{words}"
-
-
-@dataclass(frozen=True)
-class Failed:
-    """A row that could not be computed, and why."""
-
-    row: Row
-    reason: str
-
-
 def run_row(
     row: Row, mission: Mission, folder: Path, *, samples: int, check: bool, fresh: bool = False
-) -> Measured:
+) -> tuple[Record, bool]:
     """Design the row's burns and fly them, as far as the folder does not hold that already.
 
     It gets the row's solution.json and montecarlo.json. With `check` a plan is verified independently
     of its solver; `fresh` forgets what is there.
+
+    Returns:
+        A row of the CSV, SI, and whether nothing had to be computed for it.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if fresh:  # a row that then fails leaves nothing that looks like its result
@@ -124,23 +62,77 @@ def run_row(
     if solution is None:
         solution = row.design(mission)
         if check and solution.algorithm != NOT_OPTIMISED:
-            found = verify(mission, solution)
-            solution = solution.with_verification(found)
+            solution = solution.with_verification(verify(mission, solution))
         solution.write(folder)
     summary = _stored_summary(folder, solution, samples)
     flown = summary is None
     if summary is None:
         summary = _fly(mission, solution, samples)
         summary.write(folder)
+    return _record(row, mission, solution, summary), not (designed or flown)
+
+
+def failed(row: Row, reason: str) -> Record:
+    """A row of the CSV without figures, and why it could not be computed."""
+    return _about(row, f"failed: {reason}") | _printed(row)
+
+
+def _record(row: Row, mission: Mission, solution: Solution, summary: RowSummary) -> Record:
     first, last = mission.schedule.window_s
-    return Measured(
-        row,
-        solution,
-        summary,
-        window_s=last - first,
-        without_uncertainty_s=_nominal_time(mission, solution),
-        reused=not (designed or flown),
-    )
+    held, counted = summary.held_s[ALL], summary.counted_on_uniform_grid
+    joint = {k: p.estimate for k, p in summary.probability.items() if k != ALL}
+    lowest = min(joint, key=lambda name: joint[name].value)
+    throughout = held.throughout.estimate
+    return {
+        **_about(row, _status(solution)),
+        "samples": summary.samples,
+        "window_s": last - first,
+        "without_uncertainty_s": _nominal_time(mission, solution),
+        **_ends("mean_s", held.mean.estimate),
+        **_ends("worst_1_sigma_s", held.worst_1_sigma.estimate),
+        # Surely no more than 15.9 % of flights lose any of the window.
+        "full_window_at_worst_1_sigma": throughout.low >= 1.0 - ONE_SIGMA,
+        **_ends("closest_0_3_percent_m", summary.closest_m.worst.estimate),
+        "total_dv_m_s": solution.total_dv_m_s,
+        **_ends("lowest_joint_probability", joint[lowest]),
+        "lowest_joint_constraint": lowest,
+        **_ends("lowest_probability_all_at_once", summary.probability[ALL].estimate),
+        "mean_on_uniform_grid_s": counted.mean_s,
+        "worst_1_sigma_on_uniform_grid_s": counted.worst_1_sigma_s,
+        **_printed(row),
+        "paper_closest_m": PRINTED_CLOSEST_M if row.role == "planned" else "",
+        "throughout": throughout.value,
+        "remark": solution.message if row.anew else "",
+        "burns_m_s": " ".join(f"{x:.9g}" for x in solution.burns_m_s.ravel()),
+    }
+
+
+def _about(row: Row, status: str) -> Record:
+    return {"row": row.key, "label": row.label, "role": row.role, "status": status}
+
+
+def _printed(row: Row) -> Record:
+    return {
+        "paper_row": row.printed.name,
+        "paper_without_uncertainty_s": PRINTED_WINDOW_S,
+        "paper_mean_s": row.printed.mean_s,
+        "paper_worst_1_sigma_s": row.printed.worst_1_sigma_s,
+    }
+
+
+def _ends(name: str, e: Estimate) -> Record:
+    """A value and its interval, whose ends may be missing."""
+    low, high = (end if np.isfinite(end) else "" for end in (e.low, e.high))
+    return {name: e.value, f"{name}_low": low, f"{name}_high": high}
+
+
+def _status(solution: Solution) -> str:
+    """How the design ended, and whether it was verified."""
+    if solution.algorithm == NOT_OPTIMISED:
+        return "given, not optimised"
+    v = solution.verification
+    words = "" if v is None else ", verified" if v.ok else f", not verified: {v.failed}"
+    return f"{solution.problem} {solution.status}{words}"
 
 
 def _stored_solution(folder: Path, mission: Mission, check: bool) -> Solution | None:

@@ -1,4 +1,4 @@
-"""The paper's table of observation times.
+"""Compute the paper's table of observation times.
 
 Every row's burns are designed and flown many times; solution.json and montecarlo.json are left in
 OUT/<row>/, the table in OUT/observation_table.csv and .md. A second run takes up what is there.
@@ -21,15 +21,15 @@ from experiments.observation_table.rows import (
     PRINTED_CLOSEST_M,
     PRINTED_WINDOW_S,
     WARM,
+    Printed,
     Row,
     read_states,
     rows,
 )
-from experiments.observation_table.runs import Failed, Measured, run_row
+from experiments.observation_table.runs import failed, run_row
 from scp_recon.cli.options import int_between
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate
-from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.estimates import CONFIDENCE
 from scp_recon.monte_carlo.summary import ONE_SIGMA
 from scp_recon.results.table import Column, Table, Value
 from scp_recon.scenario.load import load_scenario
@@ -42,71 +42,29 @@ TWO_RUNS = np.sqrt(2.0)
 SAME_BURNS_M_S = 1e-4
 """Largest difference of a component with which two designs count as one."""
 
-Entries = Sequence[Measured | Failed]
 MEAN, ONE, CLOSEST = "mean", "worst 1 sigma", "closest"
-VALUES: dict[str, Callable[[Measured], Estimate]] = {
-    MEAN: lambda m: m.mean,
-    ONE: lambda m: m.worst_1_sigma,
-    CLOSEST: lambda m: m.closest,
-}
+COLUMNS = {MEAN: "mean_s", ONE: "worst_1_sigma_s", CLOSEST: "closest_0_3_percent_m"}
+"""Of the CSV; the tables for people are views of its rows."""
+
+Rows = Sequence[Record]
 
 
-# --- the table ------------------------------------------------------------------------------------
+# --- the tables -----------------------------------------------------------------------------------
 
 
-def record(entry: Measured | Failed) -> Record:
-    """A row of the CSV, SI; a failed one has no figures."""
-    row = entry.row
-    printed: Record = {
-        "paper_row": row.printed.name,
-        "paper_without_uncertainty_s": PRINTED_WINDOW_S,
-        "paper_mean_s": row.printed.mean_s,
-        "paper_worst_1_sigma_s": row.printed.worst_1_sigma_s,
-    }
-    if isinstance(entry, Failed):
-        status = f"failed: {entry.reason}"
-        return {"row": row.key, "label": row.label, "status": status, **printed}
-    name, lowest = entry.lowest_joint
-    counted = entry.summary.counted_on_uniform_grid
-    return {
-        "row": row.key,
-        "label": row.label,
-        "status": entry.status,
-        "samples": entry.summary.samples,
-        "window_s": entry.window_s,
-        "without_uncertainty_s": entry.without_uncertainty_s,
-        **_ends("mean_s", entry.mean),
-        **_ends("worst_1_sigma_s", entry.worst_1_sigma),
-        "full_window_at_worst_1_sigma": str(entry.full_at_1_sigma).lower(),
-        **_ends("closest_0_3_percent_m", entry.closest),
-        "total_dv_m_s": entry.solution.total_dv_m_s,
-        **_ends("lowest_joint_probability", lowest),
-        "lowest_joint_constraint": name,
-        **_ends("lowest_probability_all_at_once", entry.all_at_once),
-        "mean_on_uniform_grid_s": counted.mean_s,
-        "worst_1_sigma_on_uniform_grid_s": counted.worst_1_sigma_s,
-        **printed,
-        "paper_closest_m": PRINTED_CLOSEST_M if row.role == "planned" else "",
-    }
+def computed(entries: Rows) -> list[Record]:
+    """Rows with figures: all but the failed ones."""
+    return [row for row in entries if "mean_s" in row]
 
 
-def _ends(name: str, e: Estimate) -> Record:
-    """A value and its interval, whose ends may be missing."""
-    return {
-        name: e.value,
-        f"{name}_low": e.low if e.low > -float("inf") else "",
-        f"{name}_high": e.high if e.high < float("inf") else "",
-    }
-
-
-def shown(e: Estimate, digits: int) -> str:
+def shown(row: Record, name: str, digits: int) -> str:
     """A value with its interval, if it has one."""
-    if e.low == -float("inf") or e.high == float("inf"):
-        return f"{e.value:.{digits}f}"
-    return f"{e.value:.{digits}f} ({e.low:.{digits}f} to {e.high:.{digits}f})"
+    value, low, high = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
+    interval = "" if "" in (low, high) else f" ({low:.{digits}f} to {high:.{digits}f})"
+    return f"{value:.{digits}f}{interval}"
 
 
-def observation_times(entries: Entries) -> Table:
+def observation_times(entries: Rows) -> Table:
     """The table as the paper lays it out."""
     columns = (
         Column("row"),
@@ -115,23 +73,21 @@ def observation_times(entries: Entries) -> Table:
         *(Column(heading, "s", ".0f") for heading in (MEAN, ONE)),
         *(Column(f"paper: {heading}", "s", ".0f") for heading in (MEAN, ONE)),
     )
-    lines: list[Sequence[Value]] = []
-    for entry in entries:
-        row = entry.row
-        printed = (row.printed.mean_s, row.printed.worst_1_sigma_s)
-        if isinstance(entry, Failed):
-            lines.append((row.label, f"failed: {entry.reason}", None, None, None, *printed))
-            continue
-        full = ", full window" if entry.full_at_1_sigma else ""
-        ours = (shown(entry.mean, 0), shown(entry.worst_1_sigma, 0) + full)
-        lines.append((row.label, entry.window_s, entry.without_uncertainty_s, *ours, *printed))
+    lines = []
+    for row in entries:
+        ours: tuple[Value, ...] = (row["status"], None, None, None)
+        if "mean_s" in row:
+            full = ", full window" if row["full_window_at_worst_1_sigma"] else ""
+            times = shown(row, "mean_s", 0), shown(row, "worst_1_sigma_s", 0) + full
+            ours = (row["window_s"], row["without_uncertainty_s"], *times)
+        lines.append((row["label"], *ours, row["paper_mean_s"], row["paper_worst_1_sigma_s"]))
     return Table.of("", columns, lines)
 
 
-def other_figures(measured: Sequence[Measured]) -> Table:
-    """What the paper's table does not have."""
+def other_figures(measured: Rows) -> Table:
+    """The figures that the paper's table does not have."""
     columns = (
-        Column("row"),
+        "row",
         Column("closest at 0.3 %", "m"),
         Column("total delta-v", "m/s", ".5f"),
         "lowest joint probability per node",
@@ -141,15 +97,16 @@ def other_figures(measured: Sequence[Measured]) -> Table:
     )
     lines = [
         (
-            m.row.label,
-            shown(m.closest, 1),
-            m.solution.total_dv_m_s,
-            f"{shown(m.lowest_joint[1], 4)}, {m.lowest_joint[0].replace('_', ' ')}",
-            shown(m.all_at_once, 4),
-            m.summary.counted_on_uniform_grid.mean_s,
-            m.status,
+            row["label"],
+            shown(row, "closest_0_3_percent_m", 1),
+            row["total_dv_m_s"],
+            f"{shown(row, 'lowest_joint_probability', 4)}, "
+            f"{row['lowest_joint_constraint'].replace('_', ' ')}",
+            shown(row, "lowest_probability_all_at_once", 4),
+            row["mean_on_uniform_grid_s"],
+            row["status"],
         )
-        for m in measured
+        for row in measured
     ]
     note = (
         "Closest approach: distance from the centre of mass, every 240 s at least, over the whole "
@@ -160,7 +117,7 @@ def other_figures(measured: Sequence[Measured]) -> Table:
     return Table.of("What the paper's table does not have", columns, lines, note=note)
 
 
-def differences(measured: Sequence[Measured]) -> Table:
+def differences(measured: Rows) -> Table:
     """Each row against the paper's that stands for it."""
     columns = (
         Column("row"),
@@ -170,13 +127,12 @@ def differences(measured: Sequence[Measured]) -> Table:
     )
     lines = [
         (
-            m.row.label,
-            m.row.printed.name,
-            round(m.mean.value) - m.row.printed.mean_s,
-            round(m.worst_1_sigma.value) - m.row.printed.worst_1_sigma_s,
-            m.solution.message if m.row.anew else "",
+            row["label"],
+            row["paper_row"],
+            *(round(row[name]) - row[f"paper_{name}"] for name in ("mean_s", "worst_1_sigma_s")),
+            row["remark"],
         )
-        for m in measured
+        for row in measured
     ]
     return Table.of("Each row against the paper", columns, lines)
 
@@ -184,9 +140,9 @@ def differences(measured: Sequence[Measured]) -> Table:
 # --- the paper's numbers --------------------------------------------------------------------------
 
 
-def numbers(measured: Sequence[Measured]) -> Table:
+def numbers(measured: Rows) -> Table:
     """Of every number in the paper's table: whether it is reproduced, and if not why not."""
-    by_key = {m.row.key: m for m in measured}
+    by_key = {row["row"]: row for row in measured}
     lines = _certain_numbers(measured) if measured else []
     flights = [by_key[key] for key in ("as_flown", "ballistic", "p3") if key in by_key]
     reason = (
@@ -194,7 +150,7 @@ def numbers(measured: Sequence[Measured]) -> Table:
         if "as_flown" in by_key
         else "neither surrogate is the flown trajectory, whose public kernel was not at hand"
     )
-    warm, cold = ([m for m in measured if m.row.printed is printed] for printed in (WARM, COLD))
+    warm, cold = (_standing_for(printed, measured) for printed in (WARM, COLD))
     for printed, chosen, why in (
         (OSIRIS_REX, flights, reason),
         (WARM, warm, _same_optimum(by_key)),
@@ -202,30 +158,32 @@ def numbers(measured: Sequence[Measured]) -> Table:
     ):
         lines.append(_number(printed.name, printed.mean_s, chosen, MEAN, why))
         lines.append(_number(printed.name, printed.worst_1_sigma_s, chosen, ONE, why))
-    planned = [m for m in measured if m.row.role == "planned"]
+    planned = [row for row in measured if row["role"] == "planned"]
     why = "the paper does not say of which start it is; of the OSIRIS-REx rows " + ", ".join(
-        f"{m.row.key} has {m.closest.value:.1f} m" for m in flights
+        f"{row['row']} has {row[COLUMNS[CLOSEST]]:.1f} m" for row in flights
     )
     name = "the solution trajectory at 0.3 %"
     lines.append(_number(name, PRINTED_CLOSEST_M, planned, CLOSEST, why))
-    samples = ", ".join(sorted({str(m.summary.samples) for m in measured})) or "no"
     note = (
         "Reproduced: equal to the printed digit, or within the interval of the difference of two runs "
-        f"of {samples} flights."
+        f"of {_samples(measured)} flights."
     )
-    columns = (
-        "number",
-        Column("printed", form="g"),
-        "ours",
-        "reproduced",
-        "why not",
-    )
+    columns = ("number", Column("printed", form="g"), "ours", "reproduced", "why not")
     return Table.of("The paper's numbers", columns, lines, note=note)
 
 
-def _certain_numbers(measured: Sequence[Measured]) -> list[Sequence[Value]]:
+def _standing_for(printed: Printed, measured: Rows) -> list[Record]:
+    return [row for row in measured if row["paper_row"] == printed.name]
+
+
+def _samples(measured: Rows) -> str:
+    return ", ".join(sorted({str(row["samples"]) for row in measured})) or "no"
+
+
+def _certain_numbers(measured: Rows) -> list[Sequence[Value]]:
     """The window, and the observation times without uncertainty."""
-    window, certain = measured[0].window_s, {m.row.key: m.without_uncertainty_s for m in measured}
+    window = measured[0]["window_s"]
+    certain = {row["row"]: row["without_uncertainty_s"] for row in measured}
     short = [f"{k} {v:.0f} s" for k, v in certain.items() if abs(v - PRINTED_WINDOW_S) > 1.0]
     same = abs(window - PRINTED_WINDOW_S) < 1.0
     return [
@@ -240,40 +198,36 @@ def _certain_numbers(measured: Sequence[Measured]) -> list[Sequence[Value]]:
     ]
 
 
-def _number(
-    name: str, printed: float, chosen: Sequence[Measured], what: str, why: str
-) -> Sequence[Value]:
+def _number(name: str, printed: float, chosen: Rows, what: str, why: str) -> Sequence[Value]:
     """A line of `numbers`."""
     unit = "m" if what == CLOSEST else "s"
-    values = {m.row.key: VALUES[what](m) for m in chosen}
-    agree = [key for key, e in values.items() if _agrees(e, printed)]
-    ours = ", ".join(f"{key} {e.value:.{unit == 'm':d}f}" for key, e in values.items())
+    agree = [row["row"] for row in chosen if _agrees(row, COLUMNS[what], printed)]
+    ours = ", ".join(f"{row['row']} {row[COLUMNS[what]]:.{unit == 'm':d}f}" for row in chosen)
     every = bool(chosen) and len(agree) == len(chosen)
     some = f"by {', '.join(agree)} alone" if agree else "no"
     reason = "" if every else why if chosen else "no row was computed for it"
     return f"{name}, {what}, {unit}", printed, ours, "yes" if every else some, reason
 
 
-def _agrees(e: Estimate, printed: float) -> bool:
+def _agrees(row: Record, name: str, printed: float) -> bool:
     """Equal within what two such runs may differ by, or to the printed digit."""
-    if abs(e.value - printed) < 0.5:
-        return True
-    side = e.high - e.value if printed > e.value else e.value - e.low
-    return bool(np.isfinite(side) and abs(e.value - printed) <= TWO_RUNS * side)
+    off = abs(row[name] - printed)
+    end = row[f"{name}_high" if printed > row[name] else f"{name}_low"]
+    return bool(off < 0.5 or (end != "" and off <= TWO_RUNS * abs(end - row[name])))
 
 
-def _same_optimum(by_key: dict[str, Measured]) -> str:
+def _same_optimum(by_key: dict[str, Record]) -> str:
     """How far apart the two starts end."""
-    pairs = [(f"{solver}_warm", f"{solver}_cold") for solver in ("scp", "ipopt")]
-    apart = [
-        (warm, np.abs(by_key[warm].solution.burns_m_s - by_key[cold].solution.burns_m_s).max())
-        for warm, cold in pairs
-        if warm in by_key and cold in by_key
-    ]
+    apart = {}
+    for solver in ("scp", "ipopt"):
+        pair = [by_key.get(f"{solver}_{start}") for start in ("warm", "cold")]
+        burns = [np.array(row["burns_m_s"].split(), dtype=float) for row in pair if row]
+        if len(burns) == len(pair):
+            apart[solver] = np.abs(burns[0] - burns[1]).max()
     if not apart:
         return "no pair of starts was computed to compare"
-    words = ", ".join(f"{1e3 * d:.3f} mm/s ({k.removesuffix('_warm')})" for k, d in apart)
-    same = max(d for _, d in apart) < SAME_BURNS_M_S
+    words = ", ".join(f"{1e3 * d:.3f} mm/s ({solver})" for solver, d in apart.items())
+    same = max(apart.values()) < SAME_BURNS_M_S
     so = (
         "both find the same design, and the warm row is as good as the cold one; in the paper they end "
         "apart"
@@ -283,10 +237,10 @@ def _same_optimum(by_key: dict[str, Measured]) -> str:
     return f"the burns of the two starts differ by at most {words} a component: {so}"
 
 
-def _open_readings(rows: Sequence[Measured]) -> str:
+def _open_readings(rows: Rows) -> str:
     """What the paper leaves open, and what of it was measured not to be the cause."""
-    shifts = [m.summary.counted_on_uniform_grid.mean_s - m.mean.value for m in rows]
-    gaps = [COLD.mean_s - m.mean.value for m in rows]
+    shifts = [row["mean_on_uniform_grid_s"] - row["mean_s"] for row in rows]
+    gaps = [COLD.mean_s - row["mean_s"] for row in rows]
     moved, gap = (
         " and ".join(dict.fromkeys(f"{s:+.0f} s" for s in values)) for values in (shifts, gaps)
     )
@@ -297,36 +251,37 @@ def _open_readings(rows: Sequence[Measured]) -> str:
     )
 
 
-# --- what it is to show ---------------------------------------------------------------------------
-
-
-def claims(entries: Entries) -> list[Claim]:
+def claims(entries: Rows) -> list[Claim]:
     """Planned rows above the OSIRIS-REx rows, and a full window at worst 1 sigma from a cold start."""
-    measured = [e for e in entries if isinstance(e, Measured)]
-    planned = [m for m in measured if m.row.role == "planned"]
-    reference = [m for m in measured if m.row.role == "reference"]
+    measured = computed(entries)
+    planned, reference = (
+        [row for row in measured if row["role"] == role] for role in ("planned", "reference")
+    )
     found = [_order(what, planned, reference) for what in (MEAN, ONE) if planned and reference]
-    for m in planned:
-        if m.row.printed is COLD:
-            share = m.summary.held_s[ALL].throughout.estimate.value
-            threshold = f"{100 * (1.0 - ONE_SIGMA):.1f} % of flights observe throughout"
-            words = f"{m.row.label}: full window at worst 1 sigma"
-            found.append(Claim(words, threshold, f"{100 * share:.1f} %", m.full_at_1_sigma))
+    threshold = f"{100 * (1.0 - ONE_SIGMA):.1f} % of flights observe throughout"
+    for row in _standing_for(COLD, planned):
+        words = f"{row['label']}: full window at worst 1 sigma"
+        share, holds = f"{100 * row['throughout']:.1f} %", row["full_window_at_worst_1_sigma"]
+        found.append(Claim(words, threshold, share, holds))
     return found
 
 
-def _order(what: str, planned: Sequence[Measured], reference: Sequence[Measured]) -> Claim:
-    least = min(planned, key=lambda m: VALUES[what](m).value)
-    most = max(reference, key=lambda m: VALUES[what](m).value)
-    low, high = VALUES[what](least), VALUES[what](most)
+def _order(what: str, planned: Rows, reference: Rows) -> Claim:
+    name = COLUMNS[what]
+    least = min(planned, key=lambda row: row[name])
+    most = max(reference, key=lambda row: row[name])
+    low, high = least[name], most[name]
     # Every row flies the same draws, so that the values are surer of their order than the intervals.
-    apart = "apart" if low.low > high.high else "overlapping"
+    apart = "apart" if least[f"{name}_low"] > most[f"{name}_high"] else "overlapping"
     return Claim(
         f"{what} of every planned row above every OSIRIS-REx row",
-        f"highest OSIRIS-REx row {most.row.key} with {high.value:.0f} s",
-        f"lowest planned {least.row.key} with {low.value:.0f} s, intervals {apart}",
-        bool(low.value > high.value),
+        f"highest OSIRIS-REx row {most['row']} with {high:.0f} s",
+        f"lowest planned {least['row']} with {low:.0f} s, intervals {apart}",
+        bool(low > high),
     )
+
+
+# --- the study ------------------------------------------------------------------------------------
 
 
 def measure(
@@ -335,42 +290,34 @@ def measure(
     out: Path,
     *,
     samples: int,
-    check: bool,
-    fresh: bool,
-    tell: Callable[[str], None],
-) -> list[Measured | Failed]:
+    check: bool = False,
+    fresh: bool = False,
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[Record]:
     """All rows, one after the other; what goes wrong in one does not keep the others from running."""
-    entries: list[Measured | Failed] = []
+    entries = []
     for row in table_rows:
         started, folder = perf_counter(), out / row.key
         try:
             anew = fresh or row.began_elsewhere(folder)
-            entry: Measured | Failed = run_row(
-                row, mission, folder, samples=samples, check=check, fresh=anew
+            found, reused = run_row(row, mission, folder, samples=samples, check=check, fresh=anew)
+            took = "taken up" if reused else f"{perf_counter() - started:.1f} s"
+            said = (
+                f"{found['total_dv_m_s']:.5f} m/s, observes {shown(found, 'mean_s', 0)} s, worst 1 "
+                f"sigma {found['worst_1_sigma_s']:.0f} s; {found['status']}; {took}"
             )
         except Exception as error:  # a solver's, a file system's: the row says which
-            entry = Failed(row, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
-        entries.append(entry)
-        tell(_progress(entry, perf_counter() - started))
+            found = failed(row, f"{type(error).__name__}: {' '.join(str(error).split())[:200]}")
+            said = found["status"]
+        entries.append(found)
+        tell(f"{row.key:12} {said}")
     return entries
 
 
-def _progress(entry: Measured | Failed, seconds: float) -> str:
-    if isinstance(entry, Failed):
-        return f"{entry.row.key:12} failed: {entry.reason}"
-    source = "taken up" if entry.reused else f"{seconds:.1f} s"
-    return (
-        f"{entry.row.key:12} {entry.solution.total_dv_m_s:.5f} m/s, observes "
-        f"{shown(entry.mean, 0)} s, worst 1 sigma {entry.worst_1_sigma.value:.0f} s; "
-        f"{entry.status}; {source}"
-    )
-
-
-def report(entries: Entries) -> list[str | Table]:
+def report(entries: Rows) -> list[str | Table]:
     """The table as the paper lays it out, what it does not have, and the comparison."""
-    measured = [entry for entry in entries if isinstance(entry, Measured)]
-    samples = ", ".join(sorted({str(m.summary.samples) for m in measured})) or "no"
-    lost = [f"{e.row.label}: not computed ({e.reason})." for e in entries if isinstance(e, Failed)]
+    measured = computed(entries)
+    samples = _samples(measured)
     return [
         f"{samples} flights a row with errors of the burns by component and the planner's dynamics; "
         f"in brackets the {100 * CONFIDENCE:.0f} % confidence interval. Observation time is the time "
@@ -378,7 +325,6 @@ def report(entries: Entries) -> list[str | Table]:
         'crossings bisected to 0.02 s and tallied in bins of 0.5 s. "Worst 1 sigma" is '
         "reached by all but 15.9 % of the flights.",
         observation_times(entries),
-        *lost,
         other_figures(measured),
         differences(measured),
         numbers(measured),
@@ -402,9 +348,9 @@ def run(session: Session) -> Findings:
         fresh=options.fresh,
         tell=session.say,
     )
-    status = ROW_FAILED if any(isinstance(entry, Failed) for entry in entries) else 0
-    table = records([record(entry) for entry in entries])
-    return Findings(report(entries), {"observation_table.csv": table}, claims(entries), status)
+    status = 0 if len(computed(entries)) == len(entries) else ROW_FAILED
+    files = {"observation_table.csv": records(entries)}
+    return Findings(report(entries), files, claims(entries), status)
 
 
 STUDY = Study(

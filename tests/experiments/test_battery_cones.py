@@ -14,11 +14,11 @@ from experiments.battery_cones import (
     RADIUS_M,
     SAMPLES,
     TOLERANCE_DEG,
-    Cone,
     find_cones,
     mode_loads,
     sample,
 )
+from experiments.harness import Record
 from experiments.model_fidelity.models import Plates
 from scp_recon.physics.forces import SPEED_OF_LIGHT_M_S
 from scp_recon.scenario.load import load_scenario
@@ -48,7 +48,7 @@ def panels(scenario: Scenario, vehicle: Vehicle) -> SolarArray:
 
 
 @pytest.fixture(scope="module")
-def cones(scenario: Scenario, vehicle: Vehicle, panels: SolarArray) -> list[Cone]:
+def cones(scenario: Scenario, vehicle: Vehicle, panels: SolarArray) -> list[Record]:
     samples = sample(panels, SAMPLES, 0, scenario.body.reference_radius_m)
     return find_cones(panels, samples, mode_loads(vehicle, scenario), vehicle.loads.housekeeping_w)
 
@@ -84,41 +84,46 @@ def test_light_pushes_the_vehicle_as_its_areas_say(scenario: Scenario, vehicle: 
 # --- the cones ------------------------------------------------------------------------------------
 
 
-def test_calibrated_cones_are_the_papers(cones: list[Cone]) -> None:
-    found = {cone.load.mode: cone for cone in cones if cone.calibrated}
-    assert found["delta-V, warm-up"].half_angle_deg == pytest.approx(23.3, abs=TOLERANCE_DEG)
-    assert found["observation"].half_angle_deg == pytest.approx(18.2, abs=TOLERANCE_DEG)
+def test_calibrated_cones_are_the_papers(cones: list[Record]) -> None:
+    found = {cone["mode"]: cone["half_angle_deg"] for cone in cones if cone["calibrated"]}
+    assert found["delta-V, warm-up"] == pytest.approx(23.3, abs=TOLERANCE_DEG)
+    assert found["observation"] == pytest.approx(18.2, abs=TOLERANCE_DEG)
 
 
-def test_uncalibrated_cones_are_what_the_panels_give(cones: list[Cone], panels: SolarArray) -> None:
+def test_uncalibrated_cones_are_what_the_panels_give(
+    cones: list[Record], panels: SolarArray
+) -> None:
     most = np.linalg.norm(panels.best_direction())
-    plain = [cone for cone in cones if not cone.calibrated]
-    assert [cone.load.power_w for cone in plain] == [115.0, 90.0]
+    plain = [cone for cone in cones if not cone["calibrated"]]
+    assert [cone["load_w"] for cone in plain] == [115.0, 90.0]
     for cone in plain:
-        assert np.sin(np.deg2rad(cone.half_angle_deg)) * most == pytest.approx(cone.load.power_w)
+        assert np.sin(np.deg2rad(cone["half_angle_deg"])) * most == pytest.approx(cone["load_w"])
 
 
-def test_samples_bracket_the_half_angles(cones: list[Cone]) -> None:
+def test_samples_bracket_the_half_angles(cones: list[Record]) -> None:
     for cone in cones:
-        assert cone.inside_deg <= cone.half_angle_deg <= cone.outside_deg
-        assert cone.outside_deg - cone.inside_deg < 0.2
-        solid_angle = 1.0 - np.cos(np.deg2rad(cone.half_angle_deg))
+        inside, outside = (cone[f"sampled_{end}_deg"] for end in ("below_up_to", "met_from"))
+        assert inside <= cone["half_angle_deg"] <= outside < inside + 0.2
+        solid_angle = 1.0 - np.cos(np.deg2rad(cone["half_angle_deg"]))
         # Five standard deviations, as a wrong share would miss by more.
         spread = np.sqrt(solid_angle * (1.0 - solid_angle) / SAMPLES)
-        assert cone.fraction.value == pytest.approx(solid_angle, abs=5.0 * spread)
-        assert cone.fraction.low < cone.fraction.value < cone.fraction.high
+        assert cone["fraction_of_sphere"] == pytest.approx(solid_angle)
+        value, low, high = (cone[f"sampled_fraction{end}"] for end in ("", "_low", "_high"))
+        assert value == pytest.approx(solid_angle, abs=5.0 * spread)
+        assert low < value < high
 
 
-def test_the_shadow_lies_inside_both_cones(scenario: Scenario, cones: list[Cone]) -> None:
+def test_the_shadow_lies_inside_both_cones(scenario: Scenario, cones: list[Record]) -> None:
     shadow = np.rad2deg(np.arcsin(scenario.body.reference_radius_m / RADIUS_M))
-    assert shadow < min(cone.half_angle_deg for cone in cones)
+    assert shadow < min(cone["half_angle_deg"] for cone in cones)
 
 
 def test_panels_too_small_for_a_load_never_meet_it(scenario: Scenario, vehicle: Vehicle) -> None:
     weak = SolarArray.of(vehicle, 0.2 * irradiance(scenario))
     found = find_cones(weak, sample(weak, 500, 0, 0.0), mode_loads(vehicle, scenario), 0.0)
-    assert all(cone.half_angle_deg == pytest.approx(90.0) for cone in found)
-    assert all(cone.fraction.value == 1.0 for cone in found)
+    for cone in found:
+        assert cone["half_angle_deg"] == pytest.approx(90.0)
+        assert cone["sampled_fraction"] == 1.0
 
 
 # --- the command ----------------------------------------------------------------------------------
@@ -126,20 +131,7 @@ def test_panels_too_small_for_a_load_never_meet_it(scenario: Scenario, vehicle: 
 
 def test_the_command_writes_the_same_tables_for_the_same_seed(tmp_path: Path) -> None:
     for folder in ("first", "second"):
-        assert (
-            main(
-                [
-                    "battery_cones",
-                    "--samples",
-                    "500",
-                    "--seed",
-                    "7",
-                    "--out",
-                    str(tmp_path / folder),
-                ]
-            )
-            == 0
-        )
+        assert study("--samples", "500", "--seed", "7", "--out", str(tmp_path / folder)) == 0
     written = sorted((tmp_path / "first").iterdir())
     assert len(written) == 3
     for path in written:

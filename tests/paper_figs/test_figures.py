@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from experiments.harness import records
 from experiments.observation_table.rows import rows
-from experiments.observation_table.study import measure, record
+from experiments.observation_table.study import measure
 from paper_figs import __main__ as command_line
 from paper_figs import inputs
 from paper_figs.__main__ import PICTURES, main, make_all, plan_hash_of
@@ -48,10 +48,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs")
     needed = [row for row in rows(ipopt=False) if row.key in (PLAN, SURROGATE)]
     mission = Mission.from_scenario(load_scenario())
-    entries = measure(
-        mission, needed, out, samples=SAMPLES, check=False, fresh=False, tell=lambda _: None
-    )
-    table = records([record(entry) for entry in entries])
+    mission = Mission.from_scenario(load_scenario())
+    table = records(measure(mission, needed, out, samples=SAMPLES))
     (out / TABLE).write_text(table.csv(), encoding="utf-8")
     return out
 
