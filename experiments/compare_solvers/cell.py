@@ -35,7 +35,7 @@ from scp_recon.planning.planner import (
 from scp_recon.planning.stages import RowsSolver, StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import SCvx
-from scp_recon.scp.loop import Record, State, Timing, record_of_trial, trial_step
+from scp_recon.scp.loop import Record, State, Timing, record_of, trial_step
 from scp_recon.scp.status import Status
 
 FAILED = "failed"
@@ -285,7 +285,7 @@ class Unguarded:
         """Linearise, solve, fly."""
         trial = trial_step(subproblem, dynamics, state, state.radius, timing, float("inf"))
         new = State(trial.lin, trial.merit, state.radius, state.charge)
-        return new, record_of_trial(subproblem, state, new, k, trial)
+        return new, record_of(subproblem, state, new, k, trial)
 
     def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:  # noqa: ARG002 -- of the protocol
         """Stop where the convex program has no feasible point, or the burns stand still.

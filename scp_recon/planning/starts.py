@@ -114,11 +114,21 @@ def local_optima(plans: list[Plan]) -> tuple[Optimum, ...]:
                     break
             else:
                 groups.append((stage, [number]))
-    speed = plans[0].mission.units.speed_m_s
-    optima = [_optimum(stage, speed, numbers) for stage, numbers in groups]
-    return tuple(
-        sorted(optima, key=lambda o: (o.problem == "P2", o.status != "converged", o.total_dv_m_s))
-    )
+    speed_m_s = plans[0].mission.units.speed_m_s
+    optima = []
+    for stage, numbers in groups:
+        iterate = stage.result.lin.iterate
+        optima.append(
+            Optimum(
+                problem=stage.problem,
+                status=stage.result.status.value.name,
+                total_dv_m_s=iterate.total_dv * speed_m_s,
+                burns_m_s=tuple((x, y, z) for x, y, z in (iterate.burns * speed_m_s).tolist()),
+                starts=tuple(numbers),
+            )
+        )
+    optima.sort(key=lambda o: (o.problem == "P2", o.status != "converged", o.total_dv_m_s))
+    return tuple(optima)
 
 
 def _ends(plan: Plan) -> list[Stage]:
@@ -126,14 +136,3 @@ def _ends(plan: Plan) -> list[Stage]:
     if plan.final.problem == "P2":
         ends.append(plan.final)
     return [s for s in ends if s.result.status in (Status.CONVERGED, Status.INFEASIBLE)]
-
-
-def _optimum(stage: Stage, speed_m_s: float, numbers: list[int]) -> Optimum:
-    iterate = stage.result.lin.iterate
-    return Optimum(
-        problem=stage.problem,
-        status=stage.result.status.value.name,
-        total_dv_m_s=iterate.total_dv * speed_m_s,
-        burns_m_s=tuple((x, y, z) for x, y, z in (iterate.burns * speed_m_s).tolist()),
-        starts=tuple(numbers),
-    )

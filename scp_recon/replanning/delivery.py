@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from numbers import Real
 
 import numpy as np
@@ -111,10 +111,6 @@ class Delivery:
             covariance_frame=one_of(option("covariance_frame"), axes, (*FRAMES, "rtn")),
             measured={n: numbers(MEASURED, burn, (3,)) for n, burn in burns.items()},
         )
-
-    def measured_in(self, axes: Array) -> Delivery:
-        """The same with measured burns in J2000, whose axes from the frame's are given, (3, 3)."""
-        return replace(self, measured={n: axes @ burn for n, burn in self.measured.items()})
 
     def burns_flown(self, scenario: Scenario, planned: Array) -> list[list[float]]:
         """Every burn of the flight so far, m/s: measured, or as planned, of a plan's burns (m, 3).

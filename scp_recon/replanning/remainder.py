@@ -36,7 +36,9 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
         InputError: naming the entry, what was given and what is allowed.
     """
     before = flown.mission.scenario
-    delivery = delivery.measured_in(flown.mission.scene.axes(delivery.frame))
+    axes = flown.mission.scene.axes(delivery.frame)
+    in_j2000 = {number: axes @ burn for number, burn in delivery.measured.items()}
+    delivery = replace(delivery, measured=in_j2000)
     at = delivery.at_s
     if at < before.start_s:
         raise InputError(

@@ -21,7 +21,6 @@ from scp_recon.scp.loop import (
     Timing,
     Trial,
     record_of,
-    record_of_trial,
     trial_step,
 )
 from scp_recon.scp.status import Status
@@ -132,13 +131,13 @@ class ExactPenalty:
             new = State(trial.lin, trial.merit, radius, state.charge)
         else:
             new = replace(state, radius=radius, failures=0)
-        return new, record_of_trial(subproblem, state, new, k, trial)
+        return new, record_of(subproblem, state, new, k, trial)
 
     def _failed(
         self, subproblem: Subproblem, state: State, k: int, words: str
     ) -> tuple[State, Record]:
         """A smaller trust region is a better conditioned problem."""
-        record = record_of(subproblem, state, k, failure=words)
+        record = record_of(subproblem, state, state, k, failure=words)
         smaller = state.radius * self.SHRINK
         failures = state.failures + 1
         return replace(state, radius=smaller, failures=failures, worthless=False), record

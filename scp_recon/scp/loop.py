@@ -252,36 +252,28 @@ def _otherwise(subproblem: Subproblem, lin: Linearisation) -> Iterator[Linearisa
             )
 
 
-def record_of(subproblem: Subproblem, state: State, k: int, failure: str = "") -> Record:
-    """The record of an iteration that went nowhere: what it ends with is what it began with."""
-    violations = dict(subproblem.merit.violations(state.lin))
+def record_of(
+    subproblem: Subproblem,
+    before: State,
+    after: State,
+    k: int,
+    trial: Trial | None = None,
+    failure: str = "",
+) -> Record:
+    """The record of an iteration that led from a state to another by a trial step, if there was one."""
+    violations = dict(subproblem.merit.violations(after.lin))
     defect = float(violations.pop("dynamics").max())
     return Record(
         k=k,
-        merit=state.merit,
-        predicted=0.0,
-        actual=0.0,
-        accepted=False,
-        trust_radius=state.radius,
-        total_dv=state.lin.iterate.total_dv,
+        merit=after.merit,
+        predicted=trial.predicted if trial else 0.0,
+        actual=trial.actual if trial else 0.0,
+        accepted=trial is not None and after.lin is trial.lin,
+        trust_radius=before.radius,
+        total_dv=after.lin.iterate.total_dv,
         max_violation=max(float(v.max(initial=0.0)) for v in violations.values()),
         max_defect=defect,
-        step=0.0,
-        solver_s=0.0,
+        step=trial.step if trial else 0.0,
+        solver_s=trial.answer.solver_s if trial else 0.0,
         failure=failure,
-    )
-
-
-def record_of_trial(
-    subproblem: Subproblem, before: State, after: State, k: int, trial: Trial
-) -> Record:
-    """The record of an iteration that led from a state to another, accepted if it moved."""
-    return replace(
-        record_of(subproblem, after, k),
-        predicted=trial.predicted,
-        actual=trial.actual,
-        accepted=after.lin is trial.lin,
-        trust_radius=before.radius,
-        step=trial.step,
-        solver_s=trial.answer.solver_s,
     )

@@ -1,4 +1,4 @@
-"""A plan's conic programs are CVXPY's and nobody else's, and it is the plan that it was before."""
+"""A plan's conic programs are CVXPY's and nobody else's."""
 
 from __future__ import annotations
 
@@ -13,19 +13,17 @@ import scipy.sparse as sp
 from cvxpy.reductions.dcp2cone.cone_matrix_stuffing import ParamConeProg
 
 from formulations.arrays import Array
-from formulations.problem.flyby import Iterate
 from formulations.program import condensed, solvers
 from formulations.program.certificate import ConeProgram
 from formulations.program.model import CompiledProgram
 from formulations.program.solvers import Answer, Clarabel, Qoco
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import Plan, Planner, plan
-from scp_recon.planning.stages import StageRunner
+from scp_recon.planning.planner import plan
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
-from tests.scp_recon.support import burns_of, mission_of
+from tests.scp_recon.support import mission_of
 
 
 @dataclass
@@ -171,52 +169,3 @@ def test_what_bypasses_cvxpy_is_found_out(
     else:
         with pytest.raises(AssertionError):
             assert_cvxpys_own(seen)
-
-
-# --- what the program written by hand gave ------------------------------------------------------
-
-P3_BURNS = [
-    [-0.008026611820353519, 0.04499324322378208, 0.009092263986553224],
-    [-0.0068581524460937585, 0.021316183348748362, 0.002378599478404889],
-    [-5.1803342333503347e-11, -2.884368912427589e-11, 7.09732234908381e-11],
-    [-0.012408687520831577, 0.03537579135020477, -0.009215525451088261],
-]
-"""Of the cold start, m/s."""
-
-P2_BURNS = [
-    [-0.009414291323891067, 0.044802063684718764, 0.018887227478029196],
-    [-0.006520966340195543, 0.026469655495644586, -0.007339327663544733],
-    [-0.006476464623993648, 0.005802009911753257, -0.021997629561842508],
-    [-0.00872011644193065, 0.035159995545235224, 0.013691232505604573],
-]
-"""From there, with Clarabel's tolerances at 1e-11, m/s; at 1e-9 its own burns are 2e-7 m/s away."""
-
-P2_DV, PLAN_DV = 0.14013527592, 0.14013527592
-"""Total delta-v, m/s: of P2 from there, and of the whole cold plan."""
-
-
-def p2_from_there(mission: Mission) -> Iterate:
-    lin = mission.dynamics.linearise(
-        mission.problem, initial_guess.from_burns(mission, np.array(P3_BURNS))
-    )
-    stage = StageRunner(mission, Planner(mission))._with_facets("P2", lin)
-    assert stage.result.status is Status.CONVERGED
-    return stage.result.lin.iterate
-
-
-def test_p2_from_the_old_solution_of_p3_has_the_burns_it_had(
-    mission: Mission, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    at_default = p2_from_there(mission)
-    speed = mission.units.speed_m_s
-    assert at_default.total_dv * speed == pytest.approx(P2_DV, abs=1e-9)
-    # In its flat minimum they are known to 2e-7 m/s only, unless the solver is more accurate.
-    monkeypatch.setattr(solvers, "TOLERANCE", 1e-11)
-    found = p2_from_there(mission)
-    assert burns_of(mission, found.burns) == pytest.approx(np.array(P2_BURNS), abs=1e-7)
-    assert found.total_dv * speed == pytest.approx(P2_DV, abs=1e-9)
-
-
-def test_the_cold_plan_costs_what_it_did(mission: Mission, default_plan: Plan) -> None:
-    found = default_plan.final.result.lin.iterate.total_dv * mission.units.speed_m_s
-    assert found == pytest.approx(PLAN_DV, abs=1e-6)

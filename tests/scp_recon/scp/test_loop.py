@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 
-from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from formulations.program.condensed import CondensedSubproblem
@@ -22,8 +20,6 @@ from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, run
 from scp_recon.scp.status import Status
 from tests.scp_recon.support import mission_of
-
-Solve = Callable[[CondensedSubproblem, float, float], Step]
 
 
 def ignore(_: Record) -> None:
@@ -58,14 +54,6 @@ def some_plan(request: pytest.FixtureRequest) -> Plan:
     name = "default_plan" if request.param == "default" else "infeasible"
     found: Plan = request.getfixturevalue(name)
     return found
-
-
-def inject(monkeypatch: pytest.MonkeyPatch, solve: Solve) -> None:
-    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
-
-
-def reference(subproblem: CondensedSubproblem) -> Array:
-    return np.asarray(subproblem._at.iterate.burns)
 
 
 # --- what every run must do ---------------------------------------------------------------------
@@ -120,15 +108,12 @@ def test_p2_ends_superlinearly(default_plan: Plan) -> None:
 # --- every status -------------------------------------------------------------------------------
 
 
-def test_converged_is_feasible_and_stationary(optimum: Result) -> None:
-    assert optimum.status is Status.CONVERGED
+def test_a_converged_run_has_no_better_neighbour(mission: Mission, optimum: Result) -> None:
+    """It is feasible, and random steps that keep the final state do not lower the exact merit."""
     last = optimum.records[-1]
+    assert optimum.status is Status.CONVERGED
     assert max(last.max_violation, last.max_defect) <= SCvx.feasible
     assert last.predicted <= SCvx.stationary * max(1.0, last.merit)
-
-
-def test_a_converged_run_has_no_better_neighbour(mission: Mission, optimum: Result) -> None:
-    """Random steps that keep the final state do not lower the exact merit."""
     subproblem = make_subproblem(mission.problem, DeterministicRows(mission.problem), "condensed")
     weight = SCvx.weight
     best = subproblem.merit(optimum.lin, weight)
@@ -152,13 +137,6 @@ def test_infeasible_is_told_with_the_least_violation(infeasible: Plan) -> None:
     assert np.abs(result.lin.defects).max() < 1e-6
 
 
-def test_iteration_limit(p3: Subproblem, cold: Linearisation, mission: Mission) -> None:
-    for limit in (1, 3):
-        result = run(p3, mission.dynamics, cold, SCvx(max_iterations=limit), ignore)
-        assert result.status is Status.MAX_ITERATIONS
-        assert len(result.records) == limit
-
-
 @pytest.mark.parametrize("failing", [{1}, {2, 3, 4}])
 def test_a_solver_that_fails_now_and_then_is_survived(
     p3: Subproblem,
@@ -167,7 +145,7 @@ def test_a_solver_that_fails_now_and_then_is_survived(
     monkeypatch: pytest.MonkeyPatch,
     failing: set[int],
 ) -> None:
-    calls: Iterator[int] = iter(range(1, 100))
+    calls = itertools.count(1)
     original = CondensedSubproblem.solve
 
     def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:
@@ -175,7 +153,7 @@ def test_a_solver_that_fails_now_and_then_is_survived(
             raise SubproblemError("just this once")
         return original(self, radius, weight)
 
-    inject(monkeypatch, solve)
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
     result = run(p3, mission.dynamics, cold, SCvx(), ignore)
     assert result.status is Status.CONVERGED
     assert {record.k for record in result.records if record.failure} == failing
@@ -190,45 +168,43 @@ def test_a_promise_never_kept_stalls(
     merit = p3.merit(optimum.lin, SCvx.weight)
 
     def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
-        return Step(reference(self) + radius, merit - 1.0, 0.0, 0.0)
+        return Step(self._at.iterate.burns + radius, merit - 1.0, 0.0, 0.0)
 
-    inject(monkeypatch, solve)
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
     result = run(p3, mission.dynamics, optimum.lin, SCvx(), ignore)
     assert result.status is Status.STALLED
     assert result.lin is optimum.lin
     assert not any(record.accepted for record in result.records)
 
 
-def test_interrupted_with_the_best_iterate_so_far(
-    p3: Subproblem, cold: Linearisation, mission: Mission
+@pytest.mark.parametrize("within", [False, True])
+def test_a_limit_or_an_interrupt_keeps_the_last_whole_iteration(
+    p3: Subproblem,
+    cold: Linearisation,
+    mission: Mission,
+    monkeypatch: pytest.MonkeyPatch,
+    within: bool,
 ) -> None:
-    def ctrl_c(record: Record) -> None:
-        if record.k == 3:
-            raise KeyboardInterrupt
-
-    result = run(p3, mission.dynamics, cold, SCvx(), ctrl_c)
-    assert result.status is Status.INTERRUPTED
-    assert len(result.records) == 3
-    merits = [record.merit for record in result.records]
-    assert p3.merit(result.lin, SCvx.weight) == pytest.approx(min(merits))
-
-
-def test_interrupted_within_an_iteration_keeps_the_last_whole_one(
-    p3: Subproblem, cold: Linearisation, mission: Mission, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls: Iterator[int] = iter(range(1, 100))
-    original = CondensedSubproblem.solve
+    limited = run(p3, mission.dynamics, cold, SCvx(max_iterations=3), ignore)
+    original, calls = CondensedSubproblem.solve, itertools.count(1)
 
     def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:
-        if next(calls) == 4:
+        if next(calls) == 4 and within:
             raise KeyboardInterrupt
         return original(self, radius, weight)
 
-    inject(monkeypatch, solve)
-    result = run(p3, mission.dynamics, cold, SCvx(), ignore)
-    assert result.status is Status.INTERRUPTED
-    assert len(result.records) == 3
-    assert result.lin.iterate.total_dv == pytest.approx(result.records[-1].total_dv)
+    def ctrl_c(record: Record) -> None:
+        if record.k == 3 and not within:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+    result = run(p3, mission.dynamics, cold, SCvx(), ctrl_c)
+    assert (limited.status, result.status) == (Status.MAX_ITERATIONS, Status.INTERRUPTED)
+    for found in (limited, result):
+        assert len(found.records) == 3
+        merits = [record.merit for record in found.records]
+        assert p3.merit(found.lin, SCvx.weight) == pytest.approx(min(merits))
+        assert found.lin.iterate.total_dv == pytest.approx(found.records[-1].total_dv)
 
 
 # --- no claim without proof ---------------------------------------------------------------------
@@ -251,9 +227,9 @@ def test_an_inaccurate_answer_proves_no_stationarity(
     merit = p3.merit(start, SCvx.weight)
 
     def solve(self: CondensedSubproblem, radius: float, weight: float) -> Step:  # noqa: ARG001
-        return Step(reference(self) + 0.0, merit + 0.1, 0.0, 0.0)
+        return Step(self._at.iterate.burns + 0.0, merit + 0.1, 0.0, 0.0)
 
-    inject(monkeypatch, solve)
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
     result = run(p3, mission.dynamics, start, SCvx(), ignore)
     assert result.status is not Status.CONVERGED
 
