@@ -17,8 +17,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from scp_recon.__main__ import COMMANDS, command
 from scp_recon.cli.command import EXIT_STATUSES, SCRIPT, add_output_options
+from scp_recon.cli.commands import COMMANDS
 from scp_recon.files import write_atomically
 from scp_recon.mission import grid
 from scp_recon.mission.checks import checks
@@ -52,8 +52,8 @@ def commands_page() -> str:
         "## Options of every command",
         table(("option", "means"), _options(shared)),
     ]
-    for name in COMMANDS:
-        parser = command(name).parser()
+    for name, command in COMMANDS.items():
+        parser = command.parser()
         parts += [f"## {name}", str(parser.description)]
         parts.append(table(("argument or option", "means"), _options(parser)))
     return _page(parts)

@@ -27,8 +27,7 @@ import numpy as np
 import pytest
 
 from scp_recon.campaigns.study import Study
-from scp_recon.cli.commands.planning import solve
-from scp_recon.cli.commands.plans import export
+from scp_recon.cli.commands import export, solve
 from scp_recon.mission.mission import Mission
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario

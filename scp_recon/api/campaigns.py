@@ -63,9 +63,11 @@ def campaign(
     Args:
         study: a file, or its tables, with files relative to the current folder.
         out: folder for the results.
-        workers: processes; 0 runs the cases in this one, where none can be ended. One by default.
-        scheduler: address of a Dask cluster's, in their place.
-        yes: whether more than 100,000 cases are meant.
+        workers: processes for the cases; 0 runs them in this one, where none can be ended that takes
+            too long or too much memory (default: 1).
+        scheduler: in their place the Dask cluster of this scheduler, e.g. tcp://127.0.0.1:8786; needs
+            the extra [cluster].
+        yes: more than 100,000 cases are what is meant.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.

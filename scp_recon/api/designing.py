@@ -6,8 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from scp_recon.api.inputs import scenario_of
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import PlanObserver, plan_mission, scenario_of
+from scp_recon.api.planning import PlanObserver, plan_mission
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult, why_nothing
 from scp_recon.passes.design import Designer, Trial
@@ -58,9 +59,9 @@ def design(
     """Choose epoch, phases and burn times of a pass from a home orbit, and plan it.
 
     Args:
-        scenario: with `boundary.home`; the name of a packaged one, or a file.
-        certify: with exact risk, whether to plan until flights certify the probability; they do
-            unless it is False.
+        scenario: a file with boundary.home, or a packaged one's name.
+        certify: with risk.allocation = exact, fly the plan and plan again until the lower limit of the
+            probability reached is what was required (default: yes).
         overrides: `section.entry=value` each, as of `load_scenario`.
 
     Returns:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from formulations.problem.flyby import Iterate
-from scp_recon.api.options import PlanOptions, date_in_tdb
+from scp_recon.api.inputs import date_in_tdb
+from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_body
 from scp_recon.drafting.draft import Draft, GivenBody, Tables, draft_text, drafts
@@ -212,21 +213,24 @@ def new(
     (True, ['mission.toml'])
 
     Args:
-        name: of the scenario.
-        body: a packaged one's name; or another, with gm, radius, period, pole and orbit.
-        site: planetocentric latitude and east longitude, deg.
-        epoch: earliest time of the first burn, TDB; where no trajectory is given.
+        name: of the scenario, written to NAME.toml.
+        body: Bennu or Eros; or another, with `gm`, `radius`, `period`, `pole` and `orbit`.
+        site: planetocentric latitude and east longitude, deg; as --site=-20,30 on the command line.
+        epoch: earliest time of the first burn, TDB, e.g. 2020-01-21T20:33:17; where no trajectory is
+            given.
         gm: of the body, m^3/s^2.
         radius: of the sphere that stands for it, m.
         period: sidereal spin period, h, right-handed about the pole.
         pole: right ascension and declination of the spin pole, deg, J2000.
-        orbit: the body from the Sun at the epoch, km and km/s, J2000.
-        from_spice: a meta-kernel with body, Sun and trajectory; needs spacecraft, begin and end.
-        spacecraft: NAIF's number in the kernels.
-        from_oem: a CCSDS OEM with the trajectory.
-        from_csv: a table of states with it, times past `epoch`.
-        begin: time of the first burn on the trajectory, UTC.
-        end: time of the last, UTC.
+        orbit: the body from the Sun at `epoch`, km and km/s, J2000.
+        from_spice: a meta-kernel: body, Sun, boundary states and start from it, with `spacecraft`,
+            `begin` and `end`; needs the extra [spice].
+        spacecraft: NAIF's number in the kernels, as --spacecraft=-64 on the command line.
+        from_oem: a CCSDS OEM: boundary states and start from it, `begin` and `end` if given; needs the
+            extra [oem].
+        from_csv: a table of states as `init` of `plan` takes it, its t_s past `epoch`; the same.
+        begin: first burn, UTC, e.g. 2020-01-21T20:32:08.
+        end: last burn, UTC, e.g. 2020-01-21T20:32:08.
         progress: told of each draft that was planned, in a line.
 
     Raises:

@@ -16,7 +16,7 @@ from scp_recon.errors import (
     whole_number,
 )
 from scp_recon.files import check_writable, unwritable
-from scp_recon.interop.export import SPACECRAFT_ID, UNNAMED_BODY_ID, Export, Ids
+from scp_recon.interop.export import UNNAMED_BODY_ID, Export, Ids
 from scp_recon.interop.files import FORMATS, require, stem, write_export
 from scp_recon.interop.path import fly_path
 from scp_recon.mission.mission import Mission
@@ -169,8 +169,8 @@ def report(
         plans: one to six, of one body; what lies beside a plan's file is shown with it. Or the folder
             of a campaign.
         out: the file to write, for plans.
-        field_deg: full angle of the camera's field of view; DARE's by default.
-        pixels: across the field of view; DARE's by default.
+        field_deg: full angle of the camera's field of view (default: DARE's, 21).
+        pixels: across the field of view (default: DARE's, 5120).
 
     Raises:
         InputError: if one is no plan and no file of a solution, the extra [report] is missing, or the
@@ -239,7 +239,7 @@ def export(
     format: str,  # noqa: A002 -- as the command line and every other tool has it
     out: str | Path = "export",
     *,
-    spacecraft: int = SPACECRAFT_ID,
+    spacecraft: int = -999,
     vehicle: str | Path | None = None,
 ) -> Exported:
     """Write a plan for other tools: its burns are flown again, densely enough for their interpolation.
@@ -254,8 +254,9 @@ def export(
         format: "oem" (CCSDS, with an OPM of the burns), "spk" or "ck" (SPICE kernels of the path, or of
             the attitude; the extra [spice]), "csv" or "parquet" (a table; the extra [parquet]).
         out: folder for the files.
-        spacecraft: NAIF's number of the spacecraft, below zero.
-        vehicle: a TOML file, for "ck"; the packaged DARE by default.
+        spacecraft: NAIF's number of the spacecraft, below zero; as --spacecraft=-64 on the command
+            line.
+        vehicle: a TOML file, for "ck" (default: the packaged DARE).
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.

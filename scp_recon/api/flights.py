@@ -43,14 +43,7 @@ from scp_recon.simulation.vehicle import load_vehicle
 class FlyOptions:
     """How a plan is flown many times.
 
-    Attributes:
-        samples: flights, at most with `until`.
-        until: width of every joint probability's interval at which to stop, if any.
-        truth: dynamics flown, the planner's or harmonics.
-        errors: of the burns, "componentwise" or "gates"; the scenario's without it.
-        seed: of all draws.
-        workers: processes; the result does not depend on their number.
-        scheduler: address of a Dask cluster's, in their place.
+    Attributes: those that `fly` describes.
 
     Raises:
         InputError: if one is out of its range, or goes not with another.
@@ -120,10 +113,13 @@ def fly(
         samples: flights, at most with `until`.
         seed: of all draws.
         until: stop when every joint probability's interval is this narrow, e.g. 0.005.
-        truth: dynamics flown, "planner" or "harmonics".
-        errors: of the burns, "componentwise" or "gates"; the scenario's without it.
-        workers: processes; the result does not depend on their number. One by default.
-        scheduler: address of a Dask cluster's, in their place; needs the extra [cluster].
+        truth: point mass with J2 as the "planner" has it, or "harmonics" turning with the body: of
+            body.gravity_file, or degree 8 of a packaged field.
+        errors: of the burns: "componentwise", or "gates", by magnitude and pointing (default: the
+            scenario's).
+        workers: processes; the result does not depend on their number (default: 1).
+        scheduler: in their place the Dask cluster of this scheduler, e.g. tcp://127.0.0.1:8786; needs
+            the extra [cluster].
 
     Raises:
         InputError: naming the argument, what was given and what is allowed.
@@ -220,7 +216,7 @@ def simulate(
     Args:
         plan: to fly; a solution, or its file.
         seed: of all errors.
-        vehicle: a TOML file; the packaged DARE by default.
+        vehicle: a TOML file (default: the packaged DARE).
         progress: told the time of the flight, s.
 
     Returns:

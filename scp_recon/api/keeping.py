@@ -6,29 +6,21 @@ own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scp_recon.errors import InputError, option
 from scp_recon.files import check_writable, only_run_in, unwritable
-from scp_recon.monte_carlo import summary
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import is_pointer, new_run, point_to
 from scp_recon.results.solution import FILE_NAME, Solution
 from scp_recon.scp.status import Status
-from scp_recon.simulation import record
 
 UNVERIFIED = "solution_unverified.json"
 """Where a plan goes that is not verified, where a verified one is already."""
 OLD = "old_"
 """Before the name of a result of a plan that was there before."""
-
-RESULTS: dict[str, Callable[[Path], str | None]] = {
-    summary.FILE_NAME: lambda path: summary.read_summary(path).plan_hash,
-    record.FILE_NAME: lambda path: record.read_record(path).plan_hash,
-}
-"""What is made of a plan, and the hash of the plan that it says it is of."""
 
 
 @contextmanager
@@ -131,15 +123,21 @@ def _holds_verified(folder: Path) -> bool:
 
 def _set_aside(solution: Solution, folder: Path) -> list[Path]:
     """Results of other plans, or of nobody knows which, under another name."""
-    moved = []
-    for name, plan_hash in RESULTS.items():
-        path = folder / name
-        if not path.is_file():
-            continue
-        try:
-            same = plan_hash(path) == solution.plan_hash
-        except InputError:
-            same = False
-        if not same:
-            moved.append(path.replace(folder / f"{OLD}{name}"))
-    return moved
+    results = (folder / "montecarlo.json", folder / "simulation.npz")
+    return [
+        path.replace(folder / f"{OLD}{path.name}")
+        for path in results
+        if path.is_file() and _plan_hash(path) != solution.plan_hash
+    ]
+
+
+def _plan_hash(path: Path) -> str | None:
+    """Of the plan that a result says it is of; None where it cannot be read."""
+    from scp_recon.monte_carlo.summary import read_summary  # not where there are no results
+    from scp_recon.simulation.record import read_record
+
+    try:
+        found = read_summary(path) if path.suffix == ".json" else read_record(path)
+    except InputError:
+        return None
+    return found.plan_hash

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Literal
 
 from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
 from scp_recon.monte_carlo.estimates import flights_needed
-from scp_recon.physics.time_scales import tdb_of_utc
 from scp_recon.planning.method import (
     ALGORITHM,
     FACET_ROUNDS_MAX,
@@ -37,21 +35,7 @@ _OF_STARTS = ("seed", "workers")
 class PlanOptions:
     """The options of planning; None where the default is to serve.
 
-    Attributes:
-        problem: with uncertainty (P2), or without it (P3).
-        method: sequential convex programming, or the nonlinear programs by IPOPT.
-        formulation: with scp one of `formulations.registry.FORMULATIONS` (condensed); with ipopt one of
-            `formulations.nlp.solve.VARIANTS` (tuned).
-        algorithm: with scp a key of `scp.algorithms.ALGORITHMS` (scvx).
-        solver: with scp a conic solver that CVXPY finds (CLARABEL), in capitals.
-        facet_rounds: how often the facets are chosen again at the solution, while that is better.
-        certify: with exact risk, whether flights have to certify the probability (they have).
-        objective: the least delta-v, or with exact risk the largest probability, whatever
-            p_chance says.
-        dv_budget_m_s: with the largest probability, most delta-v that the plan may cost (any).
-        starts: the plan is the best from the start and from so many random flights less one (1).
-        seed: of the random flights (0).
-        workers: processes for the starts; the plan does not depend on their number (1).
+    Attributes: those that `api.planning.plan` describes.
 
     Raises:
         InputError: if one is out of its range, or goes not with another.
@@ -173,25 +157,3 @@ class PlanOptions:
         elif self.objective == "probability":
             allowed = f"goes with {option('objective', 'delta-v')}"
             raise InputError(option("starts"), str(self.starts), allowed)
-
-
-def date_in_tdb(entry: str, given: datetime | str | None, *, utc: bool = False) -> datetime | None:
-    """A date in TDB, of one in UTC if asked.
-
-    Raises:
-        InputError: if it is none.
-    """
-    if given is None:
-        return None
-    try:
-        date = given if isinstance(given, datetime) else datetime.fromisoformat(given)
-        if utc:
-            return tdb_of_utc(date)
-        if date.tzinfo is not None:
-            raise ValueError
-    except (TypeError, ValueError) as error:
-        scale = "UTC" if utc else "TDB, without a zone"
-        reason = f", {error.allowed}" if isinstance(error, InputError) else ""
-        allowed = f"must be a date and time such as 2020-01-21T20:33:17, {scale}{reason}"
-        raise InputError(entry, shortened(given), allowed) from None
-    return date

@@ -12,6 +12,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
+from scp_recon.api.inputs import scenario_of
 from scp_recon.api.options import PlanOptions
 from scp_recon.certification.certify import certify
 from scp_recon.certification.largest import LEAST, Search, largest_promise
@@ -24,7 +25,6 @@ from scp_recon.planning.starts import plan_from_several
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution
-from scp_recon.scenario.load import load_scenario, override
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
@@ -199,26 +199,29 @@ def plan(
     converged 0.155 m/s
 
     Args:
-        scenario: what to plan; the name of a packaged one, or a file. By default that of a plan or a
-            solution to begin at, else recon_b.
+        scenario: a file, complete or with base = another, or a packaged one's name: kingfisher,
+            nightingale, osprey, recon_b or sandpiper (default: that of `init`, else recon_b).
         init: "cold", a straight line; "warm", a ballistic arc; a plan, a solution or its folder; a CSV
             of states, or such a table as an array (n, 7): t, x, y, z, vx, vy, vz, J2000, SI.
-        problem: with uncertainty (P2) or without (P3).
-        method: sequential convex programming (scp), or the nonlinear programs by IPOPT (ipopt).
-        formulation: condensed (the default), lifted, frozen-stm or frozen-covariance; with ipopt tuned
-            (the default), shooting or printed.
-        algorithm: scvx (the default), ptr or scvx-star.
-        solver: a conic solver that CVXPY finds; CLARABEL by default.
-        facet_rounds: how often to choose the facets again at the solution.
-        certify: with exact risk, whether to plan until flights certify the probability; they do
-            unless it is False.
-        objective: the least "delta-v"; with exact risk "probability" asks for the largest there is,
-            whatever p_chance says.
-        dv_budget_m_s: with objective "probability", most delta-v that the plan may cost, m/s.
-        starts: the plan is the best from `init` and from so many random flights less one; its `starts`
-            lists the distinct local optima. One by default.
-        seed: of the random flights; 0 by default.
-        workers: processes for the starts; the plan does not depend on their number. One by default.
+        problem: "P2", with uncertainty, or "P3", without it.
+        method: "scp", sequential convex programming, or "ipopt", the nonlinear programs by IPOPT.
+        formulation: with scp condensed, lifted, frozen-stm or frozen-covariance (default: condensed);
+            with ipopt printed, tuned or shooting (default: tuned).
+        algorithm: with scp scvx, ptr or scvx-star (default: scvx).
+        solver: with scp a conic solver that CVXPY finds: CLARABEL and SCS; ECOS and QOCO with the extra
+            [compare] (default: CLARABEL).
+        facet_rounds: choose the facets again at the solution and solve again, up to so many times; what
+            is infeasible is tried again in any case.
+        certify: with risk.allocation = exact, fly the plan and plan again until the lower limit of the
+            probability reached is what was required (default: yes).
+        objective: the least "delta-v"; or with risk.allocation = exact the largest "probability",
+            whatever risk.p_chance says.
+        dv_budget_m_s: with `objective` probability, most delta-v that the plan may cost, m/s (default:
+            any).
+        starts: plan from `init` and from so many random flights less one, list the distinct local
+            optima and keep the best (default: 1).
+        seed: of the random flights (default: 0).
+        workers: processes for the starts; the plan does not depend on their number (default: 1).
         overrides: `section.entry=value` each, as of `load_scenario`.
 
     Raises:
@@ -263,35 +266,6 @@ def inputs(
             scenario = init.scenario
     mission = Mission.from_scenario(scenario_of(scenario, overrides))
     return mission, _start(mission, init)
-
-
-def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:
-    """A scenario, by itself, by name, or from its file.
-
-    Args:
-        given: any of these.
-        overrides: `section.entry=value` each.
-
-    Raises:
-        InputError: if it is none of these, or cannot be read.
-    """
-    check_overrides(overrides)
-    if isinstance(given, Scenario):
-        return override(given, overrides)
-    if not isinstance(given, str | Path):
-        raise InputError("scenario", shortened(given), "must be a scenario, its name, or a file")
-    return load_scenario(given, overrides)
-
-
-def check_overrides(given: object) -> None:
-    """Refuse what is no list of changes to a scenario.
-
-    Raises:
-        InputError: if it is none.
-    """
-    if isinstance(given, list | tuple) and all(isinstance(text, str) for text in given):
-        return
-    raise InputError(option("overrides"), shortened(given), "must be a list of section.entry=value")
 
 
 def _called(init: Plan | Solution | str | Path | Array) -> str:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy.typing as npt
 
+from scp_recon.api.inputs import check_overrides
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import PlanObserver, check_overrides, plan_mission
+from scp_recon.api.planning import PlanObserver, plan_mission
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.planning.method import ALGORITHM, FORMULATION
@@ -55,10 +56,12 @@ def replan(
         state: after the burns flown, m and m/s, body-centred, shape (6,).
         covariance: of it, m and m/s, shape (6, 6); the scenario's initial one if not given.
         frame: axes of state and measured burns, "j2000" or "sun_north", at the epoch.
-        covariance_frame: axes of the covariance, these or "rtn" of the state; `frame` if not given.
+        covariance_frame: axes of the covariance, these or "rtn" of the state (default: those of
+            `frame`).
         measured_burns: burns flown as telemetry saw them, by their number in the flight from 1, m/s.
         overrides: `section.entry=value` each, as of `load_scenario`, for what is left.
-        certify: as in `plan`.
+        certify: with risk.allocation = exact, fly the plan and plan again until the lower limit of the
+            probability reached is what was required (default: yes).
 
     Returns:
         A plan of the burns that are left, whose `parent` names the one that is flown.

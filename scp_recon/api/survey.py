@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scp_recon.api.options import date_in_tdb
-from scp_recon.api.planning import scenario_of
+from scp_recon.api.inputs import date_in_tdb, scenario_of
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.errors import InputError, needing, number_between, option
 from scp_recon.files import unwritable, write_atomically
@@ -16,15 +15,15 @@ from scp_recon.mission.survey import Survey, survey
 from scp_recon.results.table import Table
 from scp_recon.scenario.schema import Scenario
 
-SPAN_DAYS, DAYS_MAX = 2.0, 100.0
-"""As a rule, and at most; the span may begin as far from the epoch. The planets, which two-body motion
+DAYS_MAX = 100.0
+"""At most; the span may begin as far from the epoch. The planets, which two-body motion
 leaves out, turn Bennu's direction of the Sun by 0.001 deg in 100 days, and by 0.02 deg in 400."""
 
 
 def windows(
     scenario: Scenario | str | Path,
     begin: datetime | str | None = None,
-    span_days: float = SPAN_DAYS,
+    span_days: float = 2.0,
     *,
     csv: str | Path | None = None,
     chart: str | Path | None = None,
@@ -36,8 +35,8 @@ def windows(
     5
 
     Args:
-        scenario: with the site and its limits; the name of a packaged one, or a file.
-        begin: where the span begins, TDB; the scenario's epoch by default.
+        scenario: a file, or a packaged one's name, such as recon_b.
+        begin: where the span begins, TDB, e.g. 2020-01-21T20:33:17 (default: the scenario's epoch).
         span_days: how long it is, up to 100 days.
         csv: file to which they are written as a table.
         chart: file to which they are drawn, .png, .pdf or .svg; needs the extra [report].

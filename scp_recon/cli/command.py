@@ -19,9 +19,12 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
 from io import TextIOWrapper
 from math import isfinite
 from pathlib import Path
@@ -34,9 +37,6 @@ if TYPE_CHECKING:
     import argparse
 
     from rich.console import Console
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 BAD_INPUT, NOT_VERIFIED = 2, 4
 EXIT_STATUSES = {
@@ -71,31 +71,37 @@ class Command:
 
     Attributes:
         name: of the command.
-        description: of --help.
-        add_options: to its parser; their names within are those of the parameters in `api`.
-        run: does it, with what the options came to; returns how it ends.
-        prepare: what is done with the words of the command line before they are read.
+        module: of `cli.commands`, whose function of that name does it with the options and a console;
+            imported when the options are read.
+        function: of which it has the options, such as `api.planning.plan`; None where it has none.
+        description: of --help; its first sentence stands in the list of commands.
+        own: see `options.add_options`.
     """
 
     name: str
+    module: str
+    function: str | None
     description: str
-    add_options: Callable[[argparse.ArgumentParser], None]
-    run: Callable[[Any, Console], Answer]
-    prepare: Callable[[Sequence[str]], list[str]] = list
+    own: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def parser(self) -> argparse.ArgumentParser:
         """Of its options."""
         import argparse
 
+        from scp_recon.cli.options import add_options
+
         p = argparse.ArgumentParser(prog=f"{SCRIPT} {self.name}", description=self.description)
-        self.add_options(p)
+        add_options(p, self.function, self.own)
         return p
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command line; returns the exit status."""
-        words = self.prepare(sys.argv[1:] if arguments is None else arguments)
-        options = parse(self.parser(), words)
-        return run_command(lambda console: self.run(options, console), options)
+        p = self.parser()
+        from scp_recon.cli.options import joined
+
+        options = parse(p, joined(sys.argv[1:] if arguments is None else arguments))
+        run = getattr(import_module(f"scp_recon.cli.commands.{self.module}"), self.name)
+        return run_command(lambda console: run(options, console), options)
 
 
 def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:

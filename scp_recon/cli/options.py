@@ -1,17 +1,17 @@
-"""Options of commands: texts become numbers where they are some; what a number may be, `api` says."""
+"""Options of commands, read from the functions of `api`: what these say of a parameter is its help.
+
+Texts become numbers where they are some; what a number may be, `api` says.
+"""
 
 from __future__ import annotations
 
 import argparse
+import ast
 import re
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-
-from formulations.registry import FORMULATIONS
-from scp_recon.api.options import METHODS, OBJECTIVES, PlanOptions
-from scp_recon.planning.method import ALGORITHM, FORMULATION, PROBLEMS, SOLVER
-from scp_recon.scp.algorithms import ALGORITHMS
+from typing import Any
 
 WHOLE = re.compile(r"[+-]?[0-9]{1,20}")
 """Longer ones are beyond every bound, and slow to read."""
@@ -33,11 +33,8 @@ def number(text: str) -> float | str:
 def numbers(text: str) -> tuple[float, ...] | str:
     """A type of option: numbers with commas; a text that is none goes on, to be refused."""
     found = tuple(number(word) for word in text.split(","))
-    return tuple(x for x in found if isinstance(x, float)) if _are_numbers(found) else text
-
-
-def _are_numbers(found: tuple[object, ...]) -> bool:
-    return all(isinstance(x, float) for x in found)
+    floats = tuple(x for x in found if isinstance(x, float))
+    return floats if floats == found else text
 
 
 def int_between(low: int, high: int, words: str = "") -> Callable[[str], int]:
@@ -60,155 +57,239 @@ def named_folder(text: str) -> Path:
     return Path(text)
 
 
-def add_plan(p: argparse.ArgumentParser, metavar: str = "DIR") -> None:
-    """The plan that something is done with."""
-    p.add_argument(
-        "plan", type=Path, metavar=metavar, help="folder with a solution.json, or the file"
-    )
-
-
-def add_seed(p: argparse.ArgumentParser, of: str) -> None:
-    """The seed of random numbers."""
-    p.add_argument("--seed", type=whole, default=0, metavar="S", help=f"of {of} (default: 0)")
-
-
-def add_vehicle(p: argparse.ArgumentParser, where: str = "") -> None:
-    """The spacecraft."""
-    p.add_argument(
-        "--vehicle",
-        type=Path,
-        metavar="FILE",
-        help=f"vehicle as TOML{where} (default: the packaged DARE)",
-    )
-
-
-def add_where(p: argparse.ArgumentParser, what: str) -> None:
-    """Where many things are done: processes here, or a cluster."""
-    p.add_argument("--workers", type=whole, metavar="N", help=f"{what} (default: 1)")
-    p.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="in their place the Dask cluster of this scheduler, e.g. tcp://127.0.0.1:8786; needs "
-        "[cluster]",
-    )
-
-
-def add_overrides(p: argparse.ArgumentParser, example: str = ", e.g. risk.p_chance=0.8") -> None:
-    """Entries of the scenario, one by one."""
-    p.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="PATH=VALUE",
-        dest="overrides",
-        help=f"override one entry of the scenario{example}; may be repeated",
-    )
-
-
-def add_out(p: argparse.ArgumentParser, files: str = "solution.json") -> None:
-    """The folder of a run."""
-    p.add_argument(
-        "--out",
-        type=named_folder,
-        metavar="DIR",
-        help=f"folder for {files} (default: runs/NAME/UTC with the scenario's name, to which "
-        "runs/latest then points); a verified plan there is overwritten only by a verified one",
-    )
-
-
-def add_certify(p: argparse.ArgumentParser) -> None:
-    """Whether exact risk is certified."""
-    p.add_argument(
-        "--certify",
-        type=_yes_or_no,
-        metavar="yes|no",
-        help="with risk.allocation = exact, fly the plan and plan again until the lower limit of the "
-        "probability reached is what was required (default: yes)",
-    )
-
-
-def _yes_or_no(text: str) -> bool:
+def yes_or_no(text: str) -> bool:
+    """A type of option: a choice."""
     if text not in ("yes", "no"):
         raise argparse.ArgumentTypeError(f"got {text!r}; must be yes or no")
     return text == "yes"
 
 
-def add_plan_options(p: argparse.ArgumentParser) -> None:
-    """All that `PlanOptions` has."""
-    p.add_argument(
-        "--problem",
-        metavar="|".join(PROBLEMS),
-        default="P2",
-        help="with uncertainty, or without it (default: P2)",
-    )
-    p.add_argument(
-        "--starts",
-        type=whole,
-        metavar="K",
-        help="plan from --init and from K - 1 random flights, list the distinct local optima and keep "
-        "the best (default: 1)",
-    )
-    p.add_argument("--seed", type=whole, metavar="S", help="of the random flights (default: 0)")
-    p.add_argument(
-        "--workers",
-        type=whole,
-        metavar="N",
-        help="processes for the starts; the plan does not depend on their number (default: 1)",
-    )
-    p.add_argument(
-        "--method",
-        metavar="|".join(METHODS),
-        default="scp",
-        help="sequential convex programming, or the nonlinear programs by IPOPT (default: scp)",
-    )
-    p.add_argument(
-        "--formulation",
-        metavar="NAME",
-        help=f"with scp {', '.join(FORMULATIONS)} (default: {FORMULATION}); with ipopt printed, tuned, "
-        "shooting (default: tuned)",
-    )
-    p.add_argument(
-        "--algorithm",
-        metavar="NAME",
-        help=f"with scp {', '.join(ALGORITHMS)} (default: {ALGORITHM})",
-    )
-    p.add_argument(
-        "--solver",
-        metavar="NAME",
-        help="with scp a conic solver that CVXPY finds: CLARABEL and SCS; ECOS and QOCO with the extra "
-        f"[compare] (default: {SOLVER})",
-    )
-    p.add_argument(
-        "--facet-rounds",
-        type=whole,
-        default=0,
-        metavar="N",
-        help="choose the facets again at the solution and solve again, up to N times (default: 0; what "
-        "is infeasible is tried again in any case)",
-    )
-    p.add_argument(
-        "--objective",
-        metavar="|".join(OBJECTIVES),
-        default="delta-v",
-        help="with risk.allocation = exact, probability asks for the largest there is, whatever "
-        "p_chance says (default: delta-v)",
-    )
-    p.add_argument(
-        "--dv-budget",
-        dest="dv_budget_m_s",
-        type=lambda text: None if text == "any" else number(text),
-        metavar="M_S",
-        help="with --objective probability, most delta-v that the plan may cost, m/s (default: any)",
-    )
-    add_certify(p)
+def width(text: str) -> float:
+    """A type of option: an interval's width in percent."""
+    try:
+        found = float(text.removesuffix("%")) / 100.0
+    except ValueError:
+        found = 0.0
+    if not text.endswith("%") or not 0.0 < found < 1.0:
+        raise argparse.ArgumentTypeError(f"got {text!r}; must be a percentage such as 0.5%")
+    return found
 
 
-def plan_options(options: argparse.Namespace) -> PlanOptions:
-    """How a command is to plan.
+def start(text: str) -> str:
+    """A type of option: where planning begins."""
+    if not text:
+        raise argparse.ArgumentTypeError("got ''; must be cold, warm or a file")
+    return text
 
-    Raises:
-        InputError: if an option is out of its range, or goes not with another.
+
+ROWS: dict[str, dict[str, Any]] = {
+    "at_s": {
+        "flag": "--at",
+        "type": str,
+        "metavar": "T",
+        "help": "time of the state: s past the plan's epoch, or a date in TDB; burns until then are "
+        "flown",
+    },
+    "begin": {"flag": "--from", "metavar": "TIME"},
+    "covariance": {
+        "type": Path,
+        "metavar": "FILE",
+        "help": "six rows of six numbers, m and m/s (default: the scenario's initial covariance)",
+    },
+    "dv_budget_m_s": {
+        "flag": "--dv-budget",
+        "type": lambda text: None if text == "any" else number(text),
+        "metavar": "M_S",
+    },
+    "end": {"flag": "--to", "metavar": "TIME"},
+    "epoch": {"metavar": "TDB"},
+    "field_deg": {"metavar": "DEG"},
+    "init": {"type": start, "metavar": "cold|warm|FILE"},
+    "measured_burns": {
+        "flag": "--measured-burn",
+        "action": "append",
+        "default": [],
+        "metavar": "N=X,Y,Z",
+        "help": "a flown burn as telemetry saw it, m/s, by its number in the flight; may be repeated",
+    },
+    "orbit": {"type": numbers, "metavar": "X,Y,Z,VX,VY,VZ"},
+    "overrides": {
+        "flag": "--set",
+        "action": "append",
+        "default": [],
+        "metavar": "PATH=VALUE",
+        "help": "override one entry of the scenario, e.g. risk.p_chance=0.8; may be repeated",
+    },
+    "plan": {"type": Path, "metavar": "PLAN", "help": "folder with a solution.json, or the file"},
+    "plans": {
+        "nargs": "+",
+        "type": Path,
+        "metavar": "PLAN",
+        "help": "folder with a solution.json, or the file",
+    },
+    "pole": {"type": numbers, "metavar": "RA,DEC"},
+    "scheduler": {"metavar": "ADDRESS"},
+    "scenario": {"type": Path, "metavar": "SCENARIO"},
+    "site": {"type": numbers, "metavar": "LAT,LON"},
+    "state": {
+        "metavar": "STATE",
+        "help": "x y z in m and vx vy vz in m/s at that time, after burns flown, or a file of these "
+        "six",
+    },
+    "study": {"type": Path, "metavar": "STUDY", "help": "TOML file; see docs/campaigns.md"},
+    "truth": {"metavar": "planner|harmonics"},
+    "errors": {"metavar": "componentwise|gates"},
+    "format": {"metavar": "oem|spk|ck|csv|parquet"},
+    "until": {
+        "type": width,
+        "metavar": "P%",
+        "help": "stop when every joint probability's interval is this narrow, e.g. 0.5%%",
+    },
+}
+"""What an option has that does not follow from the parameter of its name."""
+BY_TYPE: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("bool | None", {"type": yes_or_no, "metavar": "yes|no"}),
+    ("bool", {"action": "store_true"}),
+    ("int", {"type": whole, "metavar": "N"}),
+    ("float", {"type": number, "metavar": "X"}),
+    ("Path", {"type": Path, "metavar": "FILE"}),
+    ("str", {"metavar": "NAME"}),
+)
+"""What follows from a parameter's type."""
+PACKAGE = Path(__file__).parents[1]
+ARGUMENT = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Of a function.
+
+    Attributes:
+        name: of it.
+        annotation: its type, as the source has it.
+        default: its value if it is not given.
+        required: whether there is none.
+        first: whether it comes first, so that it needs no flag.
+        said: of it in the function's docstring.
     """
-    return PlanOptions(
-        **{field.name: getattr(options, field.name) for field in fields(PlanOptions)}
-    )
+
+    name: str
+    annotation: str
+    default: Any
+    required: bool
+    first: bool
+    said: str
+
+
+def parameters(function: str) -> list[Parameter]:
+    """Of a function, which is read and not imported: with all that it needs that takes a second.
+
+    But for `progress`, which a command shows in its own way.
+
+    Args:
+        function: module and name, such as `api.planning.plan`.
+    """
+    module, _, name = function.rpartition(".")
+    path = PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
+    tree = ast.parse(path.read_text("utf-8"))
+    (node,) = (n for n in tree.body if isinstance(n, ast.FunctionDef) and n.name == name)
+    section = (ast.get_docstring(node) or "").partition("\nArgs:\n")[2].partition("\n\n")[0]
+    said = {name: " ".join(text.split()) for name, text in ARGUMENT.findall(section)}
+    given = node.args
+    arguments = [*([given.vararg] if given.vararg else []), *given.args, *given.kwonlyargs]
+    missing = [None] * (len(given.args) + bool(given.vararg) - len(given.defaults))
+    return [
+        Parameter(
+            argument.arg,
+            ast.unparse(argument.annotation) if argument.annotation else "str",
+            None if default is None else ast.literal_eval(default),
+            default is None,
+            number == 0,
+            said.get(argument.arg, ""),
+        )
+        for number, (argument, default) in enumerate(
+            zip(arguments, [*missing, *given.defaults, *given.kw_defaults], strict=True)
+        )
+        if argument.arg != "progress"
+    ]
+
+
+def add_options(
+    p: argparse.ArgumentParser, function: str | None, own: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Give a command the options of a function.
+
+    Args:
+        p: the command's parser.
+        function: see `parameters`; None for a command that only has its own options.
+        own: rows of the command that the function has otherwise, or lacks; by the parameters' names.
+    """
+    rows = {one.name: _row(one) for one in (parameters(function) if function else [])}
+    for name, row in own.items():
+        rows[name] = {**rows.get(name, {}), **row}
+    flags = {
+        name: str(row.get("flag", f"--{name.replace('_', '-')}")) for name, row in rows.items()
+    }
+
+    def flag(match: re.Match[str]) -> str:
+        return flags.get(match[1], match[1])
+
+    for name, row in rows.items():
+        keywords = {key: value for key, value in row.items() if key not in ("flag", "first")}
+        keywords["help"] = re.sub("`(.+?)`", flag, row["help"])
+        if row.get("first"):
+            p.add_argument(name, **keywords)
+        else:
+            p.add_argument(flags[name], dest=name, **keywords)
+
+
+def _row(one: Parameter) -> dict[str, Any]:
+    """Arguments of `add_argument`; and the `flag`, or `first` where it stands without one."""
+    row: dict[str, Any] = {"help": one.said.removesuffix(".").replace('"', "").replace("%", "%%")}
+    row |= next((found for word, found in BY_TYPE if word in one.annotation), {})
+    if one.annotation.startswith("Literal["):
+        row["metavar"] = "|".join(re.findall("'(.+?)'", one.annotation))
+    if one.first and one.required:
+        row["first"] = True
+    elif one.required:
+        row["required"] = True
+    else:
+        row["default"] = one.default
+        if isinstance(one.default, str | float) or type(one.default) is int:
+            shown = f"{one.default:g}" if isinstance(one.default, float) else one.default
+            row["help"] += f" (default: {shown})"
+    return row | ROWS.get(one.name, {})
+
+
+LISTS = {"--state": 6, "--measured-burn": 3}
+"""Options whose value is so many numbers, which may be negative and stand apart."""
+
+
+def joined(arguments: Sequence[str]) -> list[str]:
+    """Arguments in which each list of numbers is one: a leading minus makes no option of it.
+
+    A list takes numbers alone, and no more than it is to have: what follows is of another argument.
+    """
+    found: list[str] = []
+    for argument in arguments:
+        name, separator, value = found[-1].partition("=") if found else ("", "", "")
+        if name in LISTS and _goes_on(name, value if separator else None, argument):
+            found[-1] += f" {argument}" if separator else f"={argument}"
+        else:
+            found.append(argument)
+    return found
+
+
+def _goes_on(name: str, value: str | None, argument: str) -> bool:
+    """Whether an argument belongs to a list's value so far, None before it has begun."""
+    more = _count(argument)
+    if value is None:
+        return more is not None or not argument.startswith("-")
+    so_far = _count(value.partition("=")[2] if name == "--measured-burn" else value)
+    return so_far is not None and more is not None and so_far + more <= LISTS[name]
+
+
+def _count(text: str) -> int | None:
+    """How many numbers a text is; None if it is anything else."""
+    found = [number(part) for part in text.replace(",", " ").split()]
+    return len(found) if all(isinstance(x, float) for x in found) else None

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console, Group
@@ -239,3 +241,19 @@ def live_progress(console: Console, mission: Mission) -> Iterator[Progress]:
         "velocities count as metres per unit of time",
         style="dim",
     )
+
+
+FRAME = "J2000, body-centred"
+IN_FILE = {"nodes", "facets", "iterations", "scenario", "timing_s", "units"}
+"""Of a solution: what whoever wants it reads in its file."""
+
+
+def plan_document(solution: Solution, files: Iterable[Path] = ()) -> dict[str, Any]:
+    """A plan without its grid: verdict, burns, margins, risk, verification, warnings; and its files."""
+    return {
+        "scenario": solution.scenario.name,
+        "frame": FRAME,
+        "plan_hash": solution.plan_hash,
+        "plan": {key: value for key, value in solution.document().items() if key not in IN_FILE},
+        "files": [str(file) for file in files],
+    }

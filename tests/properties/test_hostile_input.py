@@ -26,9 +26,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from scp_recon.api import infeasibility
-from scp_recon.cli.commands.flights import montecarlo, simulate
-from scp_recon.cli.commands.planning import solve
-from scp_recon.cli.commands.plans import verify
+from scp_recon.cli.commands import montecarlo, simulate, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner

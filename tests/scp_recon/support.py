@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
-from scp_recon.cli.commands.planning import solve
+from scp_recon.cli.commands import solve
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess

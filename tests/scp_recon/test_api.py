@@ -19,7 +19,7 @@ import pytest
 
 import scp_recon as sr
 from scp_recon.api import files, flights, planning
-from scp_recon.cli.commands.plans import compare
+from scp_recon.cli.commands import compare
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
 from scp_recon.results.facts import Verification

@@ -13,11 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon.__main__ import COMMANDS as BY_NAME
+from scp_recon.cli.commands import COMMANDS as BY_NAME
 
 PROJECT = Path(__file__).parents[2]
 LIBRARY = ("formulations", "scp_recon")
-COMMANDS = {f"scp_recon.cli.commands.{module}" for module, _ in BY_NAME.values()}
+COMMANDS = {
+    f"scp_recon.cli.commands.{module}"
+    for module in {command.module for command in BY_NAME.values()}
+}
 UPPER_FLOORS = ("tests", "experiments", "paper_figs", "benchmarks")
 WINGS = (*LIBRARY, "experiments", "paper_figs", "benchmarks")
 

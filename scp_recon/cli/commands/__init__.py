@@ -1,1 +1,144 @@
-"""The commands, one a module: options in, a call of `api`, results rendered."""
+"""All commands, each with the function of `api` whose options it has; light, for a quick --help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from scp_recon.cli.command import Command
+from scp_recon.cli.options import named_folder
+
+
+def _out(files: str) -> dict[str, Any]:
+    """The folder of a run."""
+    return {
+        "type": named_folder,
+        "metavar": "DIR",
+        "help": f"folder for {files} (default: runs/NAME/UTC with the scenario's name, to which "
+        "runs/latest then points); a verified plan there is overwritten only by a verified one",
+    }
+
+
+FOLDER = {"type": Path, "metavar": "DIR"}
+
+solve = Command(
+    "solve",
+    "planning",
+    "api.planning.plan",
+    "Plan a flyby.",
+    {
+        "init": {
+            "help": "straight line; ballistic arc; a solution file (and its scenario, unless "
+            "--scenario is given) or a CSV of states t, x, y, z, vx, vy, vz in SI, J2000 (default: "
+            "cold)"
+        },
+        "report": {
+            "action": "store_true",
+            "help": "write report.html too, a page to look at; the extra [report]",
+        },
+        "out": _out("solution.json"),
+    },
+)
+design = Command(
+    "design",
+    "passes",
+    "api.designing.design",
+    "Choose departure, arrival and burn times of a pass from a home orbit, and plan it.",
+    {"out": _out("solution.json, scenario.toml, design.csv and pictures")},
+)
+replan = Command(
+    "replan",
+    "replanning",
+    "api.replans.replan",
+    "Plan what is left of a flight.",
+    {
+        "overrides": {
+            "help": "override one entry of the scenario for what is left, e.g. "
+            "schedule.decision_lead_s=900; may be repeated"
+        },
+        "out": _out("solution.json"),
+    },
+)
+verify = Command("verify", "plans", "api.files.verify", "Verify a solution again.")
+montecarlo = Command(
+    "montecarlo", "flights", "api.flights.fly", "Fly a plan many times with errors."
+)
+simulate = Command(
+    "simulate",
+    "flights",
+    "api.flights.simulate",
+    "Fly a plan once with the spacecraft in the loop.",
+    {"out": FOLDER | {"help": "folder for simulation.npz (default: the plan's)"}},
+)
+campaign = Command(
+    "campaign",
+    "campaigns",
+    "api.campaigns.campaign",
+    "Run many cases of a study, here or on a cluster. A study names a base scenario, axes along which "
+    "it changes, and what to do with each case. Results are one row a case, in DIR/results.parquet. A "
+    "campaign that was stopped goes on with the same command.",
+    {"out": FOLDER},
+)
+compare = Command(
+    "compare",
+    "plans",
+    "api.files.compare",
+    "Compare plans side by side; paths are held against the first one's.",
+)
+report = Command(
+    "report",
+    "plans",
+    "api.files.report",
+    "Show plans, or a campaign, on one page. It is an HTML file that works without a network: the "
+    "verdict, a 3-D view in time, histories with their bands, probabilities, ground track, delta-v, "
+    "margins, convergence. Flights and simulations that lie beside a plan are shown with it.",
+    {
+        "plans": {
+            "help": "folder with a solution.json, or a file; several are laid over each other; or the "
+            "folder of a campaign, finished or not, which gets its page and pictures"
+        },
+        "out": {
+            "type": Path,
+            "metavar": "FILE",
+            "default": None,
+            "help": "the page (default: report.html in the first plan's folder)",
+        },
+    },
+)
+export = Command(
+    "export",
+    "plans",
+    "api.files.export",
+    "Write a plan for other tools.",
+    {"out": FOLDER | {"default": None, "help": "folder for the files (default: export in PLAN's)"}},
+)
+new = Command("new", "planning", "api.drafts.new", "Draft a scenario for one's own site and body.")
+windows = Command(
+    "windows", "scenarios", "api.survey.windows", "Find lighting windows and legal burn times."
+)
+schema = Command(
+    "schema",
+    "scenarios",
+    None,
+    "Write the JSON schema of scenario files.",
+    {"file": {"first": True, "type": Path, "metavar": "FILE", "help": "where to write it"}},
+)
+
+COMMANDS = {
+    command.name: command
+    for command in (
+        solve,
+        design,
+        replan,
+        verify,
+        montecarlo,
+        simulate,
+        campaign,
+        compare,
+        report,
+        export,
+        new,
+        windows,
+        schema,
+    )
+}

@@ -15,27 +15,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from scp_recon.api.campaigns import run_campaign
 from scp_recon.campaigns.outcome import CampaignResults, read_campaign, remarks
 from scp_recon.campaigns.page import PAGE, has_extras, write_pictures
-from scp_recon.campaigns.study import ASK_FROM, read_study
-from scp_recon.cli.command import Answer, Command, progress_console, show_line, show_written
-from scp_recon.cli.options import add_where
+from scp_recon.campaigns.study import read_study
+from scp_recon.cli.command import Answer, progress_console, show_line, show_written
 
 
-def _add_campaign(p: argparse.ArgumentParser) -> None:
-    p.add_argument("study", type=Path, metavar="STUDY", help="TOML file; see docs/campaigns.md")
-    p.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for results.parquet"
-    )
-    add_where(
-        p,
-        "processes for the cases; 0 runs them in this process, where no case can be ended that "
-        "takes too long or too much memory",
-    )
-    p.add_argument(
-        "--yes", action="store_true", help=f"more than {ASK_FROM} cases are what is meant"
-    )
-
-
-def _campaign(options: argparse.Namespace, console: Console) -> Answer:
+def campaign(options: argparse.Namespace, console: Console) -> Answer:
+    """Run the cases, show and write."""
     study = read_study(options.study, yes=options.yes)
     where = {"workers": options.workers, "scheduler": options.scheduler}
     with _progress(console) as (observe, say):
@@ -109,13 +94,3 @@ def _progress(
             )
 
         yield observe, lambda text: show_line(errors, text)
-
-
-campaign = Command(
-    "campaign",
-    "Run many cases, here or on a cluster. A study names a base scenario, axes along which it changes, "
-    "and what to do with each case. Results are one row a case, in DIR/results.parquet. A campaign "
-    "that was stopped goes on with the same command.",
-    _add_campaign,
-    _campaign,
-)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from rich.console import Console
 from rich.progress import (
@@ -21,13 +20,11 @@ from scp_recon.api.keeping import check_holds
 from scp_recon.cli.command import (
     NOT_VERIFIED,
     Answer,
-    Command,
     asked_to_stop,
     progress_console,
     show_line,
     show_written,
 )
-from scp_recon.cli.options import add_plan, add_seed, add_vehicle, add_where, whole
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import needing, option
 from scp_recon.files import check_writable, only_run_in, unwritable
@@ -54,48 +51,8 @@ from scp_recon.simulation.record import Angles, FlightSummary
 from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
 
 
-def _add_montecarlo(p: argparse.ArgumentParser) -> None:
-    add_plan(p)
-    p.add_argument(
-        "--samples",
-        type=whole,
-        default=10_000,
-        metavar="N",
-        help="flights, at most with --until (default: 10000)",
-    )
-    p.add_argument(
-        "--until",
-        type=_width,
-        metavar="P%",
-        help="stop when every joint probability's interval is this narrow, e.g. 0.5%%",
-    )
-    p.add_argument(
-        "--truth",
-        metavar="planner|harmonics",
-        default="planner",
-        help="point mass with J2, or harmonics turning with the body: of body.gravity_file, or "
-        "degree 8 of a packaged field (default: planner)",
-    )
-    p.add_argument(
-        "--errors",
-        metavar="componentwise|gates",
-        help="of the burns: by component, or magnitude and pointing (default: the scenario's)",
-    )
-    add_seed(p, "all draws")
-    add_where(p, "processes")
-
-
-def _width(text: str) -> float:
-    try:
-        width = float(text.removesuffix("%")) / 100.0
-    except ValueError:
-        width = 0.0
-    if not text.endswith("%") or not 0.0 < width < 1.0:
-        raise argparse.ArgumentTypeError(f"got {text!r}; must be a percentage such as 0.5%")
-    return width
-
-
-def _montecarlo(options: argparse.Namespace, console: Console) -> Answer:
+def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
+    """Fly many times, show and write."""
     how = FlyOptions(
         options.samples,
         options.until,
@@ -134,19 +91,8 @@ def _montecarlo(options: argparse.Namespace, console: Console) -> Answer:
     return Answer(NOT_VERIFIED if failed else 0, found)
 
 
-def _add_simulate(p: argparse.ArgumentParser) -> None:
-    add_plan(p, "SOLUTION")
-    add_seed(p, "all errors")
-    p.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for simulation.npz (default: the solution's)",
-    )
-    add_vehicle(p)
-
-
-def _simulate(options: argparse.Namespace, console: Console) -> Answer:
+def simulate(options: argparse.Namespace, console: Console) -> Answer:
+    """Fly once, show and write."""
     with needing("scp-recon simulate", "sim", "Basilisk"):
         import scp_recon.simulation.basilisk.simulation  # noqa: F401 -- whether it is there
     home = resolve_run(options.plan)
@@ -263,9 +209,3 @@ def show_flight(console: Console, summary: FlightSummary) -> None:
 def _spread(angles: Angles) -> str:
     named = angles.model_dump(by_alias=True)
     return ", ".join(f"{key} {value:.3f}" for key, value in named.items())
-
-
-montecarlo = Command("montecarlo", "Fly a plan many times.", _add_montecarlo, _montecarlo)
-simulate = Command(
-    "simulate", "Fly a plan with the spacecraft in the loop.", _add_simulate, _simulate
-)

@@ -12,20 +12,14 @@ import numpy as np
 from rich.console import Console
 
 from scp_recon.api.designing import Design, design_options, find_pass, plan_pass
+from scp_recon.api.inputs import scenario_of
 from scp_recon.api.keeping import point_latest, run_folder
-from scp_recon.api.planning import scenario_of
 from scp_recon.cli.command import (
     Answer,
-    Command,
     show_line,
     show_written,
 )
 from scp_recon.cli.commands.planning import plan_into
-from scp_recon.cli.options import (
-    add_certify,
-    add_out,
-    add_overrides,
-)
 from scp_recon.errors import option
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.mission import Mission
@@ -51,18 +45,8 @@ COLUMNS = (
 )
 
 
-def _add_design(p: argparse.ArgumentParser) -> None:
-    p.add_argument(
-        "scenario",
-        metavar="SCENARIO",
-        help="TOML file with boundary.home, or a packaged one's name",
-    )
-    add_overrides(p)
-    add_certify(p)
-    add_out(p, f"solution.json, {SCENARIO}, {TABLE} and pictures")
-
-
-def _design(options: argparse.Namespace, console: Console) -> Answer:
+def design(options: argparse.Namespace, console: Console) -> Answer:
+    """Design, show and write."""
     scenario = scenario_of(options.scenario, options.overrides)
     how = design_options(scenario, certify=options.certify)
     with run_folder(options.out, scenario.name) as folder:
@@ -181,6 +165,3 @@ def primer_says(primer: PrimerHistory | None) -> str:
     if most <= 1.0 + WORTH:
         return f"primer at most {most:.3f} at legal times ({when}): no small burn more helps"
     return f"primer up to {most:.3f} at legal times: a burn more {when} would help"
-
-
-design = Command("design", "Design a whole pass from a home orbit.", _add_design, _design)

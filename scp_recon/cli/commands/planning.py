@@ -4,76 +4,40 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from pydantic import ValidationError
 from rich.console import Console
 
 from formulations.problem.flyby import Iterate
+from scp_recon.api.drafts import NewOptions
+from scp_recon.api.drafts import new as draft_scenario
 from scp_recon.api.infeasibility import SIZE, Diagnosis, diagnose
 from scp_recon.api.keeping import UNVERIFIED, point_latest, run_folder, write_plan
+from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import inputs, plan_mission
 from scp_recon.certification.largest import rounded_down
 from scp_recon.cli import plan_view
 from scp_recon.cli.command import (
     NOT_VERIFIED,
     Answer,
-    Command,
     show_line,
     show_written,
 )
-from scp_recon.cli.documents import plan_document
-from scp_recon.cli.options import (
-    add_out,
-    add_overrides,
-    add_plan_options,
-    plan_options,
-)
-from scp_recon.cli.plan_view import Progress, live_progress
+from scp_recon.cli.plan_view import Progress, live_progress, plan_document
 from scp_recon.cli.rendering import show_warnings
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.method import FORMULATION
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import FILE_NAME, make_solution
-from scp_recon.scenario.load import base_names
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 
 
-def _add_solve(p: argparse.ArgumentParser) -> None:
-    p.add_argument(
-        "--scenario",
-        type=Path,
-        metavar="FILE",
-        help=f"TOML file, complete or with base = a file or one of {', '.join(base_names())} (default: "
-        "recon_b)",
-    )
-    add_overrides(p)
-    p.add_argument(
-        "--init",
-        default="cold",
-        type=_start,
-        metavar="cold|warm|FILE",
-        help="straight line; ballistic arc; a solution file (and its scenario, unless --scenario is "
-        "given) or a CSV of states t, x, y, z, vx, vy, vz in SI, J2000 (default: cold)",
-    )
-    add_plan_options(p)
-    p.add_argument(
-        "--report",
-        action="store_true",
-        help="write report.html too, a page to look at; the extra [report]",
-    )
-    add_out(p)
-
-
-def _start(text: str) -> str:
-    if not text:
-        raise argparse.ArgumentTypeError("got ''; must be cold, warm or a file")
-    return text
-
-
-def _solve(options: argparse.Namespace, console: Console) -> Answer:
+def solve(options: argparse.Namespace, console: Console) -> Answer:
+    """Plan, show and write."""
     how = plan_options(options)
     if options.report:
         from scp_recon.reports.write import check_extra
@@ -96,6 +60,17 @@ def _solve(options: argparse.Namespace, console: Console) -> Answer:
             _report(folder, console)
     point_latest(options.out, folder, answer.status)
     return answer
+
+
+def plan_options(options: argparse.Namespace) -> PlanOptions:
+    """How a command is to plan.
+
+    Raises:
+        InputError: if an option is out of its range, or goes not with another.
+    """
+    return PlanOptions(
+        **{field.name: getattr(options, field.name) for field in fields(PlanOptions)}
+    )
 
 
 def _show_largest(budget_m_s: float | None, answer: Answer, console: Console) -> None:
@@ -265,4 +240,15 @@ def what_would_do(found: Diagnosis, failed: Plan, more: Sequence[str]) -> list[s
     return lines
 
 
-solve = Command("solve", "Plan a flyby.", _add_solve, _solve)
+def new(options: argparse.Namespace, console: Console) -> Answer:
+    """Draft, plan, show and write."""
+    given = {field.name: getattr(options, field.name) for field in fields(NewOptions)}
+    found = draft_scenario(**given, progress=lambda line: show_line(console, line))
+    plan_view.show_mission(console, found.mission)
+    plan_view.show_solution(console, found.solution)
+    plan_view.show_verification(console, found.mission, found.verification, found.mission.warnings)
+    for file in found.files:
+        show_written(console, file)
+    code = Status.named(found.solution.status).value.exit_code
+    status = code or (0 if found.is_verified else NOT_VERIFIED)
+    return Answer(status, plan_document(found.solution, found.files))

@@ -12,8 +12,8 @@ import pytest
 from scp_recon.campaigns.results import read_results
 from scp_recon.campaigns.run import executor_of
 from scp_recon.campaigns.study import Study
+from scp_recon.cli.commands import campaign as command
 from scp_recon.cli.commands import campaigns
-from scp_recon.cli.commands.campaigns import campaign as command
 from scp_recon.jobs.job import here
 from scp_recon.jobs.processes import Processes
 from scp_recon.jobs.store import Store

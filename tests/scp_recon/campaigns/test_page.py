@@ -16,8 +16,8 @@ from scp_recon.campaigns.figures import figures
 from scp_recon.campaigns.outcome import CampaignResults, axes_of, label, read_campaign, remarks
 from scp_recon.campaigns.page import charts_of, render
 from scp_recon.campaigns.study import Study
+from scp_recon.cli.commands import report
 from scp_recon.cli.commands.campaigns import show_campaign
-from scp_recon.cli.commands.plans import report
 from scp_recon.errors import InputError
 from tests.scp_recon.campaigns.shown import ERRORS, PLACES, campaign_of
 

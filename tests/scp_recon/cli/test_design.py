@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scp_recon.cli.commands.passes import design, primer_says
-from scp_recon.cli.commands.planning import solve
+from scp_recon.cli.commands import design, solve
+from scp_recon.cli.commands.passes import primer_says
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.read import read_solution

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon.cli.commands.plans import export
+from scp_recon.cli.commands import export
 from scp_recon.interop.files import FORMATS
 from scp_recon.results.read import read_solution
 from tests.scp_recon.support import CommandLine

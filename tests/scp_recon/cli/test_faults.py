@@ -27,10 +27,7 @@ from formulations.program.solvers import SOLVERS, Answer, Clarabel
 from scp_recon import files
 from scp_recon.api import flights
 from scp_recon.cli.command import Command
-from scp_recon.cli.commands import planning, plans
-from scp_recon.cli.commands.flights import montecarlo, simulate
-from scp_recon.cli.commands.planning import solve
-from scp_recon.cli.commands.plans import verify
+from scp_recon.cli.commands import montecarlo, planning, plans, simulate, solve, verify
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.planner import Plan, plan

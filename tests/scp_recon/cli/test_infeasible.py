@@ -22,8 +22,8 @@ from scp_recon.api.infeasibility import (
     exact_plan,
 )
 from scp_recon.certification.certify import AimedPlanning
-from scp_recon.cli.commands.planning import solve, undoing, what_binds, what_would_do
-from scp_recon.cli.options import plan_options
+from scp_recon.cli.commands import solve
+from scp_recon.cli.commands.planning import plan_options, undoing, what_binds, what_would_do
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess

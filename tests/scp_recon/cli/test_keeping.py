@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 
 from scp_recon.api.keeping import UNVERIFIED, check_holds, keep_plan, run_folder
-from scp_recon.cli.commands.flights import montecarlo
-from scp_recon.cli.commands.planning import solve
-from scp_recon.cli.commands.plans import compare, verify
+from scp_recon.cli.commands import compare, montecarlo, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.files import only_run_in
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary

@@ -12,7 +12,7 @@ import pytest
 
 from scp_recon.api import drafts
 from scp_recon.api.planning import plan
-from scp_recon.cli.commands.scenarios import new
+from scp_recon.cli.commands import new
 from scp_recon.drafting import draft as drafting
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.load import load_scenario

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scp_recon.cli.commands.scenarios import new
+from scp_recon.cli.commands import new
 from scp_recon.drafting.flown import Track
 from scp_recon.errors import InputError
 from scp_recon.interop.ccsds import oem_text

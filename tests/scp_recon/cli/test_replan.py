@@ -13,11 +13,8 @@ import pytest
 from scipy.special import ndtr, ndtri
 
 from scp_recon.api import infeasibility
-from scp_recon.cli.commands.flights import montecarlo, simulate
-from scp_recon.cli.commands.passes import design
-from scp_recon.cli.commands.planning import solve
-from scp_recon.cli.commands.plans import compare, verify
-from scp_recon.cli.commands.replanning import joined, replan
+from scp_recon.cli.commands import compare, design, montecarlo, replan, simulate, solve, verify
+from scp_recon.cli.options import joined
 from scp_recon.planning.plan import Plan
 from scp_recon.replanning.flown import FlownPlan, predict
 from scp_recon.results.facts import Verification

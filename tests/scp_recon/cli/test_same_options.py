@@ -1,63 +1,72 @@
-"""Commands and the Python interface have the same options, but for what is listed here with reasons."""
+"""A command has the options of its function, as the function's docstring describes them."""
 
 from __future__ import annotations
 
-import argparse
 import inspect
 
 import pytest
 
 import scp_recon as sr
-from scp_recon.__main__ import COMMANDS, command
+from formulations.nlp.solve import VARIANTS
+from formulations.registry import FORMULATIONS
+from scp_recon.bodies.catalogue import body_names
+from scp_recon.cli.commands import COMMANDS
+from scp_recon.cli.options import parameters
+from scp_recon.interop.export import SPACECRAFT_ID
+from scp_recon.reports.ground import Camera
+from scp_recon.scenario.load import base_names
+from scp_recon.scp.algorithms import ALGORITHMS
 
-VERBS = {name: name for name in COMMANDS if name != "schema"} | {
-    "solve": "plan",
-    "montecarlo": "fly",
+FUNCTIONS = {name: command.function for name, command in COMMANDS.items() if command.function}
+OWN = {
+    "solve": {"out", "report"},
+    "design": {"out"},
+    "replan": {"out"},
+    "simulate": {"out"},
+    "schema": {"file"},
 }
-"""The function of each command; a format's schema is no matter of a script."""
-
-ONLY_COMMANDS = {
-    "help": "",
-    "json": "a script has the results themselves",
-    "quiet": "the library never prints",
-    "out": "a script saves what a function returns, or names its file as an argument",
-    "report": "`report` is a function",
-}
-"""Options without a parameter, and why."""
-ONLY_PYTHON = {
-    "progress": "a script may show how a flight goes on; a command does",
-}
-"""Parameters without an option, and why."""
-
-
-def options_of(name: str) -> set[str]:
-    p: argparse.ArgumentParser = command(name).parser()
-    return {action.dest for action in p._actions} - ONLY_COMMANDS.keys()
-
-
-def parameters_of(name: str) -> set[str]:
-    parameters = inspect.signature(getattr(sr, VERBS[name])).parameters
-    return {*parameters} - ONLY_COMMANDS.keys() - ONLY_PYTHON.keys()
-
-
-@pytest.mark.parametrize("name", VERBS)
-def test_a_command_and_its_function_have_the_same_options(name: str) -> None:
-    assert options_of(name) == parameters_of(name)
+"""Options without a parameter: a script saves what a function returns, and `report` is a function."""
 
 
 def test_every_verb_has_its_command() -> None:
     """But for reading and writing what commands read and write themselves."""
-    assert {*sr.__all__} - {*VERBS.values()} == {"load", "load_scenario", "save"}
+    verbs = {function.rpartition(".")[2] for function in FUNCTIONS.values()}
+    assert {*sr.__all__} - verbs == {"load", "load_scenario", "save"}
+    assert COMMANDS.keys() - FUNCTIONS.keys() == {"schema"}
 
 
-@pytest.mark.parametrize("name", VERBS)
-def test_a_command_and_its_function_have_the_same_defaults(name: str) -> None:
-    parameters = inspect.signature(getattr(sr, VERBS[name])).parameters
-    for action in command(name).parser()._actions:
-        parameter = parameters.get(action.dest)
-        if parameter is None or action.required or parameter.default is parameter.empty:
-            continue
-        given = action.default if action.default != [] else ()
-        if parameter.default is None or given is None or action.dest == "out":
-            continue  # what stands for the default is said where it is decided
-        assert given == parameter.default, action.dest
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_are_those_of_the_function(name: str) -> None:
+    """What is read of a function is what Python knows of it, and all of it is described."""
+    function = FUNCTIONS.get(name)
+    read = parameters(function) if function else []
+    known = (
+        inspect.signature(getattr(sr, function.rpartition(".")[2])).parameters if function else {}
+    )
+    assert {one.name: (one.annotation, one.default, one.required) for one in read} == {
+        one.name: (
+            one.annotation.replace('"', "'"),
+            None if one.default is one.empty else one.default,
+            one.default is one.empty,
+        )
+        for one in known.values()
+        if one.name != "progress"
+    }
+    actions = {action.dest: action for action in COMMANDS[name].parser()._actions}
+    assert all(action.help for action in actions.values())
+    own = actions.keys() - known.keys() - {"help"}
+    assert own == OWN.get(name, set())
+
+
+def test_help_names_what_there_is_to_choose_from() -> None:
+    said = {one.name: one.said for one in parameters("api.planning.plan")}
+    assert all(name in said["formulation"] for name in [*FORMULATIONS, *VARIANTS])
+    assert all(name in said["algorithm"] for name in ALGORITHMS)
+    assert all(name in said["scenario"] for name in base_names())
+    said = {one.name: one.said for one in parameters("api.drafts.new")}
+    assert all(name in said["body"] for name in body_names())
+    camera = {one.name: one.said for one in parameters("api.files.report")}
+    assert f"{Camera().field_deg:g}" in camera["field_deg"]
+    assert str(Camera().pixels) in camera["pixels"]
+    (spacecraft,) = (one for one in parameters("api.files.export") if one.name == "spacecraft")
+    assert spacecraft.default == SPACECRAFT_ID

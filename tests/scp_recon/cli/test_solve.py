@@ -13,9 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scp_recon.cli.commands import planning
-from scp_recon.cli.commands.planning import solve
-from scp_recon.cli.commands.plans import verify
+from scp_recon.cli.commands import planning, solve, verify
 from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution

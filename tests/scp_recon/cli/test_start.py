@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon.__main__ import COMMANDS as NAMES
 from tests import reliability
 
 PROJECT = Path(__file__).parents[3]
-COMMANDS = ["scp_recon.solve", *(f"scp_recon {name}" for name in NAMES)]
+COMMANDS = ["scp_recon.solve", "scp_recon verify plan"]
 COMMANDS += ["experiments", "paper_figs", "benchmarks"]
 
 AS_CTRL_C = """
@@ -44,7 +43,7 @@ def test_ctrl_c_during_an_import_ends_in_one_line(command: str, late: str) -> No
 
 
 def test_what_stands_before_the_first_line_of_a_command_is_light() -> None:
-    """Until `starting` has run, Ctrl-C ends as Python ends it."""
+    """Until `exit_on_sigint` has run, Ctrl-C ends as Python ends it."""
     code = "import scp_recon.cli.command, sys; print(*{'numpy', 'rich', 'pydantic'} & set(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True

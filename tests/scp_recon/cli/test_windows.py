@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from scp_recon.cli.commands.scenarios import windows
+from scp_recon.cli.commands import windows
 from scp_recon.mission.mission import Mission
 
 

@@ -24,7 +24,7 @@ from scp_recon.api.campaigns import work_of
 from scp_recon.campaigns.results import read_results
 from scp_recon.campaigns.run import run_study
 from scp_recon.campaigns.study import Study
-from scp_recon.cli.commands.flights import montecarlo
+from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.jobs.cluster import Cluster, Session, run_in_child
 from scp_recon.jobs.job import Done, Key, attempt, here

@@ -18,7 +18,7 @@ import pytest
 
 from scp_recon.api import flights as api
 from scp_recon.cli.command import asked_to_stop
-from scp_recon.cli.commands.flights import montecarlo
+from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import DIED, Done, Executor, Failure, Job, Work, attempt
 from scp_recon.jobs.processes import Processes

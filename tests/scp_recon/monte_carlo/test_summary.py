@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from scp_recon.cli.commands.flights import montecarlo
+from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many

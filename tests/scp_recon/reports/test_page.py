@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from scp_recon.cli.commands.plans import report
+from scp_recon.cli.commands import report
 from scp_recon.errors import InputError
 from scp_recon.reports import flights
 from scp_recon.reports.flights import fly

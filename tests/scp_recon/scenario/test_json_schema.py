@@ -7,7 +7,7 @@ import tomllib
 from importlib.resources import files
 from pathlib import Path
 
-from scp_recon.cli.commands.scenarios import schema
+from scp_recon.cli.commands import schema
 from scp_recon.scenario.json_schema import schema_text
 
 PUBLISHED = Path(__file__).parents[3] / "docs" / "scenario.schema.json"

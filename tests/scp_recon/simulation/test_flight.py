@@ -14,7 +14,7 @@ pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scp_recon.cli.commands.flights import simulate as command
+from scp_recon.cli.commands import simulate as command
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
 from scp_recon.results.solution import Solution

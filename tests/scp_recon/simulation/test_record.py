@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scp_recon.cli.commands.flights import simulate
+from scp_recon.cli.commands import simulate
 from scp_recon.errors import InputError
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.flight import Flight

@@ -1,0 +1,63 @@
+"""Scenarios and dates, however they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+from scp_recon.errors import InputError, option, shortened
+from scp_recon.physics.time_scales import tdb_of_utc
+from scp_recon.scenario.load import load_scenario, override
+from scp_recon.scenario.schema import Scenario
+
+
+def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:
+    """A scenario, by itself, by name, or from its file.
+
+    Args:
+        given: any of these.
+        overrides: `section.entry=value` each.
+
+    Raises:
+        InputError: if it is none of these, or cannot be read.
+    """
+    check_overrides(overrides)
+    if isinstance(given, Scenario):
+        return override(given, overrides)
+    if not isinstance(given, str | Path):
+        raise InputError("scenario", shortened(given), "must be a scenario, its name, or a file")
+    return load_scenario(given, overrides)
+
+
+def check_overrides(given: object) -> None:
+    """Refuse what is no list of changes to a scenario.
+
+    Raises:
+        InputError: if it is none.
+    """
+    if isinstance(given, list | tuple) and all(isinstance(text, str) for text in given):
+        return
+    raise InputError(option("overrides"), shortened(given), "must be a list of section.entry=value")
+
+
+def date_in_tdb(entry: str, given: datetime | str | None, *, utc: bool = False) -> datetime | None:
+    """A date in TDB, of one in UTC if asked.
+
+    Raises:
+        InputError: if it is none.
+    """
+    if given is None:
+        return None
+    try:
+        date = given if isinstance(given, datetime) else datetime.fromisoformat(given)
+        if utc:
+            return tdb_of_utc(date)
+        if date.tzinfo is not None:
+            raise ValueError
+    except (TypeError, ValueError) as error:
+        scale = "UTC" if utc else "TDB, without a zone"
+        reason = f", {error.allowed}" if isinstance(error, InputError) else ""
+        allowed = f"must be a date and time such as 2020-01-21T20:33:17, {scale}{reason}"
+        raise InputError(entry, shortened(given), allowed) from None
+    return date
