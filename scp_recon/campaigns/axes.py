@@ -13,7 +13,7 @@ from pydantic import Field, NaiveDatetime, PrivateAttr, model_validator
 from formulations.arrays import Array
 from scp_recon.bodies.catalogue import DAY_S
 from scp_recon.campaigns.cases import Changes
-from scp_recon.campaigns.sites import even_sites, noon_s, surface_of
+from scp_recon.campaigns.sites import even_sites, noons_of, surface_of
 from scp_recon.errors import InputError
 from scp_recon.mission.survey import survey
 from scp_recon.scenario.fields import Section
@@ -284,19 +284,15 @@ class ShapeSites(Axis):
         """Latitude, longitude, name and, if it moves, the epoch of each."""
         sites = even_sites(surface_of(base), self.spread.count)
         order = sorted(range(len(sites)), key=lambda number: number * STRIDE % 1.0)
-        return [self._row(base, *sites[number]) for number in order]
-
-    def _row(self, base: Scenario, latitude: float, longitude: float) -> Changes:
-        latitude, longitude = round(latitude, 2), round(longitude, 2)
-        row: Changes = {
-            NAME: f"{abs(latitude):.1f}{'NS'[latitude < 0]} {longitude % 360:.1f}E",
-            LATITUDE: latitude,
-            LONGITUDE: longitude,
-        }
-        if self.spread.noon_at_s is not None:
-            shift = noon_s(base, longitude) - self.spread.noon_at_s
-            row[EPOCH] = (base.epoch.tdb + timedelta(seconds=round(shift))).isoformat()
-        return row
+        noon_at_s, noon_s, rows = self.spread.noon_at_s, noons_of(base), list[Changes]()
+        for number in order:
+            latitude, longitude = (round(angle, 2) for angle in sites[number])
+            name = f"{abs(latitude):.1f}{'NS'[latitude < 0]} {longitude % 360:.1f}E"
+            rows.append({NAME: name, LATITUDE: latitude, LONGITUDE: longitude})
+            if noon_at_s is not None:
+                shift = timedelta(seconds=round(noon_s(longitude) - noon_at_s))
+                rows[-1][EPOCH] = (base.epoch.tdb + shift).isoformat()
+        return rows
 
 
 KINDS: dict[str, type[Axis]] = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -94,8 +95,8 @@ def quartered(corners: Array) -> Array:
     return np.concatenate([np.stack(one, axis=1) for one in found])
 
 
-def noon_s(scenario: Scenario, longitude_deg: float) -> float:
-    """Find the first local solar noon after the epoch at an east longitude, s past the epoch.
+def noons_of(scenario: Scenario) -> Callable[[float], float]:
+    """Make what finds the first local solar noon after the epoch, s past it, at an east longitude, deg.
 
     By Newton's method on the Sun's body-fixed longitude.
     """
@@ -107,9 +108,12 @@ def noon_s(scenario: Scenario, longitude_deg: float) -> float:
         x, y, _ = rotation.body_to_j2000(time_s).T @ -to_body(time_s)
         return float(np.arctan2(y, x))
 
-    time = 0.0
-    for _ in range(3):
-        ahead = longitude_at(time) - np.deg2rad(longitude_deg)
-        turn = ahead % (2.0 * np.pi) if time == 0.0 else (ahead + np.pi) % (2.0 * np.pi) - np.pi
-        time += turn / rotation.rate
-    return time
+    def noon_s(longitude_deg: float) -> float:
+        time = 0.0
+        for _ in range(3):
+            ahead = longitude_at(time) - np.deg2rad(longitude_deg)
+            turn = ahead % (2.0 * np.pi) if time == 0.0 else (ahead + np.pi) % (2.0 * np.pi) - np.pi
+            time += turn / rotation.rate
+        return time
+
+    return noon_s

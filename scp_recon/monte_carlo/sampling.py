@@ -113,25 +113,15 @@ def sample_positions(
 
 def _flow(mission: Mission, truth: TruthModel) -> Flow:
     """Carries positions and velocities (3, flights) from a time over a duration."""
-    forces = mission.forces
+    forces, field = mission.forces, mission.truth_field if truth == "harmonics" else None
 
-    def planner(r: Array, v: Array, _: float, duration: float) -> tuple[Array, Array]:
-        def rate(at: Array, _: float) -> Array:
+    def acceleration(at: Array, time_s: float) -> Array:
+        if field is None:
             return accelerations(at, forces)
+        to_j2000 = mission.rotation.body_to_j2000(time_s)
+        return to_j2000 @ np.stack(field.acceleration(*(to_j2000.T @ at))) + forces.srp[:, None]
 
-        return advance(r, v, duration, rate, 1)
+    def flow(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
+        return advance(r, v, duration, lambda at, elapsed: acceleration(at, start + elapsed), 1)
 
-    if truth == "planner":
-        return planner
-    field = mission.truth_field
-    srp = forces.srp[:, None]
-
-    def harmonics(r: Array, v: Array, start: float, duration: float) -> tuple[Array, Array]:
-        def rate(at: Array, elapsed: float) -> Array:
-            to_j2000 = mission.rotation.body_to_j2000(start + elapsed)
-            body = to_j2000.T @ at
-            return to_j2000 @ np.stack(field.acceleration(*body)) + srp
-
-        return advance(r, v, duration, rate, 1)
-
-    return harmonics
+    return flow

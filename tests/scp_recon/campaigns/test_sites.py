@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, KDTree
 from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, direction_of
 from scp_recon.campaigns.axes import ShapeSites
 from scp_recon.campaigns.cases import changed
-from scp_recon.campaigns.sites import even_sites, fibonacci, noon_s, parts, surface_of
+from scp_recon.campaigns.sites import even_sites, fibonacci, noons_of, parts, surface_of
 from scp_recon.campaigns.study import Study
 from scp_recon.errors import InputError
 from scp_recon.mission.scene import Scene
@@ -86,7 +86,7 @@ def test_the_first_sites_are_spread_too() -> None:
 @pytest.mark.parametrize("longitude", [0.0, 41.8, -120.0, 179.9])
 def test_it_is_noon_when_it_is_said_to_be(longitude: float) -> None:
     scenario = load_scenario("recon_b")
-    moment = noon_s(scenario, longitude)
+    moment = noons_of(scenario)(longitude)
     rotation = Scene.of(scenario).rotation
     assert 0.0 <= moment < 1.001 * 2.0 * np.pi / rotation.rate
     x, y, _ = rotation.body_to_j2000(moment).T @ -np.array(scenario.sun.body_position_km)
@@ -105,7 +105,8 @@ def test_a_study_spreads_sites_and_moves_their_epochs() -> None:
     for case in (study.cases[0], study.cases[7]):
         scenario = changed(study.base, case.changes, study.folder)
         assert scenario.site.name == case.changes["site.name"]
-        assert noon_s(scenario, case.changes["site.longitude_deg"]) == pytest.approx(14_838, abs=2)
+        noon_s = noons_of(scenario)(case.changes["site.longitude_deg"])
+        assert noon_s == pytest.approx(14_838, abs=2)
 
 
 def test_a_body_without_a_shape_has_no_sites_to_spread() -> None:
