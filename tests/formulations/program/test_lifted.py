@@ -36,8 +36,8 @@ def rows_of(lin: Linearisation, name: str) -> Rows:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_lifted_rows_may_start_and_end_at_any_node(seed: int) -> None:
-    """One constraint at a few nodes: before the first inner burn, after the last, and at burns."""
-    flyby = linearised(seed, nodes=8, burns=4)
+    """One constraint at a few nodes: before and after inner burns, at burns, in a coast."""
+    flyby = linearised(seed, nodes=8, burns=4, coast=seed % 2)
     one = flyby.problem.constraints[0]
     assert isinstance(one.region, Ball)
     nodes = np.array([[0], [1], [2, 3], [7], [3, 4, 6], [0, 7]][seed])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
@@ -177,3 +178,22 @@ def test_a_subproblem_is_of_the_same_mind(formulation: str) -> None:
     assert steps[0].merit == pytest.approx(steps[1].merit)
     assert steps[0].burns == pytest.approx(steps[1].burns, abs=1e-6)
     assert np.linalg.norm(steps[0].burns, axis=1).max() < 2.0 * problem.dv_max
+
+
+@some
+@given(generators, st.integers(0, 4))
+def test_a_miss_that_need_not_be_met_is_a_cost_and_no_violation(
+    rng: np.random.Generator, coast: int
+) -> None:
+    flyby = random_flyby(rng, coast=coast)
+    problem = replace(flyby.problem, miss_weight=7.0)
+    burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
+    lin = flyby.waves.linearise(problem, flyby.waves.rollout(problem, burns))
+    merit = MeritFunction(problem, DeterministicRows(problem))
+    miss = np.abs(lin.iterate.mean[-1] - problem.final_state).sum()
+    violations = merit.violations(lin)
+    assert violations["dynamics"].max() < 1e-9
+    limits = sum(amount.sum() for amount in violations.values())
+    assert merit(lin, 10.0) == pytest.approx(
+        lin.iterate.total_dv + 7.0 * miss + 10.0 * limits, abs=1e-6
+    )
