@@ -247,37 +247,6 @@ def test_composed_arcs_give_the_condensed_map_at_their_nodes(
         close(factor, expected[1][last])
 
 
-@given(flybys, generators)
-def test_composed_arcs_have_the_derivatives_of_the_composed_flow(
-    flyby: Flyby, rng: np.random.Generator
-) -> None:
-    lin = flyby.perturbed(rng, 0.3, 0.0)
-    last = flyby.problem.n_nodes - 1
-    # Without burns at its inner nodes one arc may span all of them.
-    coast = replace(flyby.problem, burn_nodes=np.array([0, last]), sun=flyby.problem.sun[:2])
-    lin = flyby.waves.linearise(coast, flyby.waves.rollout(coast, lin.iterate.burns[:2]))
-    arcs = compose(lin, np.array([0, last]))
-
-    def stm(start: Array) -> tuple[Array, Array]:
-        total, state = np.eye(6), start
-        for k in range(last):
-            arc = flyby.waves.linear[k] + flyby.waves.amplitude[k] @ (
-                np.cos(flyby.waves.frequency[k] @ state)[:, None] * flyby.waves.frequency[k]
-            )
-            total, state = arc @ total, flyby.waves.propagate(k, state)
-        return total, state
-
-    start, h = lin.iterate.mean[0], 1e-5
-    close(arcs.stm[0], stm(start)[0])
-    for j in range(6):
-        shift = h * np.eye(6)[j]
-        (up, end_up), (down, end_down) = stm(start + shift), stm(start - shift)
-        slope = (end_up - end_down) / (2.0 * h)
-        close(arcs.stm[0, :, j], slope, 1e-7, 1e-8)
-        bend = (up - down) / (2.0 * h)
-        close(arcs.tensor[0, :, :, j], bend, 1e-7, 1e-8)
-
-
 # --- invariance ---------------------------------------------------------------------------------
 
 

@@ -1,4 +1,4 @@
-"""What several tests of the convex program use: flybys, charges, and the same program said plainly."""
+"""Shared by the tests of the convex program: flybys, charges, and the same program said plainly."""
 
 from __future__ import annotations
 
@@ -40,6 +40,12 @@ def linearised(rng: np.random.Generator, keeps: tuple[str, ...] = ("in", "out"))
             return lin
 
 
+def small(seed: int = 3, **sizes: int) -> Linearisation:
+    """One of few nodes, quick to solve in every form."""
+    rng = np.random.default_rng(seed)
+    return constrain(rng, random_flyby(rng, **{"nodes": 5, **sizes})).perturbed(rng, 0.1, 0.05)
+
+
 def every_row(lin: Linearisation, name: str, facets: int = 8) -> Rows:
     """The constraints of P3, or all facets of P2 placed at the iterate."""
     if name == "P3":
@@ -59,7 +65,7 @@ def charge_for(
 
 
 def minimum(step: Step, lin: Linearisation, charge: PenaltyParameters) -> float:
-    """What the program minimises: a step's merit and what a proximal penalty charges for it."""
+    """The program's minimum: a step's merit with what a proximal penalty charges for it."""
     return step.merit + 0.5 * charge.prox * float(((step.burns - lin.iterate.burns) ** 2).sum())
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -11,14 +10,8 @@ import pytest
 from hypothesis import given, settings
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import (
-    Linearisation,
-    condense,
-)
 from formulations.program.condensed import (
-    CondensedSubproblem,
     ConeSize,
-    compile_condensed,
     write_states,
 )
 from formulations.program.lifted import LiftedSubproblem
@@ -26,7 +19,7 @@ from formulations.program.model import CompiledProgram, Model, write_model
 from formulations.program.subproblem import Penalty
 from tests.helpers import generators, share_of_examples
 
-from .support import PENALTIES, charge_for, every_row, linearised
+from .support import PENALTIES, every_row, linearised
 
 SIZES = (
     ConeSize(1, 3, triangular=False, slots=3),
@@ -132,56 +125,3 @@ def test_the_burns_are_those_of_the_variables_that_they_belong_to() -> None:
         first = program.form.var_id_to_col[variable.id]
         x[first : first + variable.size] = variable.value
     assert compiled.burns(x) == pytest.approx(wanted.reshape(2, 3), rel=1e-6)
-
-
-# --- no state -----------------------------------------------------------------------------------
-
-
-def watched(subproblem: CondensedSubproblem) -> list[CompiledProgram]:
-    """The compiled programs that a subproblem uses from now on."""
-    seen: list[CompiledProgram] = []
-    solve = subproblem._solve
-
-    def watch(compiled: CompiledProgram, *arguments: Any) -> Any:
-        seen.append(compiled)
-        return solve(compiled, *arguments)
-
-    subproblem._solve = watch  # type: ignore[method-assign]
-    return seen
-
-
-def subproblem_at(lin: Linearisation, penalty: Penalty, name: str) -> CondensedSubproblem:
-    rows = every_row(lin, name)
-    subproblem = CondensedSubproblem(lin.problem, rows, penalty, "CLARABEL", condense)
-    subproblem.update(lin)
-    return subproblem
-
-
-@pytest.mark.parametrize(
-    ("name", "penalty"), [("P3", "exact"), ("P2", "proximal"), ("P2", "augmented")]
-)
-def test_subproblems_that_share_a_program_answer_as_if_alone(name: str, penalty: Penalty) -> None:
-    one = linearised(np.random.default_rng(21))
-    rng = np.random.default_rng(22)
-    burns = one.iterate.burns + 0.2 * rng.normal(size=one.iterate.burns.shape)
-    moved = type(one.iterate)(burns, one.iterate.mean)
-    other = Linearisation(one.problem, moved, one.arcs)
-    rows = every_row(one, name)
-    charges = [charge_for(penalty, rows, one, weight) for weight in (5.0, 20.0)]
-    alone = []
-    for lin in (one, other):
-        compile_condensed.cache_clear()
-        subproblem = subproblem_at(lin, penalty, name)
-        alone.append([subproblem.solve(radius, charges[0]).burns for radius in (0.1, 0.6)])
-        alone[-1].append(subproblem.solve(0.3, charges[1]).burns)
-    compile_condensed.cache_clear()
-    pair = [subproblem_at(lin, penalty, name) for lin in (one, other)]
-    used = [watched(subproblem) for subproblem in pair]
-    together: list[list[Array]] = [[], []]
-    for radius, charge in ((0.1, charges[0]), (0.6, charges[0]), (0.3, charges[1])):
-        for subproblem, found in zip(pair, together, strict=True):
-            found.append(subproblem.solve(radius, charge).burns)
-    assert {id(compiled) for compiled in used[0]} & {id(compiled) for compiled in used[1]}
-    for found, expected in zip(together, alone, strict=True):
-        for ours, theirs in zip(found, expected, strict=True):
-            assert np.array_equal(ours, theirs)

@@ -18,26 +18,16 @@ from formulations.program import convex_subproblem, lifted, solvers
 from formulations.program.solvers import SOLVERS
 from formulations.program.subproblem import Penalty, PenaltyParameters
 from formulations.registry import FORMULATIONS, make_subproblem
-from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
-from tests.helpers import constrain, random_flyby, random_unit
+from tests.helpers import random_flyby, random_unit
 
-from .support import PENALTIES, alone, charge_for, every_row, minimum, need
-
-
-def linearised(seed: int = 3, **sizes: int) -> Linearisation:
-    rng = np.random.default_rng(seed)
-    return constrain(rng, random_flyby(rng, **{"nodes": 5, **sizes})).perturbed(rng, 0.1, 0.05)
-
-
-def rows_of(lin: Linearisation, name: str) -> Rows:
-    return every_row(lin, name, 4)
+from .support import PENALTIES, alone, charge_for, every_row, minimum, need, small
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_lifted_rows_may_start_and_end_at_any_node(seed: int) -> None:
     """One constraint at a few nodes: before and after inner burns, at burns, in a coast."""
-    flyby = linearised(seed, nodes=8, burns=4, coast=seed % 2)
+    flyby = small(seed, nodes=8, burns=4, coast=seed % 2)
     one = flyby.problem.constraints[0]
     assert isinstance(one.region, Ball)
     nodes = np.array([[0], [1], [2, 3], [7], [3, 4, 6], [0, 7]][seed])
@@ -47,7 +37,7 @@ def test_lifted_rows_may_start_and_end_at_any_node(seed: int) -> None:
     for name in ("P3", "P2"):
         merits = []
         for formulation in ("condensed", "lifted"):
-            subproblem = make_subproblem(problem, rows_of(lin, name), formulation)
+            subproblem = make_subproblem(problem, every_row(lin, name, 4), formulation)
             subproblem.update(lin)
             merits.append(subproblem.solve(0.5, 10.0).merit)
         assert merits[1] == pytest.approx(merits[0], rel=1e-6)
@@ -63,8 +53,8 @@ def test_conic_solvers_agree(
 ) -> None:
     """Built, then updated or built anew."""
     need(solver)
-    lin = linearised()
-    rows = rows_of(lin, "P2")
+    lin = small()
+    rows = every_row(lin, "P2", 4)
     charge, found = charge_for(penalty, rows, lin), []
     for form, by in (("condensed", "CLARABEL"), (formulation, solver)):
         if by == solver and solver in SOLVERS:
@@ -81,7 +71,7 @@ def test_clarabels_regularisation_is_what_this_form_needs_and_no_others(
 ) -> None:
     """Each solver gets the settings for it; a step is what the solver said."""
     asked: list[tuple[str, Any]] = []
-    lin = linearised()
+    lin = small()
 
     def recording(name: str) -> Any:
         def make(settings: Any) -> Any:
@@ -99,7 +89,7 @@ def test_clarabels_regularisation_is_what_this_form_needs_and_no_others(
     monkeypatch.setitem(SOLVERS, "CLARABEL", recording("CLARABEL"))
     monkeypatch.delitem(SOLVERS, "QOCO")
     for formulation in ("condensed", "lifted"):
-        subproblem = make_subproblem(lin.problem, rows_of(lin, "P3"), formulation)
+        subproblem = make_subproblem(lin.problem, every_row(lin, "P3", 4), formulation)
         subproblem.update(lin)
         clock = iter(float(k) for k in range(100))
         for module in (convex_subproblem, lifted):
