@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -71,9 +71,6 @@ class NewOptions:
     end: datetime | None = None
 
     def __post_init__(self) -> None:
-        for name, count in LISTS.items():
-            if (given := getattr(self, name)) is not None:
-                _check_numbers(option(name), given, count)
         for name, (low, high) in NUMBERS.items():
             if (given := getattr(self, name)) is not None:
                 number_between(option(name), given, low, high)
@@ -140,15 +137,6 @@ class NewOptions:
         gm, radius, period, pole, orbit = numbers.values()
         body = GivenBody(gm, radius, period, pole, orbit[:3], orbit[3:], 0.0)
         return Draft(self.title, self.body, body, site, epoch, radius)
-
-
-def _check_numbers(entry: str, given: object, count: int) -> None:
-    try:
-        numbers = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        numbers = np.full(0, np.nan)
-    if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise InputError(entry, shortened(given), f"must be {count} numbers")
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,9 +268,16 @@ def new(
 
 
 def _numbers(name: str, given: object) -> tuple[float, ...] | None:
-    if isinstance(given, str) or not isinstance(given, Iterable | None):
+    """As many finite numbers as `LISTS` says; None of what may be left out."""
+    if given is None and name in OF_A_BODY:
+        return None
+    try:
+        numbers = np.asarray(given, dtype=float)
+    except (TypeError, ValueError):
+        numbers = np.full(0, np.nan)
+    if numbers.shape != (LISTS[name],) or not np.isfinite(numbers).all():
         raise InputError(option(name), shortened(given), f"must be {LISTS[name]} numbers")
-    return None if given is None else tuple(given)
+    return tuple(numbers.tolist())
 
 
 def _file(name: str, given: str | Path | None) -> Path | None:
@@ -314,11 +309,7 @@ def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> Ne
 
 
 def _track_draft(options: NewOptions, source: str) -> tuple[Draft, Track]:
-    """A draft about a trajectory, and the trajectory.
-
-    Raises:
-        InputError: if a file cannot be used, or there is no window with room for burns.
-    """
+    """A draft about a trajectory, and the trajectory."""
     known: Tables = {}
     packaged = packaged_body(options.body)
     if source == "from_spice":

@@ -267,13 +267,11 @@ def _rounded(vector: np.ndarray, digits: int) -> tuple[float, float, float]:
 
 def _designed(draft: Draft, opens: float) -> Draft:
     """The draft with its flyby through the window that opens about a time."""
-    scenario = scenario_of(draft)
-    lighting = Scene.of(scenario).lighting
-    slack = lighting.slack(scenario.observation)
-    search = 0.0, opens + WINDOW_MAX_S + DAY_S
-    found = all_windows(slack, search, scan_step_s(lighting.rotation.rate, search))
+    scene = Scene.of(scenario_of(draft))
+    scenario, search = scene.scenario, (0.0, opens + WINDOW_MAX_S + DAY_S)
+    slack = scene.lighting.slack(scenario.observation)
+    found = all_windows(slack, search, scan_step_s(scene.rotation.rate, search))
     window = min(whole_windows(found, search), key=lambda w: abs(w[0] - opens))
     flight = 0.0, burn_times(window, scenario.schedule)[-1]
     alone = whole_windows(found, flight)[0] == window
-    design = design_flyby(scenario, window)
-    return replace(draft, design=design, window_s=None if alone else window)
+    return replace(draft, design=design_flyby(scene, window), window_s=None if alone else window)

@@ -64,10 +64,9 @@ def burn_times(window_s: Window, rules: ScheduleRules) -> tuple[float, float, fl
     return 0.0, round(second), round(third), round(third + cycle + SLACK_S)
 
 
-def design_flyby(scenario: Scenario, window_s: Window) -> Design:
+def design_flyby(scene: Scene, window_s: Window) -> Design:
     """Search passes and places on the home orbit; the scenario's boundary and burns do not matter."""
-    times = burn_times(window_s, scenario.schedule)
-    scene = Scene.of(scenario)
+    times = burn_times(window_s, scene.scenario.schedule)
     passes = _passes(scene, window_s, times)
     margins = np.array([margin for margin, _, _ in passes])
     enough = min(ENOUGH, float(margins.max()))

@@ -120,10 +120,8 @@ class Designer:
 
     def _exactly(self, where: Around, best: PassResult) -> Best:
         """From a pass, under the scenario's own risk."""
-        space, update = (
-            where.space,
-            {"risk": self.scenario.risk, "polytopes": self.scenario.polytopes},
-        )
+        space, given = where.space, self.scenario
+        update = {"risk": given.risk, "polytopes": given.polytopes}
         own = space.mission.scenario.model_copy(update=update)
         where = replace(where, space=replace(space, mission=replace(space.mission, scenario=own)))
         return where, self._descent(where, "exact", best.at, best, EXACT)

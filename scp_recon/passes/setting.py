@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
 
+from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import survey
 from scp_recon.mission.windows import Window
-from scp_recon.passes.ring import ephemeris_ring, flown_ring, home_ring
+from scp_recon.passes.ring import Ring, ephemeris_ring, flown_ring, home_ring
 from scp_recon.passes.space import Pass, Space, Span, nearest_legal, unchecked
 from scp_recon.physics.two_body import two_body
 from scp_recon.scenario.boundary import Design
@@ -54,8 +54,9 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
     for window in windows:
         times = _first_times(scenario, window, departure, arrival)
         if times is not None:
-            space = _space(scenario, window, times, departure, arrival)
-            spaces.append((replace(space, ring=known or space.ring), times))
+            spaces.append(
+                (_space(scenario, window, times, (departure, arrival), axes, known), times)
+            )
     if not spaces:
         raise InputError(
             "design",
@@ -123,11 +124,12 @@ def _space(
     scenario: Scenario,
     window: Window,
     times: tuple[float, ...],
-    departure: Span,
-    arrival: Span,
+    ends: tuple[Span, Span],
+    axes: Array,
+    known: Ring | None,
 ) -> Space:
-    """About a window, its times past the first burn of some legal ones."""
-    home, begin = scenario.boundary.home, times[0]
+    """About a window, its times past the first burn of some legal ones, on a known ring or its own."""
+    home, begin, (departure, arrival) = scenario.boundary.home, times[0], ends
     assert home is not None
     circle = {"flown": False, "ephemeris_file": None, "spacecraft_id": None} | {
         f"{end}_deg": (getattr(home, f"{end}_deg")[0],) * 2 for end in ("departure", "arrival")
@@ -143,9 +145,10 @@ def _space(
     inner = [(departure[0], arrival[1]) if free else (time, time) for time in times[1:-1]]
     spans = [(low - begin, high - begin) for low, high in (departure, *inner, arrival)]
     phases = [tuple(np.deg2rad(span).tolist()) for span in (home.departure_deg, home.arrival_deg)]
-    mission, axes = Mission.from_scenario(fixed), Scene.of(scenario).boundary_axes
-    gm = scenario.body.gm_m3_s2
-    ring = flown_ring(home, mission.forces, axes) if home.flown else home_ring(home, gm, axes)
+    mission, gm = Mission.from_scenario(fixed), scenario.body.gm_m3_s2
+    ring = known or (
+        flown_ring(home, mission.forces, axes) if home.flown else home_ring(home, gm, axes)
+    )
     return Space(mission, ring, mission.schedule.window_s, (phases[0], phases[1]), tuple(spans))
 
 
