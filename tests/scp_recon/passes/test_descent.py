@@ -7,10 +7,13 @@ import pytest
 
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import Near, PassResult, descend
+from scp_recon.passes.scan import scan
 from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.planner import Planner
+from scp_recon.scp.algorithms import SCvx
+from scp_recon.scp.loop import Record
 from tests.scp_recon.passes.support import home_scenario
 
 
@@ -62,3 +65,26 @@ def test_times_that_are_all_given_leave_no_rules_to_keep(near: Near) -> None:
     assert best.converged
     assert best.at.times_s == pytest.approx(at.times_s, abs=1e-6)
     assert best.at.phases != at.phases
+
+
+# --- Ctrl-C ends a design: a plan that it cut short does not count as a pass without one ------------
+
+
+@pytest.fixture
+def _interrupted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As soon as something is iterated."""
+
+    def step(*_: object) -> Record:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SCvx, "step", step)
+
+
+@pytest.mark.usefixtures("_interrupted")
+def test_an_interrupt_ends_the_map_and_a_descent(space: Space) -> None:
+    times = (0.0, 8000.0, 24_000.0, 34_842.0)
+    with pytest.raises(KeyboardInterrupt):
+        scan(space, times, lambda _: None)
+    for certain in (False, True):
+        with pytest.raises(KeyboardInterrupt):
+            Near(space, Pass((2.7, 0.0), times), np.zeros((4, 3)), certain=certain)

@@ -116,15 +116,13 @@ def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(
     assert first == ["descent", "certain", "descent"]
 
 
+@pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])
 def test_where_none_has_a_plan_the_one_that_came_furthest_is_told(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, mapped: set[int], furthest: int
 ) -> None:
-    found, window, _ = run(World(set(), set(), costs=tuple([1.0] * 12)), monkeypatch)
-    assert not found.converged
-    assert window == 0
-    found, window, _ = run(World({1}, set(), costs=tuple([1.0] * 12)), monkeypatch)
-    assert not found.converged
-    assert window == 1  # short by 0.2, where the first one's map is short by 1
+    """Where the second is mapped it is short by 0.2, and the first one's map by 1."""
+    found, window, _ = run(World(mapped, set(), costs=(1.0,) * 12), monkeypatch)
+    assert (found.converged, window) == (False, furthest)
 
 
 @pytest.mark.parametrize(("cost", "burns"), [(9.0, 4), (0.5, 5)])
