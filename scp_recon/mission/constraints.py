@@ -38,11 +38,11 @@ class Limit:
 
     @property
     def unit(self) -> Literal["m", "rad"]:
-        """Of the value and of margins."""
+        """Unit of the value and of margins."""
         return "m" if self.measure == "distance" else "rad"
 
     def margin(self, measured: Array) -> Array:
-        """What is left to the limit, >= 0 where it is kept."""
+        """Margin to the limit, >= 0 where it is kept."""
         return measured - self.value if self.sense == "min" else self.value - measured
 
 
@@ -72,7 +72,7 @@ def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
 
 
 def limits_in_words(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, str]:
-    """What is asked of each margin of the mean, e.g. "at least 500 m", by its constraint."""
+    """Requirement on each margin of the mean, such as "at least 500 m", by its constraint."""
     found = {
         "safety_radius": f"at least {scenario.safety.radius_min_m:g} m",
         "dv_max": f"at most {scenario.burns.dv_max_m_s:g} m/s",

@@ -56,7 +56,7 @@ class Mission:
     """Nodes of the grid, shape (n,)."""
     units: Units
     warnings: tuple[ScenarioWarning, ...] = ()
-    """What is hardly as it was meant, and goes with every verdict."""
+    """Entries that are unlikely to be as intended, shown with every verdict."""
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, known: Mission | None = None) -> Mission:
@@ -180,7 +180,7 @@ class Mission:
 
     @property
     def observed_s(self) -> tuple[float, float] | None:
-        """What is left of the observation window from the first node on; None if it is over."""
+        """Observation window from the first node on; None if it is over."""
         first, last = self.schedule.window_s
         start = float(self.times_s[0])
         return (max(first, start), last) if last > start else None
@@ -200,7 +200,7 @@ class Mission:
 
     @cached_property
     def limits(self) -> tuple[Limit, ...]:
-        """What the position relative to the site has to keep in the window."""
+        """Limits on the position relative to the site in the window."""
         return observation_limits(self.scenario)
 
     @cached_property
@@ -238,7 +238,7 @@ class Mission:
 
     @cached_property
     def polytopes(self) -> Polytopes:
-        """What stands for balls and cones in P2."""
+        """Polytopes that approximate balls and cones in P2."""
         choice = self.scenario.polytopes
         if choice.ball == "tangent":
             shape = None

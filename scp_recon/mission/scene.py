@@ -28,7 +28,7 @@ ALONG = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What of a scenario is known before its window is; time zero is the epoch."""
+    """The part of a scenario that is known before its window; time zero is the epoch."""
 
     scenario: Scenario
     rotation: Rotation
@@ -144,7 +144,7 @@ class Scene:
         return np.vstack([axes @ root[:3], axes @ root[3:]])
 
     def sizes(self, state: Array) -> tuple[tuple[float, str], tuple[float, str]]:
-        """What sigmas of a state's position (m) and velocity (m/s) are held against, and its name."""
+        """Scales of a state's position (m) and velocity (m/s) for its sigmas, each with its name."""
         distance = float(np.linalg.norm(state[:3]))
         circular = float(np.sqrt(self.scenario.body.gm_m3_s2 / distance))
         speed = max(float(np.linalg.norm(state[3:])), circular)
@@ -219,9 +219,9 @@ def errors_of_kind(scenario: Scenario, kind: str | None) -> ExecutionErrors:
 
 
 HARMONICS_DEGREE = 8
-"""Of the packaged field: the paper's ground truth."""
+"""Degree of the packaged field: the paper's ground truth."""
 FIELD_BODY, FIELD_GM_M3_S2 = "Bennu", 4.89044967462
-"""Of the packaged field: Chesley et al. 2020."""
+"""Body and GM of the packaged field: Chesley et al. 2020."""
 SAME_GM, SAME_J2 = 0.01, 0.1
 """How far a scenario's GM and J2 may be off the packaged field's, relative."""
 

@@ -56,7 +56,7 @@ def find_window(
 
 
 class Mode(StrEnum):
-    """What the attitude serves."""
+    """Purpose of the attitude."""
 
     DELTA_V = "delta-V"
     SUN_POINTING = "sun-pointing"

@@ -47,12 +47,12 @@ class LitWindow:
 
 @dataclass(frozen=True)
 class Survey:
-    """What was found in a span, in seconds past the scenario's epoch, by two-body motion."""
+    """Windows in a span, in seconds past the scenario's epoch, by two-body motion."""
 
     lighting: Lighting
     span_s: Window
     windows: tuple[LitWindow, ...]
-    """Those that the span's ends do not cut."""
+    """Windows that the span's ends do not cut."""
     always: bool
     """Whether the site keeps the limits throughout the span."""
     before: int

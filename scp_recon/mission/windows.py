@@ -113,7 +113,7 @@ def is_whole(window: Window, span_s: Window) -> bool:
 
 
 def whole_windows(windows: list[Window], span_s: Window) -> list[Window]:
-    """Those that the ends of the span do not cut."""
+    """Select windows that the ends of the span do not cut."""
     return [window for window in windows if is_whole(window, span_s)]
 
 

@@ -20,7 +20,7 @@ from scp_recon.scenario.fields import (
 PERIOD_MIN_H = 0.01
 """Faster than any asteroid that has been seen turning."""
 DEGREE_MAX = 20
-"""Of a gravity field: a file's coefficients above it are left out."""
+"""Largest degree of a gravity field: a file's coefficients above it are left out."""
 
 Path = Annotated[Line, Field(min_length=1, max_length=4000)]
 Degree = Annotated[int, Field(ge=1, le=DEGREE_MAX)]
@@ -116,7 +116,7 @@ class Sun(Section):
 
 
 class SiteSection(Section):
-    """What is observed; body-fixed."""
+    """The observed site; body-fixed."""
 
     name: Name
     """Name of the site, for tables and figures."""

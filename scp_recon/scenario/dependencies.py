@@ -38,7 +38,7 @@ class Edge(NamedTuple):
     sources: tuple[str, ...]
     followers: tuple[str, ...]
     given: str = ""
-    """What the base has to give for that; nothing if empty."""
+    """Entry that the base has to give for that; none if empty."""
 
 
 GRAPH = (
@@ -138,7 +138,7 @@ def entries(tables: Mapping[str, Any]) -> Iterator[str]:
 
 
 def found(tables: Mapping[str, Any], entry: str) -> Any:
-    """What an entry holds; None if it is absent."""
+    """Value of an entry; None if it is absent."""
     table, _, key = entry.partition(".")
     content = tables.get(table)
     return content.get(key) if isinstance(content, Mapping) else None

@@ -17,11 +17,11 @@ def _long_enough(vector: tuple[float, float, float]) -> tuple[float, float, floa
 
 
 SHORTEST = 1e-3
-"""Of what has a direction: shorter vectors are slips, and their squares may vanish."""
+"""Least length of a vector with a direction: shorter ones are slips, and their squares may vanish."""
 
 
 def zero_or_at_least(least: float) -> AfterValidator:
-    """Of a number that is not negative."""
+    """Validate a number that is not negative: zero, or at least as large as this."""
 
     def check(value: float) -> float:
         if 0.0 < value < least:
@@ -32,7 +32,7 @@ def zero_or_at_least(least: float) -> AfterValidator:
 
 
 LEAST_SHARE = 1e-9
-"""Of a component that errs; the squares of smaller ones are lost in rounding, or vanish."""
+"""Least relative error but zero; the squares of smaller ones are lost in rounding, or vanish."""
 
 
 def _printable(text: str) -> str:
@@ -42,10 +42,10 @@ def _printable(text: str) -> str:
 
 
 Line = Annotated[str, AfterValidator(_printable)]
-"""What may go to a terminal: no line breaks, no control sequences."""
+"""Text that may go to a terminal: no line breaks, no control sequences."""
 Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
 Positive = Annotated[float, Field(ge=1e-9, le=1e12)]
-"""Whatever its unit: beyond these bounds nothing is physical, and squares and quotients overflow."""
+"""In any unit: beyond these bounds nothing is physical, and squares and quotients overflow."""
 NonNegative = Annotated[float, Field(ge=0, le=1e12)]
 Number = Annotated[float, Field(ge=-1e30, le=1e30)]
 """A number to compute with: small enough that its square and quotients stay finite."""
@@ -81,7 +81,7 @@ class ScenarioWarning(Section):
     given: Line
     """The value found, in words."""
     expected: Line
-    """What would have raised no question, and why."""
+    """Value that raises no question, and why."""
 
     @classmethod
     def of(cls, entry: str, given: str, expected: str) -> ScenarioWarning:

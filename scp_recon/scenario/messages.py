@@ -14,7 +14,7 @@ from scp_recon.scenario.dependencies import computed_from
 
 MAX_PROBLEMS_SHOWN = 5
 INTEGER_BRANCHES = ("int", "constrained-int")
-"""What Pydantic calls the whole-number alternative of an entry."""
+"""Pydantic's names of the whole-number alternative of an entry."""
 
 
 def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
@@ -57,7 +57,7 @@ INSTEAD = {
     "site.": "site: latitude_deg and longitude_deg will do on a shape, which is body.radii_m, "
     "body.shape_file or a packaged body's. Another body inherits no site.",
 }
-"""What may be said in the place of missing entries, by how these begin."""
+"""Alternatives to missing entries, by how these begin."""
 
 
 def _missing(problems: Iterable[dict[str, Any]], schema: type[BaseModel]) -> list[str]:
@@ -129,11 +129,11 @@ WORDS = {
     "datetime_parsing": "a date and time such as 2020-01-21T20:33:17.184",
     "datetime_from_date_parsing": "a date and time such as 2020-01-21T20:33:17.184",
 }
-"""What is allowed, by the type of Pydantic's error."""
+"""Allowed values, by the type of Pydantic's error."""
 
 
 def _rule(problem: dict[str, Any], location: list[str | int], schema: type[BaseModel]) -> str:
-    """What is allowed at a location."""
+    """Describe the allowed values at a location."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind == "too_short":
         return f"must have at least {context['min_length']} items"

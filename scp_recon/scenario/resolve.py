@@ -38,7 +38,7 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     "site": ("site.", "body.name", "body.radii_", "body.shape_", "body.pck_"),
     "boundary": ("boundary.", "body.gm_", "body.gravity_", "body.name"),
 }
-"""What each subject is computed from and checked against: beginnings of entries."""
+"""Entries, by their beginnings, that each subject is computed from and checked against."""
 FILES = ("body.shape_file", "body.pck_file", "body.gravity_file")
 
 

@@ -126,7 +126,7 @@ class ScheduleRules(Section):
 
 
 class Risk(Section):
-    """What probability is asked of what, and how it is spent.
+    """Required probability, its scope, and how the risk is spent.
 
     With the scope `node` every joint constraint at every node has to hold with `p_chance`; with
     `flight` all of them together, at all nodes of a flight. `uniform` splits a risk evenly over
@@ -138,7 +138,7 @@ class Risk(Section):
     allocation: Literal["uniform", "exact"] = "uniform"
     """How risk is spent: evenly over facets (Boole), or as the probabilities of the sets themselves."""
     scope: Literal["node", "flight"] = "node"
-    """What has to hold: each joint constraint at each node, or all of them at all nodes of a flight."""
+    """Event that has to hold: each joint constraint at each node, or all at all nodes of a flight."""
 
     @model_validator(mode="after")
     def _flights_are_exact(self) -> Self:
@@ -148,7 +148,7 @@ class Risk(Section):
 
 
 class PolytopeSection(Section):
-    """What stands for balls and cones in P2."""
+    """Polytopes that approximate balls and cones in P2."""
 
     ball: Literal["paper", "tangent"] | Annotated[int, Field(ge=4, le=512)]
     """For distances: "paper" (24 facets), "tangent" (at the line of sight), or a number of facets."""
@@ -188,7 +188,7 @@ class Scenario(Section):
     in_flight: InFlight | None = None
     """State after the burns flown, of a flight that is under way; the whole flight if left out."""
     design: Design | None = None
-    """What a design may choose; planning itself takes burns and phases as they are."""
+    """Choices of a design; planning itself takes burns and phases as they are."""
 
     @property
     def duration_s(self) -> float:

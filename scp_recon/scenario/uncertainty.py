@@ -25,7 +25,7 @@ from scp_recon.scenario.fields import (
 )
 
 MATRIX_TOLERANCE = 1e-6
-"""Of a covariance over the product of its two sigmas: rounding of printed digits."""
+"""Tolerance of a covariance over the product of its two sigmas: rounding of printed digits."""
 
 LEAST_SIGMA, LARGEST_SIGMA = 1e-12, 1e12
 """In m or m/s, of a sigma that is not zero: squares of others are lost in rounding, or overflow."""
@@ -171,7 +171,7 @@ WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
     "execution errors": (("execution_error",), ("gates",)),
 }
-"""What is said in exactly one of several ways, and the keys of each."""
+"""Quantities that are given in exactly one of several ways, and the keys of each."""
 
 
 def without_other_ways(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -37,7 +37,7 @@ CHECKS: tuple[Check, ...] = (
     known.named_site,
     known.known_orbit,
 )
-"""What a mission is held to before its window is known, in this order."""
+"""Checks before the window is known, in the order of checking."""
 WINDOW_SLACK = 0.05
 """In degrees, or hours: a window given to the nearest second is no other one."""
 

@@ -25,7 +25,7 @@ from scp_recon.scenario.resolution.agreement import angle_deg, shown
 from scp_recon.scenario.schema import Battery, Observation, ScheduleRules
 
 Ends = tuple[float, float]
-"""Of an interval; an infinite one bounds nothing."""
+"""Ends of an interval; an infinite one bounds nothing."""
 INF = math.inf
 
 
@@ -36,7 +36,7 @@ class Interval:
     entries: str
     """Dotted paths, spaces between them; the quantity is found of each of them."""
     quantity: str = ""
-    """What is bounded, in words; the entry itself, or its length, if empty."""
+    """Bounded quantity in words; the entry itself, or its length, if empty."""
     value: Callable[[Scene, str], float | None] = lambda scene, entry: _size(_given(scene, entry))
     """The quantity of an entry; None where the row does not apply."""
     unit: str = ""
@@ -47,7 +47,7 @@ class Interval:
     or_zero: bool = False
     """Whether zero is meant, and never in question."""
     scale: tuple[Callable[[Scene, str], float | None], str] | None = None
-    """What the ends count in, in the unit, and its name; None where the row does not apply."""
+    """Unit of the ends, as a function, and its name; None where the row does not apply."""
 
     def check(self, scene: Scene) -> Iterator[ScenarioWarning]:
         """Hold a scene to the row.
@@ -71,7 +71,7 @@ class Interval:
                 yield ScenarioWarning.of(entry, given, expected)
 
     def _shown(self, given: Any, value: float) -> str:
-        """What the quantity is, and of which number or vector."""
+        """The quantity, and the number or vector that it is of."""
         if not self.quantity:
             digits = 12 if isinstance(given, float) else 4
             return f"{value:.{digits}g} {self.unit}".rstrip()
@@ -104,7 +104,7 @@ def _within(ends: Ends, unit: str) -> str:
 
 
 def _given(scene: Scene, entry: str) -> Any:
-    """What a scenario holds at a dotted path; None below a table that it lacks."""
+    """Value of a scenario at a dotted path; None below a table that it lacks."""
     found: Any = scene.scenario
     for key in entry.split("."):
         found = getattr(found, key, None)
@@ -235,7 +235,7 @@ def _entries(table: str, model: type[Section], ending: str) -> str:
 RUBBLE_RADIUS_M = 150.0
 """Above it a body without strength breaks up where it turns too fast: Pravec & Harris 2000."""
 RADIAN_DEG = 0.5 * math.pi
-"""What every angle of a cone is below that was given in radians."""
+"""Bound on every angle of a cone in radians; below it degrees were hardly meant."""
 SPREADS = "in_flight.covariance uncertainty.initial_sigma_fraction uncertainty.initial_covariance"
 SPREAD = (1e-4, 0.0999)
 """1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown. The ends are less than a
@@ -418,7 +418,7 @@ INTERVALS = (
         hint=": below it the estimate errs by as much as is left",
     ),
 )  # fmt: skip
-"""Of a scenario before its window is known, in the order in which they are held."""
+"""Rows for a scenario before its window is known, in the order of checking."""
 STATE_INTERVALS = (
     Interval(FLIGHT, "from the centre", unit="m", warn=(-INF, 100.0), scale=RADII),
     Interval(
@@ -440,4 +440,4 @@ STATE_INTERVALS = (
         ),
     ),
 )  # fmt: skip
-"""Of the state where planning begins, which is another one for a flight that is under way."""
+"""Rows for the state where planning begins: for a flight under way, the state in flight."""

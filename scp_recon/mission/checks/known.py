@@ -257,7 +257,7 @@ SUN_MOVED_DEG = 0.01
 SITE_MOVED_DEG = 1.0
 """As seen from the body's centre; below it another position may be on the same slope."""
 OF_ONE_BODY = "body.gm_m3_s2", "body.j2", STATE[0]
-"""What no two bodies share."""
+"""Entries that no two bodies share."""
 
 
 def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
@@ -284,7 +284,7 @@ def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def _kept(base: Scenario, here: Scenario, entries: tuple[str, ...]) -> list[str]:
-    """Those of some entries that are the same in both."""
+    """Select the entries that are the same in both scenarios."""
     return [entry for entry in entries if attrgetter(entry)(base) == attrgetter(entry)(here)]
 
 

@@ -151,7 +151,7 @@ def _j2(rows: Iterable[Sequence[float]]) -> float:
 
 
 def _check_j2(body: dict[str, Any], j2: float, radius: float, source: str) -> None:
-    """What the planner flies against the field that the truth does."""
+    """Hold the planner's J2 to that of the field that the truth flies."""
     there = j2 * (radius / body["reference_radius_m"]) ** 2
     check_share("body.j2", body["j2"], there, TOLERANCE, source)
 
