@@ -97,16 +97,6 @@ def test_the_orbits_of_neighbouring_years_meet(name: str) -> None:
         assert apart < 2.0 * GOOD_TO_DEG
 
 
-@given(share=st.floats(0.0, 1.0), name=st.sampled_from(BODIES), step=st.sampled_from([-1e-3, 1e-3]))
-def test_the_velocity_is_how_the_position_changes(share: float, name: str, step: float) -> None:
-    body = packaged_body(name)
-    assert body is not None
-    row = body.elements[int(share * (len(body.elements) - 1))]
-    days = row[0] + 180.0 * share
-    (here, velocity), (there, _) = kepler(row, days), kepler(row, days + step)
-    np.testing.assert_allclose((there - here) / (step * DAY_S), velocity, atol=1e-3)
-
-
 @given(
     e=st.floats(0.0, 0.6),
     angles=st.tuples(st.floats(0.0, 90.0), *[st.floats(0.0, 360.0)] * 3),

@@ -77,18 +77,6 @@ def test_angle_is_accurate_near_zero_and_a_half_turn(tiny: float) -> None:
     assert np.pi - geometry.angle(a, -b) == pytest.approx(tiny, abs=1e-15, rel=1e-9)
 
 
-def test_angles_broadcast_over_many_positions_at_each_time() -> None:
-    rng = np.random.default_rng(4)
-    position = rng.normal(scale=600.0, size=(5, 3, 3))
-    track = geometry.track(EQUATOR, UPRIGHT, np.linspace(0.0, 300.0, 5))
-    site = SiteTrack(track.position[:, None], track.normal[:, None])
-    together = geometry.emission(position, site)
-    assert together.shape == (5, 3)
-    for t in range(5):
-        one = SiteTrack(track.position[t], track.normal[t])
-        np.testing.assert_allclose(together[t], geometry.emission(position[t], one))
-
-
 @given(
     longitude=st.floats(-3.1, 3.1),
     latitude=st.floats(-1.5, 1.5),

@@ -68,12 +68,6 @@ def test_a_leap_second_has_a_name_of_its_own() -> None:
     assert names == ["2016-12-31T23:59:59.0", "2016-12-31T23:59:60.0", "2017-01-01T00:00:00.0"]
 
 
-def test_the_default_epoch_is_a_whole_second_of_utc() -> None:
-    """37 leap seconds and 32.184 s; TDB - TT was -5e-4 s then."""
-    tdb = tdb_of_utc(datetime(2020, 1, 21, 20, 32, 8))
-    assert abs(tdb - datetime(2020, 1, 21, 20, 33, 17, 184000)) < timedelta(milliseconds=1)
-
-
 def test_a_zone_is_brought_to_utc() -> None:
     zone = timezone(timedelta(hours=2))
     given = datetime(2020, 1, 1, 2, tzinfo=zone)

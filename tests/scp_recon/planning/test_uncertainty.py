@@ -118,15 +118,6 @@ def drawn(*overrides: str, errors: str | None = None) -> tuple[Array, Array]:
     return initial, flights.burns_m_s - burns
 
 
-def test_flights_begin_with_the_covariance_that_is_said() -> None:
-    frame = (POSITION, VELOCITY, "uncertainty.initial_frame=sun_north")
-    initial, _ = drawn(*frame)
-    factor = mission_of(COARSE, *frame).initial_factor
-    white = initial @ np.linalg.inv(factor).T
-    error = white.T @ white / BLOCK - np.eye(6)
-    assert np.abs(error).max() < 5.0 * np.sqrt(2.0 / BLOCK)
-
-
 def test_flights_have_the_errors_that_the_planner_counts_on() -> None:
     _, errors = drawn(UNLIKE)
     found = planned(UNLIKE)

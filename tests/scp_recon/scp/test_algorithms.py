@@ -113,24 +113,18 @@ def test_a_step_is_taken_for_a_tenth_of_its_promise_and_moves_the_soft_radius(
         assert after.trust_radius == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("radius", [0.03, 30.0])
-def test_the_first_soft_radius_is_no_matter_of_life_and_death(
-    radius: float, mission: Mission, cold: Linearisation, prox_run: Result
-) -> None:
-    result = p3_by(PTR(initial_radius=radius), mission, cold)
-    assert result.status is Status.CONVERGED
-    expected = prox_run.lin.iterate.total_dv
-    assert result.lin.iterate.total_dv == pytest.approx(expected, rel=1e-4)
-
-
 # --- SCvx* --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("weight", [1.0, 1e4])
-def test_the_first_weight_of_scvx_star_need_not_be_exact(
-    weight: float, mission: Mission, cold: Linearisation, prox_run: Result
+@pytest.mark.parametrize(
+    "algorithm",
+    [*map(PTR, (0.03, 30.0)), SCvxStar(weight=1.0), SCvxStar(weight=1e4)],
+    ids=["ptr of a small radius", "of a large one", "scvx-star of a small weight", "a large one"],
+)
+def test_the_first_radius_and_weight_are_no_matter_of_life_and_death(
+    algorithm: Algorithm, mission: Mission, cold: Linearisation, prox_run: Result
 ) -> None:
-    result = p3_by(SCvxStar(weight=weight), mission, cold)
+    result = p3_by(algorithm, mission, cold)
     assert result.status is Status.CONVERGED
     expected = prox_run.lin.iterate.total_dv
     assert result.lin.iterate.total_dv == pytest.approx(expected, rel=1e-4)
