@@ -103,11 +103,11 @@ def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
         try:
             handle = spice.dasopr(str(path))
             segment = spice.dlabfs(handle)
-            told = spice.dskgd(handle, segment)
-            if told.dtype != 2:
+            described = spice.dskgd(handle, segment)
+            if described.dtype != 2:
                 raise InputError(entry, str(path), "must hold a plate model (DSK type 2)")
-            if naif_id is not None and told.center != naif_id:
-                given = f"{path}, of body {told.center}"
+            if naif_id is not None and described.center != naif_id:
+                given = f"{path}, of body {described.center}"
                 raise InputError(entry, given, f"must be of body {naif_id} (body.naif_id)")
             with spice.no_found_check():
                 _, another = spice.dlafns(handle, segment)

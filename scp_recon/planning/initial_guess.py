@@ -64,10 +64,12 @@ def ballistic(mission: Mission, entry: str = "init") -> Iterate:
         InputError: if neither boundary-value problem can be solved, or there are not two burns.
     """
     if len(mission.burn_nodes) < 2:
-        raise InputError(entry, "warm", "one burn joins no two positions; use cold")
+        raise InputError(entry, "warm", "needs two burns between the boundary positions; use cold")
     candidates = [iterate for way in (1.0, -1.0) if (iterate := _two_impulses(mission, way))]
     if not candidates:
-        raise InputError(entry, "warm", "no ballistic arc joins the boundary positions; use cold")
+        raise InputError(
+            entry, "warm", "found no ballistic arc between the boundary positions; use cold"
+        )
     return min(candidates, key=lambda iterate: iterate.total_dv)
 
 
@@ -312,7 +314,7 @@ def read_table(path: Path, entry: str) -> Array:
     if missing or not len(table) or not np.all(np.isfinite(table)):
         raise InputError(
             entry,
-            f"columns {', '.join(names) or 'none that is known'}",
+            f"columns {', '.join(names)}" if names else "no known columns",
             f"must be a solution file or a CSV of finite numbers with {', '.join(COLUMNS.values())}",
         )
     return table

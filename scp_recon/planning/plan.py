@@ -264,7 +264,7 @@ class Plan:
         problem = self.final.problem
         lines = [
             f"{scenario.name}, {problem}: {outcome.message} {outcome.remedy}".rstrip(),
-            f"total delta-v {self.total_dv_m_s:.6f} m/s, asked p_chance {scenario.risk.p_chance:g}",
+            f"total delta-v {self.total_dv_m_s:.6f} m/s, required p_chance {scenario.risk.p_chance:g}",
             "burn   time s      x m/s      y m/s      z m/s   size m/s",
         ]
         for number, (time, burn) in enumerate(

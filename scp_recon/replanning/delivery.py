@@ -100,7 +100,7 @@ class Delivery:
         """
         burns = {} if measured is None else measured
         if not isinstance(burns, Mapping):
-            raise InputError(MEASURED, shortened(burns), "must be burns by number")
+            raise InputError(MEASURED, shortened(burns), "must be a table of burns by number")
         axes = frame if covariance_frame is None else covariance_frame
         matrix = None if covariance is None else numbers(option("covariance"), covariance, (6, 6))
         return cls(

@@ -168,7 +168,7 @@ class FlownPlan:
             yield ScenarioWarning.of(
                 "parent",
                 f"{self.name}, which is not verified: {', '.join(self.failed)}",
-                "expected a verified plan: the flight so far is known for sure of that only",
+                "expected a verified plan: only then are its nodes and their spread certain",
             )
         elif self.status != converged:
             yield ScenarioWarning.of(

@@ -94,7 +94,9 @@ def _changed(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     for table in KEPT:
         if getattr(changed, table) != getattr(scenario, table):
             raise InputError(
-                option("overrides"), f"another {table}", "must leave the flight so far as it was"
+                option("overrides"),
+                f"another {table}",
+                "must not change: it describes the flight so far",
             )
     return changed
 

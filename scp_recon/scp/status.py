@@ -27,31 +27,31 @@ class Status(Enum):
     INFEASIBLE = Outcome(
         "infeasible",
         "Infeasible: stationary at the least violation that was found from here.",
-        "Relax the constraints that are violated, ask a lower p_chance, or begin from another init.",
+        "Relax the violated constraints, lower p_chance, or start from another init.",
         3,
     )
     MAX_ITERATIONS = Outcome(
         "max_iterations",
         "Not converged: the iteration limit came first.",
-        "Begin from this solution, as init.",
+        "Start again from this solution, as init.",
         4,
     )
     STALLED = Outcome(
         "stalled",
         "Not converged: the trust region collapsed before the iterate became stationary.",
-        "Begin from another init; if it recurs the linearisation is poor: use a finer grid.",
+        "Start from another init; if it recurs, the linearisation is poor: use a finer grid.",
         4,
     )
     SOLVER_FAILED = Outcome(
         "solver_failed",
         "Not converged: the conic solver gave no usable answer in any trust region tried.",
-        "Check the scenario's magnitudes, or begin from another init.",
+        "Check the scenario's magnitudes, or start from another init.",
         4,
     )
     INTERRUPTED = Outcome(
         "interrupted",
         "Interrupted: this is the best iterate so far; it need not be a solution.",
-        "Go on from it, as init.",
+        "Continue from it, as init.",
         130,
     )
 

@@ -191,9 +191,9 @@ ROWS = ["0,1,2,3,4,5,6", "40000,1,2,3,4,5,6"]
     [
         (None, "no such file"),
         ("\x89PNG\r\n\x1a\n\x00\xff", "must be"),
-        ("", "none that is known"),
+        ("", "no known columns"),
         (HEADER, "columns"),
-        ("\n".join(["a,b,c", "1,2,3"]), "none that is known"),
+        ("\n".join(["a,b,c", "1,2,3"]), "no known columns"),
         ("\n".join([HEADER.replace("vz_m_s", "w"), *ROWS]), "vz_m_s"),
         ("\n".join([HEADER, "0,1,2,3,4,5,six", ROWS[1]]), "six"),
         ("\n".join([HEADER, "0,1,2,3,4,5", ROWS[1]]), "number"),
