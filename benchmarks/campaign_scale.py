@@ -55,7 +55,7 @@ class Spent(NamedTuple):
     scheduler: float
 
     def a_case(self, fewer: Spent, cases: int) -> Spent:
-        """What each of so many cases took beyond a run without them."""
+        """Times of each of so many cases, beyond a run without them."""
         return Spent(*((more - less) / cases for more, less in zip(self, fewer, strict=True)))
 
 
@@ -128,7 +128,7 @@ def _executors() -> Iterator[tuple[str, int, Executor]]:
 
 
 def spent(work: CaseWork, study: Study, executor: Executor) -> Spent:
-    """What running a study into a new folder takes."""
+    """Times of running a study into a new folder."""
     with tempfile.TemporaryDirectory() as folder:
         before = _clocks()
         run_study(study, Path(folder), work, executor)
@@ -209,7 +209,7 @@ def scheduler_memory(queued: int) -> tuple[float, float, float]:
 
 
 def _tasks(dask_scheduler: Any) -> int:
-    """How many a scheduler holds."""
+    """Number of tasks that a scheduler holds."""
     return len(dask_scheduler.tasks)
 
 

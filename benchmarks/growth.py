@@ -1,4 +1,4 @@
-"""How the cost of a plan grows with nodes, facets and burns."""
+"""Fit how the cost of a plan grows with nodes, facets and burns."""
 
 from __future__ import annotations
 

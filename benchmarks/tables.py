@@ -36,7 +36,7 @@ def pair_table(figures: dict[str, Timed]) -> str:
 
 
 def ratio_lines(figures: dict[str, Timed], commands: dict[str, float]) -> list[str]:
-    """What is compared with what."""
+    """Ratios of the methods' times, and of the commands'."""
     ours = figures["scp condensed"]
     printed = figures["ipopt printed"]
     tuned = [figures[name] for name in ("ipopt tuned", "ipopt shooting")]

@@ -1,4 +1,4 @@
-"""Studies, each by its name: `python -m experiments NAME [options]`; without a name they are listed."""
+"""Run a study by its name, `python -m experiments NAME [options]`; without a name list them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ STUDIES = {
     "timing_rules": "the schedule's durations, measured on the spacecraft",
     "flown_plan": "whether the spacecraft can fly a plan",
 }
-"""What each is about."""
+"""The studies, and what each is about."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

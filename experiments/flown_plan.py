@@ -105,7 +105,7 @@ def row(record: Record) -> Row:
 def report(
     flights: Sequence[Record], mission: Mission, sampled: Sequence[Array]
 ) -> list[str | Table]:
-    """What all flights say together.
+    """Tables of all flights together.
 
     `sampled` has distances in sigmas without a spacecraft, with the vehicle's and with the planner's
     error of the burns, shape (samples, nodes) each.

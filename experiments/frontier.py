@@ -1,4 +1,4 @@
-"""What probability costs.
+"""Find what probability costs.
 
 The default scenario planned for probabilities from 0.55 to 0.999, with the paper's bookkeeping (uniform
 risk on its polytopes, and on tangent spheres with 12-facet cones), with exact risk per node and for
@@ -16,7 +16,7 @@ from functools import partial
 from time import process_time
 from typing import Any
 
-from experiments.harness import Findings, Record, Session, Study, option, records
+from experiments.harness import Findings, Record, Session, Study, option, records, view
 from scp_recon.api.planning import plan
 from scp_recon.jobs.job import Job
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
@@ -74,7 +74,7 @@ def with_costs(rows: Sequence[Record]) -> list[Record]:
 
 
 def record(kind: str, p: float, found: Plan, flights: int, processor_s: float) -> Record:
-    """What a plan costs, and what its flights reach; the time is that of all its rounds."""
+    """Fly a plan: a row of its cost and of what flights reach; the time is that of all its rounds."""
     flown = fly_many(FlightConfig(found.mission, found.burns_m_s, SEED), samples=flights)
     node = min(flown.worst_probability(name)[1].value for name in flown.node_counts if name != ALL)
     reached = found.certificate
@@ -104,51 +104,40 @@ def report(rows: Sequence[Record], flights: int) -> list[Table]:
         for kind in dict.fromkeys(str(row["kind"]) for row in rows)
     ]
     headings = [Column(f"{p:g}", form=".5f") for p in asked]
-    names = ("kind", "asked", "node", "whole_flight", "observed_mean_s")
-    flown = [
-        [row[name] for name in names]
-        for row in rows
-        if row["status"] == Status.CONVERGED.value.name
-    ]
-    found = [
+    reached: dict[str, Column | str] = {
+        "kind": "plan",
+        "asked": Column("required", form="g"),
+        "node": Column("lowest node", form=".4f"),
+        "whole_flight": Column("whole flights", form=".4f"),
+        "observed_mean_s": Column("mean time observed", "s", ".0f"),
+    }
+    costs: dict[str, Column | str] = {
+        "kind": "plan",
+        "asked": Column("required", form="g"),
+        "rounds": "rounds",
+        "certifying_dv_m_s": Column("delta-v", "m/s", "+.5f"),
+        "percent": Column("of it", "%", "+.2f"),
+        "processor_s": Column("processor", "s", ".1f"),
+        "alone_s": Column("by itself", "s", ".1f"),
+    }
+    flown = [row for row in rows if row["status"] == Status.CONVERGED.value.name]
+    certified = [row | _alone(row) for row in rows if row["kind"] in AIMED]
+    note = f"{flights} flights each, looked at every minute and at the nodes."
+    title = "What certifying costs more than aiming at the probability itself"
+    return [
         Table.of("", ("delta-v (m/s) for", *headings), by_kind),
-        Table.of(
-            "What flights reach",
-            (
-                "plan",
-                Column("asked", form="g"),
-                Column("lowest node", form=".4f"),
-                Column("whole flights", form=".4f"),
-                Column("mean time observed", "s", ".0f"),
-            ),
-            flown,
-            note=f"{flights} flights each, looked at every minute and at the nodes.",
-        ),
+        view("What flights reach", flown, reached, note),
+        *([view(title, certified, costs)] if certified else []),
     ]
-    certified = [row for row in rows if row["kind"] in AIMED]
-    if certified:
-        columns = (
-            "plan",
-            Column("asked", form="g"),
-            "rounds",
-            Column("delta-v", "m/s", "+.5f"),
-            Column("of it", "%", "+.2f"),
-            Column("processor", "s", ".1f"),
-            Column("by itself", "s", ".1f"),
-        )
-        title = "What certifying costs more than aiming at the probability itself"
-        found.append(Table.of(title, columns, map(_certifying, certified)))
-    return found
 
 
-def _certifying(row: Record) -> tuple[Value, ...]:
-    """A line of the table of certified plans; NaN where either plan has not converged."""
-    more, cost, seconds, more_s = (
-        row[key]
-        for key in ("certifying_dv_m_s", "total_dv_m_s", "processor_s", "certifying_processor_s")
-    )
-    percent = 100.0 * more / (cost - more)
-    return row["kind"], row["asked"], row["rounds"], more, percent, seconds, seconds - more_s
+def _alone(row: Record) -> Record:
+    """Against the plan that aims at the probability itself; NaN where either has not converged."""
+    more, cost = row["certifying_dv_m_s"], row["total_dv_m_s"]
+    return {
+        "percent": 100.0 * more / (cost - more),
+        "alone_s": row["processor_s"] - row["certifying_processor_s"],
+    }
 
 
 def _dv(row: Record) -> Value:

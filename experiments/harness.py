@@ -103,7 +103,7 @@ STYLES = {True: "", False: "bad", None: "doubtful"}
 
 @dataclass(frozen=True)
 class Findings:
-    """What a study has found.
+    """Results of a study.
 
     The report is paragraphs, and tables with their titles as headings; the files are what else is
     written, by name, tables as CSV; the status is the command's.

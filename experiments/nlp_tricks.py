@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from formulations.nlp.solve import Variant
 
 FOR_SPRAL = {"OMP_CANCELLATION": "TRUE", "OMP_PROC_BIND": "TRUE"}
-"""What SPRAL wants of OpenMP, before it is loaded."""
+"""Settings of OpenMP that SPRAL needs before it is loaded."""
 
 
 def tricks() -> dict[str, Variant]:

@@ -136,7 +136,7 @@ def our_row(mission: Mission, start: Iterate, algorithm: str, solver: str) -> Ro
 
 
 def _row(mission: Mission, method: Method, burns: Array) -> Row:
-    """What flown burns cost and violate of P3 on the planner's grid."""
+    """Judge flown burns by P3 on the planner's grid: their cost and violation."""
     row = replace(
         empty_row(Cell("matrix", "recon_b", (), method, "warm")),
         key=f"peer|{method.name}",

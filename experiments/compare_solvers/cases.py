@@ -74,7 +74,7 @@ class Cell:
 
 
 REFERENCE = Method("condensed", "scvx", "CLARABEL")
-"""What `python -m scp_recon.solve` does without options."""
+"""The method of `python -m scp_recon.solve` without options."""
 
 TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOPT)
 

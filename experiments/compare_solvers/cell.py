@@ -203,7 +203,7 @@ def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:
 
 
 def _of_plan(cell: Cell, done: Plan, cpu_s: float) -> Row:
-    """What a plan took and how it ended; its burns are still to be judged."""
+    """The row of a plan, whose burns are still to be judged: its effort, and how it ended."""
     names = [stage.name for stage in done.stages for _ in stage.result.records]
     tries = ((a.result.status.value.name, b.begun_again) for a, b in pairwise(done.stages))
     return replace(
@@ -236,7 +236,7 @@ def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
 
 
 def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
-    """What solves P2 by a method."""
+    """The solver of P2 by a method."""
     if method.solver == IPOPT:
         from formulations.nlp.solve import VARIANTS
         from scp_recon.planning.ipopt import IpoptStages, casadi_arcs

@@ -82,7 +82,7 @@ def _agreement(scenario: str, ours: Row, theirs: Row) -> Agreement:
 
 
 def claims(rows: Sequence[Row]) -> list[Claim]:
-    """What the comparison is to show of uniform risk, and of exact risk."""
+    """Claims of the comparison, of uniform risk and of exact risk."""
     return [
         *_agreement_claims(rows),
         *_frozen_claims(rows),
@@ -218,7 +218,7 @@ WITHIN = 3e-3
 """Relative excess of total delta-v that counts as the same."""
 
 SHORT_SIGMA, MISS_M = 0.02, 0.01
-"""What the check may find short of the probability, in standard deviations, and of the rest in m: what
+"""Allowed shortfall of the probability in the check, in standard deviations, and of the rest in m: what
 quadratures, sets of directions and the check itself err by."""
 
 SOLVERS = ("SLSQP", "IPOPT")
@@ -296,5 +296,5 @@ def _converged_claim(found: Sequence[Verdict]) -> Claim:
 
 
 def excess(verdict: Verdict) -> str:
-    """What the planner's plan costs more than the best."""
+    """Extra cost of the planner's plan over the best."""
     return "not solved" if verdict.excess == np.inf else f"{100 * verdict.excess:+.2f} %"

@@ -33,7 +33,7 @@ from scp_recon.jobs.store import Store, read_rows, sources
 DEFAULT_OUT, QUICK_OUT = Path("runs") / "comparison", Path("runs") / "comparison_quick"
 ROWS_FILE, PEER_FILE = "rows.jsonl", "peer.jsonl"
 WORK = "experiments.compare_solvers.cell"
-"""What rows depend on."""
+"""The module whose sources rows depend on."""
 FLIGHTS, LIMIT_S, QUICK_LIMIT_S, EXACT_LIMIT_S = 2_000, 30.0, 20.0, 150.0
 ASLEEP = 20.0
 """Times its limit that a cell's process may take by the clock, on a machine with other work."""
@@ -85,7 +85,7 @@ def row_from(values: Record) -> Row:
 
 
 def peer_rows(path: Path) -> list[Row]:
-    """What `openscvx_peer` left with these sources; none if there is no file."""
+    """Rows that `openscvx_peer` left with these sources; none if there is no file."""
     if not path.exists():
         return []
     found = [row_from(values) for _, values in read_rows(path)]
@@ -96,7 +96,7 @@ def peer_rows(path: Path) -> list[Row]:
 
 
 def design(options: Namespace) -> Sequence[Cell]:
-    """What is to be solved."""
+    """The cells to solve."""
     if options.exact:
         return exact_design()
     if options.quick:

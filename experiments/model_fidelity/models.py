@@ -23,7 +23,7 @@ from scp_recon.simulation.vehicle import Vehicle
 
 SRP, GRAVITY, BURNS = "solar radiation pressure", "gravity", "burns"
 PLANNER = {SRP: "cannonball", GRAVITY: "J2", BURNS: "impulsive"}
-"""What the planner flies."""
+"""The planner's own models."""
 
 ATTITUDE_STEP_S = 60.0
 """Spacing at which the commanded attitude is turned into a force, linear in between."""

@@ -147,7 +147,7 @@ def _stored_solution(folder: Path, mission: Mission, check: bool) -> Solution | 
 
 
 def _stored_summary(folder: Path, solution: Solution, samples: int) -> RowSummary | None:
-    """What the folder holds of as many flights of this very plan as are asked for."""
+    """The summary in the folder, if it is of this very plan and of as many flights as required."""
     try:
         found = read_summary_as(RowSummary, folder / FILE_NAME)
     except InputError:

@@ -238,7 +238,7 @@ def _same_optimum(by_key: dict[str, Record]) -> str:
 
 
 def _open_readings(rows: Rows) -> str:
-    """What the paper leaves open, and what of it was measured not to be the cause."""
+    """Choices that the paper leaves open, and the one that was measured not to be the cause."""
     shifts = [row["mean_on_uniform_grid_s"] - row["mean_s"] for row in rows]
     gaps = [COLD.mean_s - row["mean_s"] for row in rows]
     moved, gap = (

@@ -32,7 +32,7 @@ SETS: dict[str, tuple[str, ...]] = {
     "attitude": ATTITUDE,
     "all": (*ATTITUDE, *TRANSLATION),
 }
-"""What errs together."""
+"""Sources that err together."""
 
 BLOCK = 1000
 STATE = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")

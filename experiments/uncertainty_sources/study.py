@@ -1,4 +1,4 @@
-"""What each source of uncertainty does to the flight.
+"""Measure what each source of uncertainty does to the flight.
 
 Every source of the vehicle's errors alone and all together. Those that act on the path directly are
 flown in the planner's dynamics, many times; those that act by way of the attitude, and all of them, in
@@ -28,6 +28,7 @@ from experiments.harness import (
     number,
     plan_or_default,
     records,
+    view,
 )
 from experiments.uncertainty_sources import flights
 from experiments.uncertainty_sources.flights import (
@@ -71,7 +72,7 @@ ROUNDING_M = 1e-6
 
 @dataclass(frozen=True)
 class Measured:
-    """What a set of sources does.
+    """Flights with a set of error sources.
 
     Deviations are of the flights' ends from that of the one without errors, J2000, m and m/s, (n, 6),
     the offset is that of their mean from the planned end. The attitude error is the largest before the
@@ -185,29 +186,17 @@ def quantiles(entries: Sequence[Measured]) -> list[Record]:
 
 
 def report(entries: Sequence[Measured], errors: Errors, solution: Solution) -> list[str | Table]:
-    """What each set of sources does, how normal it is, and which source weighs most."""
+    """Dispersion by each set of sources, its normality, and the sources from the largest on."""
     found = {entry.error_sources: entry for entry in entries}
-    spreads = [
-        (
-            NAMES[entry.error_sources],
-            SOURCES[entry.error_sources][1](errors),
-            entry.flown_by,
-            len(entry.deviation),
-            _shown(entry.rms),
-            entry.offset_m,
-            np.rad2deg(entry.attitude_error_rad) if entry.flown_by == SPACECRAFT else None,
-        )
-        for entry in entries
-    ]
-    columns = (
-        "source",
-        "1 sigma",
-        "flown by",
-        "flights",
-        Column("rms distance at the end", "m"),
-        Column("mean off the plan", "m", ".2f"),
-        Column("attitude error at the end", "deg", ".4f"),
-    )
+    columns: dict[str, Column | str] = {
+        "label": "source",
+        "sigma": "1 sigma",
+        "flown_by": "flown by",
+        "flights": "flights",
+        "rms": Column("rms distance at the end", "m"),
+        "mean_off_plan_m": Column("mean off the plan", "m", ".2f"),
+        "attitude_error_deg": Column("attitude error at the end", "deg", ".4f"),
+    }
     normal = [
         (
             NAMES[e.error_sources],
@@ -224,11 +213,11 @@ def report(entries: Sequence[Measured], errors: Errors, solution: Solution) -> l
         model = f"{initial:g} % and {burns:g} % of each component"
     planned = np.sqrt(np.trace(np.array(solution.nodes.covariance[-1])[:3, :3]))
     return [
-        Table.of(
+        view(
             "",
+            [row(entry, errors) | {"rms": _shown(entry.rms)} for entry in entries],
             columns,
-            spreads,
-            note="Root mean square distance of the final positions from that of the flight without "
+            "Root mean square distance of the final positions from that of the flight without "
             "errors, with 95 % intervals. Errors of the path are flown in the planner's dynamics; "
             "what acts by way of the attitude needs the whole spacecraft, of which there are few "
             "flights, hence the wide intervals. The attitude error is the largest when the last burn "

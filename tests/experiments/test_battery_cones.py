@@ -147,14 +147,3 @@ def test_the_command_writes_the_same_tables_for_the_same_seed(tmp_path: Path) ->
     assert (
         "calibrated by 3.8 W of housekeeping are the paper's | within 0.2 deg | 23.30 and" in text
     )
-
-
-def test_bad_options_exit_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        study("--samples", "1")
-    assert stop.value.code == 2
-    assert study("--vehicle", str(tmp_path / "none.toml"), "--out", str(tmp_path)) == 2
-    assert "none.toml" in capsys.readouterr().err
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    assert study("--samples", "100", "--out", str(tmp_path / "file")) == 2
-    assert "file: got file exists" in capsys.readouterr().err

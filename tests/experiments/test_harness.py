@@ -41,6 +41,43 @@ def test_a_command_line_that_cannot_be_read_is_a_document(
     assert document["command"] == f"experiments {study}"
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("battery_cones --vehicle TMP/none.toml --out TMP", "none.toml"),
+        ("battery_cones --samples 100 --out TMP/file", "file: got file exists"),
+        ("uncertainty_sources --flights 0 --out TMP/file/x", "file"),
+        ("observation_table --quick --out TMP/file", "must be writable"),
+        ("model_fidelity --solution TMP/none --out TMP", "none"),
+        ("uncertainty_sources --solution TMP/none --out TMP", "none"),
+        ("flown_plan TMP/none --out TMP", "none"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_named(
+    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    assert main([word.replace("TMP", str(tmp_path)) for word in words.split()]) == 2
+    assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir() if path.suffix] == []
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "battery_cones --samples 1",
+        "observation_table --samples 1",
+        "observation_table --samples x",
+        "timing_rules --slews 2",
+        "uncertainty_sources --paths 19",
+    ],
+)
+def test_a_number_out_of_its_range_exits_with_two(words: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(words.split())
+    assert stop.value.code == 2
+
+
 def test_a_study_is_one_document_or_silent(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

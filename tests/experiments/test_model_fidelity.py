@@ -250,9 +250,3 @@ def test_the_command_writes_tables_and_verdicts(
         last = {row["model"]: float(row["distance_m"]) for row in csv.DictReader(file)}
     assert all(last[row["model"]] == float(row["terminal_m"]) for row in table)
     assert "## Claims" in (tmp_path / "model_fidelity.md").read_text("utf-8")
-
-
-def test_a_missing_plan_exits_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    missing = tmp_path / "none"
-    assert main(["model_fidelity", "--out", str(tmp_path), "--solution", str(missing)]) == 2
-    assert str(missing) in capsys.readouterr().err

@@ -184,21 +184,6 @@ def test_a_table_of_failures_is_still_a_table() -> None:
     assert claims(entries) == []
 
 
-@pytest.mark.parametrize("arguments", [["--samples", "1"], ["--samples", "x"], ["--unknown"]])
-def test_bad_options_exit_with_two(arguments: list[str]) -> None:
-    with pytest.raises(SystemExit) as stop:
-        study(*arguments)
-    assert stop.value.code == 2
-
-
-def test_a_folder_that_cannot_be_written_exits_with_two(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    assert study(*QUICK, "--out", str(tmp_path / "file")) == 2
-    assert "must be writable" in capsys.readouterr().err
-
-
 def test_the_reference_solver_is_imported_only_where_it_is_used() -> None:
     code = (
         "import sys, experiments.observation_table.study; "

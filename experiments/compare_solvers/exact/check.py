@@ -33,7 +33,7 @@ UNLIKE = 5.0
 
 
 class Checked(NamedTuple):
-    """What burns are worth.
+    """Burns as judged.
 
     Attributes:
         total_dv_m_s: sum of the burns.

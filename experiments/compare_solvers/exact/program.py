@@ -126,7 +126,7 @@ def _moved(s: Sensitivity, at: np.ndarray, by_mean: Array, by_factor: Array) -> 
 
 
 def rows_of(mission: Mission) -> tuple[ProbabilityRows, ProbabilityRows]:
-    """What a search holds first, and in the end."""
+    """Probability constraints of a search: coarse ones to begin with, and those of its end."""
     problem, risk = mission.problem, mission.scenario.risk
     few, many = (
         [NodeRows(problem, risk.p_chance, rays) for rays in (COARSE_RAYS, RAYS)]
