@@ -38,10 +38,8 @@ from scp_recon.results.solution import Solution
 from scp_recon.results.table import Column, Table, Value
 from scp_recon.simulation.flight import distance_in_sigmas
 from scp_recon.simulation.record import (
-    Angles,
     FlightSummary,
     Record,
-    WindowPointing,
     inputs_digest,
     read_record,
     write_record,
@@ -52,11 +50,6 @@ SEEDS, SAMPLES, BLOCK = 20, 10_000, 1000
 RADIUS_SIGMA = 3.0
 EXPECTED = float(chi2.cdf(RADIUS_SIGMA**2, 3))
 """Share of a normal position that lies within three sigma."""
-
-ANGLES: dict[str, Callable[[WindowPointing], Angles]] = {
-    "camera against command, in the window": lambda pointing: pointing.camera,
-    "camera against the site, in the window": lambda pointing: pointing.site,
-}
 
 
 def fly(solution: Solution, vehicle: Path | None, out: Path, seed: int) -> Row:
@@ -220,22 +213,19 @@ def _angle_lines(summaries: Sequence[FlightSummary]) -> list[tuple[Value, ...]]:
     # At time zero the attitude is what it should be, by construction.
     starts = np.array([burn.pointing_deg for burn in burns if burn.t_s > 0.0])
     executed = np.array([burn.executed_pointing_deg for burn in burns])
-    rows = {
-        name: (angles, *np.quantile(angles, (0.95, 0.997, 1.0)))
+    lines: list[tuple[Value, ...]] = [
+        (name, float(angles.mean()), *np.quantile(angles, (0.95, 0.997, 1.0)).tolist())
         for name, angles in (
             ("thrust against burn, as it starts, but for the first", starts),
             ("velocity gained against burn", executed),
         )
-    }
-    for name, of in ANGLES.items():
-        spreads = [of(summary.window_pointing_deg) for summary in summaries]
-        means = np.array([spread.mean for spread in spreads])
-        worst = np.array([(s.q95, s.q997, s.q100) for s in spreads]).max(axis=0)
-        rows[name] = (means, *worst)
-    return [
-        (name, *(float(x) for x in (values.mean(), *worst)))
-        for name, (values, *worst) in rows.items()
     ]
+    for name, target in (("camera", "command"), ("site", "the site")):
+        spreads = [getattr(summary.window_pointing_deg, name) for summary in summaries]
+        worst = np.array([(s.q95, s.q997, s.q100) for s in spreads]).max(axis=0)
+        mean = float(np.mean([spread.mean for spread in spreads]))
+        lines.append((f"camera against {target}, in the window", mean, *worst.tolist()))
+    return lines
 
 
 def _share(inside: Booleans) -> tuple[str, str]:

@@ -71,16 +71,6 @@ def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
 
 
-def test_the_flight_gets_a_row_of_its_own(copy: Path, kernel: Path) -> None:
-    assert study(*QUICK, "--out", str(copy), "--as-flown", str(kernel)) == 0
-    row = table_of(copy)["as_flown"]
-    assert row["paper_row"] == "OSIRIS-REx"
-    assert row["status"] == "given, not optimised"
-    text = (copy / "observation_table.md").read_text("utf-8")
-    assert "flight.bsp" in text
-    assert "kernel was not at hand" not in text
-
-
 def test_the_guess_from_the_flight_is_the_flight_and_what_init_makes_of_its_table(
     mission: Mission, kernel: Path, flight: Array, tmp_path: Path
 ) -> None:
@@ -141,7 +131,7 @@ def test_warm_rows_start_from_the_flight_and_without_a_kernel_from_the_ballistic
         np.testing.assert_allclose(guess.burns, expected[init].burns, rtol=0.0, atol=1e-12)
 
 
-def test_the_warm_row_is_designed_anew_when_its_start_changes(
+def test_the_flight_gets_a_row_and_warm_rows_are_designed_anew_when_their_start_changes(
     copy: Path, kernel: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def run(*arguments: str) -> dict[str, str]:
@@ -156,6 +146,11 @@ def test_the_warm_row_is_designed_anew_when_its_start_changes(
     assert "taken up" not in by_flight["scp_warm"]
     assert "taken up" in by_flight["scp_cold"]
     assert table_of(copy)["scp_warm"]["label"] == "SCP, warm start from the flight"
+    own = table_of(copy)["as_flown"]
+    assert (own["paper_row"], own["status"]) == ("OSIRIS-REx", "given, not optimised")
+    text = (copy / "observation_table.md").read_text("utf-8")
+    assert "flight.bsp" in text
+    assert "kernel was not at hand" not in text
     # From the flight as from the arc P2's optimum is the same.
     assert read_solution(copy / "scp_warm").status == "converged"
     warm, cold = (float(table_of(copy)[f"scp_{s}"]["total_dv_m_s"]) for s in ("warm", "cold"))
@@ -178,12 +173,7 @@ def test_a_kernel_that_does_not_cover_the_flight_exits_with_two(
     for name in ("missing.bsp", "text.bsp"):
         (tmp_path / "text.bsp").write_text("no kernel", encoding="utf-8")
         out = tmp_path / "out"
-        assert (
-            main(
-                ["observation_table", *QUICK, "--out", str(out), "--as-flown", str(tmp_path / name)]
-            )
-            == 2
-        )
+        assert study(*QUICK, "--out", str(out), "--as-flown", str(tmp_path / name)) == 2
         errors = capsys.readouterr().err
         assert errors.startswith(f"error: --as-flown {tmp_path / name}: got ")
         assert errors.count("\n") == 1
