@@ -34,12 +34,3 @@ def test_interval_holds_the_truth_at_least_as_often_as_it_claims(
         for estimate in (proportion(successes, samples) for successes in range(samples + 1))
     ]
     assert binom.pmf(np.arange(samples + 1), samples, truth) @ holds >= CONFIDENCE
-
-
-def test_more_samples_narrow_the_interval() -> None:
-    widths = [
-        estimate.high - estimate.low
-        for estimate in (proportion(7 * n // 10, n) for n in (10, 100, 1000, 10_000))
-    ]
-    assert widths == sorted(widths, reverse=True)
-    assert widths[2] / widths[3] == pytest.approx(np.sqrt(10.0), rel=0.05)

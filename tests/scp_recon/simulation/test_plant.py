@@ -18,16 +18,11 @@ from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk.plant import Start, build_plant
 from scp_recon.simulation.panels import irradiance
-from scp_recon.simulation.vehicle import Vehicle, load_vehicle
+from scp_recon.simulation.vehicle import Vehicle
 
 from .support import coast
 
 DURATION_S = 17_421.0
-
-
-@pytest.fixture(scope="module")
-def vehicle() -> Vehicle:
-    return load_vehicle()
 
 
 def start(state: Array) -> Start:
