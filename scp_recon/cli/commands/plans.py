@@ -24,6 +24,7 @@ from scp_recon.interop.export import Export, heading
 from scp_recon.interop.path import WITHIN_M
 from scp_recon.physics.time_scales import iso_tdb, iso_utc
 from scp_recon.reports.write import FILE_NAME
+from scp_recon.results import comparison
 from scp_recon.results.comparison import Comparison
 from scp_recon.results.runs import folder_of, resolve_run
 from scp_recon.verification.reintegration import verify as verified
@@ -46,11 +47,12 @@ def verify(options: argparse.Namespace, console: Console) -> Answer:
 
 def compare(options: argparse.Namespace, console: Console) -> Answer:
     """Show plans beside each other."""
+    names = [str(path) for path in options.plans]
     solutions = [files.load(path) for path in options.plans]
-    found = files.compare(*options.plans)
+    found = comparison.compare(names, solutions)
     console.print(terminal(found.table))
-    for path, solution in zip(options.plans, solutions, strict=True):
-        show_warnings(console, solution.warnings, of=printable(str(path)))
+    for name, solution in zip(names, solutions, strict=True):
+        show_warnings(console, solution.warnings, of=printable(name))
     return Answer(0, comparison_document(found))
 
 
