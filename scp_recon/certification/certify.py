@@ -1,4 +1,4 @@
-"""A loop around the whole way from grid to flights: aim anew until what was asked is reached, no more.
+"""Plan and fly anew until flights reach the required probability, and no more.
 
 A plan keeps its constraints with the probability that it aims at, under the normal law that linear
 dynamics propagate. What nonlinear flights reach differs a little, and an estimate's lower limit lies
@@ -45,7 +45,7 @@ EXCESS = 1.0
 """Standard errors of what rounds have measured, up to which sampling explains that a plan reaches more
 than it has to. In rounds drawn from binomial laws with losses of -1 to 3 standard errors plans end 0.3
 above what is needed in the mean and 1.3 in 95 of 100, after 2.6 rounds; if the first success ended it,
-0.75 and 1.9 after 2. One of 1,000 reaches less than was asked."""
+0.75 and 1.9 after 2. One of 1,000 reaches less than was required."""
 
 BINDING = 0.01
 """Standard deviations between aim and law, up to which a constraint binds."""
@@ -65,13 +65,13 @@ class Watch(Protocol):
 def certify(
     mission: Mission, start: Iterate, make_plan: AimedPlanning, watch: Watch | None = None
 ) -> Plan:
-    """Plan so that the lower limit of the probability reached is at least what was asked.
+    """Plan so that the lower limit of the probability reached is at least the required one.
 
     The mission's allocation is exact. Rounds after the first start at the last one's burns. Ctrl-C
     ends with the best plan so far, marked as interrupted.
 
     Returns:
-        The cheapest plan that reaches what was asked, with its certificate; where none does the one
+        The cheapest plan that reaches what is required, with its certificate; where none does the one
             that comes nearest, whose certificate says so. Where an aim is infeasible before any round
             has succeeded, or the first comes to no verdict, that round's plan, without a certificate.
     """
@@ -143,7 +143,7 @@ class _Rounds:
 
     @property
     def _is_settled(self) -> bool:
-        """Whether a plan reaches what was asked, and sampling explains what it reaches more.
+        """Whether a plan reaches what is required, and its surplus is within sampling error.
 
         Or its constraints do not bind, so that a lower aim would save nothing.
         """
@@ -154,7 +154,7 @@ class _Rounds:
 
     @property
     def certified(self) -> Plan | None:
-        """The cheapest plan that reaches what was asked, on nodes close enough if there is one."""
+        """The cheapest plan that reaches what is required, on nodes close enough if there is one."""
         return self._cheapest(close=True) or self._cheapest(close=False)
 
     def _cheapest(self, *, close: bool) -> Plan | None:
@@ -225,7 +225,7 @@ class Aiming:
     """The aim of rounds of flights, so that the lower limit of what they reach is what is asked.
 
     Losses are of the rounds on the present nodes, in standard deviations; tries are the rounds that
-    have not reached what was asked.
+    have not reached the required probability.
     """
 
     asked: float
@@ -235,7 +235,7 @@ class Aiming:
 
     @property
     def needed(self) -> float:
-        """Share of the flights whose lower limit is what was asked."""
+        """Share of the flights whose lower limit is the required probability."""
         return successes_needed(self.asked, self.samples) / self.samples
 
     @property

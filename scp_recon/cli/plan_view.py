@@ -134,11 +134,11 @@ def frame_and_time(scenario: Scenario) -> str:
 
 
 def _show_risk(console: Console, risk: Risk | None) -> None:
-    """What was asked, aimed at and reached, in one line."""
+    """Required, target and reached probability in one line."""
     if risk is None:
         return
     what = "of whole flights" if risk.scope == "flight" else "of each constraint at each node"
-    line = f"\nprobability {what}: asked {risk.required:g}, aimed at {risk.target:.5g}"
+    line = f"\nprobability {what}: required {risk.required:g}, target {risk.target:.5g}"
     reached = risk.certificate
     if reached is None:
         line += "; not certified: the normal law alone promises it"
@@ -218,7 +218,7 @@ class Progress:
             else f"{reached.reached:.4f}, at least {reached.low:.4f}"
         )
         self.rounds[number] = Text(
-            f"round {number}: aimed at {plan.target:.5g}, {plan.total_dv_m_s:.6f} m/s, "
+            f"round {number}: target {plan.target:.5g}, {plan.total_dv_m_s:.6f} m/s, "
             f"{len(plan.times_s)} nodes; {samples} flights: {said}"
         )
         self._refresh()

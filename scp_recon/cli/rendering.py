@@ -56,7 +56,7 @@ def show_verdict(console: Console, word: str, failed: Sequence[str]) -> None:
     Args:
         console: to print to.
         word: of what is well, such as "verified".
-        failed: names of what is not, or sentences that say what was asked; if empty all is well.
+        failed: names of what is not, or sentences that say what was required; if empty all is well.
     """
     if failed:
         text = Text(f"not {word}", style="bold red") + Text(

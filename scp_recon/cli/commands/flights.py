@@ -86,7 +86,7 @@ def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
         *shortfalls(summary, plan.solution),
         *too_wide(flown.flights.widest_interval(), how.until),
     ]
-    show_verdict(console, "as asked", failed)
+    show_verdict(console, "as required", failed)
     show_written(console, flown.path)
     found = {"failed": failed, **document, **summary.model_dump(mode="json")}
     return Answer(NOT_VERIFIED if failed else 0, found)
@@ -122,7 +122,7 @@ def simulate(options: argparse.Namespace, console: Console) -> Answer:
     other = check_vehicle(vehicle, solution.scenario)
     show_warnings(console, [*solution.warnings, *mission.warnings, *other])
     failed = records.shortfalls(record.summary, solution)
-    show_verdict(console, "as asked", failed)
+    show_verdict(console, "as required", failed)
     show_written(console, path)
     document = {"failed": failed, "files": [str(path)], "summary": record.summary.entries()}
     return Answer(NOT_VERIFIED if failed else 0, document)
