@@ -97,6 +97,14 @@ def test_an_interrupt_keeps_the_best_start_so_far(mission: Mission) -> None:
     assert [o.starts for o in found.starts.optima] == [(0, 1)]
 
 
+def test_an_interrupt_before_any_start_is_no_plan(mission: Mission) -> None:
+    def stop(*_: object, **__: object) -> Plan:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plan_from_several(mission, initial_guess.cold(mission), stop, starts=2)
+
+
 def test_the_front_door_and_the_file_list_the_optima() -> None:
     found = sr.plan(problem="P3", starts=3, seed=0)
     assert "local optima of 3 starts, seed 0" in str(found)
