@@ -45,12 +45,12 @@ reference: $(VENV)/.solve  ## write docs/reference and the JSON schema of scenar
 	$(BIN)/python -m scp_recon.reference docs/reference
 	$(BIN)/python -m scp_recon schema docs/scenario.schema.json
 
-bench: $(VENV)/.dev  ## time everything, and renew the README's performance section
-	$(BIN)/python -m benchmarks --readme
+bench: $(VENV)/.dev  ## time everything, and renew docs/performance.md
+	$(BIN)/python -m benchmarks --page
 
 check: lint types test  ## everything that a change has to pass
 
-figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and the README's picture
+figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and that of docs/paper.md
 	$(BIN)/python -m paper_figs --all
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
 

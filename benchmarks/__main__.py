@@ -32,7 +32,7 @@ from benchmarks.methods import METHODS, Timed
 from benchmarks.tables import growth_table, pair_table, ratio_lines
 from scp_recon.files import write_atomically
 
-README = Path(__file__).parents[1] / "README.md"
+PAGE = Path(__file__).parents[1] / "docs" / "performance.md"
 BEGIN, END = "<!-- benchmarks -->", "<!-- /benchmarks -->"
 ROUNDS, REPEATS = 3, 3
 SLOW = ("ipopt printed", "scp lifted")
@@ -44,9 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one round, and no growth")
     parser.add_argument(
-        "--readme",
-        action="store_true",
-        help="replace the tables in the README's performance section",
+        "--page", action="store_true", help="replace the tables of docs/performance.md"
     )
     options = parse(parser, arguments)
     return run_command(lambda console: _measure(options, console), options)
@@ -65,8 +63,8 @@ def _measure(options: argparse.Namespace, console: Console) -> Answer:
     if fits:
         text += ["", growth_table(fits)]
     console.print("\n".join(text), markup=False, highlight=False, soft_wrap=True)
-    if options.readme:
-        write_readme("\n".join(text))
+    if options.page:
+        write_page("\n".join(text))
     found = {
         "machine": text[0],
         "methods": {name: asdict(timed) for name, timed in figures.items()},
@@ -123,11 +121,11 @@ def machine() -> str:
     return f"{cpu}; Python {platform.python_version()}, {versions}"
 
 
-def write_readme(text: str) -> None:
+def write_page(text: str) -> None:
     """Replace what stands between the markers."""
-    before, rest = README.read_text(encoding="utf-8").split(BEGIN)
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
-    write_atomically(README, f"{before}{BEGIN}\n{text}\n{END}{after}")
+    write_atomically(PAGE, f"{before}{BEGIN}\n{text}\n{END}{after}")
 
 
 if __name__ == "__main__":

@@ -80,11 +80,11 @@ def test_every_size_is_a_mission(study: Study) -> None:
             assert len(mission.burn_nodes) == size
 
 
-def test_the_readmes_section_is_replaced_and_nothing_else(
+def test_the_pages_tables_are_replaced_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text(f"before\n{command.BEGIN}\nold\n{command.END}\nafter\n", encoding="utf-8")
-    monkeypatch.setattr(command, "README", readme)
-    command.write_readme("new")
-    assert readme.read_text("utf-8") == f"before\n{command.BEGIN}\nnew\n{command.END}\nafter\n"
+    page = tmp_path / "performance.md"
+    page.write_text(f"before\n{command.BEGIN}\nold\n{command.END}\nafter\n", encoding="utf-8")
+    monkeypatch.setattr(command, "PAGE", page)
+    command.write_page("new")
+    assert page.read_text("utf-8") == f"before\n{command.BEGIN}\nnew\n{command.END}\nafter\n"

@@ -126,8 +126,8 @@ FLOORS = (
     "paper_figs",
     "benchmarks",
 )
-"""Folders, and modules that stand alone, from the lowest up: the README's tree read backwards."""
-TREE = (PROJECT / "README.md").read_text("utf-8").split("## The house")[1]
+"""Folders, and modules that stand alone, from the lowest up: CONTRIBUTING's tree read backwards."""
+TREE = (PROJECT / "CONTRIBUTING.md").read_text("utf-8").split("## The house")[1]
 PACKAGES = {"scp_recon", *UPPER_FLOORS}
 """By their own name no more than the package around what is imported of it."""
 
@@ -166,7 +166,7 @@ def test_every_module_and_command_has_its_floor() -> None:
 
 
 @pytest.mark.parametrize("wing", LIBRARY)
-def test_the_readmes_tree_is_the_house_from_the_top_down(wing: str) -> None:
+def test_the_drawn_tree_is_the_house_from_the_top_down(wing: str) -> None:
     """A wing's folders stand six spaces in, those of the floors and in their order."""
     drawn = re.findall(r"^ {6}(\w+)/", TREE.split(f"\n    {wing}/ ")[1].split("\n\n")[0], re.M)
     inside = [floor.split(".")[1:] for floor in FLOORS if floor.startswith(f"{wing}.")]
@@ -175,7 +175,7 @@ def test_the_readmes_tree_is_the_house_from_the_top_down(wing: str) -> None:
 
 
 @pytest.mark.parametrize("wing", WINGS[:-1])
-def test_the_readmes_tree_names_every_folder_and_study(wing: str) -> None:
+def test_the_drawn_tree_names_every_folder_and_study(wing: str) -> None:
     named = set(re.findall(r"\w+", TREE))
     for path in modules(wing):
         *folders, module = path.relative_to(PROJECT / wing).with_suffix("").parts
@@ -183,7 +183,7 @@ def test_the_readmes_tree_names_every_folder_and_study(wing: str) -> None:
         assert {*folders[: 2 if wing in LIBRARY else 1], *alone} <= named, path
 
 
-def test_the_readmes_tree_names_every_command() -> None:
+def test_the_drawn_tree_names_every_command() -> None:
     first = TREE.split("\n    scp_recon/ ")[1].split("api/")[0]
     assert {*BY_NAME} <= {*first.split()}
 
