@@ -133,9 +133,10 @@ def _fields(kind: Any) -> list[str]:
         told = field_descriptions(kind)
         return [told[name] for name in kind.model_fields]
     told = {}
-    for each in reversed(kind.__mro__):
+    for each in reversed(kind.__mro__[:-1]):
         _, _, block = (inspect.getdoc(each) or "").partition("Attributes:\n")
         told |= re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", block, re.MULTILINE)
+        told |= field_descriptions(each)
     return [told[field.name] for field in fields(kind)]
 
 

@@ -262,7 +262,6 @@ APART = {
     "python -m pip install --constraint constraints.txt --editable '.[compare]'",
     "python -m benchmarks --page",  # takes minutes, and writes a page
     "python -m benchmarks.campaign_scale",
-    "python -m experiments NAME",
     *(f"{RUN} campaign examples/studies/{name}.toml --out runs/{name}" for name in STUDIES),
 }
 """Only modules, options and files of these are looked for."""
@@ -298,6 +297,8 @@ class Workspace:
 def call(words: Sequence[str]) -> int:
     """Exit status of `python -m` with these words, in this process."""
     module, *arguments = words
+    if module == "scp_recon.solve":  # which has no `main`, and is run as a program elsewhere
+        module, arguments = "scp_recon", ["solve", *arguments]
     spec = importlib.util.find_spec(module)
     assert spec is not None, f"there is no module {module}"
     within = module if spec.submodule_search_locations is None else f"{module}.__main__"

@@ -79,17 +79,18 @@ def _models(model: type[BaseModel]) -> set[type[BaseModel]]:
     return found
 
 
-def field_descriptions(model: type[BaseModel]) -> dict[str, str]:
-    """Descriptions of a model's fields: the docstring below each, or that of the table it holds."""
-    tree = ast.parse(inspect.getsource(sys.modules[model.__module__]))
+def field_descriptions(kind: type) -> dict[str, str]:
+    """Descriptions of a class's fields: the docstring below each, or that of the table it holds."""
+    tree = ast.parse(inspect.getsource(sys.modules[kind.__module__]))
     body = next(
         node.body
         for node in tree.body
-        if isinstance(node, ast.ClassDef) and node.name == model.__name__
+        if isinstance(node, ast.ClassDef) and node.name == kind.__name__
     )
+    models = kind.model_fields if issubclass(kind, BaseModel) else {}
     told = {
         name: field.annotation.__doc__ or ""
-        for name, field in model.model_fields.items()
+        for name, field in models.items()
         if inspect.isclass(field.annotation) and issubclass(field.annotation, BaseModel)
     }
     for field, below in itertools.pairwise(body):
