@@ -127,7 +127,10 @@ TWO_KINDS = (
     ("experiments.frontier.PROBABILITIES", lambda _: (0.7,)),
     ("experiments.frontier.FLIGHTS", lambda _: 100),
 )
-CELLS = "experiments.compare_solvers.study"
+ONE_CELL = (
+    ("experiments.compare_solvers.study.full_design", lambda cells: lambda: cells()[:1]),
+    ("experiments.compare_solvers.study.exact_design", lambda cells: lambda: cells(range(1))[:1]),
+)
 
 TABLE = "python -m experiments observation_table"
 COMPARISON = "python -m experiments compare_solvers --full"
@@ -206,10 +209,8 @@ QUICK = {
     # the studies
     TABLE: Quick(FEW),
     f"{TABLE} --as-flown FILE": Quick(f"--as-flown flight.bsp {FEW}", needs="spiceypy"),
-    COMPARISON: Quick(less=((f"{CELLS}.full_design", lambda cells: lambda: cells()[:1]),)),
-    "python -m experiments compare_solvers --exact": Quick(
-        less=((f"{CELLS}.exact_design", lambda cells: lambda *_: cells(range(1))[:1]),)
-    ),
+    COMPARISON: Quick(less=ONE_CELL),
+    "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL),
     "python -m experiments nlp_tricks": Quick(
         less=(
             (
