@@ -80,6 +80,11 @@ def test_the_largest_number_may_be_a_variable_and_the_largest_price_a_multiplier
     steep = ConeProgram(np.array([1.0]), sp.csc_array([[-1e-3]]), np.array([0.0]), 0, 1, ())
     assert is_optimal(steep, np.zeros(1), np.array([1e3 + 0.9]))
     assert not is_optimal(steep, np.zeros(1), np.array([1e3 + 1.1]))
+    dear = ConeProgram(
+        np.array([1e3, 0.0]), sp.csc_array(np.diag([-1e3, -1.0])), np.zeros(2), 0, 2, ()
+    )
+    assert is_optimal(dear, np.zeros(2), np.array([1.0 + 0.9e-6, 0.0]))
+    assert not is_optimal(dear, np.zeros(2), np.array([1.0 + 1.1e-6, 0.0]))
 
 
 def test_multipliers_outside_their_cone_prove_nothing() -> None:

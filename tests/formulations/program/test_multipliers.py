@@ -20,7 +20,8 @@ from formulations.problem.execution_errors import (
     ExecutionErrors,
     GatesErrors,
 )
-from formulations.program.multipliers import adjoint, primer
+from formulations.program.multipliers import adjoint, multipliers, primer, slope_left
+from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
 from formulations.rows.exact import FlightRows, NodeRows
 from formulations.rows.uniform import ChanceRows
@@ -124,3 +125,38 @@ def test_it_tells_what_a_small_burn_more_does_to_a_flight(
     expected = (priced(step) - priced(-step)) / (2.0 * step)
     found = -primer(rows, lin, prices)[at] @ u
     assert found == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+@given(generators, st.booleans())
+@settings(max_examples=share_of_examples(2))
+def test_multipliers_are_the_best_signed_ones_of_what_binds(
+    rng: np.random.Generator, vanishing: bool
+) -> None:
+    """By differences of flown excesses, for the conditions of non-negative least squares."""
+    flyby = constrain(rng, random_flyby(rng, nodes=8, burns=4))
+    burns = flyby.burns + 0.1 * rng.normal(size=flyby.burns.shape)
+    problem = replace(flyby.problem, dv_max=float(np.median(np.linalg.norm(burns, axis=1))))
+    burns[1] *= not vanishing
+    lin = flyby.waves.linearise(problem, flyby.waves.rollout(problem, burns))
+    rows = every_row(lin, "P2")
+    merit, step = MeritFunction(problem, rows), 1e-6
+
+    def excess(z: Array) -> Array:
+        moved = flyby.waves.rollout(problem, z.reshape(-1, 3))
+        return merit.excess(flyby.waves.linearise(problem, moved))
+
+    z, found = burns.ravel(), multipliers(problem, rows, lin)
+    moves = step * np.eye(len(z))
+    jacobian = np.array([excess(z + m) - excess(z - m) for m in moves]).T / (2.0 * step)
+    sizes = np.linalg.norm(burns, axis=1, keepdims=True)
+    there = np.repeat(sizes > 0.0, 3)
+    slope = (burns / np.maximum(sizes, 1e-300)).ravel()
+    left = np.where(there, slope + jacobian.T @ found, 0.0)
+    assert slope_left(problem, rows, lin, found) == pytest.approx(np.abs(left).max(), abs=1e-5)
+    binding, against = excess(z) > -1e-5, jacobian @ left
+    binding[:6] = True
+    scale = 1e-4 * (1.0 + np.abs(jacobian).max() * (1.0 + np.abs(found).max()))
+    assert not found[~binding].any()
+    assert found[6:].min() >= -1e-12
+    assert np.abs(against[np.abs(found) > 1e-6]).max() < scale
+    assert np.all(against[6:][binding[6:]] > -scale)

@@ -106,8 +106,12 @@ def test_up_to_what_may_be_asked_the_rest_is_told_to_a_half(
         mean = ((1.0 - deviations * 0.03) * random_unit(rng))[None]
         factor = 0.03 * np.linalg.qr(rng.normal(size=(dimension, 3)))[0].T[None]
         event = Event("ball", np.array([0]), (Ball(np.zeros((1, 3)), 1.0),), ())
-        found = FlightProbability((event,), law)(mean, factor).value
-        (exact,) = node_quantiles(event, mean, factor).value
+        quantile, node = (
+            FlightProbability((event,), law)(mean, factor),
+            node_quantiles(event, mean, factor),
+        )
+        assert np.linalg.norm(quantile.by_mean - node.by_mean) < 0.5 * np.linalg.norm(node.by_mean)
+        found, (exact,) = quantile.value, node.value
         assert ndtr(-found) == pytest.approx(ndtr(-exact), rel=0.5)
         assert found == pytest.approx(exact, abs=0.15)
 

@@ -133,6 +133,24 @@ def test_balls_follow_the_noncentral_chi_square_law(sigma: float, rng: np.random
     np.testing.assert_allclose(without, 1.0 - expected, rtol=0.0, atol=1e-8)
 
 
+@given(st.floats(0.01, 0.28), st.floats(0.3, 0.9), generators)
+@few
+def test_a_shell_is_the_difference_of_two_balls(
+    share: float, inner: float, rng: np.random.Generator
+) -> None:
+    """However thin against the spread, which is up to half the smaller radius."""
+    n, sigma = 30, share * inner
+    distance = np.maximum(rng.uniform(inner - 3.0 * sigma, 1.0 + 3.0 * sigma, n), 0.0)
+    distance[:3] = 0.0, inner, 1.0 + 9.0 * sigma
+    mean = distance[:, None] * random_unit(rng, n)
+    outer, hole = (many(Ball(np.zeros((1, 3)), radius), n) for radius in (1.0, inner))
+    factor = np.broadcast_to(sigma * np.eye(3), (n, 3, 3))
+    expected = round_ball_probability(1.0, distance, np.hypot(sigma, SPREAD_MIN))
+    expected = expected - round_ball_probability(inner, distance, np.hypot(sigma, SPREAD_MIN))
+    found = probability(node_quantiles(event((outer,), (hole,)), mean, factor))
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=QUADRATURE)
+
+
 @given(st.floats(0.002, 0.5), st.floats(1.0, SLENDER), sigmas_away, generators)
 @few
 def test_balls_and_cones_agree_with_nested_quadrature(
@@ -223,7 +241,7 @@ def test_limits_that_are_not_nested_are_refused() -> None:
             node_quantiles(event(keep_in, keep_out), mean, factor)
 
 
-@given(st.floats(-6.5, 6.5), generators)
+@given(st.floats(-6.5, 6.5) | st.floats(7.5, 9.0) | st.floats(-9.0, -7.5), generators)
 def test_a_half_space_has_its_closed_form(deviations: float, rng: np.random.Generator) -> None:
     """A huge ball: g = (b - a'mu) / ||S'a||, and the gradients of that."""
     normal, factor, radius = random_unit(rng), root(rng, 1.0, 5.0), 1e6
