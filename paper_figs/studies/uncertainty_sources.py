@@ -20,7 +20,8 @@ def draw(rows: list[Row]) -> Figure:
     spread = [row for row in rows if float(row["rms_m"]) > 0.0]
     with page(0.9 + 0.34 * len(spread)) as figure:
         axes = figure.subplots()
-        for engine, marker in zip(_engines(spread), ("o", "s"), strict=False):
+        engines = dict.fromkeys(row["flown_by"] for row in spread)
+        for engine, marker in zip(engines, ("o", "s"), strict=False):
             places = [k for k, row in enumerate(spread) if row["flown_by"] == engine]
             values, low, high = (
                 numbers(spread, column)[places] for column in ("rms_m", "rms_m_low", "rms_m_high")
@@ -38,10 +39,6 @@ def draw(rows: list[Row]) -> Figure:
         axes.set(ylim=(len(spread) - 0.5, -0.5), xlim=_decades(spread))
         legend(figure, 2)
     return figure
-
-
-def _engines(rows: list[Row]) -> list[str]:
-    return list(dict.fromkeys(row["flown_by"] for row in rows))
 
 
 def _decades(rows: list[Row]) -> tuple[float, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
@@ -65,20 +66,20 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
         ("status", "", tuple(s.status for s in solutions)),
         ("verified", "", tuple(_verdict(s.verification) for s in solutions)),
         ("p_chance asked", "", tuple(s.scenario.risk.p_chance for s in solutions)),
-        ("total delta-v", "m/s", tuple(_total_dv(s) for s in solutions)),
+        ("total delta-v", "m/s", tuple(s.total_dv_m_s for s in solutions)),
     ]
     if any(len(s.flown_m_s) for s in solutions):
         rows += _history(solutions)
-    flights = [np.linalg.norm(_whole_flight(s), axis=1) for s in solutions]
-    for i in range(max(len(sizes) for sizes in flights)):
-        rows.append((f"burn {i + 1}", "m/s", tuple(_item(sizes, i) for sizes in flights)))
+    flights = (np.linalg.norm(_whole_flight(s), axis=1).tolist() for s in solutions)
+    burns = enumerate(zip_longest(*flights), start=1)
+    rows += [(f"burn {number}", "m/s", sizes) for number, sizes in burns]
     margins = [{c.name: c.worst_margin for c in s.constraints} for s in solutions]
     units = {c.name: c.unit for s in solutions for c in s.constraints}
     rows += [(f"margin {n}", unit, tuple(m.get(n) for m in margins)) for n, unit in units.items()]
-    found = [s.verification.probabilities if s.verification else [] for s in solutions]
-    chances = [{p.name: p.estimate for p in each} for each in found]
-    names_of_chances = dict.fromkeys(name for each in chances for name in each)
-    rows += [(f"P({n})", "", tuple(c.get(n) for c in chances)) for n in names_of_chances]
+    checked = [s.verification.probabilities if s.verification else [] for s in solutions]
+    chances = [{p.name: p.estimate for p in each} for each in checked]
+    events = dict.fromkeys(name for each in chances for name in each)
+    rows += [(f"P({n})", "", tuple(c.get(n) for c in chances)) for n in events]
     apart = tuple(largest_distance_m(solutions[0], other) for other in solutions)
     rows.append(("farthest from the first", "m", apart))
     return Comparison(tuple(names), tuple(rows))
@@ -96,11 +97,6 @@ def _verdict(verification: Verification | None) -> str:
     if verification is None:
         return "not checked"
     return "yes" if verification.ok else f"no: {', '.join(verification.failed)}"
-
-
-def _total_dv(solution: Solution) -> float:
-    """Sum of the burns' sizes, m/s; a file's own total may be wrong."""
-    return float(np.linalg.norm(solution.burns_m_s, axis=1).sum())
 
 
 def _whole_flight(solution: Solution) -> Array:
@@ -121,10 +117,6 @@ def _history(
         ("with those flown", "m/s", tuple(whole)),
         ("final state missed by", "m", tuple(m.position_m if m else None for m in missed)),
     ]
-
-
-def _item(values: Array, i: int) -> float | None:
-    return float(values[i]) if i < len(values) else None
 
 
 def _cell(figure: float | str | None) -> Cell | str | None:
