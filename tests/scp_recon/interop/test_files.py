@@ -25,13 +25,9 @@ def test_the_csv_is_the_path_to_the_last_digit(export: Export) -> None:
     sigma = np.sqrt([float(row["cov_vz_vz_m2_s2"]) for row in rows])
     matrices = np.concatenate([coast.covariances for coast in export.path.coasts])
     np.testing.assert_allclose(sigma, np.sqrt(matrices[:, 5, 5]), rtol=1e-12)
-
-
-def test_a_burn_has_two_rows(export: Export) -> None:
-    found = columns(export)
-    times, coasts = np.array(found["t_s"]), np.array(found["coast"])
+    times, coasts = (np.array(columns(export)[name]) for name in ("t_s", "coast"))
     for number, burn in enumerate(export.solution.burns):
-        assert coasts[times == burn.t_s].tolist() == [number, number + 1]
+        assert coasts[times == burn.t_s].tolist() == [number, number + 1]  # two rows at a burn
 
 
 def test_parquet_holds_the_same(export: Export) -> None:

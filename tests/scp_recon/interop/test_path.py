@@ -19,28 +19,21 @@ from scp_recon.results.solution import Solution
 from tests.scp_recon.support import fly, integrate
 
 
-def test_there_is_a_coast_on_each_side_of_each_burn(export: Export) -> None:
-    firing = export.mission.scenario.burns.times_s
-    edges = [(c.times_s[0], c.times_s[-1]) for c in export.path.coasts]
+def test_there_is_a_coast_on_each_side_of_each_burn_which_is_a_jump_of_the_velocity(
+    export: Export,
+) -> None:
+    coasts, firing = export.path.coasts, export.mission.scenario.burns.times_s
+    edges = [(c.times_s[0], c.times_s[-1]) for c in coasts]
     assert edges == list(itertools.pairwise((firing[0] - MARGIN_S, *firing, firing[-1] + MARGIN_S)))
-    assert all((np.diff(coast.times_s) > 0.0).all() for coast in export.path.coasts)
-
-
-def test_a_burn_is_a_jump_of_the_velocity_and_of_nothing_else(export: Export) -> None:
+    assert all((np.diff(coast.times_s) > 0.0).all() for coast in coasts)
     for burn, (before, after) in zip(
-        export.solution.burns_m_s, itertools.pairwise(export.path.coasts), strict=True
+        export.solution.burns_m_s, itertools.pairwise(coasts), strict=True
     ):
         jump = after.states[0] - before.states[-1]
         np.testing.assert_allclose(jump[:3], 0.0, atol=1e-9)
         np.testing.assert_allclose(jump[3:], burn, atol=1e-12)
-
-
-def test_before_the_first_burn_is_the_initial_state_and_after_the_last_the_final_one(
-    export: Export,
-) -> None:
-    before, *_, after = export.path.coasts
-    np.testing.assert_allclose(before.states[-1], export.mission.initial_state, rtol=1e-14)
-    off = after.states[0] - export.mission.final_state
+    np.testing.assert_allclose(coasts[0].states[-1], export.mission.initial_state, rtol=1e-14)
+    off = coasts[-1].states[0] - export.mission.final_state
     assert np.linalg.norm(off[:3]) < 1e-3
     assert np.linalg.norm(off[3:]) < 1e-7
 

@@ -69,7 +69,7 @@ def test_the_verdict_is_there_before_every_chart_is_drawn(seen: Seen) -> None:
     assert seen.page.locator("#flight canvas").count() >= 1
 
 
-def test_the_slider_moves_the_spacecraft_to_the_solution_s_nodes(
+def test_the_slider_moves_the_spacecraft_to_the_nodes_as_far_from_the_site_as_is_said(
     seen: Seen, subject: Subject
 ) -> None:
     states = np.array(subject.solution.nodes.state)
@@ -93,23 +93,18 @@ def test_the_slider_moves_the_spacecraft_to_the_solution_s_nodes(
         expected = np.linalg.norm(states[node, :3])
         assert np.linalg.norm(shown) == pytest.approx(expected, abs=0.05)
         assert f"t = {time:.0f} s | 2020-01-2" in seen.page.inner_text("#readout")
-
-
-def test_the_site_that_is_drawn_is_the_distance_away_that_is_told(
-    seen: Seen, subject: Subject
-) -> None:
     seen.page.evaluate("report.show(15000)")
     mission, times = subject.mission, np.array([15_000.0])
     site = geometry.track(mission.site, mission.rotation, times)
-    told = geometry.distance(subject.positions(times), site)[0]
-    assert f"observation, {told:.0f} m from the site" in seen.page.inner_text("#readout")
+    away = geometry.distance(subject.positions(times), site)[0]
+    assert f"observation, {away:.0f} m from the site" in seen.page.inner_text("#readout")
     apart = seen.page.evaluate(
         "() => { const s = document.getElementById('flight');"
         " const c = s.data.find(d => d.meta.moves === 'craft');"
         " const p = s.data.find(d => d.meta.group === 'site');"
         " return Math.hypot(c.x[0] - p.x[0], c.y[0] - p.y[0], c.z[0] - p.z[0]); }"
     )
-    assert apart == pytest.approx(told, abs=2.5)  # the marker stands a little above the ground
+    assert apart == pytest.approx(away, abs=2.5)  # the marker stands a little above the ground
 
 
 def test_the_body_turns_and_night_moves_over_it(seen: Seen) -> None:

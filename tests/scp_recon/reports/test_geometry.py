@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from scp_recon.bodies.surface import Mesh
 from scp_recon.physics.frames import unit
 from scp_recon.reports.charts import BINS, thinned
@@ -44,33 +45,30 @@ def test_rays_hit_an_ellipsoid_where_the_quadratic_says(rng: np.random.Generator
     np.testing.assert_allclose(found[both], expected[both], atol=1e-3)
 
 
-def test_the_site_is_within_its_field_of_view_and_the_track_below_the_path(
+def test_the_field_of_view_is_about_the_site_at_the_camera_s_angle_on_the_ground(
     subject: Subject,
 ) -> None:
-    shape = shape_of(subject.solution.scenario)
-    track = ground_track(subject, shape, Camera())
-    site = subject.mission.site.position_body
+    scenario, mission = subject.solution.scenario, subject.mission
+    track = ground_track(subject, shape_of(scenario), Camera())
+    site = mission.site.position_body
+    here = in_the_body(subject, track.looks_s)
+    seen = unit(track.outlines_m - here[:, None])
+    angle = np.rad2deg(np.arccos(np.einsum("nri,ni->nr", seen, unit(site - here))))
+    np.testing.assert_allclose(angle, 0.5 * Camera().field_deg, atol=1e-6)
+    on = track.outlines_m / np.array(scenario.body.radii_m)
+    np.testing.assert_allclose(np.linalg.norm(on, axis=-1), 1.0, atol=1e-9)
     for outline in track.outlines_m:
         centre = outline.mean(axis=0)
         assert np.linalg.norm(site - centre) < 0.5 * np.linalg.norm(outline - centre, axis=1).min()
-    at = subject.mission.rotation.body_to_j2000(track.times_s)
-    fixed = np.einsum("nji,nj->ni", at, subject.positions(track.times_s))
-    longitude, latitude = degrees_of(fixed)
+    longitude, latitude = degrees_of(in_the_body(subject, track.times_s))
     np.testing.assert_allclose(track.longitude_deg, longitude)
     np.testing.assert_allclose(track.latitude_deg, latitude)
 
 
-def test_the_outline_is_at_the_camera_s_angle(subject: Subject) -> None:
-    shape, camera = shape_of(subject.solution.scenario), Camera(8.0, 1000)
-    track = ground_track(subject, shape, camera)
-    at = subject.mission.rotation.body_to_j2000(track.looks_s)
-    here = np.einsum("nji,nj->ni", at, subject.positions(track.looks_s))
-    axis = unit(subject.mission.site.position_body - here)
-    seen = unit(track.outlines_m - here[:, None])
-    angle = np.rad2deg(np.arccos(np.einsum("nri,ni->nr", seen, axis)))
-    np.testing.assert_allclose(angle, 4.0, atol=1e-6)
-    on = track.outlines_m / np.array(subject.solution.scenario.body.radii_m)
-    np.testing.assert_allclose(np.linalg.norm(on, axis=-1), 1.0, atol=1e-9)
+def in_the_body(subject: Subject, times_s: Array) -> Array:
+    """The path in body-fixed axes, m."""
+    at = subject.mission.rotation.body_to_j2000(times_s)
+    return np.einsum("nji,nj->ni", at, subject.positions(times_s))
 
 
 def test_the_sun_stands_on_the_horizon_at_the_terminator(subject: Subject) -> None:
