@@ -1,1 +1,1 @@
-"""From what is known of a body to numbers: catalogue, ephemeris, shape, kernels, gravity files."""
+"""Data of asteroids: the packaged catalogue, surfaces, shape files, kernels, gravity fields."""

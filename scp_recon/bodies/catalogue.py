@@ -1,4 +1,4 @@
-"""The packaged bodies, and where the Sun is from them by mean elements.
+"""The packaged bodies: their data, and their heliocentric states by mean elements.
 
 Every number's source stands in `data/bodies/NAME.toml`.
 """
@@ -31,10 +31,10 @@ J2000_TDB = datetime(2000, 1, 1, 12)
 
 @dataclass(frozen=True)
 class PackagedBody:
-    """What the package knows of a body.
+    """A body's packaged data.
 
     Attributes:
-        entries: of the table `[body]`, in its units.
+        entries: entries of the table `[body]`, in its units.
         elements: Kepler orbits, one a year: TDB days past J2000 of its middle, mean motion (deg/day),
             eccentricity, inclination, node, argument of perihelion, mean anomaly (deg), J2000 ecliptic,
             heliocentric; shape (n, 7).
@@ -70,7 +70,7 @@ class PackagedBody:
         return self.extrapolated(days)
 
     def extrapolated(self, days: float) -> tuple[Array, Array]:
-        """The same, outside the span on the orbit of the nearest year."""
+        """As `heliocentric`; outside the span by the elements of the nearest year."""
         return kepler(self.elements[np.argmin(np.abs(self.elements[:, 0] - days))], days)
 
 
@@ -111,12 +111,12 @@ def body_names() -> list[str]:
 
 
 def packaged_body(name: object) -> PackagedBody | None:
-    """The packaged body of a name, in whatever case, with its number or not; None if there is none."""
+    """The packaged body of a name, in any case, with or without its number; None if there is none."""
     return _bodies().get(name.strip(NUMBER).casefold()) if isinstance(name, str) else None
 
 
 NUMBER = " ()0123456789"
-"""What may stand before or behind a name: (101955) Bennu."""
+"""A number before or behind a name: (101955) Bennu."""
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Gravity fields from files: ICGEM's gfc, and the PDS's SHA tables."""
+"""Read gravity fields from files: ICGEM's gfc, and the PDS's SHA tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scp_recon.files import read_text
 ENTRY = "body.gravity_file"
 BYTES_MAX = 100_000_000
 SAME = 1e-3
-"""Of C00 and of degree 1, by which a field may be off GM and the centre of mass."""
+"""Tolerance of C00 and of degree 1: how far a field may be off GM and the centre of mass."""
 Row = tuple[int, int, float, float]
 
 
@@ -21,7 +21,7 @@ class GravityTable:
     """A field as its file has it.
 
     Attributes:
-        gm_m3_s2, radius_m: None where the file does not tell, as NEAR's tables do not.
+        gm_m3_s2, radius_m: None where the file lacks them, as NEAR's tables do.
         rows: degree, order, C, S; fully normalised, those of degree 0 and those that vanish left out.
     """
 
@@ -31,10 +31,10 @@ class GravityTable:
 
 
 def read_gravity(path: Path, degree_max: int) -> GravityTable:
-    """Read a field to a degree.
+    """Read a field up to a degree.
 
     Raises:
-        InputError: if it cannot be read, is not fully normalised, or is neither format.
+        InputError: if the file cannot be read, is in neither format, or is not fully normalised.
     """
     text = read_text(path, f"{ENTRY} {path}", "gravity field", BYTES_MAX)
     try:
@@ -56,7 +56,7 @@ def read_gravity(path: Path, degree_max: int) -> GravityTable:
 
 
 def _check_centre(path: Path, table: GravityTable) -> None:
-    """C00 is 1, or GM is another; and degree 1 is sqrt(3) off the centre of mass, in radii."""
+    """Refuse a field with C00 other than 1, or with degree 1: it is not about the centre of mass."""
     for n, m, c, s in table.rows:
         if n == 0 and c != 0.0 and abs(c - 1.0) > SAME:
             raise InputError(ENTRY, f"{path}, with C00 = {c:g}", "must have C00 = 1, or none")
@@ -69,7 +69,7 @@ def _check_centre(path: Path, table: GravityTable) -> None:
 
 
 def _gfc(text: str) -> GravityTable:
-    """ICGEM's format: Ince et al. 2019, appendix A; SI, keywords until end_of_head."""
+    """Parse ICGEM's format (Ince et al. 2019, appendix A): SI, keywords until end_of_head."""
     head, body = re.split(r"^end_of_head.*$", text, maxsplit=1, flags=re.MULTILINE)
     keys = {words[0]: words[1] for line in head.splitlines() if len(words := line.split()) > 1}
     if keys.get("norm", "fully_normalized") != "fully_normalized":
@@ -86,7 +86,7 @@ def _gfc(text: str) -> GravityTable:
 
 
 def _sha(text: str) -> GravityTable:
-    """The PDS's tables: n, m, C, S, sigmas; after radius in km, GM in km^3/s^2 or not."""
+    """Parse a PDS table: radius in km and, if present, GM in km^3/s^2; then rows n, m, C, S, sigmas."""
     lines = [
         words for line in text.splitlines() if (words := re.split(r"[,\s]+", line.strip(" ,")))[0]
     ]
@@ -106,7 +106,7 @@ def _row(words: list[str]) -> Row:
 
 
 def _number(word: str) -> float:
-    """Fortran's exponents too."""
+    """A number, also with Fortran's exponent."""
     value = float(word.upper().replace("D", "E"))
     if not abs(value) < 1e30:
         raise ValueError(f"{word} is no number of a gravity field")

@@ -1,6 +1,6 @@
-"""Reads SPICE kernels, once: rotation (PCK), heliocentric state (SPK), shape (DSK).
+"""Read SPICE kernels: rotation (PCK), heliocentric state (SPK), shape (DSK), spacecraft states.
 
-Needs the extra [spice]. The user's own kernels are put back after each reading.
+Needs the extra [spice]. Kernels that the user has loaded are loaded again after each reading.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CENTURY_DAYS = 36_525.0
 
 @dataclass(frozen=True)
 class PckRotation:
-    """Rotation as a PCK has it, and radii if it has them.
+    """A PCK's rotation, and radii if it has them.
 
     Attributes:
         pole_ra_deg, pole_dec_deg: at the epoch, J2000.
@@ -40,10 +40,10 @@ class PckRotation:
 def read_pck(path: Path, naif_id: int, days: float) -> PckRotation:
     """Rotation of a body at an epoch in TDB days past J2000.
 
-    The pole is held there, which no asteroid's kernel minds: their poles have no rates.
+    The pole is fixed at the epoch's: poles in asteroids' kernels have no rates.
 
     Raises:
-        InputError: if spiceypy is missing, the file is no kernel, or it has no such body.
+        InputError: if spiceypy is missing, the file is no kernel, or it lacks the body.
     """
     entry = "body.pck_file"
     with _kernels(entry, [path]) as spice:
@@ -95,7 +95,7 @@ def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
     """Vertices in m and triangles (indices from 0) of a DSK of one segment, of type 2.
 
     Raises:
-        InputError: if spiceypy is missing, or the file is no such kernel, or of another body.
+        InputError: if spiceypy is missing, or the file is not such a kernel, or of another body.
     """
     entry = "body.shape_file"
     with _kernels(entry, []) as spice:
@@ -126,7 +126,7 @@ def read_dsk(path: Path, naif_id: int | None = None) -> tuple[Array, Indices]:
 
 @contextmanager
 def _kernels(entry: str, paths: Sequence[Path]) -> Iterator[Any]:
-    """SPICE with these kernels alone."""
+    """SPICE with these kernels loaded and no others."""
     with needing(entry, "spice", "spiceypy"):
         import spiceypy
     for path in paths:

@@ -1,4 +1,4 @@
-"""Shape models from files: OBJ, and SPICE DSK with the extra [spice]."""
+"""Read shape models from files: OBJ, and SPICE DSK with the extra [spice]."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ BYTES_MAX = 400_000_000
 def read_shape(
     path: Path, unit: str | None, normal_radius_m: float = 0.0, naif_id: int | None = None
 ) -> Mesh:
-    """Read a DSK (.bds), which has to be of the body `naif_id`, or an OBJ in a unit, "m" or "km".
+    """Read a DSK (.bds) of the body `naif_id`, or an OBJ in a unit, "m" or "km".
 
     Raises:
-        InputError: if it cannot be read, is no mesh of triangles, or has no unit.
+        InputError: if the file cannot be read, is no mesh of triangles, or its unit is not given.
     """
     if path.suffix.lower() == ".bds":
         vertices, facets = read_dsk(path, naif_id)
@@ -42,7 +42,7 @@ def read_shape(
 
 
 def _read_obj(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles; polygons become fans, and textures and normals are passed over."""
+    """Parse vertices and triangles; polygons become fans, textures and normals are ignored."""
     vertices: list[list[float]] = []
     facets: list[tuple[int, int, int]] = []
     lines = read_text(path, f"{ENTRY} {path}", "shape model", BYTES_MAX).splitlines()

@@ -1,4 +1,4 @@
-"""The surface of a body, by ellipsoid or mesh: position and normal in a direction, and its solid.
+"""A body's surface, ellipsoid or mesh: position and normal in a direction, volume and inertia.
 
 Body-fixed, m. Latitudes are planetocentric: of the position vector, not of the normal.
 """
@@ -32,7 +32,7 @@ class Ellipsoid:
     radii_m: Array
 
     def at(self, direction: Array) -> tuple[Array, Array]:
-        """Where |x / radii| = 1 along a unit direction, and the gradient of that, made unit."""
+        """Position (m) along a unit direction, and unit outward normal; shape (3,) each."""
         position = direction / np.linalg.norm(direction / self.radii_m)
         gradient = position / self.radii_m**2
         return position, gradient / np.linalg.norm(gradient)
@@ -44,12 +44,12 @@ class OpenShapeError(ValueError):
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles.
+    """A surface of triangles.
 
     Attributes:
         vertices_m: shape (n, 3).
         facets: indices of their corners, all turning the same way, shape (m, 3).
-        normal_radius_m: normals are averaged over facets whose centre is this near; 0 for the facet's.
+        normal_radius_m: normals are averaged over facets with centres this near; 0: one facet's own.
     """
 
     vertices_m: Array
@@ -73,7 +73,7 @@ class Mesh:
         By intersection with the facets: Moeller & Trumbore 1997, the ray from the origin.
 
         Raises:
-            OpenShapeError: if there is none.
+            OpenShapeError: if no facet lies in that direction.
         """
         a, b, c = np.moveaxis(self.vertices_m[self.facets], 1, 0)
         along_b, along_c = b - a, c - a
@@ -100,14 +100,14 @@ class Mesh:
 
 
 EDGE = 1e-9
-"""Share of a facet by which a ray along an edge may seem to miss both its sides."""
+"""Relative margin by which facets are widened: rounding lets a ray along an edge miss both sides."""
 Surface = Ellipsoid | Mesh
 """A closed surface about the centre of mass."""
 
 
 @dataclass(frozen=True)
 class Solid:
-    """What is inside a closed mesh.
+    """The homogeneous solid inside a closed mesh.
 
     Attributes:
         volume_m3: negative where the facets turn inward, as a mirror makes them.
@@ -121,10 +121,10 @@ class Solid:
 
     @classmethod
     def of(cls, mesh: Mesh) -> Solid:
-        """Sums over the tetrahedra of facets and origin: Tonon 2004, J. Math. Stat. 1 (1).
+        """Solid of a mesh, by sums over tetrahedra from the origin: Tonon 2004, J. Math. Stat. 1 (1).
 
         Raises:
-            ValueError: if there is no volume.
+            ValueError: if the mesh has no volume.
         """
         corners = mesh.vertices_m[mesh.facets]
         volumes = np.linalg.det(corners) / 6.0
@@ -140,5 +140,5 @@ class Solid:
 
     @property
     def radius_m(self) -> float:
-        """Of the sphere of the same volume."""
+        """Radius of the sphere of the same volume."""
         return float(np.cbrt(3.0 * abs(self.volume_m3) / (4.0 * np.pi)))

@@ -1,6 +1,6 @@
-"""The paper's constraints on what is observed, stated once: Echigo et al., eqs. (12) to (16).
+"""The observation constraints of the paper, as data: Echigo et al., eqs. (12) to (16).
 
-The planner makes regions of them and the Monte Carlo margins. Verification has a statement of its own.
+The planner turns them into regions, the Monte Carlo into margins. Verification states them anew.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ Measure = Literal["distance", "emission", "phase"]
 
 @dataclass(frozen=True)
 class Limit:
-    """One side of what the position relative to the site has to keep.
+    """A lower or upper limit on the position relative to the site.
 
-    Of its distance from the site, or of the angle at the site to its normal (emission) or to the Sun
-    (phase), the value is the least or the most allowed.
+    It bounds the distance from the site, m, or the angle at the site to its normal (emission) or to the
+    Sun (phase), rad.
     """
 
     name: str
     joint: str
-    """Chance constraint that it is a part of."""
+    """Chance constraint that this limit belongs to."""
     measure: Measure
     sense: Literal["min", "max"]
     value: float
@@ -42,7 +42,7 @@ class Limit:
         return "m" if self.measure == "distance" else "rad"
 
     def margin(self, measured: Array) -> Array:
-        """Margin to the limit, >= 0 where it is kept."""
+        """Margin to the limit, >= 0 where the limit holds."""
         return measured - self.value if self.sense == "min" else self.value - measured
 
 
@@ -72,7 +72,7 @@ def observation_limits(scenario: Scenario) -> tuple[Limit, ...]:
 
 
 def limits_in_words(scenario: Scenario, limits: Sequence[Limit]) -> dict[str, str]:
-    """Requirement on each margin of the mean, such as "at least 500 m", by its constraint."""
+    """Requirement on the mean by constraint, in words such as "at least 500 m"."""
     found = {
         "safety_radius": f"at least {scenario.safety.radius_min_m:g} m",
         "dv_max": f"at most {scenario.burns.dv_max_m_s:g} m/s",
@@ -94,7 +94,7 @@ def state_constraints(
     track: SiteTrack,
     sun: Array,
 ) -> tuple[StateConstraint, ...]:
-    """Safety at every node and the limits throughout the window, nondimensional.
+    """Build the nondimensional state constraints: safety at every node, the limits in the window.
 
     `window` has the window's nodes, shape (n,), `track` the site there, J2000, m, and `sun` the
     directions to the Sun there, shape (n, 3).

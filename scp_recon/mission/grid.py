@@ -1,4 +1,4 @@
-"""The numbers of the nondimensional problem: its units, and the grid of its nodes."""
+"""Units of the nondimensional problem, and the grid of its nodes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Units:
 
     @classmethod
     def of_orbit(cls, state: Array, gm: float) -> Units:
-        """For a flight that starts at a state, shape (6,)."""
+        """Units for a flight that starts at a state, shape (6,), with GM `gm`; SI."""
         length = float(np.linalg.norm(state[:3]))
         return cls(length, float(np.sqrt(length**3 / gm)))
 
@@ -44,7 +44,7 @@ RK4_STEP_MAX_S = 240.0
 
 
 def make_grid(fixed_s: tuple[float, ...], step_max_s: float) -> Array:
-    """Ascending times that contain `fixed_s`, evenly spaced by at most `step_max_s` between them."""
+    """Ascending node times, s: `fixed_s`, and between them even steps of at most `step_max_s`."""
     fixed = np.unique(fixed_s)
     parts = [
         np.linspace(a, b, max(1, int(np.ceil((b - a) / step_max_s - 1e-9))) + 1)[:-1]

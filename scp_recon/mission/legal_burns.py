@@ -1,4 +1,4 @@
-"""Computes where burns may be about a window (Echigo et al., section V.A), in numbers and in words."""
+"""Burn times that the attitude schedule allows about a window (Echigo et al., section V.A)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Interval = tuple[float, float]
 
 
 def burns_before(times_s: Sequence[float], window_s: Window) -> int:
-    """Burns between the first one and a window."""
+    """Number of burns between the first one and a window."""
     return sum(time <= 0.5 * (window_s[0] + window_s[1]) for time in times_s[1:])
 
 
@@ -32,11 +32,11 @@ def before_burn_s(rules: ScheduleRules) -> float:
 def legal_starts(
     window_s: Window, duration_s: float, before: int, after: int, rules: ScheduleRules
 ) -> Interval:
-    """When the first burn of a flight that observes in a window may be, the others placed freely.
+    """Legal times of the first burn of a flight that observes in a window, the others free to move.
 
-    From the first burn to the last it is `duration_s`; `before` burns lie between the first one and the
-    window, and `after` behind it, at least one. The interval is in the window's time, and empty, its
-    first above its second, where the flight is too short.
+    The flight lasts `duration_s` from first to last burn; `before` burns lie between the first one and
+    the window, and `after`, at least one, behind it. The interval is in the window's time, s, and empty
+    (first above second) where the flight is too short.
     """
     cycle = sun_leg_s(rules) + before_burn_s(rules)
     latest = window_s[0] - rules.attitude_s - sun_leg_s(rules) - before * cycle
@@ -51,7 +51,7 @@ def legal_burns(
     rules: ScheduleRules,
     starts_s: Interval | None = None,
 ) -> list[Interval]:
-    """Where each burn may be if the others give way; arguments as in `legal_starts`.
+    """Legal times of each burn, s, the others free to move; arguments as in `legal_starts`.
 
     A burn needs a cycle of its own after the burn or the window before it: a sun-pointing leg, then
     delta-V mode. Before observation mode there is a sun-pointing leg alone. The first interval is that
@@ -70,7 +70,7 @@ def legal_burns(
 def legal_additions(
     times_s: Sequence[float], window_s: Window, rules: ScheduleRules
 ) -> list[Interval]:
-    """Where one more burn may be with all others kept, which keep the rules; no empty intervals."""
+    """Legal times of one more burn among burns that keep the rules and stay; no empty intervals."""
     cycle = sun_leg_s(rules) + before_burn_s(rules)
     gap = burns_before(times_s, window_s)
     found = []
@@ -85,9 +85,9 @@ def legal_additions(
 def legal_shifts(
     window_s: Window, times_s: Sequence[float], rules: ScheduleRules
 ) -> list[tuple[int, Interval]]:
-    """Shortest and longest epoch shift by which a window falls legally between burns that stay.
+    """Epoch shifts, least and greatest, s, by which a window falls legally between burns that stay.
 
-    Each comes with the index of the burn before the gap; gaps that are too short are left out.
+    Each interval comes with the index of the burn before its gap; gaps too short are left out.
     """
     found = []
     for index, (time, following) in enumerate(itertools.pairwise(times_s)):
@@ -103,7 +103,7 @@ BEYOND_S, SHOWN = 2 * 86_400.0, 3
 
 
 def other_windows(scenario: Scenario, slack: OfTime, incidence: OfTime, step_s: float) -> str:
-    """Windows near a flight that has none whole, and epoch shifts that would bring them into it.
+    """Describe the windows near a flight that contains none, and epoch shifts that would include them.
 
     `slack` (of the limits on lighting) and `incidence` (rad) are functions of times in s.
     """
@@ -111,7 +111,7 @@ def other_windows(scenario: Scenario, slack: OfTime, incidence: OfTime, step_s: 
     span = -BEYOND_S, scenario.duration_s + BEYOND_S
     windows = all_windows(slack, span, step_s)
     if windows == [span]:
-        return "the site keeps them all the time: give observation.window_s"
+        return "both hold all the time: give observation.window_s"
     whole = whole_windows(windows, span)
     if not whole:
         looks = np.linspace(*span, 2000)
@@ -136,7 +136,7 @@ def _shift(window: Window, times: Sequence[float], rules: ScheduleRules) -> str:
     if not shifts:
         needed = window[1] - window[0] + rules.attitude_s + 2 * sun_leg_s(rules)
         return (
-            f"no gap between burns is long enough for it, which has to be "
+            f"no gap between burns is long enough: expected at least "
             f"{needed + before_burn_s(rules):.0f} s"
         )
     index, (low, high) = min(shifts, key=lambda found: max(found[1][0], -found[1][1]))
@@ -147,7 +147,7 @@ def _shift(window: Window, times: Sequence[float], rules: ScheduleRules) -> str:
 
 
 def legal_times(times_s: Sequence[float], window_s: Window, rules: ScheduleRules) -> str:
-    """The window, and where each burn of a flight may be about it if the others give way."""
+    """Describe a window and the legal times of each burn about it, the others free to move."""
     before = burns_before(times_s, window_s)
     after, duration = len(times_s) - 1 - before, times_s[-1]
     earliest, latest = legal_starts(window_s, duration, before, after, rules)

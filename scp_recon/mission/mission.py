@@ -1,4 +1,4 @@
-"""Resolves a scenario into everything the planner works with: window, schedule, grid and problem.
+"""Resolve a scenario into what the planner works with: window, schedule, grid and problem.
 
 The border of `formulations`: SI and J2000 on this side, nondimensional on the other.
 """
@@ -56,11 +56,11 @@ class Mission:
     """Nodes of the grid, shape (n,)."""
     units: Units
     warnings: tuple[ScenarioWarning, ...] = ()
-    """Entries that are unlikely to be as intended, shown with every verdict."""
+    """Warnings of unlikely entries, shown with every verdict."""
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, known: Mission | None = None) -> Mission:
-        """Resolve a scenario; with the window and warnings of `known` if they differ in flight alone.
+        """Resolve a scenario; window and warnings are those of `known` if only `in_flight` differs.
 
         Raises:
             InputError: if there is no window, a firing time breaks a rule of the schedule, or
@@ -108,7 +108,7 @@ class Mission:
         return Scene(self.scenario, self.rotation, self.site)
 
     def with_initial_state(self, state: Array) -> Mission:
-        """The same mission from another state at its first node, shape (6,), in the same units.
+        """The same mission from another state at its first node, J2000, SI, shape (6,); units are kept.
 
         Raises:
             ValueError: if it is not a finite state outside the body's reference radius.
@@ -161,10 +161,10 @@ class Mission:
 
     @cached_property
     def truth_field(self) -> HarmonicField:
-        """Gravity that is flown where the planner's J2 is held against the truth, SI.
+        """Gravity field of the true dynamics, against which the planner's J2 is tested; SI.
 
         Raises:
-            InputError: if there is none of this body.
+            InputError: if there is no field of this body.
         """
         return truth_field(self.scenario)
 
@@ -175,7 +175,7 @@ class Mission:
 
     @property
     def burn_nodes(self) -> Indices:
-        """Node of each burn that is to be planned."""
+        """Node of each burn to be planned."""
         return np.searchsorted(self.times_s, self.scenario.burn_times_s)
 
     @property
@@ -187,12 +187,12 @@ class Mission:
 
     @property
     def must_meet(self) -> bool:
-        """Whether the final state is a condition: not with fewer burns than it takes."""
+        """Whether the final state is a condition; it is not with too few burns left to meet it."""
         return len(self.scenario.burn_times_s) >= BURNS_TO_MEET
 
     @property
     def window_nodes(self) -> Indices:
-        """Nodes of what is left of the observation window, its edges included; none if it is over."""
+        """Nodes in the rest of the observation window, edges included; none if it is over."""
         if self.observed_s is None:
             return np.zeros(0, dtype=np.intp)
         first, last = self.observed_s

@@ -1,4 +1,4 @@
-"""The scene of a scenario, resolved once: body, site, Sun, axes, boundary states; errors and truth.
+"""Resolve a scenario's geometry: body, site, Sun, axes, boundary states, and the models of errors.
 
 J2000, body-centred, SI.
 """
@@ -28,7 +28,7 @@ ALONG = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The part of a scenario that is known before its window; time zero is the epoch."""
+    """Geometry of a scenario that does not depend on its window; time zero is the epoch."""
 
     scenario: Scenario
     rotation: Rotation
@@ -62,22 +62,22 @@ class Scene:
 
     @property
     def lighting(self) -> Lighting:
-        """The site in this Sun."""
+        """Lighting of the site over time."""
         return Lighting(self.site, self.rotation, self.sun_direction)
 
     def axes(self, frame: str) -> Array:
-        """From "j2000", "sun_north" or "body_fixed" to J2000 at the epoch, shape (3, 3)."""
+        """Rotation from "j2000", "sun_north" or "body_fixed" to J2000 at the epoch, shape (3, 3)."""
         if frame == "sun_north":
             return sun_north_to_j2000(self.sun_direction(0.0), self.rotation.pole)
         return self.rotation.body_to_j2000(0.0) if frame == "body_fixed" else np.eye(3)
 
     @cached_property
     def boundary_axes(self) -> Array:
-        """From boundary.frame to J2000 at the epoch, shape (3, 3)."""
+        """Rotation from boundary.frame to J2000 at the epoch, shape (3, 3)."""
         return self.axes(self.scenario.boundary.frame)
 
     def boundary_state(self, which: str) -> Array:
-        """The state, shape (6,), that is "initial" or "final"."""
+        """The "initial" or "final" boundary state, shape (6,)."""
         boundary = self.scenario.boundary
         position = self.boundary_axes @ np.array(getattr(boundary, f"{which}_position_m"))
         velocity = self.boundary_axes @ np.array(getattr(boundary, f"{which}_velocity_m_s"))
@@ -85,7 +85,7 @@ class Scene:
 
     @cached_property
     def initial_state(self) -> Array:
-        """Where planning begins, shape (6,): in flight, or before the first burn."""
+        """State where planning begins, shape (6,): in flight, or before the first burn."""
         flight = self.scenario.in_flight
         if flight is None:
             return self.boundary_state("initial")
@@ -95,8 +95,8 @@ class Scene:
     def initial_factor(self, state: Array) -> Array:
         """Factor S of the covariance S S' where planning begins, m and m/s, shape (6, 6).
 
-        In flight it is the scenario's initial covariance, unless another is given: its figures, in axes
-        of the mean state, shape (6,), if they are radial, transverse and normal.
+        A state in flight without a covariance of its own has the scenario's initial one. Radial,
+        transverse and normal axes are those of the mean state, shape (6,).
 
         Raises:
             InputError: if the state has no plane to be normal to, or its sigma is as large as itself.
@@ -126,9 +126,9 @@ class Scene:
     def _turned(
         self, root: Array, state: Array, frame: str, entries: tuple[str, str], frame_entry: str
     ) -> Array:
-        """A factor in the axes of a frame at the epoch, in J2000.
+        """Rotate a factor from the axes of a frame at the epoch to J2000.
 
-        Beyond the state's own size a spread is no spread about a flight: a slip of units, most likely.
+        A sigma as large as the state itself is refused: a slip of units, most likely.
         """
         sigma, sizes = np.linalg.norm(root, axis=1), self.sizes(state)
         for entry, unit_name, given, (most, what) in zip(
@@ -152,7 +152,7 @@ class Scene:
 
 
 def _root(covariance: Array) -> Array:
-    """Square root by the eigenvalues of the correlations; what rounding made negative is zero."""
+    """Square root by the eigenvalues of the correlations; negative ones, from rounding, are zero."""
     sigma = np.sqrt(np.diag(covariance))
     known = np.where(sigma > 0.0, sigma, 1.0)
     scaled = covariance / np.outer(known, known)
@@ -205,7 +205,7 @@ def errors_of_kind(scenario: Scenario, kind: str | None) -> ExecutionErrors:
     """The scenario's model for burns in m/s, or, of the same size, "componentwise" or "gates".
 
     Raises:
-        InputError: if the scenario gives Gates' errors, which no componentwise ones stand for.
+        InputError: if componentwise errors are required of a scenario with Gates' errors.
     """
     own = execution_errors(scenario)
     if kind is None or kind == scenario.uncertainty.errors:
@@ -230,8 +230,8 @@ def truth_field(scenario: Scenario) -> HarmonicField:
     """The field of `body.gravity_file` in full, else that of the packaged body to degree 8; SI.
 
     Raises:
-        InputError: if the body has neither, or its GM, reference radius or J2 is not that of the
-            packaged field: no other body's field is flown in its place.
+        InputError: if the body has neither, or its GM, reference radius or J2 differs from the
+            packaged field's.
     """
     body = scenario.body
     if body.gravity is not None:

@@ -1,4 +1,4 @@
-"""Lays out the observation window and the attitude modes, of a whole flight or the rest of one."""
+"""Find the observation window and lay out the attitude modes, of a whole flight or its rest."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from scp_recon.scenario.schema import Scenario, ScheduleRules
 def find_window(
     scenario: Scenario, lighting: Lighting, step_s: float = SCAN_STEP_S
 ) -> tuple[float, float]:
-    """The given window, or the first whole one of the flight in which the site is lit well enough; s.
+    """The given window, or the first one wholly in the flight with the lighting required; s.
 
     Raises:
         InputError: if the given window is not inside the flight, or there is none; it names the
@@ -74,7 +74,7 @@ class Leg:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Attitude-mode profile and where each burn may be moved with the others kept."""
+    """Attitude modes, and the times to which each burn may move with the others kept."""
 
     window_s: tuple[float, float]
     """Observation window."""
@@ -162,8 +162,8 @@ def check_in_flight(scenario: Scenario) -> None:
     """Refuse a state that leaves nothing to plan, or no time for it.
 
     Raises:
-        InputError: if no burn is left, the next one is nearer than the decision lead time, or as many
-            burns are not given as have been flown.
+        InputError: if no burn is left, the next one is nearer than the decision lead time, or the
+            number of burns given is not that of the burns flown.
     """
     flight = scenario.in_flight
     if flight is None:
@@ -196,7 +196,7 @@ def check_in_flight(scenario: Scenario) -> None:
 
 
 def what_is_left(schedule: Schedule, scenario: Scenario) -> Schedule:
-    """The schedule from the state in flight on; the window stays whole, as the light has it."""
+    """The schedule from the state in flight on; the window is kept whole."""
     if scenario.in_flight is None:
         return schedule
     at, flown = scenario.start_s, scenario.burns_flown

@@ -1,4 +1,4 @@
-"""Finds all lighting windows of a scenario over a span of time, and the legal burn times of each."""
+"""Find all lighting windows of a scenario over a span of time, and the legal burn times of each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from scp_recon.scenario.schema import Scenario
 
 @dataclass(frozen=True)
 class LitWindow:
-    """A window, its lighting, and when a flight of the scenario's duration may use it.
+    """A window, its lighting, and the legal burn times of the scenario's flight about it.
 
     Times are seconds past the scenario's epoch.
     """
@@ -38,11 +38,11 @@ class LitWindow:
     local_solar_time_h: tuple[float, float]
     """At its edges."""
     burns_s: tuple[Interval, ...]
-    """Where each burn may be if the epoch moves and the others give way; the first is the flight's
-    epoch. Empty intervals have their first above their second."""
+    """Legal times of each burn with epoch and other burns free to move; the first is the flight's
+    epoch. An empty interval has its first above its second."""
     shifts_s: tuple[tuple[int, Interval], ...]
-    """By which the epoch may move so that the burns are legal as they are, by the index of the burn
-    before the window."""
+    """Epoch shifts with which the burns are legal as they are, by the index of the burn before the
+    window."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ class Survey:
 def survey(scenario: Scenario, span_s: Window) -> Survey:
     """Find all windows of a span.
 
-    The body moves by `orbit.two_body` from the scenario's heliocentric state, so that the span may be
-    long; a mission's straight line is for one flight. Burns stand about a window as they do about the
-    flight's own, and if it has none in the middle of the flight, which need not be legal.
+    The body moves by `two_body` from the scenario's heliocentric state, so that the span may be long.
+    As many burns come before a window as before the flight's own; if the flight has none, as many as
+    before its middle.
 
     Raises:
         InputError: if the body turns too often in the span, or falls into the Sun.
@@ -116,7 +116,7 @@ def _at_edges(of_time: OfTime, edges: Sequence[float]) -> tuple[float, float]:
 
 
 def _least(of_time: OfTime, edges: Window) -> float:
-    """Smallest value in a window, by a scan and a search about its lowest look."""
+    """Smallest value in a window, by a scan and a search about its lowest sample."""
     looks = np.linspace(*edges, 101)
     values = of_time(looks)
     k = int(np.argmin(values))

@@ -1,4 +1,4 @@
-"""Finds the intervals in which a site is lit within a scenario's limits."""
+"""Find the intervals in which a site is lit within a scenario's limits."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Lighting:
         return geometry.local_solar_time(self.site, self.rotation, self.to_sun(time_s), time_s)
 
     def slack(self, limits: Observation) -> OfTime:
-        """Smallest distance from a limit, hours and degrees alike, of times: only its sign matters."""
+        """Smallest distance from a limit as a function of time, h or deg: only its sign matters."""
 
         def slack(time_s: Array) -> Array:
             hour = self.local_solar_time(time_s)
@@ -64,10 +64,10 @@ SCANS_AT_ONCE = 50_000
 
 
 def scan_step_s(rate_rad_s: float, span_s: Window) -> float:
-    """How finely to look for windows on a body that turns at a rate.
+    """Step in s with which to scan for windows on a body that turns at a rate.
 
     Raises:
-        InputError: if that would be more than `SCANS_MAX` looks in the span.
+        InputError: if the span would take more than `SCANS_MAX` steps.
     """
     period = 2.0 * np.pi / max(abs(rate_rad_s), 1e-12)
     step = min(SCAN_STEP_S, period / SCANS_PER_ROTATION)
@@ -82,17 +82,17 @@ def scan_step_s(rate_rad_s: float, span_s: Window) -> float:
 
 
 def all_windows(slack: OfTime, span_s: Window, step_s: float) -> list[Window]:
-    """All of `each_window`."""
+    """List the windows of `each_window`."""
     return list(each_window(slack, span_s, step_s))
 
 
 def each_window(slack: OfTime, span_s: Window, step_s: float) -> Iterator[Window]:
     """Every interval of a span in which a function is not negative, its edges to 1e-6 s.
 
-    The function is scanned; where it comes near zero between two looks its extreme is searched for, so
-    that what is shorter than a step is not missed while the function is unimodal there. An interval
-    that begins with the span, or ends with it, is cut there; the others are whole. The function is
-    continuous where it is near zero, and the step of the scan well below the time in which it turns.
+    The function is scanned. Where it comes near zero between two samples its extreme is searched for,
+    so that an interval shorter than a step is found if the function is unimodal there. Intervals at
+    the ends of the span are cut; the others are whole. The function must be continuous near zero, and
+    the step well below the time in which it turns.
     """
     first, last = span_s
     times = np.linspace(first, last, max(1, int(np.ceil((last - first) / step_s))) + 1)
@@ -108,17 +108,17 @@ def each_window(slack: OfTime, span_s: Window, step_s: float) -> Iterator[Window
 
 
 def is_whole(window: Window, span_s: Window) -> bool:
-    """Whether the ends of the span do not cut it."""
+    """Whether a window is not cut by the ends of the span."""
     return window[0] > span_s[0] and window[1] < span_s[1]
 
 
 def whole_windows(windows: list[Window], span_s: Window) -> list[Window]:
-    """Select windows that the ends of the span do not cut."""
+    """Select the windows that are not cut by the ends of the span."""
     return [window for window in windows if is_whole(window, span_s)]
 
 
 def _with_extremes(slack: OfTime, times: Array, values: Array) -> tuple[Array, Array]:
-    """The scan, and besides the extremes between its looks that lie on the other side of zero."""
+    """Add to a scan the extremes between its samples that lie on the other side of zero."""
     places, extra = [], []
     for sign in (1.0, -1.0):
         f = np.pad(sign * values, 1, mode="edge")
@@ -142,7 +142,7 @@ def _with_extremes(slack: OfTime, times: Array, values: Array) -> tuple[Array, A
 
 
 def _edge(slack: OfTime, before: float, after: float) -> float:
-    """Where the function changes its sign."""
+    """Time at which the function changes its sign."""
     ends = [float(slack(np.array(t))) for t in (before, after)]
     if ends[0] * ends[1] > 0.0:  # it is zero at one of them, but for rounding
         return before if abs(ends[0]) < abs(ends[1]) else after

@@ -1,4 +1,4 @@
-"""The mean over a grid of arcs with impulsive burns at some nodes."""
+"""Propagate the mean over a grid of arcs with impulsive burns at some nodes."""
 
 from __future__ import annotations
 
@@ -48,11 +48,11 @@ class Dynamics:
         """Make a step of the linear model dynamically exact.
 
         Multiple-shooting Newton from the node means that the model at `lin` predicts: every
-        iteration closes the defects of all arcs at once and corrects all burns, as little as
-        possible, so that the final state stays the one that the model promised. Without the
-        correction the final state's curvature, weighed by the penalty, rejects good steps (the
-        Maratos effect; Nocedal & Wright, Numerical Optimization, section 15.5). Where Newton's
-        method does not converge the burns, shape (m, 3), are rolled out as they are.
+        iteration closes the defects of all arcs at once, and corrects all burns by the least change
+        that keeps the final state at the model's. Without the correction the final state's
+        curvature, weighed by the penalty, rejects good steps (the Maratos effect; Nocedal & Wright,
+        Numerical Optimization, section 15.5). Where Newton's method does not converge the burns,
+        shape (m, 3), are rolled out as they are.
         """
         problem = lin.problem
         iterate = Iterate(burns, step_mean(lin, burns))

@@ -36,7 +36,7 @@ class FlowDerivatives:
     def tensor(self) -> Array:
         """Second derivatives d2F_i/dx_j dx_k, shape (n, 6, 6, 6), symmetric in j and k.
 
-        Made when first asked for: P3 and Newton's method need no second derivatives.
+        Computed at first use: P3 and Newton's method need no second derivatives.
         """
         n = len(self.state)
         tensor = np.empty((n, 6, 6, 6))
@@ -49,18 +49,18 @@ class FlowDerivatives:
         return tensor
 
     def moved(self, deviation: Array) -> FlowDerivatives:
-        """For starts off by so little, (n, 6), that first order gives their end states to rounding."""
+        """The same with starts moved by deviations (n, 6) so small that first order gives the ends."""
         return replace(self, state=self.state + (self.stm @ deviation[:, :, None])[:, :, 0])
 
 
 ARCS_AT_ONCE = 32
-"""In the second-order sensitivities, so that what they work on stays in the processor's cache."""
+"""Arcs per batch of second-order sensitivities, so that a batch stays in the processor's cache."""
 
 
 class _Stages(NamedTuple):
-    """Of one Runge-Kutta step.
+    """Stages of one Runge-Kutta step.
 
-    Length (n,), then for its four stages positions (4, n, 3), gravity
+    Step lengths (n,), then for the four stages positions (4, n, 3), gravity
     gradients (4, n, 3, 3) and the positions' first derivatives (4, n, 3, 6).
     """
 
@@ -70,7 +70,7 @@ class _Stages(NamedTuple):
     first: Array
 
     def of(self, arcs: slice) -> _Stages:
-        """The same of some arcs only."""
+        """Stages of some of the arcs."""
         return _Stages(self.h[arcs], *(part[:, arcs] for part in self[1:]))
 
 

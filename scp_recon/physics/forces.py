@@ -68,7 +68,7 @@ def acceleration(x: Any, y: Any, z: Any, forces: ForceModel) -> tuple[Any, Any, 
 
 
 def accelerations(position: Array, forces: ForceModel) -> Array:
-    """The same at many positions, shape (3, n), in a third of the operations."""
+    """Accelerations at positions (3, n), shape (3, n), in a third of `acceleration`'s operations."""
     r2 = np.einsum("in,in->n", position, position)
     radial, polar = _pulls(r2, forces.pole @ position, forces)
     value = radial * position
@@ -111,7 +111,7 @@ def gravity_gradient(position: Array, forces: ForceModel) -> Array:
 
 
 def gravity_curvature(position: Array, forces: ForceModel) -> Array:
-    """Its derivative d2a_i/dx_j dx_k at positions (n, 3), shape (n, 3, 3, 3), symmetric in all.
+    """Gravity's second derivative d2a_i/dx_j dx_k at positions (n, 3), shape (n, 3, 3, 3), symmetric.
 
     With e1 = .. + c x and so on for the coefficients of the gradient it is
     c x x x + d (x x p + ..) + e (x p p + ..) + e1 (I x + ..) + e2 (I p + ..), where dots stand for

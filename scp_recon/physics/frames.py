@@ -23,9 +23,9 @@ def unit(vector: npt.ArrayLike) -> Array:
 
 
 def sun_north_to_j2000(sun_direction: Array, pole: Array) -> Array:
-    """Sun-North frame: X to the Sun, Z towards the spin pole, Y completing it; shape (3, 3).
+    """Rotation from Sun-North (X to the Sun, Z towards the spin pole) to J2000, shape (3, 3).
 
-    Of unit vectors, J2000, that are not parallel.
+    Both arguments are unit vectors, J2000, and not parallel.
     """
     x = unit(sun_direction)
     y = unit(np.cross(pole, x))
@@ -57,7 +57,7 @@ class Rotation:
         w_deg: tuple[float, float, float],
         tdb: datetime,
     ) -> Rotation:
-        """From the polynomial W = w0 + w1 d + w2 d^2 (degrees, d in TDB days past J2000) at `tdb`."""
+        """Rotation at `tdb` by W = w0 + w1 d + w2 d^2 in degrees, d in TDB days past J2000."""
         d = (tdb - J2000_TDB).total_seconds() / DAY_S
         w0, w1, w2 = w_deg
         return cls(

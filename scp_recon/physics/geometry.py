@@ -32,7 +32,7 @@ class SiteTrack:
 
 
 def track(site: Site, rotation: Rotation, time_s: npt.ArrayLike) -> SiteTrack:
-    """Where the site is and which way it faces in J2000 at the given times."""
+    """Position (m) and normal of a site in J2000 at times in s past the epoch, shape (n,)."""
     matrix = rotation.body_to_j2000(time_s)
     return SiteTrack(matrix @ site.position_body, matrix @ site.normal_body)
 
@@ -45,29 +45,29 @@ def angle(a: Array, direction: Array) -> Array:
 
 
 def distance(position: Array, site: SiteTrack) -> Array:
-    """Range from the site to the spacecraft."""
+    """Distance from the site to the spacecraft, m."""
     return np.linalg.norm(position - site.position, axis=-1)
 
 
 def emission(position: Array, site: SiteTrack) -> Array:
-    """Angle at the site between its normal and the spacecraft."""
+    """Angle at the site between its normal and the spacecraft, rad."""
     return angle(position - site.position, site.normal)
 
 
 def phase(position: Array, site: SiteTrack, sun_direction: Array) -> Array:
-    """Angle at the site between the Sun and the spacecraft."""
+    """Angle at the site between the Sun and the spacecraft, rad."""
     return angle(position - site.position, sun_direction)
 
 
 def incidence(site: SiteTrack, sun_direction: Array) -> Array:
-    """Angle at the site between its normal and the Sun."""
+    """Angle at the site between its normal and the Sun, rad."""
     return angle(site.normal, np.broadcast_to(sun_direction, site.normal.shape))
 
 
 def local_solar_time(
     site: Site, rotation: Rotation, sun_direction: Array, time_s: npt.ArrayLike
 ) -> Array:
-    """Hours, 12 when the Sun crosses the site's meridian; one rotation is 24 hours."""
+    """Local solar time in h: 12 when the Sun crosses the site's meridian; one rotation is 24 h."""
     sun_body = np.einsum("...ji,...j->...i", rotation.body_to_j2000(time_s), sun_direction)
     site_longitude = np.arctan2(site.position_body[1], site.position_body[0])
     hour_angle = site_longitude - np.arctan2(sun_body[..., 1], sun_body[..., 0])

@@ -1,4 +1,4 @@
-"""Spherical harmonics of a rotating body: the truth that the planner's J2 is held against."""
+"""Spherical harmonics of a rotating body: the true gravity against which the planner's J2 is tested."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from formulations.arrays import Array
 
 @dataclass(frozen=True)
 class HarmonicField:
-    """Gravity of a body in its own frame.
+    """Gravity of a body in its body-fixed frame, in any consistent units.
 
     Attributes:
         gm: gravitational parameter.
@@ -42,7 +42,7 @@ class HarmonicField:
     def of_rows(
         cls, gm: float, radius: float, degree: int, rows: Iterable[tuple[int, int, float, float]]
     ) -> HarmonicField:
-        """From fully normalised coefficients: rows of degree, order, C, S, up to a degree."""
+        """Field of fully normalised coefficients up to a degree; rows are degree, order, C, S."""
         c, s = np.zeros((degree + 1, degree + 1)), np.zeros((degree + 1, degree + 1))
         c[0, 0] = 1.0
         for n, m, c_bar, s_bar in rows:
@@ -59,7 +59,7 @@ class HarmonicField:
         return self.c / norm, self.s / norm
 
     def acceleration(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Acceleration in the body's frame by Cunningham's recursion.
+        """Acceleration at a body-fixed position, in the body's frame, by Cunningham's recursion.
 
         Montenbruck & Gill, Satellite Orbits, eq. 3.33, with the harmonics as V + i W and the
         coefficients as C - i S.

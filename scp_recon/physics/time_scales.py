@@ -1,10 +1,10 @@
-"""UTC and TDB to the nanosecond: leap seconds by the IERS's Bulletin C, TDB - TT as SPICE has it.
+"""Convert between UTC and TDB to the nanosecond: leap seconds by IERS Bulletin C, TDB - TT as in SPICE.
 
     TDB = UTC + (TAI - UTC) + 32.184 s + K sin E,  E = M + EB sin M,  M = M0 + M1 t,
 
 with t in TDB seconds past J2000. The constants of the last term are those of NAIF's leap-second
-kernels. What it leaves out is about 30 microseconds. An instant is here a whole number of nanoseconds
-of TDB past J2000.
+kernels; the terms left out are about 30 microseconds. An instant is a whole number of nanoseconds of
+TDB past J2000.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ for all later dates; one that is announced belongs here."""
 
 
 def _ns(date: datetime) -> int:
-    """Nanoseconds from noon of 1 January 2000 on, in a date's own scale."""
+    """Nanoseconds since noon of 1 January 2000 in a date's own scale."""
     since = date - J2000_TDB
     return (since.days * 86_400 + since.seconds) * NS + since.microseconds * 1000
 
@@ -83,7 +83,7 @@ def shown_utc(when: int) -> str:
 
 
 def tdb_of_utc(utc: datetime) -> datetime:
-    """TDB, to the microsecond, of a date in UTC; one with a zone is brought to UTC first.
+    """TDB, to the microsecond, of a date in UTC; a date with a time zone is converted first.
 
     Raises:
         InputError: before 1972.
@@ -99,6 +99,6 @@ def tdb_of_utc(utc: datetime) -> datetime:
 
 
 def _tdb_minus_tai(when: int) -> int:
-    """In nanoseconds."""
+    """TDB - TAI in nanoseconds."""
     anomaly = M0 + M1 * (when / NS)
     return round((TT_MINUS_TAI_S + K_S * sin(anomaly + EB * sin(anomaly))) * NS)

@@ -1,4 +1,4 @@
-"""Two-body motion: a body's way about the Sun, and Lambert's arc between two positions."""
+"""Two-body motion: a body's orbit about the Sun, and Lambert's arc between two positions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from formulations.arrays import Array
 from scp_recon.bodies.catalogue import GM_SUN_KM3_S2
 
 NEAREST_KM = 1e7
-"""To the Sun's centre, 0.067 au: no known asteroid comes nearer, where the cubics are too long."""
+"""Least distance from the Sun's centre, 0.067 au: no known asteroid comes nearer; cubics fail there."""
 NODE_STEP_S = 3600.0
 """Between nodes the motion is a cubic: off by 1e-7 km at 1 au, and by 0.1 km at `NEAREST_KM`."""
 
@@ -22,8 +22,8 @@ def two_body(
 ) -> CubicHermiteSpline:
     """Heliocentric motion r'' = -GM r / r^3, by SciPy's DOP853 and cubics between hours.
 
-    From the state at time zero, J2000, the position in km, shape (..., 3), of times within the span
-    in s, shape (...); called with the order 1 besides, the velocity in km/s.
+    Starts from the state at time zero, J2000. Returns a function of times in s within the span, shape
+    (...), that gives positions in km, shape (..., 3), or with the second argument 1 velocities in km/s.
 
     Raises:
         ValueError: if the body comes within `NEAREST_KM` of the Sun's centre.
@@ -67,7 +67,7 @@ def _stumpff(z: float) -> tuple[float, float]:
 
 
 def lambert(start: Array, end: Array, time_s: float, gm: float) -> tuple[Array, Array] | None:
-    """Velocities at both ends of the short way, less than half a revolution; SI, shape (3,) each.
+    """Velocities at both ends of the arc of less than half a revolution; SI, shape (3,) each.
 
     By universal variables: Bate, Mueller & White 1971, section 5.3. None if the positions are in line
     with the centre, or no arc takes that time.
@@ -83,7 +83,7 @@ def lambert(start: Array, end: Array, time_s: float, gm: float) -> tuple[Array, 
         return r1 + r2 - a * (1.0 - z * s) / np.sqrt(c)
 
     def late(z: float) -> float:
-        """How much longer than asked the arc takes; less than no time where there is none."""
+        """Time of the arc less the required one; of no time at all where there is no arc."""
         if (height := y(z)) <= 0.0:
             return -time_s
         c, s = _stumpff(z)

@@ -1,1 +1,1 @@
-"""The scenario file: its schema, how it is read, and what is wrong with it."""
+"""The scenario file: its schema, reading, inheritance and error messages."""

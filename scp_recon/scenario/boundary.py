@@ -58,7 +58,7 @@ class HomeOrbit(Section):
 
     @property
     def is_free(self) -> bool:
-        """Whether its states are left to a design."""
+        """Whether a design has to choose its phases."""
         return (
             self.flown
             or self.ephemeris_file is not None
@@ -69,7 +69,7 @@ class HomeOrbit(Section):
         """Position and velocity in boundary.frame, m and m/s, shape (6,), with the speed sqrt(GM / r).
 
         Args:
-            phase_rad: where.
+            phase_rad: phase on the orbit.
             gm: of the body, m^3/s^2.
         """
         axis = np.array(self.normal) / np.linalg.norm(self.normal)

@@ -1,8 +1,8 @@
-"""The graph of what follows from what among a scenario's entries, and inheritance by it.
+"""The graph of dependencies among a scenario's entries, and inheritance by it.
 
-Where a file, or an override, says something anew, what its base says of the same thing in other words,
-and what followed from it, is not taken over: the Sun of another epoch, the normal of another site,
-another body's spin. Messages do not call missing what may still follow.
+Where a file or an override changes an entry, it does not inherit the base's other ways of saying the
+same, nor entries that followed from it: the Sun of another epoch, the normal of another site, another
+body's spin. Messages do not list as missing what can still be computed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STATE = ("sun.body_position_km", "sun.body_velocity_km_s")
 
 
 class Edge(NamedTuple):
-    """Entries, or whole tables: what a source says anew, its followers do not hold for any more."""
+    """A dependency between entries or whole tables: if a source changes, its followers are stale."""
 
     sources: tuple[str, ...]
     followers: tuple[str, ...]
@@ -64,12 +64,12 @@ GRAPH = (
 
 
 def keys(entries: Sequence[str]) -> tuple[str, ...]:
-    """Entries of one table without its name."""
+    """Keys of the entries of one table, without the table's name."""
     return tuple(entry.partition(".")[2] for entry in entries)
 
 
 def computed_from(tables: Iterable[str]) -> set[str]:
-    """Entries that may follow from those of some tables, directly or by way of other tables."""
+    """Entries that can be computed from those of some tables, directly or by way of other tables."""
     reached, before = set(tables), set[str]()
     while reached != before:
         before = set(reached)
@@ -86,7 +86,7 @@ def _table(entry: str) -> str:
 
 
 def inherit(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
-    """New nested tables: those of a base, changed by what others say anew."""
+    """Nested tables of a base with changes applied; stale entries are dropped."""
     kept: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in base.items()}
     given = changes.get("uncertainty")
     if isinstance(given, Mapping) and isinstance(kept.get("uncertainty"), dict):
@@ -107,7 +107,7 @@ def inherit(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
 
 
 def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
-    """Nested tables with some entries changed; tables are merged, everything else replaced."""
+    """Nested tables of a base with changes applied: tables are merged, other values replaced."""
     merged = dict(base)
     for key, value in changes.items():
         old = merged.get(key)
@@ -119,7 +119,7 @@ def merge(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
 
 
 def layer_of(values: Iterable[tuple[str, Any]]) -> Tables:
-    """Nested tables of values by dotted entry: a later one wins, and none takes back another."""
+    """Nested tables of values by dotted entry; of two values for one entry the later wins."""
     layer: Tables = {}
     for entry, value in values:
         for key in reversed(entry.split(".")):
@@ -129,7 +129,7 @@ def layer_of(values: Iterable[tuple[str, Any]]) -> Tables:
 
 
 def entries(tables: Mapping[str, Any]) -> Iterator[str]:
-    """Dotted names of what stands in tables and outside of them."""
+    """Dotted names of all entries, in tables and outside of them."""
     for table, content in tables.items():
         if isinstance(content, Mapping):
             yield from (f"{table}.{key}" for key in content)
@@ -145,7 +145,7 @@ def found(tables: Mapping[str, Any], entry: str) -> Any:
 
 
 def differs(base: Mapping[str, Any], changes: Mapping[str, Any], entry: str) -> bool:
-    """Whether an entry says something that the base does not, however dates are written."""
+    """Whether an entry's value differs from the base's; dates compare as instants."""
     old, new = found(base, entry), found(changes, entry)
     if entry == "epoch.tdb":
         return _date(old) != _date(new)

@@ -69,23 +69,23 @@ class Section(BaseModel):
     )
 
     def __dir__(self) -> list[str]:
-        """Its own: no methods of the base class."""
+        """Names of the class's own, without pydantic's methods."""
         return [name for name in super().__dir__() if name not in dir(BaseModel)]
 
 
 class ScenarioWarning(Section):
-    """An entry, by its dotted path, that is hardly what was meant."""
+    """An entry whose value is allowed but unlikely to be intended."""
 
     entry: Line
     """Dotted path of the entry."""
     given: Line
     """The value found, in words."""
     expected: Line
-    """Value that raises no question, and why."""
+    """Value that would give no warning, and why."""
 
     @classmethod
     def of(cls, entry: str, given: str, expected: str) -> ScenarioWarning:
-        """From text that may hold what a user typed."""
+        """Make a warning; control characters in the texts, which a user may have typed, are escaped."""
         given, expected = (printable(text.replace("\n", " ")) for text in (given, expected))
         return cls(entry=entry, given=given, expected=expected)
 

@@ -1,7 +1,7 @@
 """The JSON schema of scenario files, with which editors complete and check them.
 
-What an entry is stands below its field as a docstring; it is read here, and not whenever the tables are
-made, which would take longer than making them.
+An entry's description is the docstring below its field. Descriptions are read here, not when the
+classes are made, which would take longer than making them.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ DRAFT = "http://json-schema.org/draft-07/schema#"
 
 
 def json_schema() -> dict[str, Any]:
-    """Of a scenario file: the entries of `Scenario`, none of them required, and `base`.
+    """JSON schema of a scenario file: the entries of `Scenario`, none of them required, and `base`.
 
-    None is required because a base, or a computation, may give it; the program tells what is missing.
+    None is required because a base or a computation may give it; the program says what is missing.
     """
     schema = Scenario.model_json_schema()
     models = {model.__name__: model for model in _models(Scenario)}
@@ -57,7 +57,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _as_draft_7(part: Any) -> Any:
-    """`$defs` are `definitions` there, and `prefixItems` are `items`; its date-time has a time zone."""
+    """Rewrite a 2020-12 schema as draft 7: `definitions`, `items`, and date-times without a format."""
     if isinstance(part, dict):
         return {
             "items" if key == "prefixItems" else key: _as_draft_7(value)
@@ -70,7 +70,7 @@ def _as_draft_7(part: Any) -> Any:
 
 
 def _models(model: type[BaseModel]) -> set[type[BaseModel]]:
-    """A model and those that its fields are made of."""
+    """A model and the models of its fields, however deep."""
     found = {model}
     for field in model.model_fields.values():
         for kind in (field.annotation, *getattr(field.annotation, "__args__", ())):
@@ -80,7 +80,7 @@ def _models(model: type[BaseModel]) -> set[type[BaseModel]]:
 
 
 def field_descriptions(kind: type) -> dict[str, str]:
-    """Descriptions of a class's fields: the docstring below each, or that of the table it holds."""
+    """Descriptions of a class's fields: the docstring below each, or that of the field's table."""
     tree = ast.parse(inspect.getsource(sys.modules[kind.__module__]))
     body = next(
         node.body
@@ -105,5 +105,5 @@ def field_descriptions(kind: type) -> dict[str, str]:
 
 
 def schema_text() -> str:
-    """What the file holds."""
+    """Text of the schema file."""
     return json.dumps(json_schema(), indent=2) + "\n"

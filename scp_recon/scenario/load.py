@@ -1,4 +1,4 @@
-"""Reads and writes scenarios in TOML: complete files, or a `base` and what differs from it."""
+"""Read and write scenarios in TOML: complete files, or a `base` and the entries that differ."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ())
     0.8
 
     Args:
-        path: of a file, or the name of a packaged scenario; `recon_b` if not given.
+        path: a file, or the name of a packaged scenario; `recon_b` if not given.
         overrides: each with its value in TOML.
 
     Raises:
@@ -56,10 +56,10 @@ def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) ->
 
 
 def override(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
-    """A scenario with other values, and what follows from them.
+    """A scenario with other values and everything computed from them.
 
-    An override is `section.entry=value`, the value in TOML. What nothing of that touches stays as it
-    is: the files that it came from may be gone.
+    An override is `section.entry=value`, the value in TOML. Entries that do not depend on it are kept,
+    not computed again: the files that they came from may be gone.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.
@@ -72,7 +72,7 @@ def _validated(data: Mapping[str, Any], overrides: Sequence[str]) -> Scenario:
 
 
 def _layer(overrides: Sequence[str]) -> dict[str, Any]:
-    """All overrides as one."""
+    """Nested tables of all overrides."""
     return anchored(layer_of(map(_parse_override, overrides)), Path())
 
 
@@ -113,7 +113,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _with_base(data: Mapping[str, Any], folder: Path, above: tuple[Path, ...]) -> dict[str, Any]:
-    """Tables of a file over their base; `above` are the file and those that it is the base of."""
+    """Tables of a file over their base; `above` are the file and the files that inherit from it."""
     if not {"base", *Scenario.model_fields} & set(data):
         raise InputError(
             "scenario", "none of its entries", 'must be complete or have base = "recon_b"'
@@ -152,7 +152,7 @@ def _parse_override(text: str) -> tuple[str, Any]:
 
 
 def scenario_text(scenario: Scenario) -> str:
-    """The file. JSON's text, numbers and lists are TOML's too."""
+    """A scenario as a TOML file. JSON's text, numbers and lists are valid TOML."""
     tables = scenario.model_dump(mode="json", exclude_none=True)
     return "\n".join(_lines("", tables)) + "\n"
 

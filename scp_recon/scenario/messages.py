@@ -1,4 +1,4 @@
-"""Tells what is wrong with a scenario in the user's words: entry, what was given, what is allowed."""
+"""Turn Pydantic's errors into messages of ours: entry, value found, value expected."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ INTEGER_BRANCHES = ("int", "constrained-int")
 
 
 def input_error(error: ValidationError, schema: type[BaseModel]) -> InputError:
-    """One message for everything that is wrong, the first problem giving the entry."""
+    """One `InputError` for all of Pydantic's problems; its entry is the first problem's."""
     allowed: dict[tuple[str, str], list[str]] = {}
     found = [dict(problem) for problem in error.errors(include_url=False)]
     missing = _missing(found, schema)
@@ -74,12 +74,12 @@ def _missing(problems: Iterable[dict[str, Any]], schema: type[BaseModel]) -> lis
 
 
 def _is_missing(problem: dict[str, Any]) -> bool:
-    """An entry, and not an item of a list of fixed length."""
+    """Whether a problem is a missing entry, and not a missing item of a list of fixed length."""
     return problem["type"] == "missing" and not isinstance(problem["loc"][-1], int)
 
 
 def _all_of(listed: Sequence[str], words: str, missing: Sequence[str]) -> str:
-    """A list of entries, and what would do in their place."""
+    """A list of missing entries, and the entries that would replace them."""
     sentence = f"{words} {', '.join(listed)}" if listed else "required"
     hints = [hint for table, hint in INSTEAD.items() if any(e.startswith(table) for e in missing)]
     return "\n".join([f"{sentence} (or name a base)", *hints])
@@ -109,7 +109,7 @@ def _location(problem: dict[str, Any]) -> list[str | int]:
 
 
 def _follows_from_another(problem: dict[str, Any], problems: list[dict[str, Any]]) -> bool:
-    """Whether a list is only too short because of an item that is wrong itself."""
+    """Whether a list is called too short only because one of its items is invalid."""
     depth = len(problem["loc"])
     return problem["type"] == "too_short" and any(
         len(other["loc"]) > depth and other["loc"][:depth] == problem["loc"] for other in problems
@@ -149,7 +149,7 @@ def _rule(problem: dict[str, Any], location: list[str | int], schema: type[BaseM
 
 
 def _is_union_branch(part: str | int) -> bool:
-    """Pydantic names the branch of a union in the location; the user did not write it."""
+    """Whether a part of a location is Pydantic's name of a union's branch, which no user wrote."""
     return isinstance(part, str) and (part.startswith("literal[") or part in INTEGER_BRANCHES)
 
 
@@ -165,7 +165,7 @@ def _field(location: list[str | int], schema: type[BaseModel]) -> FieldInfo | No
 
 
 def _declared(annotation: object) -> Iterator[object]:
-    """Everything that a type is annotated with, in its items and its alternatives too."""
+    """All annotations of a type, those of its items and alternatives included."""
     for part in getattr(annotation, "__metadata__", ()):
         yield from getattr(part, "metadata", ())
     for inner in get_args(annotation):
@@ -187,7 +187,7 @@ def _bounds(location: list[str | int], schema: type[BaseModel]) -> str:
 
 
 def _number(value: float) -> str:
-    """As short as its value allows: 1e+07, and 0.999999999."""
+    """Shortest text of a number: 1e+07, and 0.999999999."""
     return short if float(short := f"{value:g}") == value else f"{value:.15g}"
 
 
@@ -202,7 +202,7 @@ def _fixed_length(location: list[str | int], schema: type[BaseModel]) -> int | N
 
 
 def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
-    """The entry that an unknown one may have been meant for, else those beside it."""
+    """Suggest the entry meant by an unknown one, else list the entries of its table."""
     paths = list(_entries(schema))
     written = ".".join(str(part) for part in location)
     by_key = {path.rsplit(".", 1)[1]: path for path in paths}
@@ -226,7 +226,7 @@ def _entries(schema: type[BaseModel], above: str = "") -> Iterator[str]:
 
 
 def _table(annotation: object) -> type[BaseModel] | None:
-    """The table that an entry is, or may be."""
+    """The table among an entry's types, if any."""
     choices = get_args(annotation) or (annotation,)
     tables = (one for one in choices if isinstance(one, type) and issubclass(one, BaseModel))
     return next(tables, None)

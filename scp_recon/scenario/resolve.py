@@ -1,4 +1,4 @@
-"""Computes the numbers that planning needs from what the user knows, in one place.
+"""Compute the numbers that planning needs from those the user gave.
 
 Rotation, gravity, Sun and site are each a subject. What is given as well as it can be computed is
 checked against it. A subject that lacks something is left as it is: the schema tells what is missing.
@@ -38,15 +38,15 @@ SUBJECTS: dict[str, tuple[str, ...]] = {
     "site": ("site.", "body.name", "body.radii_", "body.shape_", "body.pck_"),
     "boundary": ("boundary.", "body.gm_", "body.gravity_", "body.name"),
 }
-"""Entries, by their beginnings, that each subject is computed from and checked against."""
+"""Prefixes of the entries from which each subject is computed, and against which it is checked."""
 FILES = ("body.shape_file", "body.pck_file", "body.gravity_file")
 
 
 def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -> Tables:
     """Nested tables, their base merged in, with everything computed that can be.
 
-    With `changes` the rest has been resolved before: other subjects than theirs are left alone, so
-    that what they were computed from need not be there any more.
+    With `changes` all else has been resolved before: only subjects that the changes touch are computed
+    again, so that the files of the others need not exist any more.
 
     Raises:
         InputError: if a file cannot be used, an epoch is outside what is known, or what is given
@@ -77,7 +77,7 @@ def resolve(data: Mapping[str, Any], changes: Mapping[str, Any] | None = None) -
 
 
 def anchored(data: Mapping[str, Any], folder: Path) -> Tables:
-    """Nested tables whose files, named relative to a folder, are named for good."""
+    """Nested tables whose file names, relative to a folder, are made absolute."""
     tables: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in data.items()}
 
     def anchor(name: Any) -> Any:
@@ -117,7 +117,7 @@ def _table(
 
 
 def _well_formed(table: Mapping[str, Any], schema: type[Section]) -> bool:
-    """Whether nothing is wrong with a table but that entries are missing."""
+    """Whether a table's only faults are missing entries."""
     try:
         schema.model_validate_json(json.dumps(table, default=str))
     except ValidationError as error:
@@ -139,14 +139,14 @@ def _days(tables: Mapping[str, Any]) -> float | None:
 
 
 TOLERANCE = 1e-6
-"""Share of radius and speed within which states that are given are those of the home orbit."""
+"""Relative tolerance of radius and speed within which given states are those of the home orbit."""
 
 
 def resolve_boundary(boundary: dict[str, Any], gm: object) -> None:
     """Enter the states, if there is a home orbit and GM, m^3/s^2, is known.
 
     Raises:
-        InputError: if states are given that are not its.
+        InputError: if given states are not those of the home orbit.
     """
     if boundary.get("home") is None or not isinstance(gm, int | float):
         return

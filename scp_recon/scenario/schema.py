@@ -35,7 +35,7 @@ class Epoch(Section):
 
 
 class Spacecraft(Section):
-    """Cannonball for solar radiation pressure."""
+    """Mass and cannonball model of solar radiation pressure."""
 
     mass_kg: Positive
     """Mass in kg."""
@@ -157,7 +157,7 @@ class PolytopeSection(Section):
 
 
 class Grid(Section):
-    """Longest spacing of the nodes; burns and window edges are nodes besides, and so are `nodes_s`."""
+    """Longest spacing of the nodes, and further nodes; burns and window edges are always nodes."""
 
     step_max_s: Annotated[float, Field(ge=1, le=1e7)]
     """Longest spacing of the nodes in s."""
@@ -197,7 +197,7 @@ class Scenario(Section):
 
     @property
     def start_s(self) -> float:
-        """Time from which on there is something to plan: the epoch, or that of the state in flight."""
+        """Time in s at which planning begins: the epoch, or that of the state in flight."""
         return 0.0 if self.in_flight is None else self.in_flight.at_s
 
     @property
@@ -207,11 +207,11 @@ class Scenario(Section):
 
     @property
     def burn_times_s(self) -> tuple[float, ...]:
-        """Firing times of the burns that are to be planned."""
+        """Firing times of the burns to be planned, s."""
         return self.burns.times_s[self.burns_flown :]
 
     def same_but_in_flight(self, other: Scenario) -> bool:
-        """Whether another scenario differs in where a flight is at most."""
+        """Whether another scenario differs in nothing but `in_flight`."""
         alone = {"in_flight": None}
         return self.model_copy(update=alone) == other.model_copy(update=alone)
 
@@ -241,7 +241,7 @@ class Scenario(Section):
         return self.changed(layer_of(changes.items()))
 
     def changed(self, layer: Mapping[str, Any]) -> Self:
-        """The same scenario with what some nested tables say anew, and with what follows from it.
+        """The same scenario with the values of nested tables, and everything computed from them.
 
         Raises:
             InputError: naming the entry, what was given and what is allowed.

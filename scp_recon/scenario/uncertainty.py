@@ -32,7 +32,7 @@ LEAST_SIGMA, LARGEST_SIGMA = 1e-12, 1e12
 
 
 def _covariance(rows: tuple[tuple[float, ...], ...]) -> Any:
-    """Six by six, symmetric and positive semidefinite, its entries over the sigmas they belong to."""
+    """Validate a covariance: six by six, symmetric and positive semidefinite as correlations."""
     if [len(row) for row in rows] != 6 * [6]:
         raise ValueError("must have 6 rows of 6 numbers: three of position, three of velocity")
     matrix = np.array(rows)
@@ -95,7 +95,7 @@ class Gates(Section):
 
 
 class Uncertainty(Section):
-    """1 sigma of the initial state, said in one of three ways, and of the burns, in one of two.
+    """1-sigma errors of the initial state, in one of three ways, and of the burns, in one of two.
 
     The initial state: as a fraction of each J2000 component; or absolute, by component of a frame; or
     as a covariance in a frame, m and m/s. Velocities are relative to J2000 in every frame; only their
@@ -136,12 +136,12 @@ class Uncertainty(Section):
 
     @model_serializer(mode="wrap")
     def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Nothing of the ways not taken: a scenario of before is written, and hashed, as ever."""
+        """Leave out the ways not taken, so that older scenarios are written and hashed as before."""
         return {key: value for key, value in handler(self).items() if value is not None}
 
     @classmethod
     def none(cls) -> Self:
-        """Nothing errs."""
+        """No errors at all."""
         return cls(initial_sigma_fraction=0.0, execution_error=0.0)
 
     @property
@@ -175,7 +175,7 @@ WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
 
 
 def without_other_ways(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table `[uncertainty]` less what it says in another way than the changes to it do."""
+    """A table `[uncertainty]` without the ways that the changes to it replace."""
     kept = dict(base)
     for ways in WAYS.values():
         taken = [way for way in ways if _own(way) & changes.keys()]
@@ -186,12 +186,12 @@ def without_other_ways(base: Mapping[str, Any], changes: Mapping[str, Any]) -> d
 
 
 def _own(way: tuple[str, ...]) -> set[str]:
-    """Keys that are this way's alone."""
+    """Keys that belong to this way alone."""
     return set(way) - {"initial_frame"}
 
 
 class InFlight(Section):
-    """State after the burns that have been flown; all else stays as it was before the flight.
+    """State of a flight under way, after the burns flown; the other tables are those before the flight.
 
     Times count from the epoch of the scenario. Burns at or before the state's time are flown, and the
     state is after them. Axes are those at the epoch; velocities are relative to J2000 in every frame.

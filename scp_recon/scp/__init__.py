@@ -1,1 +1,1 @@
-"""Sequential convex programming: the loop, and the algorithms that globalise it."""
+"""Sequential convex programming: the loop, its globalisations, and how it ends."""

@@ -1,4 +1,4 @@
-"""SCvx, SCvx* and PTR: what each makes of a trial step, and of the trust region after it.
+"""SCvx, SCvx* and PTR: accept or reject trial steps, and adapt trust region and penalty.
 
 `ExactPenalty` is their base: the penalty weight, the test of stationarity and the verdicts.
 """
@@ -28,13 +28,13 @@ from scp_recon.scp.status import Status
 
 @dataclass(frozen=True)
 class ExactPenalty:
-    """An algorithm but for its step. All quantities are nondimensional.
+    """Base of the algorithms: all but the step. All quantities are nondimensional.
 
     Attributes:
         initial_radius: of the first trust region, hard or soft.
         weight: first penalty weight; exact when above every multiplier.
         weight_max: the next weight where a stationary point violates something.
-        weight_limit: up to which it is raised where the cost does not tell that nothing is feasible.
+        weight_limit: largest weight, for cases whose cost does not prove that nothing is feasible.
         stationary: largest predicted reduction, against the merit and a unit radius, to stop at.
         feasible: largest violation that counts as none: 1e-6 of the unit of length is a millimetre.
         max_iterations: limit.
@@ -60,7 +60,7 @@ class ExactPenalty:
         return State(lin, merit, self.initial_radius, PenaltyParameters(self.weight))
 
     def resolving(self, resolution: float) -> Self:
-        """The same, but that stops where it cannot tell more."""
+        """The same algorithm for rows that resolve the merit to a relative `resolution` only."""
         return replace(
             self,
             stationary=max(self.stationary, resolution),
@@ -68,7 +68,7 @@ class ExactPenalty:
         )
 
     def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:
-        """Stop when stationary; small steps alone prove nothing."""
+        """Stop when stationary: small steps alone do not prove it."""
         if state.failures > self.FAILURES_MAX:
             return Status.SOLVER_FAILED
         violated = record.violated > self.feasible
@@ -79,16 +79,15 @@ class ExactPenalty:
         return Status.STALLED if state.radius < self.COLLAPSED else None
 
     def _negligible(self, record: Record) -> float:
-        """Reduction of the merit that is not worth a step."""
+        """Largest reduction of the merit that is not worth a step."""
         return self.stationary * max(1.0, abs(record.merit))
 
     def _worth(self, charge: PenaltyParameters, record: Record) -> float:
-        """Reduction of the merit within a unit radius up to which an iterate counts as stationary.
+        """Largest reduction of the merit within a unit radius at which an iterate counts as stationary.
 
-        What the heaviest weight has to tell is whether violations can be removed at all. There an
-        iterate from which the model promises to take less than `LITTLE` off what they cost is one
-        where they cannot. The last digits of the least violation do not matter, and first-order steps
-        would find them slowly.
+        At the heaviest weight the question is whether violations can be removed at all. The answer is
+        no where the model promises to take less than `LITTLE` off their cost. The last digits of the
+        least violation do not matter, and first-order steps would find them slowly.
         """
         negligible = self._negligible(record)
         if charge.weight < self.weight_max or record.violated <= self.feasible:
@@ -96,7 +95,7 @@ class ExactPenalty:
         return max(negligible, self.LITTLE * (record.merit - record.total_dv))
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:
-        """Stationary but violated: the penalty may not have been exact, so weigh it more."""
+        """Raise the weight at a stationary, violated iterate: the penalty may not have been exact."""
         weight = self._heavier(subproblem, state) if state.stationary else None
         if weight is None:
             return state
@@ -104,10 +103,10 @@ class ExactPenalty:
         return State(state.lin, merit, self.initial_radius, PenaltyParameters(weight))
 
     def _heavier(self, subproblem: Subproblem, state: State) -> float | None:
-        """The next weight, if a heavier one may tell more.
+        """The next weight; None if a heavier one cannot change the verdict.
 
-        No plan that keeps the limits costs more than all burns at their largest. A merit above that is
-        above any such plan's; below it the weight may still be less than a multiplier.
+        No feasible plan costs more than all burns at their largest. A merit above that is above any
+        feasible plan's; below it the weight may still be less than a multiplier.
         """
         weight, problem = state.charge.weight, subproblem.merit.problem
         if weight < self.weight_max:
@@ -126,7 +125,7 @@ class ExactPenalty:
         accepted: bool,
         radius: float,
     ) -> tuple[State, Record]:
-        """Where a trial's acceptance leaves the algorithm, its next radius given."""
+        """State and record after a trial step was accepted or refused, for a given next radius."""
         if accepted:
             new = State(trial.lin, trial.merit, radius, state.charge)
         else:
@@ -136,7 +135,7 @@ class ExactPenalty:
     def _failed(
         self, subproblem: Subproblem, state: State, k: int, words: str
     ) -> tuple[State, Record]:
-        """A smaller trust region is a better conditioned problem."""
+        """Shrink the trust region after a failed solve: a smaller one is better conditioned."""
         record = record_of(subproblem, state, state, k, failure=words)
         smaller = state.radius * self.SHRINK
         failures = state.failures + 1
@@ -195,8 +194,8 @@ class SCvx(ExactPenalty):
         """No step within a unit radius promises a reduction that is worth one.
 
         The model is convex. If the trust region does not bind, a larger one promises nothing more;
-        if it does, the reduction per radius falls with the radius, so that the one found here
-        bounds the one within a unit radius.
+        if it does, the reduction per radius falls with the radius, so that this step's bounds the
+        one within a unit radius.
         """
         binds = record.step > 0.99 * record.trust_radius
         scale = min(1.0, record.trust_radius) if binds else 1.0
@@ -205,7 +204,7 @@ class SCvx(ExactPenalty):
 
 @dataclass(frozen=True)
 class SCvxStar(SCvx):
-    """SCvx with multipliers: no weight has to be guessed that makes a penalty exact.
+    """SCvx with multipliers, so that no weight has to make a penalty exact (SCvx*).
 
     Oguri, "Successive convexification with feasibility guarantee via augmented Lagrangian for
     non-convex optimal control problems", CDC 2023, alg. 1: once the merit of an accepted step changes
@@ -237,7 +236,7 @@ class SCvxStar(SCvx):
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
     ) -> tuple[State, Record]:
-        """A step of SCvx, and the multipliers where it is time."""
+        """Take a step of SCvx, and update the multipliers when due."""
         before = state
         state, record = super().step(subproblem, dynamics, state, k, timing)
         radius = max(state.radius, self.RADIUS_MIN)  # the merit moves with the multipliers
@@ -258,15 +257,15 @@ class SCvxStar(SCvx):
         return self._update(subproblem, state, record), record
 
     def _weighed(self, subproblem: Subproblem, state: State) -> State:  # noqa: ARG002 -- as inherited
-        """Multipliers do what a heavier weight is for."""
+        """Update the multipliers in place of raising the weight."""
         return state
 
     def _worth(self, charge: PenaltyParameters, record: Record) -> float:  # noqa: ARG002 -- as inherited
-        """The same at every weight: the multipliers tell whether violations can be removed."""
+        """The same threshold at every weight: multipliers show whether violations can be removed."""
         return self._negligible(record)
 
     def _heavier(self, subproblem: Subproblem, state: State) -> float | None:  # noqa: ARG002 -- as inherited
-        """Weights grow with the multipliers; the largest is the last."""
+        """The next weight: weights grow with the multipliers up to the largest."""
         return self.weight_max if state.charge.weight < self.weight_max else None
 
     def _update(self, subproblem: Subproblem, state: State, record: Record) -> State:
@@ -296,11 +295,11 @@ class PTR(ExactPenalty):
     Penalised: Reynolds, Szmuk, Malyuta, Mesbahi, Acikmese & Carson, "Dual quaternion-based powered
     descent guidance with state-triggered constraints", J. Guid. Control Dyn. 43 (2020), and Malyuta
     et al., "Convex optimization for trajectory generation", IEEE Control Systems 42 (2022). With a
-    charge that is fixed nothing keeps the merit from rising; here it is chosen as in ProxDescent of
-    Lewis & Wright, "A proximal method for composite minimization", Math. Program. 158 (2016).
-    A step whose promise and gain are both lost in the merit's rounding is taken: to refuse it would
-    charge the next one more, and so on until nothing moves (Conn, Gould & Toint, Trust Region Methods,
-    2000, section 17.4.2). Attributes are those of `ExactPenalty`, a radius standing for r.
+    fixed r the merit may rise; here r adapts as in ProxDescent of Lewis & Wright, "A proximal
+    method for composite minimization", Math. Program. 158 (2016). A step whose predicted and actual
+    reductions are both lost in the merit's rounding is accepted: refusing it would shrink r again and
+    again until nothing moves (Conn, Gould & Toint, Trust Region Methods, 2000, section 17.4.2).
+    Attributes are those of `ExactPenalty`, a radius standing for r.
     """
 
     penalty: ClassVar[Penalty] = "proximal"
@@ -312,7 +311,7 @@ class PTR(ExactPenalty):
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
     ) -> tuple[State, Record]:
-        """Linearise, solve, fly; a step that keeps a tenth of its promise is taken."""
+        """Linearise, solve, fly; accept a step that gives a tenth of the predicted reduction."""
         state = self._weighed(subproblem, state)
         prox = 1.0 / state.radius
         state = replace(state, charge=replace(state.charge, prox=prox))
@@ -340,4 +339,4 @@ ALGORITHMS: dict[str, Callable[..., Algorithm]] = {
     "ptr": PTR,
     "scvx-star": SCvxStar,
 }
-"""By the name that a solution file records."""
+"""Algorithms by the name that a solution file records."""

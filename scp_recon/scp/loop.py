@@ -1,9 +1,9 @@
 """Sequential convex programming: `run` iterates, `trial_step` linearises, solves and flies one step.
 
-Each iterate is flown: what a subproblem answers is made to obey the nonlinear dynamics, so that the
-only defect that can remain is at the final state. The guess alone may have defects everywhere; there
-is nothing in it to go back to, so the step from it is always taken. What comes after a trial step, the
-algorithm decides: see `algorithms`.
+Each iterate is flown: a subproblem's answer is made to obey the nonlinear dynamics, so that only the
+final state can have a defect. The initial guess may have defects everywhere and is no iterate to return
+to, so the step from it is always accepted. The algorithm decides on every other trial step: see
+`algorithms`.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ class Record:
 
     Attributes:
         k: number, from 1.
-        merit: of the iterate that the iteration ends with.
+        merit: of the iterate after the iteration.
         predicted: reduction of the merit by the convex model.
         actual: reduction of the merit by the nonlinear dynamics.
-        accepted: whether the step was taken.
+        accepted: whether the step was accepted.
         trust_radius: bound on each burn component's change, in this iteration.
-        total_dv: of the iterate that the iteration ends with.
-        max_violation: largest violation of a constraint there.
-        max_defect: largest defect of the dynamics and the final state there.
+        total_dv: of that iterate.
+        max_violation: its largest violation of a constraint.
+        max_defect: its largest defect of the dynamics and the final state.
         step: largest change of a burn component proposed.
         solver_s: time in the conic solver.
-        failure: the conic solver's words where it gave no answer, else empty.
+        failure: the conic solver's message where it gave no answer, else empty.
     """
 
     k: int
@@ -60,19 +60,19 @@ class Record:
 
     @property
     def violated(self) -> float:
-        """Largest violation of anything."""
+        """Largest violation or defect."""
         return max(self.max_violation, self.max_defect)
 
 
 @dataclass
 class Timing:
-    """Seconds by what they were spent on.
+    """Seconds spent on each part of a run.
 
     Attributes:
         setup: building subproblems, once each.
         linearise: flying steps, differentiating every arc, and the constraints from that.
-        canonicalise: from the constraints to the conic solver's numbers, and back.
-        conic_solver: inside the solver's library: taking in the numbers, and solving.
+        canonicalise: turning the constraints into the conic solver's data, and its answer back.
+        conic_solver: inside the solver's library, its set-up included.
     """
 
     setup: float = 0.0
@@ -95,11 +95,11 @@ class State:
         merit: its merit under `charge`.
         radius: of the trust region.
         charge: weights and multipliers.
-        failures: of the conic solver, in a row.
+        failures: consecutive failures of the conic solver.
         stationary: whether no step promises a reduction that is worth one.
-        worthless: whether the last step was refused, and promised no more than what is not worth one.
+        worthless: whether the last step was refused, and its predicted reduction not worth a step.
         change: SCvx*'s bound on the merit's change at which the multipliers are next updated.
-        violated: largest violation when they were updated last.
+        violated: largest violation at the last update of the multipliers.
     """
 
     lin: Linearisation
@@ -114,11 +114,11 @@ class State:
 
 
 class Algorithm(Protocol):
-    """A way to globalise: the loop in `run` is the same for all."""
+    """A globalisation of the loop in `run`."""
 
     @property
     def penalty(self) -> Penalty:
-        """How its subproblems charge violations and steps."""
+        """Penalty of violations and steps in its subproblems."""
 
     @property
     def feasible(self) -> float:
@@ -126,7 +126,7 @@ class Algorithm(Protocol):
 
     @property
     def max_iterations(self) -> int:
-        """Limit of the loop."""
+        """Limit of the number of iterations."""
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
         """The state before the first iteration."""
@@ -134,18 +134,18 @@ class Algorithm(Protocol):
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing
     ) -> tuple[State, Record]:
-        """One iteration."""
+        """Do one iteration."""
 
     def resolving(self, resolution: float) -> Self:
-        """The same, for rows that tell no more than a relative reduction of the merit."""
+        """The same algorithm for rows that resolve the merit to a relative `resolution` only."""
 
     def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:
-        """How to stop, or None to go on."""
+        """Status to stop with, or None to go on."""
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """How a run ended and where."""
+    """Status and last iterate of a run."""
 
     status: Status
     lin: Linearisation
@@ -160,7 +160,7 @@ def run(
     algorithm: Algorithm,
     observe: Callable[[Record], None],
 ) -> Result:
-    """Iterate until the algorithm says how to stop. Ctrl-C ends with the best iterate so far."""
+    """Iterate until the algorithm stops. Ctrl-C ends with the best iterate so far."""
     records: list[Record] = []
     timing = Timing()
     state = algorithm.init(subproblem, start)
@@ -180,9 +180,9 @@ def run(
 
 
 class Trial(NamedTuple):
-    """Where a subproblem's answer leads: the flown iterate and its merit.
+    """A subproblem's answer, flown: the iterate and its merit.
 
-    The model promised a reduction of the merit, `predicted`, and the flight gave `actual`; `step` is
+    `predicted` is the model's reduction of the merit, `actual` that of the flown iterate; `step` is
     the largest change of a burn's component.
     """
 
@@ -204,9 +204,9 @@ def trial_step(
 ) -> Trial:
     """Linearise, solve within a radius, and fly the answer; the seconds are added to the timing.
 
-    Standing still is always possible: an answer that is worse by its own model, by more than `slack` of
-    the merit, is none. Where a burn has vanished whose errors begin with a jump, the program is solved
-    with that burn executed too (`ExecutionErrors.otherwise`), and the best answer counts.
+    A zero step is always feasible, so an answer worse by its own model, by more than `slack` of the
+    merit, is refused. Where a burn has vanished whose errors begin with a jump, the program is also
+    solved with that burn executed (`ExecutionErrors.otherwise`), and the best answer counts.
 
     Raises:
         SubproblemError: if there is no answer.
@@ -244,7 +244,7 @@ def _answer(
 
 
 def _otherwise(subproblem: Subproblem, lin: Linearisation) -> Iterator[Linearisation]:
-    """The iterate under other models of its burns' errors, if the rows feel them."""
+    """The iterate under other models of its burns' errors, if the rows depend on them."""
     if subproblem.merit.rows.with_factor:
         for errors in lin.problem.execution_errors.otherwise(lin.iterate.burns):
             yield Linearisation(
@@ -260,7 +260,7 @@ def record_of(
     trial: Trial | None = None,
     failure: str = "",
 ) -> Record:
-    """The record of an iteration that led from a state to another by a trial step, if there was one."""
+    """Record of an iteration from one state to the next, by a trial step if there was one."""
     violations = dict(subproblem.merit.violations(after.lin))
     defect = float(violations.pop("dynamics").max())
     return Record(

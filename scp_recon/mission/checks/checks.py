@@ -1,15 +1,14 @@
 """Runs every check of a mission: units, axes, and entries that contradict each other.
 
-Whatever can be computed is computed, and what is given as well is checked against it. What no body
-and no flight about one reaches is refused before any work, as kilometres in the place of metres are;
-what is unlikely becomes a warning, which stands in `solution.json` and above every verdict, and
-changes no exit status. A quantity that is held to an interval is a row of `intervals`, anything else a
-function.
+An entry that can also be computed is checked against the computed value. Values that no flight about
+a small body can have, such as kilometres in place of metres, are refused before any work. Unlikely
+values become warnings, which stand in `solution.json` and above every verdict and change no exit
+status. A quantity held to an interval is a row of `intervals`; every other check is a function.
 
-Physics cannot tell a probability, the axes of the boundary states (unless wrong ones lead into the
-shadow; `solve` shows their distance, angle off the Sun and climb), the prime meridian, pole or spin of
-a body that is not packaged, a small body wholly in kilometres, or a Sun of another epoch in a complete
-file: name that file as `base` instead.
+Nothing here can check a probability; the axes of the boundary states, unless wrong ones lead into the
+shadow (`solve` shows their distance, angle off the Sun and climb); the prime meridian, pole or spin of
+a body that is not packaged; a small body wholly in kilometres; or the Sun of another epoch in a
+complete file (name that file as `base` instead).
 """
 
 from __future__ import annotations
@@ -39,11 +38,11 @@ CHECKS: tuple[Check, ...] = (
 )
 """Checks before the window is known, in the order of checking."""
 WINDOW_SLACK = 0.05
-"""In degrees, or hours: a window given to the nearest second is no other one."""
+"""Slack of the lighting limits, deg or h: room for a window given to the nearest second."""
 
 
 def check_plausible(scene: Scene) -> None:
-    """Refuse what would never end, or end in figures that are not finite: `PLANNER_INTERVALS`.
+    """Refuse values with which planning would never end or overflow: `PLANNER_INTERVALS`.
 
     Raises:
         InputError: naming the entry, what was given and what is allowed.
@@ -62,19 +61,18 @@ def check_scene(scene: Scene) -> tuple[ScenarioWarning, ...]:
 
 
 def check_state(scene: Scene) -> tuple[ScenarioWarning, ...]:
-    """Hold the state where planning begins, and its sigmas, to `STATE_INTERVALS`."""
+    """Check the state where planning begins, and its sigmas, against `STATE_INTERVALS`."""
     return tuple(found for row in STATE_INTERVALS for found in row.check(scene))
 
 
 def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:
-    """Refuse a window in which the site is dark, be it for a moment; warn of one beyond its limits.
+    """Refuse a window in which the site is dark at any time; warn of a given one beyond its limits.
 
-    The latter of a window that was given. Limits are the file's own of incidence and local solar time,
-    with a slack of 0.05 deg or h.
+    The limits are those of incidence and local solar time under `[observation]`, with a slack of
+    0.05 deg or h. A computed window keeps them.
 
     Raises:
-        InputError: if the site is dark at some time in it; of a window that was computed it names the
-            limit.
+        InputError: if the site is dark at some time; names the window if given, else the limit.
     """
     limits, entry, lighting = scene.scenario.observation, "observation.window_s", scene.lighting
     computed, (first, last) = limits.window_s is None, window

@@ -1,7 +1,7 @@
-"""Checks of a scenario that hold one quantity to an interval, as rows of data.
+"""Checks of one quantity against intervals, as rows of data.
 
-Beyond the wider interval a row refuses what no body and no flight about one reaches, as kilometres in
-the place of metres are; beyond the narrower one it warns. docs/reference/warnings.md shows these rows.
+Outside the wider interval a row refuses the value, as of kilometres in place of metres; outside the
+narrower one it warns. docs/reference/warnings.md shows these rows.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ INF = math.inf
 
 @dataclass(frozen=True)
 class Interval:
-    """A quantity, and between which ends it is expected."""
+    """A quantity of a scenario, and the intervals outside which it is refused or warned of."""
 
     entries: str
-    """Dotted paths, spaces between them; the quantity is found of each of them."""
+    """Dotted paths, separated by spaces; each has the quantity."""
     quantity: str = ""
     """Bounded quantity in words; the entry itself, or its length, if empty."""
     value: Callable[[Scene, str], float | None] = lambda scene, entry: _size(_given(scene, entry))
@@ -50,7 +50,7 @@ class Interval:
     """Unit of the ends, as a function, and its name; None where the row does not apply."""
 
     def check(self, scene: Scene) -> Iterator[ScenarioWarning]:
-        """Hold a scene to the row.
+        """Check a scene against the row; yield its warnings.
 
         Raises:
             InputError: naming the entry, what was given and what is allowed.
@@ -71,7 +71,7 @@ class Interval:
                 yield ScenarioWarning.of(entry, given, expected)
 
     def _shown(self, given: Any, value: float) -> str:
-        """The quantity, and the number or vector that it is of."""
+        """The quantity beside the number or vector it is computed from."""
         if not self.quantity:
             digits = 12 if isinstance(given, float) else 4
             return f"{value:.{digits}g} {self.unit}".rstrip()
@@ -143,7 +143,7 @@ def _slope_deg(scene: Scene, _: str) -> float:
 
 
 def _slope_without_shape_deg(scene: Scene, entry: str) -> float | None:
-    """Where there is a shape, the normal was held to that."""
+    """Angle between normal and position, deg; None with a shape: `resolve_site` checks that normal."""
     return _slope_deg(scene, entry) if scene.scenario.body.radii_m is None else None
 
 
@@ -155,14 +155,14 @@ def _off_the_equator_deg(scene: Scene, _: str) -> float:
     """How much farther the orbit's plane is off Earth's equator than off the ecliptic.
 
     Components along the axes of the ecliptic, which many tables have, make the inclination the angle
-    off the equator. Below 11.7 deg, half the obliquity, this is told, and never of what is right.
+    off the equator. Below 11.7 deg, half the obliquity, this warns, and never of a correct orbit.
     """
     normal = Orbit.of_body(scene).normal
     return angle_deg(normal, [0.0, 0.0, 1.0]) - angle_deg(normal, ECLIPTIC_NORTH)
 
 
 def _off_shadow_m(scene: Scene, entry: str) -> float | None:
-    """Off the axis of the body's shadow, behind it: a cylinder that the planner's forces leave out."""
+    """Distance from the shadow's axis behind the body: the planner's forces leave the shadow out."""
     which = "initial" if "initial" in entry else "final"
     position = scene.boundary_state(which)[:3]
     light = scene.sun_direction(0.0 if which == "initial" else scene.scenario.duration_s)
@@ -177,7 +177,7 @@ def _nearest_to_site_m(scene: Scene, _: str) -> float | None:
 
 
 def _escape_m_s(scene: Scene, entry: str) -> float:
-    """Speed of escape at the position beside a velocity."""
+    """Escape speed at the position that belongs to a velocity entry."""
     distance = math.hypot(*_given(scene, entry.replace("velocity_m_s", "position_m")))
     return math.sqrt(2.0 * scene.scenario.body.gm_m3_s2 / distance)
 
@@ -196,14 +196,14 @@ def _outside_m(scene: Scene, entry: str) -> float | None:
 
 
 def _followed_m3_s2(scene: Scene, _: str) -> float:
-    """GM with which a flight turns by a radian in a step where it begins or ends."""
+    """GM at which a flight turns by a radian per step at its boundary."""
     boundary = scene.scenario.boundary
     ends = boundary.initial_position_m, boundary.final_position_m
     return float(min(math.hypot(*end) for end in ends) ** 3 / RK4_STEP_MAX_S**2)
 
 
 def _followed_m(scene: Scene, _: str) -> float:
-    """Distance at which a flight turns by a radian in a step."""
+    """Distance at which a flight turns by a radian per step."""
     return float((scene.scenario.body.gm_m3_s2 * RK4_STEP_MAX_S**2) ** (1.0 / 3.0))
 
 

@@ -1,7 +1,7 @@
-"""Checks of body, Sun and site against what is packaged of them, and against each other.
+"""Checks of body, Sun and site against the packaged catalogue, and of entries that are stale.
 
-What follows from other entries may be stale: left as a packaged scenario has it. Entries are compared
-by value: they may have been inherited, copied from the base by hand, or left alone by an override.
+A stale entry follows from others that were changed, and still has the value of a packaged scenario or
+base. Entries are compared by value, whether inherited, copied by hand, or left alone by an override.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SAME_SITE_DEG = 5.0
 
 
 def named_site(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of a packaged site's name 5 deg and more off its place, as seen from the centre."""
+    """Warn of a packaged site's name 5 deg or more off that site, seen from the centre."""
     here = scene.scenario
     for name in base_names():
         there = packaged_scenario(name)
@@ -71,10 +71,10 @@ def named_site(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of a packaged body's name with figures that are not its own.
+    """Warn of a packaged body's name with another body's figures.
 
-    That is another GM (5 %), J2, radius or radii (20 %), spin (1 %), pole or prime meridian (2 deg), or
-    a prime meridian of which two sources are more than that apart, as of Eros.
+    Compared are GM (to 5 %), J2, radius and radii (20 %), spin (1 %), pole and prime meridian (2 deg).
+    A prime meridian on which two sources differ by more than 2 deg, as of Eros, is warned of as well.
     """
     body = scene.scenario.body
     packaged = packaged_body(body.name)
@@ -103,7 +103,7 @@ def known_body(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWarning]:
-    """Where a packaged body's pole and, if that is its own, its prime meridian are at the epoch."""
+    """Compare pole and, if that agrees, prime meridian at the epoch with the packaged body's."""
     body, tdb, known = scene.scenario.body, scene.scenario.epoch.tdb, packaged.entries
     pole = known["pole_ra_deg"], known["pole_dec_deg"]
     w0, w1, w2 = (
@@ -142,9 +142,10 @@ def _known_attitude(scene: Scene, packaged: PackagedBody) -> Iterator[ScenarioWa
 
 
 def oblateness(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of a J2 40 % and more off that of a homogeneous ellipsoid of `body.radii_m`.
+    """Warn of a J2 that is 40 % or more off that of a homogeneous ellipsoid with `body.radii_m`.
 
-    That is (a^2 + b^2 - 2 c^2) / (10 R^2) at a reference radius R. A packaged body's is known.
+    The ellipsoid's J2 is (a^2 + b^2 - 2 c^2) / (10 R^2) at a reference radius R. Packaged bodies are
+    checked by `known_body` instead.
     """
     body = scene.scenario.body
     within = J2_ENDS[0] <= body.j2 <= J2_ENDS[1]  # which a row of `intervals` tells
@@ -162,7 +163,7 @@ def oblateness(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def site_angles(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of a latitude within 1.57 and a longitude within 6.28 deg, as in radians."""
+    """Warn of a latitude within 1.57 deg beside a longitude within 6.28 deg: radians, probably."""
     site = scene.scenario.site
     latitude, longitude = site.latitude_deg, site.longitude_deg
     if latitude is None or longitude is None:
@@ -195,12 +196,12 @@ class Orbit:
 
     @classmethod
     def of_body(cls, scene: Scene) -> Orbit:
-        """That of a scene's body at the epoch."""
+        """Orbit of a scene's body at the epoch."""
         return cls.of(scene.scenario.sun.body_position_km, scene.scenario.sun.body_velocity_km_s)
 
     @classmethod
     def of(cls, position_km: npt.ArrayLike, velocity_km_s: npt.ArrayLike) -> Orbit:
-        """From a heliocentric state: Bate, Mueller & White, Fundamentals of Astrodynamics, 2.4."""
+        """Orbit of a heliocentric state: Bate, Mueller & White, Fundamentals of Astrodynamics, 2.4."""
         position, velocity = (np.asarray(x, dtype=float) for x in (position_km, velocity_km_s))
         away = np.linalg.norm(position)
         momentum = np.cross(position, velocity)
@@ -214,10 +215,10 @@ class Orbit:
 
 
 def known_orbit(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of a packaged body on another orbit than its own, or at another place on it.
+    """Warn of a packaged body off its own orbit, or at another place on it.
 
-    That is 1 % in size, 0.2 deg in plane, 0.02 in eccentricity; 0.5 deg in place, and as much again for
-    each year outside its elements.
+    Tolerances are 1 % in semi-major axis, 0.2 deg in plane, 0.02 in eccentricity vector; and 0.5 deg
+    along the orbit, as much again for each year outside the packaged elements.
     """
     scenario = scene.scenario
     body, sun, packaged = scenario.body, scenario.sun, packaged_body(scenario.body.name)
@@ -263,12 +264,12 @@ OF_ONE_BODY = "body.gm_m3_s2", "body.j2", STATE[0]
 def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
     """Refuse the Sun of another epoch and the normal of another site; warn of another body's figures.
 
-    Another epoch is one at which the Sun has moved by 0.01 deg, another site one 1 deg away as seen
-    from the centre; figures are GM, J2 and the Sun's position under another name. Held against it are
-    the file that is named as base, the file itself where `--set` changes it, and every packaged one.
+    Another epoch is one at which the Sun has moved by 0.01 deg; another site is 1 deg away seen from
+    the centre; figures are GM, J2 and the Sun's position under another name. The scenario is compared
+    with its base, with its own file where `--set` changes it, and with every packaged scenario.
 
     Raises:
-        InputError: naming the entry that has to be given as well.
+        InputError: naming the entry that must be given anew.
     """
     here = scene.scenario
     for base in map(packaged_scenario, base_names()):
@@ -284,7 +285,7 @@ def stale_entries(scene: Scene) -> Iterator[ScenarioWarning]:
 
 
 def _kept(base: Scenario, here: Scenario, entries: tuple[str, ...]) -> list[str]:
-    """Select the entries that are the same in both scenarios."""
+    """Select the entries with the same value in both scenarios."""
     return [entry for entry in entries if attrgetter(entry)(base) == attrgetter(entry)(here)]
 
 

@@ -1,4 +1,4 @@
-"""Compares what is given with what is computed, in one message where the two do not agree."""
+"""Compare given values with computed ones, with one message where the two do not agree."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scp_recon.errors import InputError
 
 
 def fill(table: dict[str, Any], values: Mapping[str, Any]) -> None:
-    """Enter what is not given."""
+    """Enter values for entries that are not given."""
     for key, value in values.items():
         if table.get(key) is None:
             table[key] = value
@@ -29,17 +29,17 @@ def lacks(table: Mapping[str, Any], *keys: str) -> bool:
 
 
 def check(entry: str, given: object, near: bool, computed: object, why: str) -> None:
-    """Refuse what is not near what was computed.
+    """Refuse a given value that is not `near` the computed one.
 
     Raises:
-        InputError: if it is not.
+        InputError: if `near` is False.
     """
     if not near:
         raise InputError(entry, shown(given), f"must agree with {shown(computed)}, {why}")
 
 
 def check_share(entry: str, given: float, computed: float, share: float, source: str) -> None:
-    """Refuse a number that is off a computed one by more than a share of that."""
+    """Refuse a number that is off the computed one by more than a relative tolerance."""
     near = abs(given - computed) <= share * abs(computed)
     check(entry, given, near, computed, f"{source}, to {share:g}")
 

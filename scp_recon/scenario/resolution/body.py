@@ -1,4 +1,4 @@
-"""Computes rotation, gravity and Sun of a body: from kernels and files, the catalogue, or a period."""
+"""Compute rotation, gravity and Sun of a body from kernels and files, the catalogue, or a period."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ POLE, MERIDIAN, STATE = (
     keys(dependencies.STATE),
 )
 POLE_TOLERANCE_DEG, MERIDIAN_TOLERANCE_DEG, RATE_TOLERANCE = 0.1, 0.1, 1e-4
-"""Within these, what is given as well is taken for the same: of angles, and as a share of the rate."""
+"""Tolerances within which given values agree with computed ones: angles; rate, relative."""
 
 
 def resolve_rotation(body: dict[str, Any], known: PackagedBody | None, days: float | None) -> None:
@@ -96,7 +96,7 @@ def _check_meridian(at_epoch: float, body: dict[str, Any], days: float, source: 
 
 
 TOLERANCE = 0.01
-"""Share within which GM and J2, given beside a file, are taken for the file's."""
+"""Relative tolerance within which a given GM or J2 agrees with the file's."""
 
 
 def resolve_gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
@@ -122,7 +122,7 @@ def resolve_gravity(body: dict[str, Any], known: PackagedBody | None) -> None:
 
 
 def _enter_field(body: dict[str, Any], table: GravityTable, known: PackagedBody | None) -> None:
-    """J2 about z is -sqrt(5) times the normalised C20; over the square of its radius it compares."""
+    """Enter a field, and its J2 = -sqrt(5) C20 where none is given; check a J2 that is."""
     radius = table.radius_m or body.get("reference_radius_m")
     if radius is None and known is not None:
         radius = known.entries["reference_radius_m"]
@@ -135,7 +135,7 @@ def _enter_field(body: dict[str, Any], table: GravityTable, known: PackagedBody 
     j2 = _j2(table.rows)
     if lacks(body, "j2", "reference_radius_m"):
         fill(body, {"j2": j2, "reference_radius_m": radius})
-    elif lacks(body, "j2"):  # at the radius that is given
+    elif lacks(body, "j2"):  # at the given radius
         body["j2"] = j2 * (radius / body["reference_radius_m"]) ** 2
     if has(body, "j2", "reference_radius_m"):
         _check_j2(body, j2, radius, "gravity_file")
@@ -146,18 +146,18 @@ def _enter_field(body: dict[str, Any], table: GravityTable, known: PackagedBody 
 
 
 def _j2(rows: Iterable[Sequence[float]]) -> float:
-    """Unnormalised, of fully normalised coefficients."""
+    """Unnormalised J2 of fully normalised coefficients."""
     return -math.sqrt(5.0) * next((c for n, m, c, _ in rows if (n, m) == (2, 0)), 0.0)
 
 
 def _check_j2(body: dict[str, Any], j2: float, radius: float, source: str) -> None:
-    """Hold the planner's J2 to that of the field that the truth flies."""
+    """Refuse a J2 that does not agree with the field's."""
     there = j2 * (radius / body["reference_radius_m"]) ** 2
     check_share("body.j2", body["j2"], there, TOLERANCE, source)
 
 
 DIRECTION_TOLERANCE_DEG, DISTANCE_TOLERANCE, VELOCITY_TOLERANCE_KM_S = 0.1, 0.01, 0.5
-"""Within these, a Sun that is given agrees with the one that is computed."""
+"""Tolerances within which a given Sun agrees with the computed one."""
 
 
 def resolve_sun(
@@ -167,7 +167,7 @@ def resolve_sun(
 
     Raises:
         InputError: if kernels cannot be used, the epoch is outside the packaged elements' span and no
-            Sun is given, or the one that is given does not agree.
+            Sun is given, or a given Sun does not agree with the computed one.
     """
     if days is None:
         return

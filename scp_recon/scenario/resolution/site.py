@@ -1,4 +1,4 @@
-"""Computes where a site is and which way it faces, on the ellipsoid or on a shape model."""
+"""Compute position and normal of a site on the ellipsoid or on a shape model."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from scp_recon.errors import InputError
 from scp_recon.scenario.resolution.agreement import angle_deg, check, has, shown
 
 DIRECTION_TOLERANCE_DEG, NORMAL_TOLERANCE_DEG = 0.1, 30.0
-"""Of a position beside its coordinates, and of a normal beside the surface's: terrain is rough."""
+"""Tolerances of a position beside its coordinates, and of a normal beside the rough surface's."""
 OFF_ELLIPSOID, OFF_MESH, OFF_RADII = 1.5, 1.05, 1.3
 """Factor by which a position may be off the surface, and a shape off the body's radii."""
 FACETS = 0.1
-"""Sizes of a facet below which there is nothing to average: kilometres, most likely."""
+"""Least averaging radius over a facet's size: below it, in kilometres probably, nothing averages."""
 OFF_CENTRE, OFF_INERTIA = 0.1, 0.97
 """Of a shape as a homogeneous solid: its centre off the origin, over its radius; and the inertia about
 z over the largest, which is 1 of Bennu's and 0.88 with its axes y and z swapped."""
@@ -107,7 +107,7 @@ def _surface(site: dict[str, Any], body: dict[str, Any]) -> Surface | None:
 
 
 def _check_solid(given: str, mesh: Mesh) -> None:
-    """A body is about its centre of mass, and turns about the axis of its largest inertia."""
+    """Refuse a mesh that is open, inside out, off the centre of mass, or off its principal axis."""
     entry = "body.shape_file"
     try:
         solid = Solid.of(mesh)
