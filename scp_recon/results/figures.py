@@ -23,8 +23,9 @@ from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning.plan import Unit, scales
-from scp_recon.results.facts import FacetTable, Facts
+from scp_recon.results.facts import FacetTable, Facts, Risk
 from scp_recon.scenario.fields import Line, Number
+from scp_recon.scp.status import Status
 
 Kind = Literal["keep_in", "keep_out", "burn", "joint", "covariance"]
 FINAL_STATE = "final_state"
@@ -326,15 +327,18 @@ def strange_times(
 
 
 def disagreements(mission: Mission, facts: Facts, carried: Figures) -> list[str]:
-    """Names of a file's carried figures that do not follow from its facts, but for rounding.
+    """Names of what a file carries that does not follow from its facts, but for rounding.
 
-    What has converged violates nothing, be it by a rounding.
+    The status is that of a stage, unless the plan was interrupted, and what has converged violates
+    nothing. The risk that was required is the scenario's.
     """
     rows, found = rows_of(mission, facts), []
+    stages = {stage.status for stage in facts.stages}
+    if stages and facts.status not in stages | {Status.INTERRUPTED.value.name}:
+        found.append("status")
     if not np.isclose(total_dv(facts), carried.total_dv_m_s, rtol=ROUNDING, atol=1e-12):
         found.append("total_dv_m_s")
-    laws = [] if facts.risk is None else facts.risk.normal_law
-    if any(np.abs(ndtr(law.quantiles) - law.probability).max() > SAME_PROBABILITY for law in laws):
+    if facts.risk is not None and not _is_of_scenario(facts.risk, mission):
         found.append("risk")
     stored = {c.name: c for c in carried.constraints}
     if (
@@ -351,9 +355,22 @@ def disagreements(mission: Mission, facts: Facts, carried: Figures) -> list[str]
             _is_amount(carried.violation.by_constraint.get(name), unit, amount, error[unit])
             for name, (unit, amount) in amounts.items()
         )
-    ):
+    ) or (is_converged(facts) and carried.violation.by_constraint):
         found.append("violation")
     return found
+
+
+def is_converged(facts: Facts) -> bool:
+    """Whether a plan is said to have converged."""
+    return facts.status == Status.CONVERGED.value.name
+
+
+def _is_of_scenario(risk: Risk, mission: Mission) -> bool:
+    """Whether scope and probability are those required, and the quantiles those of the law."""
+    required, laws = mission.scenario.risk, risk.normal_law
+    return (risk.scope, risk.required) == (required.scope, required.p_chance) and all(
+        np.abs(ndtr(law.quantiles) - law.probability).max() <= SAME_PROBABILITY for law in laws
+    )
 
 
 def _is_result(reported: ConstraintResult, rows: Rows, facts: Facts) -> bool:

@@ -1,7 +1,7 @@
 """Read the project's JSON files strictly, by their schema, and the solution file among them.
 
-A solution's times, nodes and units are held to its scenario, and the figures that its file carries to
-its facts. An edited file is read as not verified.
+A solution's times, nodes and units are held to its scenario, and the figures that its file carries, its
+status and the risk required to its facts. An edited file is read as not verified.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def read_solution(path: Path) -> Solution:
         )
     assert solution.carried is not None
     if wrong := disagreements(solution.mission, solution, solution.carried):
-        given = f"{', '.join(wrong)} that do not follow from its burns, nodes and facets"
+        given = f"{', '.join(wrong)} that do not follow from its scenario, stages, burns and nodes"
         return _doubted(solution, file, wrong, given, "expected the figures of this plan")
     return solution
 
@@ -200,7 +200,7 @@ def _doubted(solution: Solution, file: Path, failed: list[str], given: str, why:
     word = ScenarioWarning.of(f"solution {file}", given, why)
     checked = solution.verification
     if checked is not None:
-        checked = replace(checked, ok=False, failed=[*failed, *checked.failed])
+        checked = replace(checked, ok=False, failed=list(dict.fromkeys([*failed, *checked.failed])))
     return replace(solution.with_verification(checked), warnings=(*solution.warnings, word))
 
 

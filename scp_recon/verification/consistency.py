@@ -22,9 +22,14 @@ from scp_recon.monte_carlo.estimates import FIRST_SEED, flights_needed, proporti
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.whole_flight import SAFETY
 from scp_recon.results.facts import EventProbability, FacetTable, Risk
-from scp_recon.results.figures import SAME_PROBABILITY, disagreements, figures_of, strange_times
+from scp_recon.results.figures import (
+    SAME_PROBABILITY,
+    disagreements,
+    figures_of,
+    is_converged,
+    strange_times,
+)
 from scp_recon.results.solution import Solution
-from scp_recon.scp.status import Status
 
 FACET_ERROR = 1e-9
 POINTS, SEED = 2**15, 7
@@ -52,12 +57,9 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
             found.append("risk")
     elif solution.problem == "P2" and not _are_sound(mission, solution.facets):
         return [*found, "facets"]
-    reported = [figures_of(mission, solution)]
     if solution.carried is not None:
         found += disagreements(mission, solution, solution.carried)
-        reported.append(solution.carried)
-    converged = solution.status == Status.CONVERGED.value.name
-    if converged and any(figures.violation.by_constraint for figures in reported):
+    if is_converged(solution) and figures_of(mission, solution).violation.by_constraint:
         found.append("violation")
     return list(dict.fromkeys(found))
 

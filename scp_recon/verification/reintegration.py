@@ -26,9 +26,9 @@ from scp_recon.monte_carlo.sampling import fly_block
 from scp_recon.physics import geometry
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.results.facts import FinalMiss, FinalSigma, MeanMargin, Verification
+from scp_recon.results.figures import is_converged
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.uncertainty import Gates
-from scp_recon.scp.status import Status
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import (
     MARGIN_LIMIT,
@@ -84,7 +84,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     limits = limits_of(mission)
     failed = [name for name, value in figures.items() if value > limits[name]]
     failed += inconsistencies(mission, solution)
-    if solution.status != Status.CONVERGED.value.name:
+    if not is_converged(solution) and "status" not in failed:
         failed.append("status")
     failed += [m.name for m in margins if m.worst_margin < MARGIN_LIMIT[m.unit]]
     sigmas: list[FinalSigma] = []

@@ -139,12 +139,48 @@ def test_a_figure_that_does_not_follow_from_the_facts_is_not_believed(
     assert found.figures == parsed(written).figures  # whatever the file carries
 
 
+def other_probability(data: Data) -> None:
+    data["risk"]["normal_law"][0]["probability"][0] -= 1e-6
+
+
+def less_required(data: Data) -> None:
+    data["risk"]["asked"] -= 1e-6
+
+
+def other_scope(data: Data) -> None:
+    data["risk"]["scope"] = "flight"
+
+
 @pytest.mark.parametrize("older", ["exact"], indirect=True)
-def test_a_probability_that_is_not_its_quantiles_is_named(written: Data, tmp_path: Path) -> None:
-    written["risk"]["normal_law"][0]["probability"][0] -= 1e-6
+@pytest.mark.parametrize("change", [other_probability, less_required, other_scope])
+def test_a_risk_that_is_not_its_quantiles_or_not_the_scenarios_is_named(
+    written: Data, change: Callable[[Data], None], tmp_path: Path
+) -> None:
+    change(written)
     found = read(written, tmp_path)
     assert found.verification is not None
     assert found.verification.failed[0] == "risk"
+
+
+@pytest.mark.parametrize(
+    ("older", "status", "last_stage", "named"),
+    [
+        ("facets", "stalled", "converged", "status"),
+        ("infeasible", "converged", "infeasible", "status, violation"),
+        ("infeasible", "converged", "converged", "violation"),
+    ],
+    indirect=["older"],
+)
+def test_a_status_that_no_stage_ended_with_or_that_violations_refute_is_named(
+    written: Data, status: str, last_stage: str, named: str, tmp_path: Path
+) -> None:
+    written["status"] = status
+    written["stages"][-1]["status"] = last_stage
+    found, failed = read(written, tmp_path), named.split(", ")
+    assert found.verification is not None
+    assert found.verification.failed[: len(failed)] == failed
+    assert set(failed) <= set(verify(found.mission, found).failed)
+    assert f"{named} that do not follow" in str(found.warnings[-1])
 
 
 def test_margins_beyond_what_probabilities_resolve_are_kept(tmp_path: Path) -> None:
