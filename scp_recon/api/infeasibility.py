@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal, Unpack
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import FlybyProblem, Iterate
 from scp_recon.api.options import PlanOptions
-from scp_recon.api.planning import plan_mission
+from scp_recon.api.planning import Known, plan_mission
 from scp_recon.certification.largest import MOST, largest_kept, rounded_down
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import Plan
-from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import FIRST_STAGE
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.status import Status
@@ -126,7 +126,7 @@ def exact_plan(mission: Mission, start: Iterate, target: float) -> Plan:
     """Exact risk's plan, from one start only; its mission asks for what it aims at."""
     changes = {"risk.allocation": "exact", "risk.p_chance": target}
     exact = Mission.from_scenario(mission.scenario.replace(changes))
-    return _uninterrupted(plan_mission(exact, start, PlanOptions(certify=False), once=True))
+    return _planned(exact, start, "P2", once=True)
 
 
 def largest_feasible(low: Plan, most: float) -> Plan:
@@ -147,9 +147,7 @@ def _without_uncertainty(failed: Plan) -> Plan:
     """P3's plan: of those on the way to the infeasible plan one that has converged, or a new one."""
     own = [s for s in failed.stages if s.problem == "P3" and not s.name.endswith(FIRST_STAGE)]
     if not own:
-        return _uninterrupted(
-            Planner(failed.mission).plan(failed.final.result.lin.iterate, problem="P3")
-        )
+        return _planned(failed.mission, failed.final.result.lin.iterate, "P3")
     order = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.STALLED, Status.SOLVER_FAILED)
     ranked = {status: rank for rank, status in enumerate(order)}
     # What is infeasible from every start comes last: one that did not end shows nothing.
@@ -163,9 +161,7 @@ def _freed(failed: Plan, name: str) -> Plan | None:
     # No scenario asks for such a problem: it takes the place of the one that this copy would cache.
     vars(mission)["problem"] = FREED[name](failed.mission.problem)
     start, problem = failed.final.result.lin.iterate, failed.final.problem
-    found = _uninterrupted(
-        Planner(mission, target=failed.target).plan(start, problem=problem, once=True)
-    )
+    found = _planned(mission, start, problem, target=failed.target, once=True)
     return found if _has_converged(found) else None
 
 
@@ -187,6 +183,15 @@ def _verified(largest: Plan, asked: float, failed: Plan, start: Iterate) -> Plan
         if _has_converged(found) and verify(found.mission, make_solution(found)).ok:
             return found
     return None
+
+
+def _planned(
+    mission: Mission, start: Iterate, problem: Literal["P3", "P2"], **known: Unpack[Known]
+) -> Plan:
+    """A plan that no flights certify."""
+    exact = problem == "P2" and mission.scenario.risk.allocation == "exact"
+    options = PlanOptions(problem, certify=False if exact else None)
+    return _uninterrupted(plan_mission(mission, start, options, **known))
 
 
 def _uninterrupted(plan: Plan) -> Plan:

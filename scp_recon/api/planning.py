@@ -43,6 +43,7 @@ class PlanObserver(Protocol):
 class Known(TypedDict, total=False):
     """What is known of a mission's plan before it is made: arguments of `planner.plan`."""
 
+    target: float | None
     p3_resolution: float
     choices: int
     once: bool

@@ -155,6 +155,12 @@ def test_folders_import_downwards_only() -> None:
     assert upwards == {}
 
 
+def test_of_the_api_one_module_alone_plans() -> None:
+    """Every other way to a plan goes through it, so that all of them decide alike."""
+    api = {path.stem: imports(path) for path in modules("scp_recon/api")}
+    assert [name for name in api if "scp_recon.planning.planner" in api[name]] == ["planning"]
+
+
 def test_every_module_and_command_has_its_floor() -> None:
     """Commands are above all of their wing but the ways in, so that nothing below imports them."""
     assert {floor_of(command) for command in COMMANDS} == {"scp_recon.cli.commands"}
