@@ -27,10 +27,10 @@ from scp_recon.monte_carlo.flights import (
     WORKERS_MAX,
     FlightConfig,
     FlightTally,
+    flights_so_far,
     fly_many,
     forget_flights,
     keep_flights,
-    kept_flights,
 )
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
 from scp_recon.monte_carlo.summary import FILE_NAME, Summary, summarise
@@ -160,7 +160,7 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
     check_writable(folder, FILE_NAME, "folder")
     check_holds(folder, solution, "folder")
     with only_run_in(folder, "folder"):
-        begun = kept_flights(config, solution, folder)
+        begun = flights_so_far(config, solution, folder)
         if begun is not None and begun.samples > options.samples:
             begun = None
         if begun is not None:

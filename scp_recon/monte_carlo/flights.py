@@ -269,7 +269,7 @@ def keep_flights(flown: FlightTally, solution: Solution, folder: Path) -> Path:
         return store.path
 
 
-def kept_flights(config: FlightConfig, solution: Solution, folder: Path) -> FlightTally | None:
+def flights_so_far(config: FlightConfig, solution: Solution, folder: Path) -> FlightTally | None:
     """What was flown of this configuration by this very code, in whole blocks; None if nothing was.
 
     A file that is damaged, or of other flights, counts as none.

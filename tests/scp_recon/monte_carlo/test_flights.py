@@ -28,9 +28,9 @@ from scp_recon.monte_carlo.flights import (
     PARTIAL,
     FlightConfig,
     FlightTally,
+    flights_so_far,
     fly_many,
     keep_flights,
-    kept_flights,
 )
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
@@ -243,7 +243,7 @@ def test_stopped_and_continued_is_as_flown_at_once(
     stopped = fly_many(short_config, samples=2500, stop=lambda: True)
     assert stopped.samples == 1000
     keep_flights(stopped, tame, tmp_path)
-    begun = kept_flights(short_config, tame, tmp_path)
+    begun = flights_so_far(short_config, tame, tmp_path)
     assert begun is not None
     again = fly_many(short_config, samples=2500, begun=begun)
     assert again.samples == 2500
@@ -277,7 +277,7 @@ def test_other_flights_and_damaged_files_count_as_none(
         file.write_bytes(file.read_bytes()[:-500])
     else:
         file.unlink()
-    assert kept_flights(short_config, tame, tmp_path) is None
+    assert flights_so_far(short_config, tame, tmp_path) is None
     reliability.count(reliability.FAULTS)
 
 
