@@ -256,6 +256,14 @@ def test_without_basilisk_the_command_names_the_extra(
     assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
 
 
+def test_a_seed_below_zero_is_refused_before_a_bar_shows(
+    short_solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.main([str(short_solution.write(tmp_path)), "--seed", "-1"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "--seed" in line
+
+
 def test_bad_input_ends_with_two(tmp_path: Path) -> None:
     errors = io.StringIO()
     with contextlib.redirect_stderr(errors):
