@@ -216,7 +216,7 @@ def new(
         spacecraft: NAIF's number in the kernels, as --spacecraft=-64 on the command line.
         from_oem: a CCSDS OEM: boundary states and start from it, `begin` and `end` if given; needs the
             extra [oem].
-        from_csv: a table of states as `init` of `plan` takes it, its t_s past `epoch`; the same.
+        from_csv: a table of states as solve --init takes it, its t_s past `epoch`; the same.
         begin: first burn, UTC, e.g. 2020-01-21T20:32:08.
         end: last burn, UTC, e.g. 2020-01-21T20:32:08.
         progress: told of each draft that was planned, in a line.
