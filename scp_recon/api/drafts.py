@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
+from scp_recon.verification.remedies import what_next
 
 NUMBERS = {"gm": (1e-6, 1e20), "radius": (1.0, 1e7), "period": (0.1, 1000.0)}
 """Bounds of what a body needs which is not packaged, in m^3/s^2, m and h."""
@@ -44,6 +46,8 @@ OF_A_BODY = ("gm", "radius", "period", "pole", "orbit")
 SOURCES = ("from_spice", "from_oem", "from_csv")
 NEEDS = {"from_spice": ("spacecraft", "begin", "end"), "from_csv": ("epoch",)}
 """What a trajectory needs besides."""
+HEAD_COLUMNS = 98
+"""Of the head of a scenario's file."""
 
 
 @dataclass(frozen=True)
@@ -285,9 +289,19 @@ def _file(name: str, given: str | Path | None) -> Path | None:
 
 
 def _planned(draft: Draft, mission: Mission, guess: Iterate, init: str = "cold") -> NewScenario:
-    solution = make_solution(plan_mission(mission, guess, PlanOptions(), init=init))
-    verification = verify(mission, solution)
-    return NewScenario(draft, mission, solution.with_verification(verification), verification)
+    """The draft with its plan; on the grid that planning took, where it had to refine it."""
+    plan = plan_mission(mission, guess, PlanOptions(), init=init)
+    step = plan.mission.scenario.grid.step_max_s
+    if step != mission.scenario.grid.step_max_s:
+        finer = (
+            "step_max_s",
+            step,
+            "s between nodes at most; finer than recon_b's, for covariances",
+        )
+        draft = replace(draft, instead={**draft.instead, "grid": [finer]})
+    solution = make_solution(plan)
+    verification = verify(plan.mission, solution)
+    return NewScenario(draft, plan.mission, solution.with_verification(verification), verification)
 
 
 def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> NewScenario:
@@ -304,7 +318,7 @@ def _from_track(options: NewOptions, source: str, path: Path, start: Path) -> Ne
         *(f"warning: {doubt}" for doubt in doubts),
     ]
     _write(start, start_csv(track, list(initial_guess.COLUMNS.values())))
-    _write(path, draft_text(replace(flown, outcome=outcome)))
+    _write(path, draft_text(replace(found.draft, outcome=outcome)))
     return replace(found, files=(path, start))
 
 
@@ -336,6 +350,10 @@ def _outcome(found: NewScenario, options: str = "") -> list[str]:
     """What the head of the file says of planning it."""
     lines = [f"python -m scp_recon.solve --scenario FILE{options} ended so: {found.verdict}."]
     if found.is_verified:
+        return lines
+    for line in what_next(found.mission, found.solution, found.verification):
+        lines += wrap(f"next: {line}", HEAD_COLUMNS, subsequent_indent="  ")
+    if found.solution.status == Status.CONVERGED.value.name:
         return lines
     broken = ", ".join(found.solution.violation.by_constraint) or "none"
     return [

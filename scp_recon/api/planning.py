@@ -28,6 +28,7 @@ from scp_recon.results.solution import Solution
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
+from scp_recon.verification.refinement import refined
 
 
 class PlanObserver(Protocol):
@@ -60,6 +61,9 @@ def plan_mission(
 ) -> Plan:
     """Plan a mission from a start: every plan of commands, scripts, campaigns and studies.
 
+    Where its steps are too long for right covariances it is planned again on a finer grid, from where
+    it ended; the new plan's mission has that grid, and a warning.
+
     Args:
         mission: to plan.
         start: where planning begins.
@@ -72,6 +76,22 @@ def plan_mission(
         InputError: if an option does not go with the scenario, or the delta-v budget has no plan.
     """
     options.check(mission.scenario)
+    found = _planned(mission, start, options, observe, init, known)
+    finer = refined(found)
+    if finer is None:
+        return found
+    return _planned(finer, from_burns(finer, found.burns_m_s), options, observe, init, known)
+
+
+def _planned(
+    mission: Mission,
+    start: Iterate,
+    options: PlanOptions,
+    observe: PlanObserver | None,
+    init: str,
+    known: Known,
+) -> Plan:
+    """By the method, and from as many starts, as options say."""
     if options.method == "ipopt":
         from scp_recon.planning import ipopt  # CasADi takes a second to import
 

@@ -39,6 +39,7 @@ from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
+from scp_recon.verification.remedies import what_next
 
 
 def show_mission(console: Console, mission: Mission) -> None:
@@ -154,10 +155,11 @@ def _show_risk(console: Console, risk: Risk | None) -> None:
 def show_verification(
     console: Console,
     mission: Mission,
+    solution: Solution,
     verification: Verification,
     warnings: Iterable[ScenarioWarning] = (),
 ) -> None:
-    """Re-integration, mean margins between the nodes, joint probabilities, warnings and the verdict."""
+    """Re-integration, mean margins, joint probabilities, warnings, the verdict, and what next."""
     v = verification
     console.print()
     console.print(terminal(reintegration_table(mission, v)))
@@ -169,17 +171,8 @@ def show_verification(
     show_verdict(console, "verified", v.failed)
     if v.missed is not None:
         show_line(console, str(v.missed))
-    if v.failed and "status" not in v.failed and _between_nodes(mission, v):
-        console.print("What fails does so between nodes: take a smaller grid.step_max_s.")
-
-
-def _between_nodes(mission: Mission, v: Verification) -> bool:
-    """Whether a constraint on the mean, or a probability, fails at its worst where no node is."""
-    worst = {m.name: m.worst_t_s for m in v.mean_margins}
-    worst |= {f"P({p.name})": p.worst_t_s for p in v.probabilities}
-    return any(
-        np.abs(mission.times_s - worst[name]).min() > 1.0 for name in v.failed if name in worst
-    )
+    for line in what_next(mission, solution, v):
+        show_line(console, f"next: {line}")
 
 
 @dataclass

@@ -42,6 +42,9 @@ class Units:
 RK4_STEP_MAX_S = 240.0
 """Keeps the planner within a millimetre of an adaptive integration over the default flight."""
 
+NODES_MAX = 3000
+"""Beyond them a plan would take minutes and gigabytes."""
+
 
 def make_grid(fixed_s: tuple[float, ...], step_max_s: float) -> Array:
     """Ascending node times, s: `fixed_s`, and between them even steps of at most `step_max_s`."""

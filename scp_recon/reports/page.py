@@ -17,6 +17,7 @@ from scp_recon.reports.marks import BODY, Trace, script
 from scp_recon.reports.subject import Subject
 from scp_recon.results.table import Table
 from scp_recon.scp.status import Status
+from scp_recon.verification.remedies import what_next
 
 OWN = "scp_recon.reports"
 SHOWN = 12
@@ -111,6 +112,9 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
         f"{name}: violated by up to {amount.max:.4g} {amount.unit}"
         for name, amount in solution.violation.by_constraint.items()
     ]
+    if solution.verification is not None:
+        lines = what_next(subject.mission, solution, solution.verification)
+        said += [f"next: {line}" for line in lines]
     risk = solution.risk
     if risk is not None and risk.certificate is None:
         said.append("not certified by flights: the normal law alone promises the probability")

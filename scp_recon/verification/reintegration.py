@@ -218,8 +218,13 @@ def _finite(figure: np.floating) -> float:
 def _covariance_error(mission: Mission, stored: Array, flown: Array) -> float:
     """Largest error of a node's covariance relative to its largest entry, in scaled units."""
     units = np.outer(mission.units.state, mission.units.state)
-    size = np.abs(flown / units).max(axis=(1, 2))
-    error = np.abs((stored - flown) / units).max(axis=(1, 2))
+    return relative_error(stored / units, flown / units)
+
+
+def relative_error(given: Array, exact: Array) -> float:
+    """Largest error of nondimensional covariances (n, 6, 6), relative to each one's largest entry."""
+    size = np.abs(exact).max(axis=(1, 2))
+    error = np.abs(given - exact).max(axis=(1, 2))
     return _finite((error / np.maximum(size, SMALLEST)).max())
 
 

@@ -142,7 +142,7 @@ def plan_into(
     verification = verify(mission, solution)
     checked = solution.with_verification(verification)
     path, more = write_plan(checked, folder)
-    plan_view.show_verification(console, mission, verification, mission.warnings)
+    plan_view.show_verification(console, mission, solution, verification, mission.warnings)
     for old in [*aside, *more]:
         show_line(console, f"set aside, as it is of another plan: {old}")
     if path.name == UNVERIFIED:
@@ -246,7 +246,9 @@ def new(options: argparse.Namespace, console: Console) -> Answer:
     found = draft_scenario(**given, progress=lambda line: show_line(console, line))
     plan_view.show_mission(console, found.mission)
     plan_view.show_solution(console, found.solution)
-    plan_view.show_verification(console, found.mission, found.verification, found.mission.warnings)
+    plan_view.show_verification(
+        console, found.mission, found.solution, found.verification, found.mission.warnings
+    )
     for file in found.files:
         show_written(console, file)
     code = Status.named(found.solution.status).value.exit_code

@@ -40,7 +40,7 @@ def verify(options: argparse.Namespace, console: Console) -> Answer:
     plan_view.show_solution(console, solution)
     verification = verified(mission, solution)
     warnings = [*solution.warnings, *mission.warnings]
-    plan_view.show_verification(console, mission, verification, warnings)
+    plan_view.show_verification(console, mission, solution, verification, warnings)
     checked = solution.with_verification(verification)
     return Answer(0 if verification.ok else NOT_VERIFIED, plan_document(checked))
 

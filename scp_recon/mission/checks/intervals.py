@@ -18,7 +18,7 @@ from formulations.rows.flight_probability import PROBABILITY_MAX
 from scp_recon.bodies.catalogue import AU_KM, ECLIPTIC_NORTH, GM_SUN_KM3_S2, packaged_body
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.known import J2_ENDS, Orbit
-from scp_recon.mission.grid import RK4_STEP_MAX_S
+from scp_recon.mission.grid import NODES_MAX, RK4_STEP_MAX_S
 from scp_recon.mission.scene import Scene
 from scp_recon.scenario.fields import ScenarioWarning, Section
 from scp_recon.scenario.resolution.agreement import angle_deg, shown
@@ -251,10 +251,9 @@ PLANNER_INTERVALS = (
         "grid.nodes_s", "the last", lambda s, entry: max(_given(s, entry), default=0.0), "s",
         refuse=(-INF, 1.0), scale=(lambda s, _: s.scenario.duration_s, "times the flight"),
     ),
-    # Beyond it a plan would take minutes and gigabytes.
     Interval(
         "grid.step_max_s", "nodes in the flight",
-        lambda s, entry: s.scenario.duration_s / float(_given(s, entry)), refuse=(-INF, 3000.0),
+        lambda s, entry: s.scenario.duration_s / float(_given(s, entry)), refuse=(-INF, NODES_MAX),
     ),
     # The body moves on a straight line, which must not lead to the Sun.
     Interval(

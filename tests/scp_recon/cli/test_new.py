@@ -78,13 +78,18 @@ def test_what_cannot_be_flown_is_written_with_what_to_change(
     def infeasible(*given: Any) -> drafts.NewScenario:
         found = planned(*given)
         status = {"status": Status.INFEASIBLE.value.name}
-        return replace(found, solution=replace(found.solution, **status))
+        failed = replace(found.verification, failed=["status"], ok=False)
+        solution = replace(found.solution, **status)
+        return replace(found, solution=solution, verification=failed)
 
     monkeypatch.setattr(drafting, "HALF_WIDTHS_H", (4.0,))
     monkeypatch.setattr(drafts, "_planned", infeasible)
     assert run("mine", *BENNU) == 3
-    assert "infeasible" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "infeasible" in said
     written = Path("mine.toml").read_text("utf-8")
+    (told,) = [line for line in said.splitlines() if line.startswith("next: status: ")]
+    assert told in written.replace("\n#   ", " ")
     assert "To change, in this order" in written
     assert tomllib.loads(written)["name"] == "mine"
 

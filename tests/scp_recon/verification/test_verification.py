@@ -45,7 +45,9 @@ def test_default_solution_is_confirmed(verification: Verification) -> None:
     assert v.max_defect < 1e-2
 
 
-def test_what_is_shown_as_allowed_is_what_is_judged(verification: Verification) -> None:
+def test_what_is_shown_as_allowed_is_what_is_judged(
+    solution: Solution, verification: Verification
+) -> None:
     """About a body so large that the integrators differ by more than a centimetre."""
     mission = mission_of()
     limits = limits_of(mission)
@@ -54,7 +56,7 @@ def test_what_is_shown_as_allowed_is_what_is_judged(verification: Verification) 
     assert limits_of(large) == {**limits, "sample_error_m": pytest.approx(0.05)}
     assert limits.keys() == FIGURES.keys()
     shown = io.StringIO()
-    show_verification(Console(file=shown, width=WIDE), large, verification)
+    show_verification(Console(file=shown, width=WIDE), large, solution, verification)
     row = next(line for line in shown.getvalue().splitlines() if line.startswith("sampled flights"))
     assert row.split()[-2:] == ["5.0e-02", "m"]
 

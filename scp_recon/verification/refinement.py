@@ -1,0 +1,72 @@
+"""A finer grid where the planner's integration errs: by how much it does, and how fine it has to be.
+
+The planner takes steps of a fixed length, by default 232 s at most. They are short enough about Bennu;
+where a flight turns faster they are not, and the covariances that it carries differ from those that the
+verification integrates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from formulations.linearisation.linearisation import step_mean
+from formulations.problem.flyby import Iterate
+from scp_recon.mission.grid import NODES_MAX
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.plan import Plan
+from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.scp.status import Status
+from scp_recon.verification import reintegration
+
+ORDER = 4
+"""Of the Runge-Kutta steps: half of them err by a sixteenth."""
+AIM = 0.5
+"""Of a limit, at which a finer grid aims."""
+
+
+def covariance_error(plan: Plan) -> float:
+    """Estimate the largest relative error of a plan's covariances by its steps, from steps of half."""
+    mission, at = plan.mission, plan.final.result.lin
+    dynamics = replace(mission.dynamics, substeps=2 * mission.arc_substeps)
+    burns, halved = at.iterate.burns, dynamics.linearise(at.problem, at.iterate)
+    flown = dynamics.linearise(at.problem, Iterate(burns, step_mean(halved, burns)))
+    coarse, fine = (lin.factor @ lin.factor.transpose(0, 2, 1) for lin in (at, flown))
+    return reintegration.relative_error(coarse, fine) / (1.0 - 0.5**ORDER)
+
+
+def finer_step_s(mission: Mission, excess: float) -> float:
+    """Longest spacing of nodes at which integration errs by half of what is allowed, s.
+
+    Args:
+        mission: as it is.
+        excess: its error over the one allowed.
+    """
+    longest = float(np.diff(mission.times_s).max()) / mission.arc_substeps
+    step = longest * (AIM / max(excess, AIM)) ** (1.0 / ORDER)
+    return max(1.0, float(np.floor(step)))
+
+
+def refined(plan: Plan) -> Mission | None:
+    """The mission of a plan on a grid on which covariances are right, with a warning that says so.
+
+    None where they are right as it is, where the plan has not converged, and where that would take more
+    nodes than a plan may have.
+    """
+    mission, limit = plan.mission, reintegration.COVARIANCE_LIMIT
+    if plan.status is not Status.CONVERGED:
+        return None
+    error = covariance_error(plan)
+    if error <= limit:
+        return None
+    step, before = finer_step_s(mission, error / limit), mission.scenario.grid.step_max_s
+    if mission.scenario.duration_s / step > NODES_MAX or step >= before:
+        return None
+    finer = Mission.from_scenario(mission.scenario.replace({"grid.step_max_s": step}))
+    word = ScenarioWarning.of(
+        "grid.step_max_s",
+        f"{before:g} s, with which covariances err by {error:.1e}",
+        f"expected at most {limit:g}: planned again with {step:g} s",
+    )
+    return replace(finer, warnings=(*mission.warnings, word))

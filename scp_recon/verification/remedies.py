@@ -1,0 +1,77 @@
+"""What to do next about a check that failed: one table for the terminal, reports and drafts."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scp_recon.mission.mission import Mission
+from scp_recon.results.facts import Verification
+from scp_recon.results.figures import FINAL_SIGMAS
+from scp_recon.results.solution import Solution
+from scp_recon.scp.status import Status
+from scp_recon.verification.refinement import finer_step_s
+from scp_recon.verification.reintegration import limits_of
+
+SHOWN_S = 1.0
+"""From a node beyond which something is between nodes."""
+INTEGRATION = 1e4
+"""Times its limit that an error of integration is not: ten times finer steps would not mend it."""
+STATUS, GRID, BETWEEN, BURNS, SHORT = "status", "grid", "between nodes", "burns", "short"
+CERTIFICATE, SPREAD, CONTRADICTION = "certificate", "spread", "contradiction"
+REMEDIES = {
+    STATUS: "{remedy}",
+    GRID: "integration errs: set grid.step_max_s={step:g}, and plan again",
+    BETWEEN: "it falls short between nodes: take a smaller grid.step_max_s, or grid.nodes_s there",
+    BURNS: "the burns do not keep it: plan again, from this file as init",
+    SHORT: "flights reach less than was required: raise risk.p_chance, or set "
+    'risk.allocation="exact", which flights certify',
+    CERTIFICATE: "flights do not certify the plan: take a lower risk.p_chance or a smaller "
+    "uncertainty.execution_error, or plan again on a smaller grid.step_max_s",
+    SPREAD: "flights spread more: raise the limit in boundary, or lower "
+    "uncertainty.execution_error",
+    CONTRADICTION: "the file contradicts its own scenario and burns: plan again, from it as init",
+}
+"""One line for each kind of check that can fail."""
+
+
+def what_next(mission: Mission, solution: Solution, verification: Verification) -> tuple[str, ...]:
+    """Lines that say what to do about what failed: names, and one remedy for all of them.
+
+    Args:
+        mission: of the solution.
+        solution: that was verified.
+        verification: of it.
+    """
+    unsolved = STATUS in verification.failed  # whatever else falls short does so for that
+    names: dict[str, list[str]] = {}
+    for name in verification.failed:
+        kind = STATUS if unsolved else kind_of(name, mission, verification)
+        line = REMEDIES[kind].format(
+            remedy=Status.named(solution.status).value.remedy, step=_step_s(mission, verification)
+        )
+        names.setdefault(line, []).append(name)
+    return tuple(f"{', '.join(failed)}: {line}" for line, failed in names.items())
+
+
+def kind_of(name: str, mission: Mission, verification: Verification) -> str:
+    """The kind of a check by its name, a key of `REMEDIES`."""
+    if name in (STATUS, CERTIFICATE):
+        return name
+    limits = limits_of(mission)
+    if name in limits:
+        return GRID if getattr(verification, name) < INTEGRATION * limits[name] else CONTRADICTION
+    if name in {final for final, _, _ in FINAL_SIGMAS}:
+        return SPREAD
+    worst = {f"P({p.name})": (SHORT, p.worst_t_s) for p in verification.probabilities}
+    worst |= {m.name: (BURNS, m.worst_t_s) for m in verification.mean_margins}
+    if name not in worst:  # a part of the file
+        return CONTRADICTION
+    kind, time = worst[name]
+    return BETWEEN if np.abs(mission.times_s - time).min() > SHOWN_S else kind
+
+
+def _step_s(mission: Mission, verification: Verification) -> float:
+    """The spacing of nodes at which every figure of the integration is within its limit, s."""
+    limits = limits_of(mission)
+    excess = max(getattr(verification, name) / limit for name, limit in limits.items())
+    return finer_step_s(mission, excess)

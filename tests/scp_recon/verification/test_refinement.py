@@ -1,0 +1,77 @@
+"""Where steps are too long for right covariances the planner takes shorter ones, and says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime
+
+import pytest
+
+import scp_recon as sr
+from scp_recon.api import drafts
+from scp_recon.drafting import draft as drafting
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
+from scp_recon.results.facts import Verification
+from scp_recon.results.solution import make_solution
+from scp_recon.scp.status import Status
+from scp_recon.verification import refinement, reintegration
+from scp_recon.verification.reintegration import verify
+
+TIGHT = 2e-8
+"""A limit that the default grid misses: its covariances err by 7e-8."""
+
+
+@pytest.fixture
+def _tight(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reintegration, "COVARIANCE_LIMIT", TIGHT)
+
+
+def test_the_estimate_is_what_the_verification_finds(
+    default_plan: Plan, verification: Verification
+) -> None:
+    error = refinement.covariance_error(default_plan)
+    assert error == pytest.approx(verification.covariance_error, rel=0.02)
+    assert refinement.refined(default_plan) is None
+
+
+@pytest.mark.usefixtures("_tight", "few_flights")
+def test_a_plan_whose_covariances_alone_are_wrong_is_made_again_on_a_finer_grid(
+    default_plan: Plan, mission: Mission
+) -> None:
+    assert verify(mission, make_solution(default_plan)).failed == ["covariance_error"]
+    plan = sr.plan()
+    step = plan.mission.scenario.grid.step_max_s
+    assert 100.0 < step < 200.0
+    assert plan.total_dv_m_s == pytest.approx(default_plan.total_dv_m_s, rel=1e-3)
+    (warning,) = plan.mission.warnings
+    assert warning.entry == "grid.step_max_s"
+    assert warning.given.startswith("232 s, with which covariances err by 7.3e-08")
+    assert warning.expected.endswith(f"planned again with {step:g} s")
+    checked = sr.verify(plan)
+    assert checked.ok
+    assert 0.3 * TIGHT < checked.covariance_error < 0.7 * TIGHT
+
+
+@pytest.mark.usefixtures("_tight")
+def test_no_grid_is_refined_that_is_no_remedy(
+    default_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert refinement.refined(default_plan) is not None
+    stage = default_plan.final
+    stalled = replace(stage, result=replace(stage.result, status=Status.STALLED))
+    assert refinement.refined(replace(default_plan, final=stalled)) is None
+    monkeypatch.setattr(refinement, "NODES_MAX", 150)
+    assert refinement.refined(default_plan) is None
+
+
+@pytest.mark.usefixtures("_tight", "few_flights")
+def test_a_draft_has_the_grid_on_which_it_was_planned() -> None:
+    first = drafting.Draft("m", "Bennu", None, (55.9, 41.8), datetime(2020, 1, 21), 290.0)
+    draft = next(drafting.drafts(first))
+    mission = Mission.from_scenario(drafting.scenario_of(draft))
+    found = drafts._planned(draft, mission, initial_guess.cold(mission))
+    assert found.verification.ok
+    assert found.mission.scenario.grid.step_max_s < mission.scenario.grid.step_max_s
+    assert drafting.scenario_of(found.draft) == found.mission.scenario

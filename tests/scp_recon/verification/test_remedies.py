@@ -1,0 +1,92 @@
+"""Every check that can fail has one line that says what to do, the same wherever it is shown."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from scp_recon.cli.command import WIDE
+from scp_recon.cli.plan_view import show_verification
+from scp_recon.mission.mission import Mission
+from scp_recon.reports import page
+from scp_recon.reports.subject import Subject
+from scp_recon.results.facts import Verification
+from scp_recon.results.figures import FINAL_SIGMAS
+from scp_recon.results.solution import HASH, Solution
+from scp_recon.scp.status import Status
+from scp_recon.verification import remedies
+from scp_recon.verification.remedies import REMEDIES, kind_of, what_next
+
+
+def failing(verification: Verification, *names: str, **figures: float) -> Verification:
+    return replace(verification, **figures, failed=list(names), ok=False)  # type: ignore[arg-type]
+
+
+def test_every_check_has_a_remedy(mission: Mission, verification: Verification) -> None:
+    """By its kind; a probability or a margin by where it is missed."""
+    v = verification
+    between = replace(v.mean_margins[-1], worst_t_s=float(mission.times_s[:2].mean()))
+    v = replace(v, mean_margins=[*v.mean_margins[:-1], between])
+    at_nodes = [p for p in v.probabilities if min(abs(mission.times_s - p.worst_t_s)) < 1.0]
+    found = {
+        "status": {"status"},
+        "certificate": {"certificate"},
+        "grid": {"covariance_error", "max_defect", "sample_error_m", "terminal_position_error_m"},
+        "between nodes": {between.name},
+        "short": {f"P({p.name})" for p in at_nodes},
+        "burns": {"dv_max"},
+        "spread": {name for name, _, _ in FINAL_SIGMAS},
+        "contradiction": {HASH, "facets", "violation", "nodes.t_s", "risk", "total_dv_m_s"},
+    }
+    assert found.keys() == REMEDIES.keys()
+    for kind, names in found.items():
+        assert names
+        assert {kind_of(name, mission, v) for name in names} == {kind}
+
+
+def test_it_says_how_fine_a_grid_is_enough(
+    mission: Mission, solution: Solution, verification: Verification
+) -> None:
+    """At fourth order: half the limit of covariances that err by 17 times it at 232 s."""
+    failed = failing(verification, "covariance_error", covariance_error=1.7e-5)
+    (line,) = what_next(mission, solution, failed)
+    assert line.startswith("covariance_error: integration errs: set grid.step_max_s=94,")
+    edited = failing(verification, "covariance_error", covariance_error=0.5)
+    (line,) = what_next(mission, solution, edited)
+    assert line == f"covariance_error: {REMEDIES['contradiction']}"
+
+
+def test_a_plan_that_has_not_converged_has_the_remedy_of_its_status(
+    mission: Mission, solution: Solution, verification: Verification
+) -> None:
+    stalled = replace(solution, status=Status.STALLED.value.name)
+    failed = failing(verification, "status", "P(emission)", "emission_max")
+    (line,) = what_next(mission, stalled, failed)
+    assert line == f"status, P(emission), emission_max: {Status.STALLED.value.remedy}"
+
+
+def test_nothing_is_said_of_what_is_verified(
+    mission: Mission, solution: Solution, verification: Verification
+) -> None:
+    assert what_next(mission, solution, verification) == ()
+
+
+def test_terminal_and_report_show_the_same_lines(
+    mission: Mission,
+    solution: Solution,
+    verification: Verification,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    failed = failing(verification, "covariance_error", "facets", covariance_error=1.7e-5)
+    lines = {f"next: {line}" for line in what_next(mission, solution, failed)}
+    assert len(lines) == 2
+    shown = io.StringIO()
+    show_verification(Console(file=shown, width=WIDE), mission, solution, failed)
+    assert lines <= {*shown.getvalue().splitlines()}
+    judged = solution.with_verification(failed)
+    assert lines <= {*page._remarks(Subject("plan", judged), Status.CONVERGED)}
+    monkeypatch.setitem(remedies.REMEDIES, "grid", "another remedy")
+    assert any("another remedy" in line for line in what_next(mission, solution, failed))
