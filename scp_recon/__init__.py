@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scp_recon.api.campaigns import campaign
+    from scp_recon.api.campaigns import campaign, read_campaign
     from scp_recon.api.designing import design
     from scp_recon.api.drafts import new
     from scp_recon.api.files import compare, export, load, report, save, verify
@@ -23,9 +23,11 @@ if TYPE_CHECKING:
     from scp_recon.api.planning import plan
     from scp_recon.api.replans import replan
     from scp_recon.api.survey import windows
+    from scp_recon.errors import InputError
     from scp_recon.scenario.load import load_scenario
 
 __all__ = [
+    "InputError",
     "campaign",
     "compare",
     "design",
@@ -35,6 +37,7 @@ __all__ = [
     "load_scenario",
     "new",
     "plan",
+    "read_campaign",
     "replan",
     "report",
     "save",
@@ -43,12 +46,14 @@ __all__ = [
     "windows",
 ]
 _ELSEWHERE = {
+    "InputError": "errors",
     "campaign": "api.campaigns",
     "design": "api.designing",
     "fly": "api.flights",
     "load_scenario": "scenario.load",
     "new": "api.drafts",
     "plan": "api.planning",
+    "read_campaign": "api.campaigns",
     "replan": "api.replans",
     "simulate": "api.flights",
     "windows": "api.survey",
@@ -58,6 +63,10 @@ _ELSEWHERE = {
 
 def __getattr__(name: str) -> Any:
     """A public name, which is imported when it is first asked for."""
+    if name == "__version__":
+        from scp_recon.errors import version_of
+
+        return version_of(__name__)
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module

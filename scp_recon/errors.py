@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 OPTION = re.compile(r"\0(\w+)(?:=([^\0]*))?\0")
 """An option in a message, its name and a value's `repr`, between characters that no file's name has."""
 ON_COMMAND_LINE = {"True": "yes", "False": "no"}
+Value = TypeVar("Value")
 
 
 def option(name: str, value: object = None) -> str:
@@ -28,6 +30,11 @@ def option(name: str, value: object = None) -> str:
 
 class InputError(ValueError):
     """An entry of the input is unusable; the message names it, what was given and what is allowed.
+
+    >>> import scp_recon as sr
+    >>> sr.load_scenario().replace({"grid.step_max_s": 0.0})
+    Traceback (most recent call last):
+    scp_recon.errors.InputError: grid.step_max_s: got 0.0; must be at least 1 and at most 1e+07
 
     Args:
         entry: dotted path of the entry, or the file or `option`.
@@ -85,6 +92,26 @@ def one_of(entry: str, given: object, known: Collection[str]) -> str:
     if not isinstance(given, str) or given not in known:
         raise InputError(entry, shortened(given), f"must be one of {', '.join(known)}")
     return given
+
+
+class Named(dict[str, Value]):
+    """Results by name; asked for one that it has not, it names the nearest and all that there are."""
+
+    def __missing__(self, name: object) -> NoReturn:
+        """Refuse it.
+
+        Raises:
+            KeyError: always.
+        """
+        raise KeyError(unknown_name(name, self))
+
+
+def unknown_name(name: object, known: Iterable[str]) -> str:
+    """What to say of a name that there is not: the nearest, and all that there are."""
+    names = list(known)
+    near = difflib.get_close_matches(str(name), names, n=1)
+    meant = f"did you mean {near[0]!r}? " if near else ""
+    return f"{name!r}; {meant}there are {', '.join(names) or 'none'}"
 
 
 def path_of(entry: str, given: object) -> Path:

@@ -14,7 +14,7 @@ from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.campaigns.cases import Case, changed, solution_name
 from scp_recon.campaigns.checks import check_do
-from scp_recon.campaigns.results import VERIFIED
+from scp_recon.campaigns.results import read_results
 from scp_recon.campaigns.run import WORKERS_MAX, Observer, executor_of, run_study
 from scp_recon.campaigns.study import Campaign, Study, study_of
 from scp_recon.errors import InputError, needing, option, path_of, whole_number
@@ -82,6 +82,20 @@ def campaign(
     from scp_recon.campaigns.figures import figures
 
     return CampaignOutput(results.table, figures(results))
+
+
+def read_campaign(folder: str | Path) -> pandas.DataFrame:
+    """Read the rows of a campaign, finished or not, by case; unknown values are missing.
+
+    Needs the extra [campaign].
+
+    Args:
+        folder: that `campaign` was given as `out`.
+
+    Raises:
+        InputError: if it holds no campaign, or the extra is missing.
+    """
+    return read_results(path_of("folder", folder))
 
 
 def run_campaign(
@@ -216,10 +230,9 @@ def binding(stage: Stage) -> str:
 def planned_row(solution: Solution, verification: Verification) -> dict[str, Any]:
     """What a plan is worth."""
     lowest = min(verification.probabilities, key=lambda p: p.estimate, default=None)
-    failed = ", ".join(verification.failed)
     return {
         "status": solution.status,
-        "verdict": VERIFIED if verification.ok else f"not verified: {failed}",
+        "verdict": verification.verdict,
         "total_dv_m_s": solution.total_dv_m_s,
         "probability": None if lowest is None else lowest.estimate,
         "probability_of": None if lowest is None else lowest.name,

@@ -124,14 +124,13 @@ def save(plan: AnyPlan, folder: str | Path) -> Path:
     'solution.json'
 
     Raises:
-        InputError: if it is no plan, or the folder cannot be written.
+        InputError: if it is no plan and no file of one, or the folder cannot be written.
     """
-    if not isinstance(plan, Plan | Solution):
-        raise InputError("plan", shortened(plan), "must be a plan, which `plan` returns")
+    given = plan if isinstance(plan, Plan) else load(plan)
     path = path_of("folder", folder)
     check_writable(path, FILE_NAME, "folder")
     try:
-        return keep_plan(load(plan), path)[0]
+        return keep_plan(load(given), path)[0]
     except OSError as error:
         raise unwritable(path, "folder", error) from None
 

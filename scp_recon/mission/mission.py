@@ -40,7 +40,7 @@ from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mission:
     """A scenario with its geometry resolved. States J2000, body-centred, SI."""
 
@@ -57,6 +57,12 @@ class Mission:
     units: Units
     warnings: tuple[ScenarioWarning, ...] = ()
     """Warnings of unlikely entries, shown with every verdict."""
+
+    def __repr__(self) -> str:
+        """One line."""
+        first, last = self.schedule.window_s
+        name, nodes = self.scenario.name, len(self.times_s)
+        return f"<Mission {name}: {nodes} nodes, window {first:.0f} to {last:.0f} s>"
 
     @classmethod
     def from_scenario(cls, scenario: Scenario, known: Mission | None = None) -> Mission:

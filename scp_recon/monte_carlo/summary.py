@@ -16,7 +16,7 @@ from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution
-from scp_recon.scenario.fields import Line, Section
+from scp_recon.scenario.fields import ByName, Line, Section
 from scp_recon.scp.status import Status
 
 SCHEMA = "scp_recon.montecarlo/1"
@@ -116,8 +116,8 @@ class Normality(Section):
 class Terminal(Section):
     """Final state by component, those that spread: sampled over predicted sigma, and normality."""
 
-    sigma_ratio: dict[Line, Interval]
-    normality: dict[Line, Normality]
+    sigma_ratio: ByName[Interval]
+    normality: ByName[Normality]
 
 
 class Summary(File):
@@ -131,10 +131,10 @@ class Summary(File):
     confidence: float
     planned_dv_m_s: float
     window_s: tuple[float, float] | None
-    held_s: dict[Line, Held]
+    held_s: ByName[Held]
     entry_s: Spread
     exit_s: Spread
-    probability: dict[Line, LowestProbability]
+    probability: ByName[LowestProbability]
     whole_flight: Interval | None = None
     closest_m: ClosestApproach
     executed_dv_m_s: Spread

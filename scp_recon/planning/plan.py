@@ -20,6 +20,7 @@ from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins
 from formulations.rows.uniform import DeterministicRows
+from scp_recon.errors import Named
 from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.fields import Line, Number, Probability
@@ -29,6 +30,8 @@ from scp_recon.scp.status import Status
 Unit = Literal["m", "m/s", "sigma"]
 """Of a margin in SI; sigma is a standard deviation on the normal quantile scale."""
 
+NOT_CHECKED = "not checked"
+"""What is said of a plan that was not verified yet."""
 BURN_LIMITS = ("dv_max", "dv_battery")
 
 
@@ -37,7 +40,7 @@ def scales(units: Units) -> dict[Unit, float]:
     return {"m": units.length_m, "m/s": units.speed_m_s, "sigma": 1.0}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Stage:
     """A run of the SCP, or of IPOPT, on one problem.
 
@@ -56,6 +59,11 @@ class Stage:
     merit: MeritFunction
     facets: Facets | None
     tolerance: float
+
+    def __repr__(self) -> str:
+        """One line."""
+        result = self.result
+        return f"<Stage {self.name}: {result.status.value.name}, {len(result.records)} iterations>"
 
     @property
     def problem(self) -> Literal["P3", "P2"]:
@@ -252,7 +260,7 @@ class Plan:
     @cached_property
     def worst_margins(self) -> dict[str, tuple[float, Unit]]:
         """The smallest margin of each constraint with its unit; >= 0 where it holds."""
-        found = {}
+        found: Named[tuple[float, Unit]] = Named()
         for name, margins in self.final.margins.items():
             unit = self.final.unit(name)
             found[name] = float(margins.margin.min()) * scales(self.mission.units)[unit], unit
@@ -284,9 +292,9 @@ class Plan:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        """One line."""
+        """One line; only a `Solution` knows whether it is verified."""
         name, dv = self.mission.scenario.name, self.total_dv_m_s
-        return f"<Plan {name}: {self.status.value.name}, {dv:.6f} m/s>"
+        return f"<Plan {name}: {self.status.value.name}, {NOT_CHECKED}, {dv:.6f} m/s>"
 
     def _repr_html_(self) -> str:
         """For a notebook."""

@@ -12,6 +12,7 @@ import numpy as np
 from formulations.rows.exact import FLIGHT
 from scp_recon.errors import version_of
 from scp_recon.physics.time_scales import instant, iso_utc, shown_utc
+from scp_recon.planning.plan import NOT_CHECKED
 from scp_recon.reports.flights import SO_FAR, Shown
 from scp_recon.reports.marks import BODY, Trace, script
 from scp_recon.reports.subject import Subject
@@ -62,7 +63,7 @@ def verdict_of(plan: Shown) -> Verdict:
     good = checked is not None and checked.ok and status is Status.CONVERGED
     word = "verified" if good else "not verified"
     if checked is None:
-        word = "not checked"
+        word = NOT_CHECKED
     elif checked.failed:
         word = f"not verified: {', '.join(checked.failed)}"
     return Verdict(

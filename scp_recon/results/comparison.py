@@ -9,7 +9,9 @@ from itertools import zip_longest
 import numpy as np
 
 from formulations.arrays import Array
+from scp_recon.errors import unknown_name
 from scp_recon.physics.flow import interpolate
+from scp_recon.planning.plan import NOT_CHECKED
 from scp_recon.results.facts import Verification
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Cell, Column, Table
@@ -34,7 +36,7 @@ class Comparison:
         """
         known = {row: figures for row, _, figures in self.rows}
         if name not in known:
-            raise KeyError(f"{name!r}; there are {', '.join(known)}")
+            raise KeyError(unknown_name(name, known))
         return known[name]
 
     @property
@@ -95,7 +97,7 @@ def _differences(first: Scenario, other: Scenario) -> str | None:
 
 def _verdict(verification: Verification | None) -> str:
     if verification is None:
-        return "not checked"
+        return NOT_CHECKED
     return "yes" if verification.ok else f"no: {', '.join(verification.failed)}"
 
 

@@ -329,9 +329,14 @@ class Verification:
     final_sigmas: tuple[FinalSigma, ...] = ()
     ok: bool
 
+    @property
+    def verdict(self) -> str:
+        """Whether the plan is verified, and what fell short if not, on one line."""
+        return "verified" if self.ok else f"not verified: {', '.join(self.failed)}"
+
     def __str__(self) -> str:
         """The verdict, and the lowest probabilities."""
-        lines = ["verified" if self.ok else f"not verified: {', '.join(self.failed)}"]
+        lines = [self.verdict]
         lines += [str(self.missed)] if self.missed else []
         lines += [str(sigma) for sigma in self.final_sigmas]
         lines += [
@@ -342,7 +347,7 @@ class Verification:
 
     def __repr__(self) -> str:
         """One line."""
-        return f"<Verification: {str(self).partition(chr(10))[0]}>"
+        return f"<Verification: {self.verdict}>"
 
 
 @dataclass(frozen=True, kw_only=True)

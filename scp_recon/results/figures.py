@@ -19,6 +19,7 @@ from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import Iterate, StateConstraint
 from formulations.problem.regions import Ball
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY
+from scp_recon.errors import Named
 from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
@@ -300,7 +301,7 @@ def _summed(parts: dict[str, ViolationAmount], units: Units) -> Violation:
     metres = {name: units.length_m / scale[part.unit] for name, part in parts.items()}
     most = max((part.max * metres[name] for name, part in parts.items()), default=0.0)
     total = sum(part.total * metres[name] for name, part in parts.items())
-    return Violation(finite(most), finite(total), parts)
+    return Violation(finite(most), finite(total), Named(parts))
 
 
 def finite(value: float) -> float:

@@ -20,7 +20,7 @@ from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.plan import NOT_CHECKED, Plan, Provenance, Stage
 from scp_recon.planning.primer import primer_of
 from scp_recon.results.facts import (
     Burn,
@@ -69,7 +69,8 @@ class Solution(Facts):
 
     def __repr__(self) -> str:
         """One line."""
-        return f"<Solution {self.scenario.name}: {self.status}, {self.total_dv_m_s:.6f} m/s>"
+        verdict = self.verification.verdict if self.verification else NOT_CHECKED
+        return f"<Solution {self.scenario.name}: {self.status}, {verdict}, {self.total_dv_m_s:.6f} m/s>"
 
     def __getstate__(self) -> dict[str, object]:
         """Its fields; a copy computes the figures again."""

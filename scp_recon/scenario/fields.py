@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from scp_recon.errors import printable
+from scp_recon.errors import Named, Value, printable
 
 
 def _long_enough(vector: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -44,6 +44,8 @@ def _printable(text: str) -> str:
 Line = Annotated[str, AfterValidator(_printable)]
 """Text that may go to a terminal: no line breaks, no control sequences."""
 Name = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
+ByName = Annotated[dict[Line, Value], AfterValidator(Named)]
+"""Results by name, which say what there is where a name is misspelt."""
 Positive = Annotated[float, Field(ge=1e-9, le=1e12)]
 """In any unit: beyond these bounds nothing is physical, and squares and quotients overflow."""
 NonNegative = Annotated[float, Field(ge=0, le=1e12)]

@@ -190,6 +190,11 @@ class Scenario(Section):
     design: Design | None = None
     """Choices of a design; planning itself takes burns and phases as they are."""
 
+    def __repr__(self) -> str:
+        """One line; `print` shows every entry."""
+        burns = len(self.burns.times_s)
+        return f"<Scenario {self.name}: {self.body.name}, site {self.site.name}, {burns} burns>"
+
     @property
     def duration_s(self) -> float:
         """Time of the last burn."""

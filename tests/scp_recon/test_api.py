@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 import doctest
 import pickle
+import re
 import runpy
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.metadata import version
 from inspect import ismodule
 from pathlib import Path
 from typing import Any
@@ -32,7 +34,7 @@ door: Any = sr
 campaign: Any = sr.campaign  # imported here, before a test puts anything in its modules' place
 
 PROJECT = Path(__file__).parents[2]
-NEED_EXTRAS = {"campaign", "report", "simulate", "design"}
+NEED_EXTRAS = {"read_campaign", "campaign", "report", "simulate", "design"}
 
 
 @pytest.mark.usefixtures("few_flights")
@@ -87,7 +89,56 @@ def test_a_plan_prints_its_verdict_burns_and_margins(default_plan: Plan) -> None
     assert all(name in text for name in default_plan.worst_margins)
     assert "25000" in text
     assert default_plan._repr_html_().startswith("<pre>")
-    assert "0.140135" in repr(default_plan)
+
+
+def test_what_comes_back_is_told_in_a_line_with_its_verdict(
+    default_plan: Plan, solution: Solution, verification: Verification
+) -> None:
+    """What a plan is made of too, which is thousands of numbers."""
+    assert repr(default_plan) == "<Plan recon_b: converged, not checked, 0.140135 m/s>"
+    failed = replace(verification, ok=False, failed=["status"])
+    verdicts = {"not checked": None, "verified": verification, "not verified: status": failed}
+    for verdict, found in verdicts.items():
+        judged = replace(solution, verification=found)
+        assert repr(judged) == f"<Solution recon_b: converged, {verdict}, 0.140135 m/s>"
+    mission = default_plan.mission
+    for part in (default_plan.final, mission, mission.scenario):
+        assert repr(part).startswith(f"<{type(part).__name__} ")
+        assert len(repr(part)) < 100
+
+
+def test_it_says_its_version_and_the_error_that_it_raises() -> None:
+    assert sr.__version__ == version("scp_recon")
+    assert sr.InputError is InputError
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_a_path_is_taken_wherever_a_plan_is(solution: Solution, tmp_path: Path) -> None:
+    first = sr.save(solution, tmp_path / "first")
+    for given in (first, str(first.parent)):
+        again = sr.load(sr.save(given, tmp_path / "again"))
+        assert (again.plan_hash, again.verification) == (
+            solution.plan_hash,
+            sr.load(first).verification,
+        )
+
+
+def test_a_misspelt_name_of_a_result_is_told_the_near_one(
+    default_plan: Plan, solution: Solution
+) -> None:
+    flights = sr.fly(default_plan, samples=20)
+    table = sr.compare(solution)
+    for results, name, near in (
+        (flights.probability, "emision", "emission"),
+        (flights.held_s, "phases", "phase"),
+        (flights.terminal.sigma_ratio, "vxx", "vx"),
+        (default_plan.worst_margins, "emision_min", "emission_min"),
+        (solution.violation.by_constraint, "emission", None),
+        (table, "total deltav", "total delta-v"),
+    ):
+        meant = f"did you mean '{near}'?" if near else "there are none"
+        with pytest.raises(KeyError, match=re.escape(meant)):
+            results[name]
 
 
 def test_a_plan_is_data(default_plan: Plan) -> None:
@@ -345,6 +396,9 @@ def test_a_campaign_gives_a_table_and_figures(tmp_path: Path) -> None:
     assert list(figures) == ["curves"]
     again, _ = sr.campaign(study, tmp_path, workers=0)
     assert again.equals(table)
+    assert sr.read_campaign(str(tmp_path)).equals(table)
+    with pytest.raises(InputError, match="without rows; must hold a campaign"):
+        sr.read_campaign(str(tmp_path / "none"))
 
 
 def test_a_bad_campaign_is_one_message(tmp_path: Path) -> None:
