@@ -75,6 +75,11 @@ class Linearisation:
 
     Its problem is what the iterate flies: its boundary states and initial covariance count wherever it
     is judged.
+
+    Attributes:
+        problem: that the iterate flies.
+        iterate: burns and means.
+        arcs: their ends and derivatives.
     """
 
     problem: FlybyProblem

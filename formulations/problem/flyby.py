@@ -63,7 +63,12 @@ class StateConstraint:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Burns (m, 3) and node means (n_nodes, 6), which may have defects."""
+    """Burns (m, 3) and node means (n_nodes, 6), which may have defects.
+
+    Attributes:
+        burns: velocities added, shape (m, 3).
+        mean: states at the nodes, shape (n_nodes, 6).
+    """
 
     burns: Array
     mean: Array

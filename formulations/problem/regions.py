@@ -40,7 +40,11 @@ class Halfspaces:
 class SecondOrderCone:
     """The set || M (y - origin) || <= c'(y - origin) + d, one per node.
 
-    Shapes: M (n, 3, 3), origin (n, 3), c (n, 3), d (n,).
+    Attributes:
+        matrix: M, shape (n, 3, 3).
+        origin: shape (n, 3).
+        linear: c, shape (n, 3).
+        constant: d, shape (n,).
     """
 
     matrix: Array

@@ -25,7 +25,12 @@ PARTS = ((FINAL_POSITION, slice(0, 3)), (FINAL_VELOCITY, slice(3, 6)))
 
 
 class Margins(NamedTuple):
-    """Margins of one constraint's rows (>= 0 where satisfied) and the nodes they belong to."""
+    """Margins of one constraint's rows (>= 0 where satisfied) and the nodes they belong to.
+
+    Attributes:
+        nodes: of the rows, shape (n,).
+        margin: of each row, shape (n,).
+    """
 
     nodes: Indices
     margin: Array

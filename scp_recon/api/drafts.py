@@ -145,7 +145,13 @@ class NewOptions:
 
 @dataclass(frozen=True, eq=False)
 class NewScenario:
-    """A scenario that was drafted, and what planning it came to."""
+    """A scenario that was drafted, and what planning it came to.
+
+    Attributes:
+        mission: of the scenario.
+        solution: what planning it came to.
+        verification: of that.
+    """
 
     draft: Draft
     """What its file is written from."""

@@ -40,6 +40,15 @@ class GivenBody:
 
     The pole is its right ascension and declination, J2000, the state heliocentric, J2000, the period
     sidereal, and the meridian the angle W of the prime one.
+
+    Attributes:
+        gm_m3_s2: gravitational parameter.
+        radius_m: of the sphere.
+        period_h: sidereal spin period.
+        pole_deg: right ascension and declination.
+        position_km: from the Sun.
+        velocity_km_s: about the Sun.
+        meridian_deg: angle W of the prime meridian.
     """
 
     gm_m3_s2: float
@@ -58,7 +67,14 @@ Tables = Mapping[str, Sequence[Entry]]
 
 @dataclass(frozen=True)
 class Draft:
-    """What a scenario file is written from."""
+    """What a scenario file is written from.
+
+    Attributes:
+        name: of the scenario.
+        body: its name.
+        incidence_max_deg: limit of the observation.
+        design: of the flyby; None before it is made.
+    """
 
     name: str
     body: str

@@ -22,7 +22,12 @@ LINE = 100
 
 
 class Ids(NamedTuple):
-    """NAIF's numbers in the files."""
+    """NAIF's numbers in the files.
+
+    Attributes:
+        spacecraft: below zero.
+        body: above.
+    """
 
     spacecraft: int
     body: int
@@ -30,7 +35,14 @@ class Ids(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """A plan to be exported: its solution as the file has it, and the path of its burns."""
+    """A plan to be exported: its solution as the file has it, and the path of its burns.
+
+    Attributes:
+        solution: as its file has it.
+        mission: of its scenario.
+        path: that its burns fly.
+        ids: of spacecraft and body.
+    """
 
     solution: Solution
     mission: Mission

@@ -52,7 +52,11 @@ class Coast:
 
 @dataclass(frozen=True, eq=False)
 class FlownPath:
-    """The coasts of a plan, in order: before burn 1, after burn 1, ..., after the last."""
+    """The coasts of a plan, in order: before burn 1, after burn 1, ..., after the last.
+
+    Attributes:
+        coasts: with their states, as closely spaced as interpolation needs.
+    """
 
     coasts: tuple[Coast, ...]
 

@@ -27,6 +27,12 @@ class Limit:
 
     It bounds the distance from the site, m, or the angle at the site to its normal (emission) or to the
     Sun (phase), rad.
+
+    Attributes:
+        name: of the limit, such as emission_max.
+        measure: what it bounds.
+        sense: whether it is the lower or the upper limit.
+        value: of it, m or rad.
     """
 
     name: str

@@ -42,7 +42,15 @@ from scp_recon.scenario.schema import Scenario
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mission:
-    """A scenario with its geometry resolved. States J2000, body-centred, SI."""
+    """A scenario with its geometry resolved. States J2000, body-centred, SI.
+
+    Attributes:
+        scenario: that was resolved.
+        rotation: of the body.
+        site: on it, body-fixed.
+        schedule: window, attitude modes, and where burns may be.
+        units: of the nondimensional problem.
+    """
 
     scenario: Scenario
     rotation: Rotation

@@ -28,7 +28,13 @@ ALONG = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Geometry of a scenario that does not depend on its window; time zero is the epoch."""
+    """Geometry of a scenario that does not depend on its window; time zero is the epoch.
+
+    Attributes:
+        scenario: that it is of.
+        rotation: of the body.
+        site: on it, body-fixed.
+    """
 
     scenario: Scenario
     rotation: Rotation

@@ -65,7 +65,13 @@ class Mode(StrEnum):
 
 @dataclass(frozen=True)
 class Leg:
-    """A mode and when it holds, s."""
+    """A mode and when it holds, s.
+
+    Attributes:
+        mode: of the attitude.
+        start_s: past the epoch.
+        end_s: past the epoch.
+    """
 
     mode: Mode
     start_s: float

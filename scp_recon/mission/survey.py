@@ -47,7 +47,12 @@ class LitWindow:
 
 @dataclass(frozen=True)
 class Survey:
-    """Windows in a span, in seconds past the scenario's epoch, by two-body motion."""
+    """Windows in a span, in seconds past the scenario's epoch, by two-body motion.
+
+    Attributes:
+        lighting: of the site.
+        span_s: first and last time searched.
+    """
 
     lighting: Lighting
     span_s: Window

@@ -23,7 +23,12 @@ OfTime = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Lighting:
-    """A site on a turning body in the Sun."""
+    """A site on a turning body in the Sun.
+
+    Attributes:
+        site: on the body.
+        rotation: of the body.
+    """
 
     site: geometry.Site
     rotation: Rotation

@@ -22,7 +22,13 @@ FIRST_SEED = 1_000
 
 
 class Estimate(NamedTuple):
-    """A value and the ends of its confidence interval."""
+    """A value and the ends of its confidence interval.
+
+    Attributes:
+        value: the estimate.
+        low: lower end.
+        high: upper end.
+    """
 
     value: float
     low: float

@@ -31,7 +31,13 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class Interval(Section):
-    """A value and its confidence interval; null where JSON has no number, as of an open end."""
+    """A value and its confidence interval; null where JSON has no number, as of an open end.
+
+    Attributes:
+        value: the estimate.
+        low: lower end.
+        high: upper end.
+    """
 
     value: float | None
     low: float | None
@@ -48,13 +54,23 @@ class Interval(Section):
 
 
 class LowestProbability(Interval):
-    """Of a joint constraint, at the time when it is smallest."""
+    """Of a joint constraint, at the time when it is smallest.
+
+    Attributes:
+        worst_t_s: that time, past the epoch.
+    """
 
     worst_t_s: float
 
 
 class Histogram(Section):
-    """The bins of one width that hold anything: where they start, and how many flights each."""
+    """The bins of one width that hold anything: where they start, and how many flights each.
+
+    Attributes:
+        bin: width of all of them, s.
+        start: of each, s.
+        count: of flights in each.
+    """
 
     bin: float
     start: list[float]
@@ -68,7 +84,15 @@ class Histogram(Section):
 
 
 class Held(Section):
-    """Seconds in which a constraint holds, and the probability that it does throughout."""
+    """Seconds in which a constraint holds, and the probability that it does throughout.
+
+    Attributes:
+        mean: of all flights.
+        worst_1_sigma: the quantile that 84 % of flights exceed.
+        worst_2_sigma: the quantile that 98 % of flights exceed.
+        throughout: probability that it holds in the whole window.
+        histogram: of the flights' times.
+    """
 
     mean: Interval
     worst_1_sigma: Interval
@@ -78,7 +102,14 @@ class Held(Section):
 
 
 class Spread(Section):
-    """Mean and 5 % and 95 % quantiles of the flights that have the quantity; without any, no more."""
+    """Mean and 5 % and 95 % quantiles of the flights that have the quantity; without any, no more.
+
+    Attributes:
+        samples: flights that have the quantity.
+        mean: of them.
+        q05: 5 % quantile.
+        q95: 95 % quantile.
+    """
 
     samples: Count
     mean: Interval | None = None
@@ -99,7 +130,14 @@ class ClosestApproach(Spread):
 
 
 class Normality(Section):
-    """D'Agostino and Pearson's test, and the quantiles of the standardised component at `levels`."""
+    """D'Agostino and Pearson's test, and the quantiles of the standardised component at `levels`.
+
+    Attributes:
+        samples: values that were tested.
+        p_value: of the test; small where they are hardly normal.
+        levels: of the quantiles.
+        quantiles: of the standardised component.
+    """
 
     samples: Count
     p_value: float
@@ -114,14 +152,38 @@ class Normality(Section):
 
 
 class Terminal(Section):
-    """Final state by component, those that spread: sampled over predicted sigma, and normality."""
+    """Final state by component, those that spread: sampled over predicted sigma, and normality.
+
+    Attributes:
+        sigma_ratio: sampled over predicted sigma, by component.
+        normality: of each component.
+    """
 
     sigma_ratio: ByName[Interval]
     normality: ByName[Normality]
 
 
 class Summary(File):
-    """Everything many flights found; `plan_hash` is that of the plan flown, null in older files."""
+    """Everything many flights found; `plan_hash` is that of the plan flown, null in older files.
+
+    Attributes:
+        plan_hash: of the plan flown.
+        samples: flights.
+        seed: of their errors.
+        truth: gravity that they felt, "planner" or "harmonics".
+        errors: model of the burns' errors, "componentwise" or "gates".
+        confidence: of all intervals, 0.95.
+        planned_dv_m_s: sum of the planned burns' sizes.
+        window_s: observation window, past the epoch; null once it is over.
+        held_s: time in the window for which each constraint holds, and `all` at once.
+        entry_s: when flights first hold all at once, past the epoch.
+        exit_s: when they last do.
+        probability: of each joint constraint, and of `all` at once, where it is lowest.
+        whole_flight: probability that a flight keeps every limit throughout.
+        closest_m: least distance from the body's centre.
+        executed_dv_m_s: sum of the executed burns' sizes.
+        terminal: final state.
+    """
 
     plan_hash: Line | None = None
     samples: Count

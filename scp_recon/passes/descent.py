@@ -44,7 +44,13 @@ Observe = Callable[["PassResult"], None]
 
 @dataclass(frozen=True, eq=False)
 class PassResult:
-    """A pass with its mission and what was planned for it, the stage of P3 or P2 as it ended."""
+    """A pass with its mission and what was planned for it, the stage of P3 or P2 as it ended.
+
+    Attributes:
+        at: the pass.
+        mission: of it.
+        stage: of P3 or P2.
+    """
 
     at: Pass
     mission: Mission

@@ -48,6 +48,12 @@ class Trial:
     """A plan that was made on the way, and about which lighting window, from 0.
 
     The pass's own times begin at `begin_s` past the scenario's epoch.
+
+    Attributes:
+        step: that it belongs to.
+        window: number of the lighting window, from 0.
+        begin_s: where the pass's times begin.
+        result: the pass and its plan.
     """
 
     step: Step

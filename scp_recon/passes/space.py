@@ -32,6 +32,10 @@ class Pass:
     """One choice: phases of departure and arrival on the ring, rad, and the times of all burns.
 
     Times are past the design's epoch, s, the first the departure's and the last the arrival's.
+
+    Attributes:
+        phases: of departure and arrival.
+        times_s: of all burns.
     """
 
     phases: tuple[float, float]

@@ -18,11 +18,13 @@ class Dynamics:
     """Flow map of a grid, in the units of `forces`."""
 
     forces: ForceModel
+    """Acceleration of the spacecraft."""
     durations: Array
     """Of the arcs, shape (n,)."""
     substeps: int
     """Runge-Kutta steps per arc."""
     burn_nodes: Indices
+    """Node of each burn, shape (m,)."""
 
     def rollout(self, initial_state: Array, burns: Array) -> Array:
         """Node states after the burns: initial (..., 6), burns (..., m, 3) to (n + 1, ..., 6)."""

@@ -17,7 +17,12 @@ from scp_recon.physics.frames import Rotation
 
 @dataclass(frozen=True)
 class Site:
-    """A point on the surface: body-fixed position (m) and unit outward normal, shape (3,) each."""
+    """A point on the surface: body-fixed position (m) and unit outward normal, shape (3,) each.
+
+    Attributes:
+        position_body: body-fixed, m, shape (3,).
+        normal_body: outward unit normal, body-fixed, shape (3,).
+    """
 
     position_body: Array
     normal_body: Array

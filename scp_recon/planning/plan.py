@@ -102,6 +102,13 @@ class Provenance:
 
     By IPOPT `formulation` is the variant of the nonlinear program. `init` is where it began: "cold",
     "warm", a file. The method is "none" where nothing was optimised.
+
+    Attributes:
+        formulation: of the convex program, or variant of the nonlinear one.
+        algorithm: "scvx", "ptr", "scvx-star"; "none" where nothing was optimised.
+        solver: that solved the programs.
+        init: where planning began.
+        method: "scp" or "ipopt"; "none" where nothing was optimised.
     """
 
     formulation: str
@@ -196,6 +203,18 @@ class Plan:
     same scenario, provenance, certificate and parent that went through the same stages to the same
     flight, to the last bit. Timings do not count. A solver that was kept from an earlier plan may
     differ in the last digits from a new one, and so may their plans.
+
+    Attributes:
+        mission: that was planned.
+        provenance: method, start and solver.
+        stages: all runs, the last one as often as not the final.
+        final: the run that holds the answer.
+        timing: of all stages, s.
+        total_s: of planning, s.
+        target: probability that the rows of an exact plan are held to; None of others.
+        certificate: what flights of an exact plan reached; None where none stand behind it.
+        starts: local optima, where there were several starts.
+        parent: the plan before, of one made in flight.
     """
 
     mission: Mission

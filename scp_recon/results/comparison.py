@@ -23,7 +23,12 @@ DIFFERS = "differs from the first in"
 
 @dataclass(frozen=True, repr=False)
 class Comparison:
-    """Figures of plans: rows of a name, its unit and every plan's figure, None where it has none."""
+    """Figures of plans: rows of a name, its unit and every plan's figure, None where it has none.
+
+    Attributes:
+        names: of the plans.
+        rows: of figures, in the order of the table.
+    """
 
     names: tuple[str, ...]
     rows: tuple[tuple[str, str, tuple[float | str | None, ...]], ...]

@@ -68,7 +68,13 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """A text, the value behind it, and a style by name, such as "bad"; none is plain."""
+    """A text, the value behind it, and a style by name, such as "bad"; none is plain.
+
+    Attributes:
+        text: as it is shown.
+        value: as it was computed.
+        style: by name.
+    """
 
     text: str
     value: Value = None
@@ -85,6 +91,13 @@ class Table:
     """A table: rows of cells, the first of which names the row, and a note below.
 
     A page finds it by its key.
+
+    Attributes:
+        title: above it.
+        columns: headings, with unit and form.
+        rows: of cells.
+        key: by which a page finds it.
+        note: below it.
     """
 
     title: str

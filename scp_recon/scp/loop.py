@@ -145,7 +145,14 @@ class Algorithm(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """Status and last iterate of a run."""
+    """Status and last iterate of a run.
+
+    Attributes:
+        status: how it ended.
+        lin: the last iterate, with its dynamics linearised about it; nondimensional.
+        records: one for each iteration.
+        timing: seconds by what they were spent on.
+    """
 
     status: Status
     lin: Linearisation

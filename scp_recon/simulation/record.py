@@ -66,6 +66,15 @@ class ModeOutcome(Section):
     It is `ok` if it was long enough; a control period is forgiven. It is settled from when on the
     attitude error stays below `STEADY_RAD` to its end, in delta-V mode to the burn, counted from its
     start; null if never. In time is as early as the rules assume.
+
+    Attributes:
+        mode: its name.
+        start_s: when it was commanded, past the epoch.
+        duration_s: how long it was flown.
+        required_s: how long the rules want it at least.
+        ok: whether it was long enough.
+        settled_s: when its attitude was steady, past its start.
+        settled_in_time: whether that is as early as the rules assume.
     """
 
     mode: Line
@@ -78,7 +87,16 @@ class ModeOutcome(Section):
 
 
 class FlownBurn(Section):
-    """A burn as planned and as executed, J2000."""
+    """A burn as planned and as executed, J2000.
+
+    Attributes:
+        t_s: time past the epoch.
+        duration_s: of the thrust.
+        planned_m_s: velocity that it was to add.
+        executed_m_s: velocity that it added.
+        pointing_deg: angle between the planned burn and the thrust, at the instant before it starts.
+        executed_pointing_deg: angle between the planned and the executed one.
+    """
 
     t_s: float
     duration_s: float
@@ -89,7 +107,15 @@ class FlownBurn(Section):
 
 
 class Angles(Section):
-    """Mean and quantiles of an angle, degrees."""
+    """Mean and quantiles of an angle, degrees.
+
+    Attributes:
+        mean: of all samples.
+        q50: median.
+        q95: 95 % quantile.
+        q997: 99.7 % quantile.
+        q100: largest.
+    """
 
     model_config = ConfigDict(validate_by_name=True)
 
@@ -101,14 +127,27 @@ class Angles(Section):
 
 
 class WindowPointing(Section):
-    """Of the camera in the observation window: against its command, and against the site."""
+    """Of the camera in the observation window: against its command, and against the site.
+
+    Attributes:
+        camera: against its command.
+        site: against the true line of sight.
+    """
 
     camera: Angles
     site: Angles
 
 
 class Energy(Section):
-    """Totals of the bus, Wh."""
+    """Totals of the bus, Wh.
+
+    Attributes:
+        generated: by the panels.
+        consumed: by everything.
+        lost: in charging and discharging.
+        unused: when the batteries were full.
+        short: when they were empty.
+    """
 
     generated: float
     consumed: float
@@ -118,14 +157,39 @@ class Energy(Section):
 
 
 class TerminalMiss(Section):
-    """Distance from the planned final state."""
+    """Distance from the planned final state.
+
+    Attributes:
+        position_m: in position.
+        velocity_m_s: in velocity.
+    """
 
     position_m: float
     velocity_m_s: float
 
 
 class FlightSummary(File):
-    """Summary of a simulated flight; the hashes are those of what was flown, null in older files."""
+    """Summary of a simulated flight; the hashes are those of what was flown, null in older files.
+
+    Attributes:
+        vehicle: its name.
+        seed: of the flight's errors.
+        plan_hash: of the plan that was flown.
+        inputs_sha256: digest of plan and vehicle.
+        modes: names of the attitude modes; the array `mode` counts in them.
+        legs: modes as they were flown, in order.
+        burns: in order.
+        window_pointing_deg: in the observation window.
+        estimate_deg: error of the estimated attitude.
+        least_charge: of any battery, 0 to 1.
+        floor_charge: below which none may fall.
+        energy_wh: totals.
+        ledger_error: what is left of the energy balance, over the energy generated.
+        dumps: how often momentum was dumped.
+        terminal_miss: of the final state.
+        within_3_sigma: share of the nodes whose position is within three sigma of the planned spread.
+        largest_sigma_distance: of a node's position from the planned mean, in these sigmas.
+    """
 
     vehicle: Line
     seed: Count
@@ -185,7 +249,12 @@ ARRAYS: dict[str, tuple[Shape, Of]] = {
 
 @dataclass(frozen=True)
 class Record:
-    """A simulation file: arrays by name, and the summary."""
+    """A simulation file: arrays by name, and the summary.
+
+    Attributes:
+        arrays: by name, as docs/simulation_file.md lists them.
+        summary: of the flight.
+    """
 
     arrays: Arrays
     summary: FlightSummary

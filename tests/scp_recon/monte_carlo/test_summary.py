@@ -293,7 +293,7 @@ def test_the_command_ends_with_four_and_says_why(
     infeasible.write(tmp_path)
     assert montecarlo.main([str(tmp_path), "--samples", "200"]) == 4
     said = " ".join(capsys.readouterr().out.split())
-    assert "not as asked: the plan is infeasible, required converged, site_distance 0." in said
+    assert "not as required: the plan is infeasible, required converged, site_distance 0." in said
     assert "required 0.99" in said
 
 

@@ -1,0 +1,104 @@
+"""Whatever a function of `scp_recon` returns, each of its attributes is described at its class."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import re
+import sys
+import textwrap
+from collections.abc import Iterator
+from enum import Enum
+from typing import Any, get_args
+
+import pytest
+from matplotlib.figure import Figure
+
+import scp_recon as sr
+from scp_recon.scenario.fields import Section
+from scp_recon.scenario.schema import Scenario
+
+pandas = pytest.importorskip("pandas")
+OURS = "scp_recon", "formulations"
+
+
+def classes_in(hint: object) -> Iterator[type]:
+    """Those of this repository that an annotation names."""
+    if inspect.isclass(hint) and hint.__module__.startswith(OURS) and not issubclass(hint, Enum):
+        yield hint
+    for part in get_args(hint):
+        yield from classes_in(part)
+
+
+def hints(of: Any) -> dict[str, Any]:
+    """Annotations, those of other packages too that are imported late."""
+    known = {"pandas": pandas, "Figure": Figure, **vars(sys.modules[of.__module__])}
+    return inspect.get_annotations(of, globals=known, eval_str=True)
+
+
+def reached() -> list[type]:
+    """Classes of what functions return, of their attributes, of the attributes of these, ..."""
+    found: list[type] = []
+    left = [
+        one for name in sr.__all__ for one in classes_in(hints(getattr(sr, name)).get("return"))
+    ]
+    while left:
+        one = left.pop()
+        if one not in found:
+            found.append(one)
+            left += [base for base in one.__mro__ if base.__module__.startswith(OURS)]
+            left += [c for hint in hints(one).values() for c in classes_in(hint)]
+            for value in vars(one).values():
+                getter = getattr(value, "fget", getattr(value, "func", None))
+                left += classes_in(hints(getter).get("return")) if getter else []
+    return found
+
+
+def described(one: type) -> set[str]:
+    """Names that the class's docstring or a docstring below an attribute describes."""
+    (node,) = ast.parse(textwrap.dedent(inspect.getsource(one))).body
+    assert isinstance(node, ast.ClassDef)
+    text = ast.get_docstring(node) or ""
+    section = text.partition("Attributes:\n")[2]
+    names = set(
+        re.findall(r"\w+", " ".join(re.findall(r"^ {4}([\w, ]+): ", section, re.MULTILINE)))
+    )
+    names |= set(re.findall(r"`(\w+)`", text))
+    for field, below in zip(node.body, node.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(below, ast.Expr):
+            names.add(ast.unparse(field.target))
+    return names
+
+
+def test_every_attribute_of_what_comes_back_is_described() -> None:
+    classes = reached()
+    assert len(classes) > 60
+    missing = {}
+    for one in classes:
+        fields = (
+            [f.name for f in dataclasses.fields(one)]
+            if dataclasses.is_dataclass(one)
+            else [*getattr(one, "model_fields", getattr(one, "_fields", ()))]
+        )
+        known = {
+            name
+            for base in one.__mro__
+            if base.__module__.startswith(OURS)
+            for name in described(base)
+        }
+        if one is Scenario:  # each of its tables is described as a class
+            known |= {
+                name
+                for name, hint in hints(one).items()
+                if any(issubclass(c, Section) for c in classes_in(hint))
+            }
+        left = [name for name in fields if name[0] != "_" and name not in known]
+        left += [
+            name
+            for name, value in inspect.getmembers(one, lambda v: isinstance(v, property))
+            if name[0] != "_" and not value.__doc__
+        ]
+        if left:
+            missing[one.__name__] = left
+    assert missing == {}
