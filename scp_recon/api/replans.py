@@ -14,12 +14,13 @@ from scp_recon.api.planning import PlanObserver, plan_mission
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.planning.method import ALGORITHM, FORMULATION
-from scp_recon.planning.plan import Parent, Plan
+from scp_recon.planning.plan import Parent, Plan, ended
 from scp_recon.planning.stages import CHOICES_MAX
 from scp_recon.replanning.delivery import Delivery
 from scp_recon.replanning.flown import FlownPlan
 from scp_recon.replanning.remainder import mission_left, path_planned
 from scp_recon.results.solution import Solution
+from scp_recon.scp.status import Status
 
 P3_RESOLUTION = 1e-3
 """Relative reduction of the merit at which P3 stops in flight where P2 follows: its end only places the
@@ -42,7 +43,8 @@ def replan(
 
     Burns at or before that time are flown. The next one keeps the scenario's decision lead time; what
     is left of the observation window counts. With fewer than two burns left the final state is met as
-    nearly as they can: `verify` says how much is missed.
+    nearly as they can: `verify` says how much is missed. Beyond three sigma of the final dispersion
+    that the flown plan predicts, the status is lost.
 
     >>> import scp_recon as sr
     >>> flown = sr.plan()
@@ -94,7 +96,8 @@ def plan_left(
 
     With two burns left, or one, the final state leaves no choice of burns. What is infeasible is that
     wherever planning begins and whichever facets stand for the limits: it ends at once. A method that
-    cannot plan what is left, be it of exact risk or of a miss, gives way to the default.
+    cannot plan what is left, be it of exact risk or of a miss, gives way to the default. A plan that
+    misses the final state by more than `FlownPlan.is_lost` allows ends with the status lost.
 
     Args:
         flown: that plan.
@@ -119,7 +122,10 @@ def plan_left(
     )
     warnings = tuple(dict.fromkeys((*plan.mission.warnings, *mission.warnings)))
     parent = Parent(flown.name, flown.plan_hash, mission.scenario.start_s)
-    return replace(plan, mission=replace(plan.mission, warnings=warnings), parent=parent)
+    plan = replace(plan, mission=replace(plan.mission, warnings=warnings), parent=parent)
+    if plan.status is Status.CONVERGED and flown.is_lost(plan.states[-1] - mission.final_state):
+        return ended(plan, Status.LOST)
+    return plan
 
 
 def left_options(flown: FlownPlan, mission: Mission, *, certify: bool | None) -> PlanOptions:

@@ -49,6 +49,8 @@ EXIT_STATUSES = {
     "below `risk.p_chance`, or an interval wider than `--until`; of `simulate`: a battery below its "
     "floor, a load not served, a mode too short or steady too late; of `export`: a plan that is not "
     "verified; files are written",
+    "5": "of `replan`: lost, the final state is missed by more than three sigma of what the flown plan "
+    "predicts; files are written",
     "130": "interrupted: the best plan so far is written",
 }
 """What a command's exit status means."""

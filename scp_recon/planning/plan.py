@@ -331,7 +331,12 @@ class Plan:
 
 def as_interrupted(plan: Plan) -> Plan:
     """The plan marked as interrupted: the best that was found when Ctrl-C came."""
-    result = replace(plan.final.result, status=Status.INTERRUPTED)
+    return ended(plan, Status.INTERRUPTED)
+
+
+def ended(plan: Plan, status: Status) -> Plan:
+    """The plan with another status."""
+    result = replace(plan.final.result, status=status)
     return replace(plan, final=replace(plan.final, result=result))
 
 

@@ -26,9 +26,13 @@ from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution, burns_of_plan, plan_hash
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import POSITION_LIMIT_M, VELOCITY_LIMIT_M_S
 
 PATH_ERROR_M, COVARIANCE_ERROR = 1e-2, 1e-6
 """Of a file's nodes: in metres with speeds over one unit of time, and relative in scaled units."""
+
+LOST_SIGMAS = 3.0
+"""Of the final dispersion that a plan predicts, which a flight of it leaves in less than 0.3 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +164,20 @@ class FlownPlan:
         problem = self.mission.problem
         every = np.arange(problem.factor_columns)
         return np.r_[every[problem.shared_columns], every[problem.columns_of_burn(burn)]]
+
+    def is_lost(self, miss: Array) -> bool:
+        """Whether a miss of the final state is beyond three sigma of the plan's own final dispersion.
+
+        In position or in velocity, each sigma the root of the three components' summed variances at the
+        plan's last node, as `boundary.final_sigma_position_m` counts it. What a verification allows of
+        any plan is no loss.
+
+        Args:
+            miss: J2000, m and m/s, shape (6,).
+        """
+        spread = np.linalg.norm(self.factors[-1].reshape(2, -1), axis=1)
+        allowed = np.maximum(LOST_SIGMAS * spread, (POSITION_LIMIT_M, VELOCITY_LIMIT_M_S))
+        return bool(np.any(np.linalg.norm(miss.reshape(2, 3), axis=1) > allowed))
 
     def strange(self) -> Iterator[ScenarioWarning]:
         """What a new plan has to say of it."""

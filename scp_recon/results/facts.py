@@ -355,8 +355,8 @@ class Facts:
     """Everything that is stored of a plan; its file can be solved again from itself.
 
     Attributes:
-        status: `converged`, `infeasible`, `max_iterations`, `stalled`, `solver_failed` or
-            `interrupted`.
+        status: `converged`, `infeasible`, `max_iterations`, `stalled`, `solver_failed`, `lost` (a plan
+            made in flight, which misses the final state) or `interrupted`.
         message: what that means, and what to try next.
         problem: `P2`, or `P3` where planning ended before the uncertainty.
         init: where planning began: `cold`, `warm`, a file.

@@ -48,6 +48,13 @@ class Status(Enum):
         "Check the scenario's magnitudes, or start from another init.",
         4,
     )
+    LOST = Outcome(
+        "lost",
+        "Lost: the final state is missed by more than three sigma of what the flown plan predicts.",
+        "Check state, frame and flown burns. If they are right, too few burns are left: add one in "
+        "burns.times_s, or plan another flight from there.",
+        5,
+    )
     INTERRUPTED = Outcome(
         "interrupted",
         "Interrupted: this is the best iterate so far; it need not be a solution.",

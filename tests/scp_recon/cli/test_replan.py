@@ -112,6 +112,21 @@ def test_the_verdict_says_what_one_burn_misses(
     assert rows["nodes"][-2:] == ["1.0e-02", "m"]
 
 
+def test_a_lost_flight_has_a_status_of_its_own(
+    plan_folder: Path, default_plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "again"
+    state = predict(FlownPlan.of(default_plan), 26_000.0, {}).state + 20.0 * OFF
+    words = [str(plan_folder), "--at", "26000", "--state", *map(repr, state.tolist())]
+    assert replan.main([*words, "--out", str(out)]) == 5
+    said = capsys.readouterr().out
+    assert "Lost: the final state is missed by more than three sigma" in said
+    assert "not verified: status" in said
+    assert "next: status: Check state, frame and flown burns." in said
+    assert read_solution(out).status == "lost"
+    assert verify.main([str(out)]) == 4
+
+
 def test_a_covariance_comes_from_a_file_in_axes_of_its_own(
     plan_folder: Path, state_at: StateAt, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

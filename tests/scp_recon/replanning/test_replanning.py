@@ -166,6 +166,34 @@ def test_a_burn_that_cannot_meet_it_misses_the_least_by_its_weight(flown: FlownP
     assert "missed" in str(found)
 
 
+def test_a_flight_is_lost_beyond_three_sigma_of_the_final_dispersion(
+    flown: FlownPlan, default_plan: Plan
+) -> None:
+    """In position or in velocity, by the roots of their summed variances; one burn meets velocity."""
+    end = default_plan.covariances[-1]
+    sigmas = [np.sqrt(np.trace(block)) for block in (end[:3, :3], end[3:, 3:])]
+    for part, sigma in zip((slice(0, 3), slice(3, 6)), sigmas, strict=True):
+        direction = np.zeros(6)
+        direction[part] = [0.6, 0.0, -0.8]
+        assert not flown.is_lost(2.99 * sigma * direction)
+        assert flown.is_lost(3.01 * sigma * direction)
+    plan = again(flown, 26_000.0, 10.0 * OFF)
+    missed = float(np.linalg.norm((plan.states[-1] - plan.mission.final_state)[:3]))
+    assert plan.status is Status.CONVERGED
+    assert missed < 3.0 * sigmas[0]
+    lost = again(flown, 26_000.0, 20.0 * OFF)
+    missed = float(np.linalg.norm((lost.states[-1] - lost.mission.final_state)[:3]))
+    assert lost.status is Status.LOST
+    assert missed > 3.0 * sigmas[0]
+    assert "status" in verify(lost.mission, make_solution(lost)).failed
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_the_plan_predicts_is_not_lost_with_one_burn_left(flown: FlownPlan, seed: int) -> None:
+    plan = again(flown, 26_000.0, drawn(flown, 26_000.0, seed))
+    assert plan.status is Status.CONVERGED
+
+
 def test_scvx_star_says_that_it_cannot_weigh_a_miss(late: Plan) -> None:
     with pytest.raises(InputError, match=r"algorithm.*must be scvx or ptr"):
         Planner(late.mission, algorithm="scvx-star")

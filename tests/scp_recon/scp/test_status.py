@@ -6,7 +6,7 @@ import pytest
 
 from scp_recon.scp.status import Status
 
-EXIT_CODES = {"converged": 0, "infeasible": 3, "interrupted": 130}
+EXIT_CODES = {"converged": 0, "infeasible": 3, "lost": 5, "interrupted": 130}
 BAD_INPUT = 2
 
 
