@@ -1,4 +1,7 @@
-"""What breaks around the planner: conic solvers, disks, the terminal, and being killed."""
+"""What breaks around the planner: conic solvers, disks, the terminal, and being killed.
+
+Usual runs take a few faults of each kind, ten of the conic solvers' in all; `nightly` takes every one.
+"""
 
 from __future__ import annotations
 
@@ -38,6 +41,7 @@ from scp_recon.results.solution import Solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests import reliability
+from tests.helpers import usually
 from tests.scenarios import COARSE
 from tests.scp_recon.support import run_solve
 
@@ -82,14 +86,14 @@ def nonsense(_: ConeProgram, answer: Answer) -> Answer:
 
 
 FAULTS: dict[str, Fault] = {
+    "panic": raises(PanicError("called `Option::unwrap()` on a `None` value")),
+    "not finite": not_finite,
+    "nonsense": nonsense,
+    "inaccurate": inaccurate,
+    "huge": huge,
     "error": raises(ValueError("the factorisation failed")),
     "foreign error": raises(RuntimeError("an assertion in the solver")),
     "arithmetic": raises(ZeroDivisionError("division by zero")),
-    "panic": raises(PanicError("called `Option::unwrap()` on a `None` value")),
-    "not finite": not_finite,
-    "huge": huge,
-    "inaccurate": inaccurate,
-    "nonsense": nonsense,
 }
 
 
@@ -131,7 +135,7 @@ def assert_honest(mission: Mission, found: Plan) -> None:
     reliability.count(reliability.FAULTS)
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", usually([*FAULTS], 3))
 def test_a_solver_that_fails_now_and_then_is_asked_again(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,7 +147,9 @@ def test_a_solver_that_fails_now_and_then_is_asked_again(
     assert_honest(mission, found)
 
 
-@pytest.mark.parametrize("name", ["error", "foreign error", "arithmetic", "panic", "not finite"])
+@pytest.mark.parametrize(
+    "name", usually(["error", "panic", "not finite", "foreign error", "arithmetic"], 1)
+)
 def test_where_a_solver_always_fails_another_one_is_asked(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,7 +161,7 @@ def test_where_a_solver_always_fails_another_one_is_asked(
     assert_honest(mission, found)
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize("name", usually([*FAULTS], 3))
 def test_where_every_solver_fails_the_plan_ends_in_a_status(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -230,7 +236,9 @@ class Unnamed(Mislabelled):
     status = "SomethingNew"
 
 
-@pytest.mark.parametrize("liar", [Stale, Zero, Timid, Mislabelled, Unbounded, Unnamed])
+@pytest.mark.parametrize(
+    "liar", usually([Stale, Timid, Mislabelled, Zero, Unbounded, Unnamed], 3)
+)
 def test_a_wrong_status_is_found_out(liar: type[Liar], monkeypatch: pytest.MonkeyPatch) -> None:
     """A verdict needs a closed duality gap, whatever the solver calls its answer."""
     mission, _ = coarse()
