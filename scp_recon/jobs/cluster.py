@@ -28,6 +28,8 @@ LEAST_AHEAD = 32
 """Jobs sent at least, however small the cluster."""
 LOOK_S = 1.0
 """Seconds between looks whether the scheduler is there, and how many workers it has."""
+ANSWER_S = 5.0
+"""Within which a scheduler has to answer a new client."""
 GATHER_S = 60.0
 """Longest time to fetch results, s."""
 GONE_S = 120.0
@@ -118,7 +120,9 @@ class Session:
             self._check_address(address)
         while True:
             try:
-                self.client = self._distributed.Client(address, timeout=5.0, set_as_default=False)
+                self.client = self._distributed.Client(
+                    address, timeout=ANSWER_S, set_as_default=False
+                )
                 break
             except (OSError, TimeoutError, ValueError) as error:
                 if first or monotonic() > until:

@@ -236,9 +236,7 @@ class Unnamed(Mislabelled):
     status = "SomethingNew"
 
 
-@pytest.mark.parametrize(
-    "liar", usually([Stale, Timid, Mislabelled, Zero, Unbounded, Unnamed], 3)
-)
+@pytest.mark.parametrize("liar", usually([Stale, Timid, Mislabelled, Zero, Unbounded, Unnamed], 3))
 def test_a_wrong_status_is_found_out(liar: type[Liar], monkeypatch: pytest.MonkeyPatch) -> None:
     """A verdict needs a closed duality gap, whatever the solver calls its answer."""
     mission, _ = coarse()

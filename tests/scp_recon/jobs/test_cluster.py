@@ -1,4 +1,4 @@
-"""Jobs on a real cluster: a scheduler and three worker processes, which die as they may."""
+"""Jobs on a real cluster: a scheduler and two worker processes, which die as they may."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -38,7 +39,7 @@ from tests.scp_recon.jobs.works import ENDS, Naughty, Quick
 
 distributed = pytest.importorskip("distributed")
 PROJECT = Path(__file__).parents[4]
-WORKERS = 3
+WORKERS = 2
 
 
 class LocalCluster:
@@ -56,7 +57,10 @@ class LocalCluster:
     def _begin(self, *words: str) -> subprocess.Popen[bytes]:
         env = {**os.environ, "PYTHONPATH": str(PROJECT), "PYTHONWARNINGS": "ignore"}
         command = [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]]
-        return subprocess.Popen(command, env=env, stdout=self._log, stderr=self._log)
+        # Of a session of its own: a nanny ends with its workers, and at once.
+        return subprocess.Popen(
+            command, env=env, stdout=self._log, stderr=self._log, start_new_session=True
+        )
 
     def _scheduler(self) -> subprocess.Popen[bytes]:
         words = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
@@ -89,13 +93,9 @@ class LocalCluster:
 
 def end(*processes: subprocess.Popen[bytes]) -> None:
     for process in processes:
-        process.terminate()
-    for process in processes:
-        try:
-            process.wait(timeout=30)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        with suppress(ProcessLookupError):  # it has ended by itself
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 @pytest.fixture(scope="module")
@@ -314,7 +314,10 @@ def test_a_worker_of_other_versions_is_unfit() -> None:
         run_in_child(pickle.dumps(({"scp_recon": "0"}, b"")), b"", LIMITS)
 
 
-def test_without_a_scheduler_there_is_one_message(tmp_path: Path) -> None:
+def test_without_a_scheduler_there_is_one_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scp_recon.jobs.cluster.ANSWER_S", 0.5)
     began = time.monotonic()
     with pytest.raises(InputError, match="where none answers") as caught:
         run_all(Quick(), some_jobs(3), tmp_path, Cluster("tcp://127.0.0.1:9", LIMITS))
