@@ -79,7 +79,7 @@ def record(kind: str, p: float, found: Plan, flights: int, processor_s: float) -
     node = min(flown.worst_probability(name)[1].value for name in flown.node_counts if name != ALL)
     reached = found.certificate
     converged = found.status is Status.CONVERGED
-    missed = converged and reached is not None and reached.low < p
+    missed = converged and reached is not None and not reached.certifies(p)
     return {
         "kind": kind,
         "asked": p,

@@ -18,6 +18,7 @@ from scp_recon.certification.certify import certify
 from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.errors import InputError, option, shortened
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
@@ -37,8 +38,16 @@ class PlanObserver(Protocol):
     def __call__(self, stage: str, record: Record, /) -> None:
         """An iteration of a stage is done."""
 
-    def round(self, number: int, plan: Plan, samples: int, flown: int = 0, /) -> None:
-        """Of a round of certification so many flights are flown: see `certification.certify.Watch`."""
+    def flights(
+        self,
+        step: str,
+        plan: Plan,
+        samples: int,
+        flown: int = 0,
+        reached: Estimate | None = None,
+        /,
+    ) -> None:
+        """Of the flights that certify a plan so many are flown: see `certification.flights.Watch`."""
 
 
 class Known(TypedDict, total=False):
@@ -142,7 +151,7 @@ class _ByScp:
         """From one start, certified where flights have to stand behind the plan."""
         if not self.options.is_certified(mission.scenario):
             return self.make_plan(mission, start, init=init, observe=self.observe)
-        watch = self.observe.round if self.observe else None
+        watch = self.observe.flights if self.observe else None
         return certify(mission, start, self.aiming(init), watch)
 
     def from_several(self, mission: Mission, start: Iterate, init: str) -> Plan:
@@ -175,7 +184,7 @@ class _ByScp:
             start,
             Search(self.aiming(init), budget),
             certified=self.options.is_certified(mission.scenario),
-            watch=self.observe.round if self.observe else None,
+            watch=self.observe.flights if self.observe else None,
         )
         if best.status is Status.CONVERGED and best.total_dv_m_s > budget:
             raise InputError(

@@ -1,51 +1,44 @@
-"""Plan and fly anew until flights reach the required probability, and no more.
+"""Aim until fresh flights should reach the required probability, and let them judge.
 
 A plan keeps its constraints with the probability that it aims at, under the normal law that linear
 dynamics propagate. What nonlinear flights reach differs a little, and an estimate's lower limit lies
-below it. So the plan aims above what is asked, on the normal quantile scale by what that takes, flies,
-and aims higher where the lower limit falls short, lower where they reach more than sampling explains.
-Where flights touch a limit between nodes, nodes are added there.
+below it. So the plan aims above what is required.
 
-On the normal quantile scale flights reach less than was aimed at by nearly the same, whatever the aim:
-the flow's curvature, and what happens between nodes, take it. Each round's flights measure that loss
-with the error of their sampling; the mean over rounds is surer than the last one's.
+Rounds of flights find out by how much. On the normal quantile scale flights reach less than was aimed
+at by nearly the same, whatever the aim: the flow's curvature, and what happens between nodes, take it.
+Each round's flights measure that loss with the error of their sampling; the mean over rounds is surer
+than the last one's. Where flights touch a limit between nodes, nodes are added there. Rounds end at a
+plan that fresh flights should pass 95 times in 100, and that is no dearer than sampling explains.
+
+What judges is a look: flights with seeds of their own, which no round has used. A plan that passes is
+certified, whichever it is; none is chosen among several that pass. After a look that fails its flights
+are learnt from as a round's, and one more plan has one more look, the last. So a plan that reaches just
+what is required is certified at most 2.5 times in 100: see `estimates.LOOK_CONFIDENCE`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Protocol
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
+from scp_recon.certification.flights import Kept, Watch, fly_round, look_at, with_nodes_at
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
-    FIRST_SEED,
-    Estimate,
+    LOOKS_MAX,
     flights_needed,
-    proportion,
+    look_flights,
     successes_needed,
 )
-from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
 from scp_recon.planning.initial_guess import from_burns
-from scp_recon.planning.plan import Certificate, Plan, as_interrupted
+from scp_recon.planning.plan import Plan, as_interrupted
 from scp_recon.scp.status import Status
 
 ROUNDS_MAX = 6
-
-LOST_BETWEEN = 0.05
-"""Share of 1 - p that flights may lose between nodes."""
-
-EXCESS = 1.0
-"""Standard errors of what rounds have measured, up to which sampling explains that a plan reaches more
-than it has to. In rounds drawn from binomial laws with losses of -1 to 3 standard errors plans end 0.3
-above what is needed in the mean and 1.3 in 95 of 100, after 2.6 rounds; if the first success ended it,
-0.75 and 1.9 after 2. One of 1,000 reaches less than was required."""
 
 BINDING = 0.01
 """Standard deviations between aim and law, up to which a constraint binds."""
@@ -54,118 +47,111 @@ AimedPlanning = Callable[[Mission, Iterate, float], Plan]
 """A plan of a mission from a start, aiming at a probability."""
 
 
-class Watch(Protocol):
-    """Is told how certifying goes on."""
-
-    def __call__(self, number: int, plan: Plan, samples: int, flown: int = 0, /) -> None:
-        """Of a round's flights so many are flown; once all are, the plan has a certificate."""
-        ...
-
-
 def certify(
     mission: Mission, start: Iterate, make_plan: AimedPlanning, watch: Watch | None = None
 ) -> Plan:
-    """Plan so that the lower limit of the probability reached is at least the required one.
+    """Plan so that flights of which planning knows nothing reach the required probability.
 
-    The mission's allocation is exact. Rounds after the first start at the last one's burns. Ctrl-C
+    The mission's allocation is exact. Plans after the first start at the last one's burns. Ctrl-C
     ends with the best plan so far, marked as interrupted.
 
     Returns:
-        The cheapest plan that reaches what is required, with its certificate; where none does the one
-            that comes nearest, whose certificate says so. Where an aim is infeasible before any round
-            has succeeded, or the first comes to no verdict, that round's plan, without a certificate.
+        The plan that passed a look, with its certificate; where none did the one that came nearest,
+            whose certificate says so. Where an aim is infeasible, and no plan made until then passes,
+            or where the first comes to no verdict, that aim's plan, without a certificate.
     """
-    asked = mission.scenario.risk.p_chance
-    rounds = _Rounds(asked, Aiming(asked, flights_needed(asked)))
+    work = _Certification(mission, start, make_plan, watch)
     try:
-        return rounds.run(mission, start, make_plan, watch)
+        return work.run()
     except KeyboardInterrupt:
-        best = rounds.best or rounds.made
+        best = work.nearest or work.made
         if best is None:
             raise
         return as_interrupted(best)
 
 
 @dataclass
-class _Rounds:
-    """State of one certification: the last plan, flown plans, and whether nodes were close enough."""
+class _Certification:
+    """State of one certification: where it plans, the last plan, and the plans flown and looked at."""
 
-    asked: float
-    aiming: Aiming
+    mission: Mission
+    start: Iterate
+    make_plan: AimedPlanning
+    watch: Watch | None
     made: Plan | None = None
-    flown: list[tuple[Plan, bool]] = field(default_factory=list)
+    flown: list[tuple[Plan, float]] = field(default_factory=list)
+    looked: list[Plan] = field(default_factory=list)
 
-    def run(
-        self, mission: Mission, start: Iterate, make_plan: AimedPlanning, watch: Watch | None
-    ) -> Plan:
-        samples = self.aiming.samples
-        for number in range(1, ROUNDS_MAX + 1):
-            target = self.aiming.next()
-            plan = make_plan(mission, start, target)
-            if plan.status is Status.INTERRUPTED and self.made is not None:
-                raise KeyboardInterrupt
-            if plan.status is Status.INFEASIBLE:
-                return self.certified or plan
+    def __post_init__(self) -> None:
+        self.asked = self.mission.scenario.risk.p_chance
+        self.samples, self.fresh = flights_needed(self.asked), look_flights(self.asked)
+        self.aiming = Aiming(self.asked, self.samples, self.fresh)
+
+    def run(self) -> Plan:
+        while len(self.looked) < LOOKS_MAX:
+            plan = self._next()
             if plan.status is not Status.CONVERGED:
-                return self.best or plan
-            self.made = plan
-            if watch:
-                watch(number, plan, samples)
-            seed = FIRST_SEED + number - 1
-            seen = partial(watch, number, plan, samples) if watch else None
-            kept = kept_flights(mission, plan.burns_m_s, samples, seed, seen)
-            plan = replace(plan, certificate=certificate_from(mission, kept, seed, number))
-            if watch:
-                watch(number, plan, samples)
-            if not self._learn(plan):
-                mission = with_nodes_at(mission, kept.touched_s)
-            elif self._is_settled:
+                return self._without(plan)
+            aimed = not self.looked and len(self.flown) < ROUNDS_MAX
+            if aimed and not self._aims_well(plan):
+                continue
+            if self._passes(plan):
                 break
-            start = from_burns(mission, plan.burns_m_s, "certify")
-        best = self.best
-        assert best is not None
-        return best
+        assert self.nearest is not None
+        return self.nearest
 
-    def _learn(self, plan: Plan) -> bool:
-        """Keep a round, and take in what it reached; whether its nodes are close enough."""
-        reached = plan.certificate
-        assert reached is not None
-        close = are_close(reached, self.asked)
-        self.flown.append((plan, close))
-        if reached.low < self.asked:
-            self.aiming.tries += 1
-        law = float(ndtr(ndtri(_target(plan)) + max(slack(plan), 0.0)))
+    @property
+    def nearest(self) -> Plan | None:
+        """Of the plans that were looked at the one with the largest limit; only the last may pass."""
+        return max(self.looked, key=_low, default=None)
+
+    def _next(self) -> Plan:
+        """A plan at the aim."""
+        plan = self.make_plan(self.mission, self.start, self.aiming.next())
+        if plan.status is Status.INTERRUPTED and self.made is not None:
+            raise KeyboardInterrupt
+        if plan.status is Status.CONVERGED:
+            self.made = plan
+        return plan
+
+    def _aims_well(self, plan: Plan) -> bool:
+        """Fly a round, learn from it, and tell whether the plan is the one to look at."""
+        kept, touched_s = fly_round(plan, self.samples, len(self.flown) + 1, self.watch)
+        self.flown.append((plan, kept.reached))
+        close = self._learn(plan, kept, touched_s)
+        return close and self.aiming.is_settled(_law(plan), binds=slack(plan) <= BINDING)
+
+    def _passes(self, plan: Plan) -> bool:
+        """Look at a plan; if it fails, learn from it."""
+        number, rounds = len(self.looked) + 1, len(self.flown)
+        plan, kept, touched_s = look_at(plan, self.fresh, number, rounds, self.watch)
+        self.looked.append(plan)
+        assert plan.certificate is not None
+        if plan.certificate.certifies(self.asked):
+            return True
+        self._learn(plan, kept, touched_s)
+        return False
+
+    def _learn(self, plan: Plan, kept: Kept, touched_s: Array) -> bool:
+        """Take in what flights reached, and plan from there; whether the nodes are close enough."""
+        close = kept.are_close(self.asked)
         if close:
-            self.aiming.learn(law, reached.reached)
+            self.aiming.learn(_law(plan), kept.throughout, kept.samples)
         else:
-            self.aiming.begin_again(law, reached.at_nodes)
+            self.aiming.begin_again(_law(plan), kept.at_nodes, kept.samples)
+            self.mission = with_nodes_at(plan.mission, touched_s)
+        self.start = from_burns(self.mission, plan.burns_m_s, "certify")
         return close
 
-    @property
-    def _is_settled(self) -> bool:
-        """Whether a plan reaches what is required, and its surplus is within sampling error.
-
-        Or its constraints do not bind, so that a lower aim would save nothing.
-        """
-        best = self._cheapest(close=True)
-        if best is None:
-            return False
-        return slack(best) > BINDING or self.aiming.excess(_target(best)) <= EXCESS
-
-    @property
-    def certified(self) -> Plan | None:
-        """The cheapest plan that reaches what is required, on nodes close enough if there is one."""
-        return self._cheapest(close=True) or self._cheapest(close=False)
-
-    def _cheapest(self, *, close: bool) -> Plan | None:
-        reached = [p for p, near in self.flown if near is close and _low(p) >= self.asked]
-        return min(reached, key=lambda p: p.total_dv_m_s, default=None)
-
-    @property
-    def best(self) -> Plan | None:
-        """The one that is certified, or the one that comes nearest."""
-        plans = [plan for plan, _ in self.flown]
-        return self.certified or max(plans, key=_low, default=None)
+    def _without(self, plan: Plan) -> Plan:
+        """What there is where an aim has no plan: the round that reached most is looked at."""
+        if self.flown and not self.looked:
+            best, _ = max(self.flown, key=lambda flown: flown[1])
+            if self._passes(best):
+                return self.looked[-1]
+        if self.nearest is None or plan.status is Status.INFEASIBLE:
+            return plan
+        return self.nearest
 
 
 def _low(plan: Plan) -> float:
@@ -173,9 +159,10 @@ def _low(plan: Plan) -> float:
     return plan.certificate.low
 
 
-def _target(plan: Plan) -> float:
+def _law(plan: Plan) -> float:
+    """What the plan reaches by the normal law."""
     assert plan.target is not None
-    return plan.target
+    return float(ndtr(ndtri(plan.target) + max(slack(plan), 0.0)))
 
 
 def slack(plan: Plan) -> float:
@@ -183,38 +170,16 @@ def slack(plan: Plan) -> float:
     return min(margin for margin, unit in plan.worst_margins.values() if unit == "sigma")
 
 
-def certificate_from(mission: Mission, kept: KeptFlights, seed: int, rounds: int) -> Certificate:
-    """What flights reached."""
-    at_nodes, reached = judged(mission, kept)
-    return Certificate(kept.samples, seed, *reached, at_nodes.value, rounds)
+SURE = float(ndtri(0.95))
+"""Standard deviations by which a plan is to exceed what a look needs, by what rounds have measured: 95
+of 100 pass. The deviation is that of the look and of the measurement together."""
 
+SURE_ENOUGH = float(ndtri(0.85))
+"""The same of a plan that no further round is to make surer."""
 
-def judged(mission: Mission, kept: KeptFlights) -> tuple[Estimate, Estimate]:
-    """What the scope asks for: at the nodes, and at all times."""
-    if mission.scenario.risk.scope == "flight":
-        return proportion(kept.whole_at_nodes, kept.samples), proportion(kept.whole, kept.samples)
-    at_nodes = min(int(counts.min()) for counts in kept.at_nodes.values())
-    return proportion(at_nodes, kept.samples), proportion(
-        min(kept.throughout.values()), kept.samples
-    )
-
-
-def are_close(reached: Certificate, asked: float) -> bool:
-    """Whether flights lose so little between nodes that none are missing."""
-    return reached.at_nodes - reached.reached <= LOST_BETWEEN * (1.0 - asked)
-
-
-def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
-    """The mission with a node in each arc in which flights touch a limit, where most of them do."""
-    arcs = np.searchsorted(mission.times_s, times_s)
-    new = {float(round(float(np.median(times_s[arcs == arc])))) for arc in np.unique(arcs)}
-    nodes = sorted({*mission.scenario.grid.nodes_s} | (new - set(mission.times_s.tolist())))
-    return Mission.from_scenario(mission.scenario.replace({"grid.nodes_s": nodes}))
-
-
-SPARE = 0.1
-"""Standard errors of the estimate by which a round aims above what it has to reach, and as much again
-for each one after the first that did not."""
+EXCESS = 1.0
+"""Standard errors of what rounds have measured, up to which sampling explains that a plan reaches more
+than it has to."""
 
 LEAST, MOST = 0.501, 1.0 - 1e-9
 """Aims: the constraint is convex above one half."""
@@ -222,57 +187,70 @@ LEAST, MOST = 0.501, 1.0 - 1e-9
 
 @dataclass
 class Aiming:
-    """The aim of rounds of flights, so that the lower limit of what they reach is what is asked.
+    """The aim of plans that a look should pass, by what flights have reached until now.
 
-    Losses are of the rounds on the present nodes, in standard deviations; tries are the rounds that
-    have not reached the required probability.
+    In flights drawn from binomial laws for 0.7 to 0.999, with losses of -1 to 3 standard errors of a
+    round, 95 of 100 plans pass their first look, and 1 to 3 of 1,000 neither, after 2 rounds in the
+    mean. They reach 3.4 of these standard errors more than is required, and 4.6 or more in 5 of 100.
+
+    Losses are those measured on the present nodes, in standard deviations, with the flights of each.
     """
 
     asked: float
     samples: int
-    losses: list[float] = field(default_factory=list)
-    tries: int = 0
+    fresh: int
+    losses: list[tuple[float, int]] = field(default_factory=list)
 
     @property
     def needed(self) -> float:
-        """Share of the flights whose lower limit is the required probability."""
-        return successes_needed(self.asked, self.samples) / self.samples
-
-    @property
-    def error(self) -> float:
-        """Standard error of what a round reaches."""
-        return float(np.sqrt(self.needed * (1.0 - self.needed) / self.samples))
+        """Share of the fresh flights with which a look passes."""
+        return successes_needed(self.asked, self.fresh) / self.fresh
 
     @property
     def loss(self) -> float:
         """Mean of the losses; none is expected before any flight."""
-        return float(np.mean(self.losses)) if self.losses else 0.0
+        if not self.losses:
+            return 0.0
+        values, flights = np.array(self.losses).T
+        return float(np.average(values, weights=flights))
 
-    def learn(self, law: float, reached: float) -> None:
-        """Take in what flights reached of a probability by the normal law."""
-        self.losses.append(float(ndtri(law)) - self._quantile(reached))
+    @property
+    def error(self) -> float:
+        """Standard error of what is reached by the mean loss; before any flight that of a round."""
+        return self._error(sum(flights for _, flights in self.losses) or self.samples)
 
-    def begin_again(self, law: float, at_nodes: float) -> None:
-        """Forget the rounds on other nodes, but for what the last lost at its nodes.
+    def learn(self, law: float, kept: int, samples: int) -> None:
+        """Take in how many flights kept what was planned with a probability by the normal law."""
+        half = 0.5 / samples
+        reached = ndtri(np.clip(kept / samples, half, 1.0 - half))
+        self.losses.append((float(ndtri(law) - reached), samples))
 
-        What it lost between them the nodes that are added give back.
+    def begin_again(self, law: float, at_nodes: int, samples: int) -> None:
+        """Forget the flights on other nodes, but for what the last lost at its nodes.
+
+        What they lost between them the nodes that are added give back.
         """
         self.losses = []
-        self.learn(law, at_nodes)
+        self.learn(law, at_nodes, samples)
 
     def next(self) -> float:
-        """What to aim at to reach what is needed."""
-        above = self.needed + SPARE * max(1, self.tries) * self.error
-        return float(np.clip(ndtr(self._quantile(above) + self.loss), LEAST, MOST))
+        """What to aim at, so that a look passes with the probability of `SURE`."""
+        above = min(self.needed + SURE * self._deviation, 1.0 - 0.5 / self.fresh)
+        return float(np.clip(ndtr(ndtri(above) + self.loss), LEAST, MOST))
 
-    def excess(self, target: float) -> float:
-        """By how much an aim spends too little, in standard errors of what the rounds have measured.
+    def is_settled(self, law: float, *, binds: bool) -> bool:
+        """Whether a look should pass a plan, and its surplus is within sampling error.
 
-        Positive where it reaches more than what is needed.
+        Where its constraints do not bind a lower aim would save nothing.
         """
-        most, least = (ndtr(ndtri(target) - self.loss) for target in (target, self.next()))
-        return float((most - least) / self.error * np.sqrt(len(self.losses)))
+        most, least = (float(ndtr(ndtri(p) - self.loss)) for p in (law, self.next()))
+        sure = most - self.needed >= SURE_ENOUGH * self._deviation
+        return sure and (not binds or most - least <= EXCESS * self.error)
 
-    def _quantile(self, probability: float) -> float:
-        half = 0.5 / self.samples
-        return float(ndtri(np.clip(probability, half, 1.0 - half)))
+    @property
+    def _deviation(self) -> float:
+        """Standard error of a look about what is expected of it."""
+        return float(np.hypot(self._error(self.fresh), self.error))
+
+    def _error(self, flights: int) -> float:
+        return float(np.sqrt(self.needed * (1.0 - self.needed) / flights))

@@ -10,22 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.certify import (
-    ROUNDS_MAX,
-    AimedPlanning,
-    Watch,
-    are_close,
-    certificate_from,
-    with_nodes_at,
-)
+from scp_recon.certification.certify import ROUNDS_MAX, AimedPlanning
+from scp_recon.certification.flights import Watch, fly_round, look_at, with_nodes_at
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import FAILURES, FIRST_SEED, FLIGHTS_MAX, flights_needed
-from scp_recon.monte_carlo.whole_flight import kept_flights
+from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, look_flights
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan, as_interrupted
 from scp_recon.scenario.fields import ScenarioWarning
@@ -140,11 +132,13 @@ def largest_promise(
 ) -> Plan:
     """The plan of the largest probability; its scenario asks what it reaches, rounded down.
 
-    If certified, what flights reach is promised, or else what it aims at. Where flights touch a limit
-    between nodes, nodes are added there and it is looked for again. The mission's allocation is exact.
+    Without flights what it aims at is promised. If certified, rounds of flights find out where they
+    touch a limit between nodes; nodes are added there and it is looked for again. Then the lower limit
+    of one look is promised, whose flights no round has used. The mission's allocation is exact.
 
     Returns:
-        That plan; the try for `LEAST` where no plan is kept.
+        That plan; the try for `LEAST` where no plan is kept. Ctrl-C ends with the last one that was
+            found, marked as interrupted.
     """
     found: Plan | None = None
     for number in range(1, ROUNDS_MAX + 1):
@@ -152,31 +146,36 @@ def largest_promise(
         if best.status is Status.INTERRUPTED and found is not None:
             return as_interrupted(found)
         if not search.keeps(best):
-            return found or best
+            if found is None:
+                return best
+            break
+        found = best
         assert best.target is not None
         if not certified:
             return promising(best, best.target)
-        samples, seed = flights_needed(best.target), FIRST_SEED + number - 1
         try:
-            if watch:
-                watch(number, best, samples)
-            seen = partial(watch, number, best, samples) if watch else None
-            kept = kept_flights(mission, best.burns_m_s, samples, seed, seen)
+            kept, touched_s = fly_round(best, flights_needed(best.target), number, watch)
         except KeyboardInterrupt:
-            return as_interrupted(found or best)
-        reached = certificate_from(mission, kept, seed, number)
-        found = replace(best, certificate=reached)
-        # A scenario asks for more than one half: less is promised by none, and its verdict says so.
-        if rounded_down(reached.low) > 0.5:
-            found = promising(found, reached.low)
-        if watch:
-            watch(number, found, samples)
-        if are_close(reached, reached.low):
+            return as_interrupted(best)
+        if kept.are_close(kept.reached):
             break
-        mission = with_nodes_at(mission, kept.touched_s)
+        mission = with_nodes_at(mission, touched_s)
         start = from_burns(mission, best.burns_m_s)
     assert found is not None
-    return found
+    return _promised(found, number, watch)
+
+
+def _promised(found: Plan, rounds: int, watch: Watch | None) -> Plan:
+    """The plan of a scenario that asks what a look at it reaches at least."""
+    assert found.target is not None
+    try:
+        judged, _, _ = look_at(found, look_flights(found.target), 1, rounds, watch)
+    except KeyboardInterrupt:
+        return as_interrupted(found)
+    assert judged.certificate is not None
+    # A scenario asks for more than one half: less is promised by none, and its verdict says so.
+    low = judged.certificate.low
+    return promising(judged, low) if rounded_down(low) > 0.5 else judged
 
 
 def promising(plan: Plan, probability: float) -> Plan:

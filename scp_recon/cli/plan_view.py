@@ -19,6 +19,7 @@ from scp_recon.cli.command import show_line
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.physics.geometry import angle
 from scp_recon.physics.time_scales import instant, iso_utc
 from scp_recon.planning.plan import Plan
@@ -144,11 +145,8 @@ def _show_risk(console: Console, risk: Risk | None) -> None:
     if reached is None:
         line += "; not certified: the normal law alone promises it"
     else:
-        word = "certified" if reached.low >= risk.required else "NOT reached"
-        line += (
-            f"; {word}: {reached.samples} flights reached {reached.reached:.4f} "
-            f"({reached.low:.4f} to {reached.high:.4f}) in round {reached.rounds}"
-        )
+        word = "certified" if reached.certifies(risk.required) else "NOT reached"
+        line += f"; {word}: {reached}"
     show_line(console, line)
 
 
@@ -177,19 +175,19 @@ def show_verification(
 
 @dataclass
 class Progress:
-    """The planner's observer: a table that grows by a row per iteration, and a line per round above it.
+    """The planner's observer: a table that grows by a row per iteration, and lines of flights above it.
 
     Attributes:
         mission: that is planned.
         live: where it is shown.
         table: of the iterations.
-        rounds: lines by their number.
+        steps: lines by the round or look whose flights they tell of.
     """
 
     mission: Mission
     live: Live
     table: Table
-    rounds: dict[int, Text] = field(default_factory=dict)
+    steps: dict[str, Text] = field(default_factory=dict)
 
     def __call__(self, stage: str, record: Record) -> None:
         """An iteration is done."""
@@ -202,22 +200,23 @@ class Progress:
         self.table = self.table.with_rows([row])
         self._refresh()
 
-    def round(self, number: int, plan: Plan, samples: int, flown: int = 0) -> None:
-        """So many flights of a round of certification are flown, or all of them."""
-        reached = plan.certificate
+    def flights(
+        self, step: str, plan: Plan, samples: int, flown: int = 0, reached: Estimate | None = None
+    ) -> None:
+        """So many flights of a round or a look are flown, or all of them."""
         said = (
             f"{flown} flown"
             if reached is None
-            else f"{reached.reached:.4f}, at least {reached.low:.4f}"
+            else f"{reached.value:.4f}, at least {reached.low:.4f}"
         )
-        self.rounds[number] = Text(
-            f"round {number}: target {plan.target:.5g}, {plan.total_dv_m_s:.6f} m/s, "
+        self.steps[step] = Text(
+            f"{step}: target {plan.target:.5g}, {plan.total_dv_m_s:.6f} m/s, "
             f"{len(plan.times_s)} nodes; {samples} flights: {said}"
         )
         self._refresh()
 
     def _refresh(self) -> None:
-        self.live.update(Group(*self.rounds.values(), self._shown()), refresh=True)
+        self.live.update(Group(*self.steps.values(), self._shown()), refresh=True)
 
     def _shown(self) -> RichTable:
         return terminal(self.table.without("step"), narrow=True)

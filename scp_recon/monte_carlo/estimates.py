@@ -15,10 +15,24 @@ from scp_recon.errors import InputError, option
 CONFIDENCE = 0.95
 
 FLIGHTS_MIN, FAILURES, FLIGHTS_MAX = 10_000, 300, 1_000_000
-"""At least so many flights, and so many that 300 may break what is allowed to break; and at most."""
+"""Of a round at least so many flights, and so many that 300 may break what is allowed to break; and at
+most."""
 
-FIRST_SEED = 1_000
-"""Of the first round's flights; no other draws of this library begin there. Each round has the next."""
+FIRST_SEED, FIRST_LOOK_SEED = 1_000, 2_000
+"""Of the flights of the first round, by which plans aim, and of the first look, which judges one. Each
+has the next; no other draws of this library begin at either."""
+
+LOOKS_MAX = 2
+"""Looks, the last of which certifies a plan or none."""
+
+LOOK_CONFIDENCE = 0.975
+"""Of a look's interval. Each of its ends alone has 98.75 %: a plan whose probability is just what was
+required passes one look at most 1.25 times in 100, and one of two at most 2.5 times."""
+
+LOOK_SIZE = 2
+"""Times the flights of a round that a look has. What a plan pays for is above all the error of the
+look: plans reach 3.4 standard errors of a round more than is required, and 4.4 where a look has as many
+flights as a round."""
 
 
 class Estimate(NamedTuple):
@@ -35,9 +49,9 @@ class Estimate(NamedTuple):
     high: float
 
 
-def proportion(successes: int, samples: int) -> Estimate:
+def proportion(successes: int, samples: int, confidence: float = CONFIDENCE) -> Estimate:
     """Probability with its Clopper-Pearson interval."""
-    k, n, tail = successes, samples, 0.5 * (1.0 - CONFIDENCE)
+    k, n, tail = successes, samples, 0.5 * (1.0 - confidence)
     low = float(betaincinv(k, n - k + 1, tail)) if k > 0 else 0.0
     high = float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
     return Estimate(k / n, low, high)
@@ -115,7 +129,7 @@ class Tally:
 
 
 def flights_needed(required: float) -> int:
-    """Flights whose failures tell a probability to be certified well enough.
+    """Flights of a round, whose failures tell a probability to be aimed at well enough.
 
     Raises:
         InputError: if they are too many.
@@ -132,12 +146,31 @@ def flights_needed(required: float) -> int:
     return flights
 
 
+def look_flights(required: float) -> int:
+    """Flights of a look that judges whether a probability is reached.
+
+    Raises:
+        InputError: if they are too many.
+    """
+    return LOOK_SIZE * flights_needed(required)
+
+
+def look_seed(number: int) -> int:
+    """Seed of the flights of a look, counted from one; no round has it."""
+    return FIRST_LOOK_SEED + number - 1
+
+
+def look_interval(successes: int, samples: int) -> Estimate:
+    """Probability with the interval whose lower end judges a plan."""
+    return proportion(successes, samples, LOOK_CONFIDENCE)
+
+
 def successes_needed(required: float, samples: int) -> int:
-    """The least number of successes whose lower limit is at least `required`."""
+    """The least number of successes with which a look passes: its lower limit is `required`."""
     low, high = int(required * samples), samples
     while low < high:
         middle = (low + high) // 2
         low, high = (
-            (low, middle) if proportion(middle, samples).low >= required else (middle + 1, high)
+            (low, middle) if look_interval(middle, samples).low >= required else (middle + 1, high)
         )
     return low

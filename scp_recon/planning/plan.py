@@ -123,13 +123,17 @@ class Certificate:
     """Probability that nonlinear flights of an exact plan reach, at the worst node or as a whole.
 
     Attributes:
-        samples: flights.
+        samples: flights of the look that judged the plan.
         seed: of their errors, which planning has not seen.
         reached: probability that they reach at every second.
-        low: lower end of its 95 % interval.
+        low: lower end of its Clopper-Pearson interval; the plan is certified where this is what was
+            required.
         high: upper end of it.
         at_nodes: the same of the nodes alone.
-        rounds: plans made until this one.
+        rounds: plans flown to aim, before any look.
+        looks: looks until this one, each at another plan; 0 of an older file, whose plan was chosen by
+            the flights that judged it.
+        confidence: of the interval, both ends together.
     """
 
     samples: Annotated[int, Field(ge=1)]
@@ -139,6 +143,18 @@ class Certificate:
     high: Probability
     at_nodes: Probability
     rounds: Annotated[int, Field(ge=1)]
+    looks: Annotated[int, Field(ge=0)]
+    confidence: Probability
+
+    def certifies(self, required: float) -> bool:
+        """Whether it stands behind a probability."""
+        return self.low >= required
+
+    def __str__(self) -> str:
+        """In words."""
+        step = f"look {self.looks}" if self.looks else f"round {self.rounds}"
+        interval = f"{100 * self.confidence:g} % interval {self.low:.4f} to {self.high:.4f}"
+        return f"{self.samples} flights of {step} reached {self.reached:.4f} ({interval})"
 
 
 @dataclass(frozen=True)

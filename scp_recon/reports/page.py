@@ -120,10 +120,7 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     if risk is not None and risk.certificate is None:
         said.append("not certified by flights: the normal law alone promises the probability")
     elif risk is not None and risk.certificate is not None:
-        c = risk.certificate
-        said.append(
-            f"certificate: {c.samples} flights reached {c.reached:.4f} ({c.low:.4f} to {c.high:.4f})"
-        )
+        said.append(f"certificate: {risk.certificate}")
     warned = dict.fromkeys([*solution.warnings, *subject.mission.warnings])
     said += [f"warning: {w.entry}: {w.given}; {w.expected}" for w in warned]
     return (*said, *subject.passed_over)

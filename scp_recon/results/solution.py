@@ -50,7 +50,7 @@ from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.status import Status
 
-SCHEMA = "scp_recon.solution/3"
+SCHEMA = "scp_recon.solution/4"
 FILE_NAME = "solution.json"
 HASH = "plan_hash"
 """Key of the hash with which a file was written, and what has failed where it is another plan's now."""

@@ -18,9 +18,20 @@ from formulations.problem.regions import Ball
 from formulations.rows.exact import FLIGHT
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import FIRST_SEED, flights_needed, proportion
+from scp_recon.monte_carlo.estimates import (
+    CONFIDENCE,
+    FIRST_LOOK_SEED,
+    FIRST_SEED,
+    LOOK_CONFIDENCE,
+    LOOKS_MAX,
+    flights_needed,
+    look_flights,
+    look_seed,
+    proportion,
+)
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.whole_flight import SAFETY
+from scp_recon.planning.plan import Certificate
 from scp_recon.results.facts import EventProbability, FacetTable, Risk
 from scp_recon.results.figures import (
     SAME_PROBABILITY,
@@ -147,15 +158,34 @@ def _is_promise(risk: Risk) -> bool:
     A plan without a certificate aims at what was asked, or higher. A certified one aims at whatever its
     flights needed: less than was asked where they reach more than the law says.
     """
-    reached = risk.certificate
-    if reached is None:
+    if risk.certificate is None:
         return risk.target >= risk.required - SAME_PROBABILITY
-    kept = proportion(round(reached.reached * reached.samples), reached.samples)
+    return _is_sound(risk.certificate, risk.required)
+
+
+def _is_sound(reached: Certificate, required: float) -> bool:
+    """Whether a certificate is of enough flights that may judge, and its interval is theirs.
+
+    In older files those of a round may, with the interval of all estimates: see `Certificate.looks`.
+    """
+    older = reached.looks == 0
+    confidence, needed = (CONFIDENCE, flights_needed) if older else (LOOK_CONFIDENCE, look_flights)
+    kept = round(reached.reached * reached.samples)
+    expected = proportion(kept, reached.samples, confidence)
     reported = (reached.reached, reached.low, reached.high)
-    same = np.allclose(reported, kept, rtol=0.0, atol=1e-9)
+    if older:
+        unseen = FIRST_SEED <= reached.seed < FIRST_LOOK_SEED
+    else:
+        unseen = reached.looks <= LOOKS_MAX and reached.seed == look_seed(reached.looks)
     try:
-        enough = reached.samples >= flights_needed(risk.required)
+        enough = reached.samples >= needed(required)
     except InputError:  # no flights certify so much
         return False
-    unseen = reached.seed >= FIRST_SEED
-    return bool(same) and enough and unseen and reached.reached <= reached.at_nodes
+    same = np.allclose(reported, expected, rtol=0.0, atol=1e-9)
+    return bool(
+        same
+        and enough
+        and unseen
+        and reached.confidence == confidence
+        and reached.reached <= reached.at_nodes
+    )

@@ -53,7 +53,7 @@ def shortfalls(
     if risk is None:
         return [f"P({p.name})" for p in probabilities if p.estimate < required.p_chance]
     found = [f"P({p.name})" for p in probabilities if p.high < required.p_chance]
-    if risk.certificate is not None and risk.certificate.low < required.p_chance:
+    if risk.certificate is not None and not risk.certificate.certifies(required.p_chance):
         found.append("certificate")
     if risk.certificate is not None and not _bears_out(required.p_chance, risk, probabilities):
         found.append("certificate")

@@ -83,7 +83,7 @@ def test_all_rounds_count(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_plan_whose_flights_fall_short_is_no_certified_one() -> None:
     """Its delta-v is not the price of what was asked."""
-    short = Certificate(10_000, 1_000, 0.7, 0.69, 0.71, 0.7, 1)
+    short = Certificate(20_000, 2_000, 0.7, 0.69, 0.71, 0.7, 1, 1, 0.975)
     plain = plan(load_scenario(None, (COARSE,)))
     found = replace(plain, certificate=short, target=0.7)
     kept, missed = (record("certified, each node", p, found, 100, 1.0) for p in (0.69, 0.7))

@@ -154,7 +154,7 @@ def test_a_plan_is_data(default_plan: Plan) -> None:
 
 
 def test_a_plan_is_another_one_with_anything_but_its_timing_changed(default_plan: Plan) -> None:
-    certificate = Certificate(1000, 0, 0.71, 0.7, 0.72, 0.71, 1)
+    certificate = Certificate(1000, 0, 0.71, 0.7, 0.72, 0.71, 1, 1, 0.975)
     for other in (
         as_interrupted(default_plan),
         replace(default_plan, target=0.7),

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.certification import certify as certification
-from scp_recon.certification import largest
+from scp_recon.certification import flights, largest
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.whole_flight import KeptFlights
 from scp_recon.planning import initial_guess
@@ -42,10 +43,11 @@ class World:
 
     Attributes:
         real: plan that all others are made of; they cost in proportion to what they aim at.
-        reach: shares of flights of an aim, in the round of a number; it may raise.
+        reach: shares of flights of an aim, flown with a seed; it may raise.
         slack: standard deviations by which the law keeps more than a plan aims at.
         status: how planning for an aim ends, from a start of a name.
         aims: of all plans made.
+        seeds: of all flights, in their order.
         missions: that they were of.
     """
 
@@ -55,6 +57,7 @@ class World:
     touched_s: tuple[float, ...] = ()
     slack: float = 0.0
     aims: list[float] = field(default_factory=list)
+    seeds: list[int] = field(default_factory=list)
     missions: list[Mission] = field(default_factory=list)
 
     def make_plan(self, mission: Mission, start: Iterate, target: float) -> Plan:
@@ -73,13 +76,15 @@ class World:
     def fly(
         self,
         _mission: Mission,
-        _burns_m_s: object,
+        burns_m_s: Array,
         samples: int,
         seed: int,
         progress: Callable[[int], None] | None = None,
     ) -> KeptFlights:
-        """Flights of the last plan made."""
-        at_nodes, whole = self.reach(self.aims[-1], seed)
+        """Flights of the plan with such burns."""
+        aim = np.linalg.norm(burns_m_s) / np.linalg.norm(self.real.burns_m_s)
+        self.seeds.append(seed)
+        at_nodes, whole = self.reach(min(self.aims, key=lambda made: abs(made - aim)), seed)
         if progress:
             progress(samples)
         return KeptFlights(
@@ -104,6 +109,6 @@ class World:
     def enter(self, patch: pytest.MonkeyPatch) -> None:
         """Let certification take place here."""
         patch.setattr(certification, "slack", lambda _: self.slack)
+        patch.setattr(flights, "kept_flights", self.fly)
         for module in (certification, largest):
-            patch.setattr(module, "kept_flights", self.fly)
             patch.setattr(module, "from_burns", self.last_burns)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,15 +14,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
+from formulations.arrays import Array
 from formulations.rows.exact import FLIGHT
-from scp_recon.certification.certify import certify, judged, with_nodes_at
+from scp_recon.certification import flights
+from scp_recon.certification.certify import ROUNDS_MAX, certify
+from scp_recon.certification.flights import certificate_of, kept_of, with_nodes_at
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import estimates
-from scp_recon.monte_carlo.estimates import FIRST_SEED, proportion, successes_needed
-from scp_recon.monte_carlo.whole_flight import kept_flights
+from scp_recon.monte_carlo.estimates import (
+    CONFIDENCE,
+    FIRST_LOOK_SEED,
+    FIRST_SEED,
+    LOOKS_MAX,
+    look_flights,
+    look_interval,
+    look_seed,
+    proportion,
+    successes_needed,
+)
+from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.results.facts import Verification
+from scp_recon.results.read import parse_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import shortfalls
@@ -38,20 +57,41 @@ def fewer() -> Iterator[None]:
         yield
 
 
+@dataclass(frozen=True)
+class Certified:
+    """A plan, and the seeds of all flights that were flown to find it, in their order."""
+
+    plan: Plan
+    seeds: list[int]
+
+
 @pytest.fixture(scope="module", params=["node", "flight"])
-def certified(request: pytest.FixtureRequest) -> Plan:
-    mission = mission_of(request.param, ASKED)
-    return certify(
-        mission, initial_guess.cold(mission), lambda m, s, target: plan(m, s, target=target)
-    )
+def run(request: pytest.FixtureRequest) -> Certified:
+    mission, seeds = mission_of(request.param, ASKED), []
+
+    def flown(of: Mission, burns: Array, samples: int, seed: int, *seen: Any) -> KeptFlights:
+        seeds.append(seed)
+        return kept_flights(of, burns, samples, seed, *seen)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flights, "kept_flights", flown)
+        found = certify(
+            mission, initial_guess.cold(mission), lambda m, s, target: plan(m, s, target=target)
+        )
+    return Certified(found, seeds)
+
+
+@pytest.fixture(scope="module")
+def certified(run: Certified) -> Plan:
+    return run.plan
 
 
 @given(asked=st.floats(0.5, 0.999), samples=st.integers(1000, 100_000))
 def test_so_many_successes_and_no_fewer_reach_what_is_asked(asked: float, samples: int) -> None:
     needed = successes_needed(asked, samples)
     if needed < samples:
-        assert proportion(needed, samples).low >= asked
-    assert proportion(needed - 1, samples).low < asked
+        assert look_interval(needed, samples).low >= asked
+    assert look_interval(needed - 1, samples).low < asked
 
 
 def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
@@ -60,14 +100,29 @@ def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
     assert certified.target is not None
     assert reached.low >= ASKED
     assert certified.target > ASKED
-    assert reached.seed == FIRST_SEED + reached.rounds - 1
+    assert reached.samples == look_flights(ASKED)
     again = kept_flights(certified.mission, certified.burns_m_s, reached.samples, reached.seed)
-    assert judged(certified.mission, again)[1] == (reached.reached, reached.low, reached.high)
+    kept = kept_of(certified.mission, again)
+    assert certificate_of(kept, reached.looks, reached.rounds) == reached
+
+
+def test_what_judges_no_round_has_flown(run: Certified) -> None:
+    """Rounds come first, then at most two looks; a seed is flown once."""
+    reached = run.plan.certificate
+    assert reached is not None
+    rounds, looks = run.seeds[: reached.rounds], run.seeds[reached.rounds :]
+    assert rounds == list(range(FIRST_SEED, FIRST_SEED + reached.rounds))
+    assert looks == [look_seed(number + 1) for number in range(reached.looks)]
+    assert looks[-1] == reached.seed
+    assert len(rounds) <= ROUNDS_MAX
+    assert len(looks) <= LOOKS_MAX
+    assert set(rounds).isdisjoint(looks)
 
 
 def test_other_flights_bear_it_out(certified: Plan) -> None:
-    kept = kept_flights(certified.mission, certified.burns_m_s, 1_000, seed=77)
-    assert judged(certified.mission, kept)[1].high >= ASKED
+    flown = kept_flights(certified.mission, certified.burns_m_s, 1_000, seed=77)
+    kept = kept_of(certified.mission, flown)
+    assert proportion(kept.throughout, kept.samples).high >= ASKED
 
 
 @pytest.fixture(scope="module")
@@ -97,13 +152,13 @@ def failures(certified: Plan, told: Solution, checked: Verification) -> list[str
     return inconsistencies(mission, told) + shortfalls(mission, told, checked.probabilities)
 
 
-def claiming(solution: Solution, **changes: float) -> Solution:
+def claiming(solution: Solution, **changes: Any) -> Solution:
     """With another certificate, whose interval is that of its flights unless it is changed."""
     assert solution.risk is not None
     assert solution.risk.certificate is not None
     told = replace(solution.risk.certificate, **changes)
-    kept = proportion(round(told.reached * told.samples), told.samples)
-    update = dict(zip(("reached", "low", "high"), kept, strict=True)) | {
+    kept = proportion(round(told.reached * told.samples), told.samples, told.confidence)
+    update: dict[str, Any] = dict(zip(("reached", "low", "high"), kept, strict=True)) | {
         "at_nodes": max(told.at_nodes, kept.value)
     }
     told = replace(told, **(update | changes))
@@ -117,13 +172,41 @@ def test_what_the_certificate_says_is_found_sound(
     assert failures(certified, claiming(solution), checked) == []
 
 
+OLDER: dict[str, Any] = {"looks": 0, "confidence": CONFIDENCE, "seed": FIRST_SEED + 1}
+"""A certificate as older files have it, of a round's own flights."""
+
+
+@pytest.mark.parametrize("run", ["flight"], indirect=True)
+def test_a_certificate_of_an_older_file_is_read_and_sound(
+    certified: Plan, solution: Solution, checked: Verification, tmp_path: Path
+) -> None:
+    """The file of a number before has neither of the keys that tell it apart, and today's has to."""
+    older = claiming(solution, **OLDER, samples=1_000)
+    data = json.loads(older.write(tmp_path).read_text("utf-8"))
+    del data["risk"]["certificate"]["looks"], data["risk"]["certificate"]["confidence"]
+    found = parse_solution(data | {"schema": "scp_recon.solution/3"}, "older")
+    assert found.risk == older.risk
+    assert failures(certified, found, checked) == []
+    assert "round" in str(found.risk and found.risk.certificate)
+    with pytest.raises(InputError, match="looks"):
+        parse_solution(data, "without")
+
+
+@pytest.mark.parametrize("run", ["flight"], indirect=True)
 @pytest.mark.parametrize(
     ("changes", "name"),
     [
         ({"low": 0.95}, "risk"),
         ({"at_nodes": 0.5}, "risk"),
-        ({"samples": 500}, "risk"),
-        ({"seed": FIRST_SEED - 1}, "risk"),
+        ({"samples": 1_000}, "risk"),
+        (OLDER | {"samples": 500}, "risk"),
+        ({"seed": FIRST_SEED}, "risk"),
+        ({"seed": FIRST_LOOK_SEED + LOOKS_MAX}, "risk"),
+        ({"looks": LOOKS_MAX + 1, "seed": look_seed(LOOKS_MAX + 1)}, "risk"),
+        ({"confidence": CONFIDENCE}, "risk"),
+        (OLDER | {"confidence": 0.975}, "risk"),
+        (OLDER | {"seed": FIRST_LOOK_SEED}, "risk"),
+        (OLDER | {"seed": FIRST_SEED - 1}, "risk"),
         ({"reached": 0.98}, "certificate"),
         ({"reached": 0.85}, "certificate"),
     ],
@@ -133,7 +216,7 @@ def test_a_certificate_that_claims_what_is_not_so_is_named(
     certified: Plan,
     solution: Solution,
     checked: Verification,
-    changes: dict[str, float],
+    changes: dict[str, Any],
     name: str,
 ) -> None:
     assert name in failures(certified, claiming(solution, **changes), checked)
@@ -182,7 +265,7 @@ def test_a_probability_that_the_nodes_do_not_have_is_named(
     assert ("risk" in found) == (solution.risk.scope == "node")
 
 
-@pytest.mark.parametrize("certified", ["flight"], indirect=True)
+@pytest.mark.parametrize("run", ["flight"], indirect=True)
 @pytest.mark.parametrize("told", [0.96, 0.84])
 def test_a_flight_law_that_flights_contradict_is_named(
     certified: Plan, solution: Solution, checked: Verification, told: float

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 from scipy.special import ndtr, ndtri
 
@@ -17,7 +15,12 @@ from scp_recon.certification.largest import (
     rounded_down,
 )
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import FIRST_SEED, flights_needed
+from scp_recon.monte_carlo.estimates import (
+    FIRST_SEED,
+    look_flights,
+    look_interval,
+    look_seed,
+)
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -125,12 +128,20 @@ def test_what_it_aims_at_is_asked_without_flights(
     assert found.mission.scenario.risk.p_chance == rounded_down(found.target)
 
 
-def test_what_flights_reach_at_least_is_asked(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = promised(World(real, honest), monkeypatch, certified=True)
+def test_what_a_look_reaches_at_least_is_asked(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of flights that no round has used, whatever those reached."""
+
+    def reach(target: float, seed: int) -> Reached:
+        return (share := target - 0.01 * (seed == look_seed(1))), share
+
+    found = promised(world := World(real, reach), monkeypatch, certified=True)
     reached = found.certificate
     assert found.target is not None
     assert reached is not None
-    assert (reached.samples, reached.seed) == (flights_needed(found.target), FIRST_SEED)
+    assert world.seeds == [FIRST_SEED, look_seed(1)]
+    assert (reached.samples, reached.seed) == (look_flights(found.target), look_seed(1))
+    kept = round((found.target - 0.01) * reached.samples)
+    assert reached.low == look_interval(kept, reached.samples).low
     assert found.mission.scenario.risk.p_chance == rounded_down(reached.low) < found.target
 
 
@@ -145,21 +156,26 @@ def test_nodes_are_added_and_it_is_looked_for_again(
     world = World(real, reach, touched_s=(between,))
     found = promised(world, monkeypatch, certified=True)
     assert found.certificate is not None
-    assert found.certificate.rounds == 2
+    assert (found.certificate.rounds, found.certificate.looks) == (2, 1)
+    assert world.seeds == [FIRST_SEED, FIRST_SEED + 1, look_seed(1)]
     assert found.certificate.at_nodes == found.certificate.reached
     assert round(between) in found.times_s
     assert world.aims.count(LEAST) == 2
 
 
+@pytest.mark.parametrize("stop", [FIRST_SEED, look_seed(1)])
 def test_ctrl_c_among_its_flights_keeps_the_plan(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
+    real: Plan, monkeypatch: pytest.MonkeyPatch, stop: int
 ) -> None:
-    def reach(*_: object) -> Reached:
-        raise KeyboardInterrupt
+    def reach(target: float, seed: int) -> Reached:
+        if seed == stop:
+            raise KeyboardInterrupt
+        return target, target
 
     found = promised(World(real, reach), monkeypatch, certified=True)
     assert found.status is Status.INTERRUPTED
-    assert is_at(replace(found, certificate=None), LAST)
+    assert found.certificate is None
+    assert is_at(found, LAST)
 
 
 def test_the_budget_buys_so_much_and_no_more() -> None:

@@ -1,4 +1,4 @@
-"""Rounds of certification: as high as asked and no higher, the best kept whatever comes after."""
+"""Certification: rounds aim as high as a look takes and no higher, and only looks judge."""
 
 from __future__ import annotations
 
@@ -12,14 +12,25 @@ from scipy.special import ndtr, ndtri
 
 from scp_recon.certification.certify import ROUNDS_MAX, Aiming, certify
 from scp_recon.errors import InputError
-from scp_recon.monte_carlo.estimates import FIRST_SEED, flights_needed
+from scp_recon.monte_carlo.estimates import (
+    FIRST_SEED,
+    LOOKS_MAX,
+    Estimate,
+    flights_needed,
+    look_flights,
+    look_seed,
+)
 from scp_recon.planning.plan import Plan
 from scp_recon.scp.status import Status
 from tests.scp_recon.certification.support import Reached, World, a_plan
 
 ASKED = 0.9
-AIMING = Aiming(ASKED, flights_needed(ASKED))
+ROUND, LOOK = flights_needed(ASKED), look_flights(ASKED)
+AIMING = Aiming(ASKED, ROUND, LOOK)
 NEEDED, ERROR = AIMING.needed, AIMING.error
+AIMED = AIMING.next()
+"""What the first plan aims at."""
+LOOKS = [look_seed(number + 1) for number in range(LOOKS_MAX)]
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +43,19 @@ def certified(world: World, patch: pytest.MonkeyPatch) -> Plan:
     return certify(world.real.mission, world.start, world.make_plan)
 
 
-def scripted(*reached: float) -> tuple[dict[int, Reached], int]:
-    return {FIRST_SEED + k: (r, r) for k, r in enumerate(reached)}, len(reached)
+def losing(deviations: float) -> Callable[[float, int], Reached]:
+    """Flights that reach less than the law says, always by as much."""
+
+    def reach(target: float, _: int) -> Reached:
+        return (share := float(ndtr(ndtri(target) - deviations))), share
+
+    return reach
+
+
+def looking(*looks: float, rounds: float = AIMED) -> Callable[[float, int], Reached]:
+    """Flights that reach as much in all rounds, and so much in each look."""
+    table = dict(zip(LOOKS, looks, strict=False))
+    return lambda _, seed: (share := table.get(seed, rounds), share)
 
 
 def low(plan: Plan) -> float:
@@ -41,70 +63,56 @@ def low(plan: Plan) -> float:
     return plan.certificate.low
 
 
+def steps(plan: Plan) -> tuple[int, int]:
+    """Rounds and looks of a certificate."""
+    assert plan.certificate is not None
+    return plan.certificate.rounds, plan.certificate.looks
+
+
 def later(ending: Status) -> Callable[[float, str], Status]:
-    """How all rounds but the first end."""
+    """How all plans but the first end."""
     return lambda _, start: Status.CONVERGED if start == "given" else ending
+
+
+# --- aiming -------------------------------------------------------------------------------------
 
 
 def test_what_reaches_more_than_sampling_explains_aims_lower(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Flights that reach more than the law says: three standard errors, always."""
-    gain = ndtri(NEEDED + 3.0 * ERROR) - ndtri(NEEDED)
-
-    def reach(target: float, _: int) -> Reached:
-        return (share := float(ndtr(ndtri(target) + gain))), share
-
-    world = World(real, reach)
-    found = certified(world, monkeypatch)
+    """Flights that reach more than the law says: by three standard errors of a round, always."""
+    gain = float(ndtri(AIMED + 3.0 * ERROR) - ndtri(AIMED))
+    found = certified(world := World(real, losing(-gain)), monkeypatch)
     assert found.target == world.aims[-1] < world.aims[0]
-    assert len(world.aims) == 2
-    assert low(found) >= ASKED
+    assert steps(found) == (2, 1)
     assert found.certificate is not None
-    assert found.certificate.reached < NEEDED + 0.2 * ERROR
+    assert found.certificate.reached == pytest.approx(AIMED, abs=0.6 * ERROR)
 
 
 def test_what_falls_short_aims_higher(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    def reach(target: float, _: int) -> Reached:
-        return (share := float(ndtr(ndtri(target) - 0.1))), share
-
-    found = certified(World(real, reach), monkeypatch)
+    found = certified(World(real, losing(0.1)), monkeypatch)
+    assert steps(found) == (2, 1)
     assert low(found) >= ASKED
     assert found.certificate is not None
-    assert found.certificate.rounds == 2
-    assert found.certificate.reached < NEEDED + 0.3 * ERROR
+    assert found.certificate.reached == pytest.approx(AIMED, abs=0.6 * ERROR)
 
 
-def test_a_plan_that_reaches_it_is_not_replaced_by_a_worse_one(
+def test_what_is_settled_is_looked_at_as_it_is(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = certified(world := World(real, losing(0.0)), monkeypatch)
+    assert world.aims == [found.target]
+    assert world.seeds == [FIRST_SEED, *LOOKS[:1]]
+    assert steps(found) == (1, 1)
+
+
+def test_rounds_that_never_settle_end_in_a_look(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The second round is to be cheaper, and falls short; and so do all after it."""
-    table, _ = scripted(NEEDED + 3.0 * ERROR)
-    world = World(real, lambda _, seed: table.get(seed, (0.5, 0.5)))
-    found = certified(world, monkeypatch)
-    assert len(world.aims) > 1
-    assert found.target == world.aims[0]
-    assert low(found) >= ASKED
-
-
-def test_the_cheapest_of_those_that_reach_it_is_kept(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    """Flights reach the same whatever is aimed at."""
     found = certified(world := World(real, lambda *_: (0.95, 0.95)), monkeypatch)
-    assert len(world.aims) == ROUNDS_MAX
-    assert found.target == min(world.aims)
-
-
-def test_where_none_reaches_it_the_nearest_is_told(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    table, _ = scripted(0.6, 0.88, 0.7, 0.65, 0.5, 0.6)
-    found = certified(world := World(real, lambda _, seed: table[seed]), monkeypatch)
-    assert found.status is Status.CONVERGED
-    assert found.certificate is not None
-    assert found.certificate.reached == pytest.approx(0.88)
-    assert low(found) < ASKED
-    assert found.target == world.aims[1]
+    assert len(world.aims) == ROUNDS_MAX + 1
+    assert found.target == world.aims[-1] == min(world.aims)
+    assert steps(found) == (ROUNDS_MAX, 1)
+    assert low(found) >= ASKED
 
 
 def test_what_is_lost_between_nodes_counts_once(
@@ -122,8 +130,7 @@ def test_what_is_lost_between_nodes_counts_once(
     assert round(between) in found.times_s
     assert round(between) not in world.missions[0].times_s
     assert low(found) >= ASKED
-    assert found.certificate is not None
-    assert found.certificate.rounds == 2
+    assert steps(found) == (2, 1)
 
 
 def test_where_nothing_binds_a_lower_aim_is_not_tried(
@@ -146,25 +153,104 @@ def test_flights_that_all_fail_or_all_hold_leave_an_aim(
     assert all(0.5 < target < 1.0 for target in world.aims)
 
 
-def test_ctrl_c_among_flights_keeps_what_there_is(
+# --- judging ------------------------------------------------------------------------------------
+
+
+def test_a_look_that_fails_leads_to_a_higher_aim_and_the_last_look(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def reach(_: float, seed: int) -> Reached:
-        if seed == stop:
+    world = World(real, looking(NEEDED - ERROR, NEEDED + ERROR))
+    found = certified(world, monkeypatch)
+    assert world.seeds == [FIRST_SEED, *LOOKS]
+    assert found.target == world.aims[1] > world.aims[0]
+    assert found.certificate is not None
+    assert (found.certificate.seed, steps(found)) == (LOOKS[1], (1, 2))
+    assert low(found) >= ASKED
+
+
+@pytest.mark.parametrize("looks", [(0.89, 0.88), (0.88, 0.89)])
+def test_two_looks_that_fail_leave_the_nearest_and_no_third(
+    real: Plan, monkeypatch: pytest.MonkeyPatch, looks: tuple[float, float]
+) -> None:
+    """Whose certificate says that it certifies nothing, though rounds had reached enough."""
+    found = certified(world := World(real, looking(*looks)), monkeypatch)
+    assert world.seeds == [FIRST_SEED, *LOOKS]
+    assert found.status is Status.CONVERGED
+    assert found.certificate is not None
+    assert found.certificate.reached == pytest.approx(0.89)
+    assert not found.certificate.certifies(ASKED)
+    assert found.target == world.aims[looks.index(0.89)]
+
+
+def test_a_cheaper_plan_that_passes_is_not_looked_for(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the look reaches: who picks the cheapest of several that pass picks the luckiest."""
+    found = certified(world := World(real, looking(1.0)), monkeypatch)
+    assert world.seeds == [FIRST_SEED, LOOKS[0]]
+    assert found.target == world.aims[-1]
+
+
+def test_chance_neither_wastes_much_nor_breaks_the_promise(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Flights drawn from the binomial law, with losses that a plan does not know."""
+    rng = np.random.default_rng(5)
+    excess, rounds, first, broken, none = [], [], 0, 0, 0
+    cases = 240
+    for case in range(cases):
+        loss = float(ndtri(AIMED) - ndtri(AIMED - (case % 5 - 1.0) * ERROR))
+
+        def truth(target: float, loss: float = loss) -> float:
+            return float(ndtr(ndtri(target) - loss))
+
+        def reach(target: float, seed: int) -> Reached:
+            samples = LOOK if seed in LOOKS else ROUND
+            return (share := rng.binomial(samples, truth(target)) / samples), share
+
+        with monkeypatch.context() as patch:
+            found = certified(World(real, reach), patch)
+        assert found.target is not None
+        passed = low(found) >= ASKED
+        first += passed and steps(found)[1] == 1
+        none += not passed
+        broken += truth(found.target) < ASKED
+        rounds.append(steps(found)[0])
+        excess.append((truth(found.target) - ASKED) / ERROR)
+    assert 0.93 <= first / cases <= 0.98
+    assert none <= 3
+    assert broken == 0
+    assert np.mean(rounds) < 2.2
+    assert 3.0 < np.mean(excess) < 3.6
+    assert np.quantile(excess, 0.95) < 4.9
+
+
+# --- where it ends otherwise ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flights", [0, 1])
+def test_ctrl_c_among_flights_keeps_what_there_is(
+    real: Plan, monkeypatch: pytest.MonkeyPatch, flights: int
+) -> None:
+    """In a round and in the first look alike no look stands behind it."""
+
+    def reach(target: float, seed: int) -> Reached:
+        if seed == (FIRST_SEED, LOOKS[0])[flights]:
             raise KeyboardInterrupt
-        return 0.95, 0.95
+        return target, target
 
-    stop = FIRST_SEED
-    world = World(real, reach)
-    first = certified(world, monkeypatch)
-    assert (first.status, first.target) == (Status.INTERRUPTED, world.aims[0])
-    assert first.certificate is None
+    found = certified(world := World(real, reach), monkeypatch)
+    assert (found.status, found.target) == (Status.INTERRUPTED, world.aims[0])
+    assert found.certificate is None
 
-    stop = FIRST_SEED + 1
-    world = World(real, reach)
-    second = certified(world, monkeypatch)
-    assert (second.status, second.target) == (Status.INTERRUPTED, world.aims[0])
-    assert low(second) >= ASKED
+
+def test_ctrl_c_after_a_look_keeps_the_plan_that_was_looked_at(
+    real: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    world = World(real, looking(0.89), later(Status.INTERRUPTED))
+    found = certified(world, monkeypatch)
+    assert (found.status, found.target) == (Status.INTERRUPTED, world.aims[0])
+    assert low(found) < ASKED
 
 
 def test_ctrl_c_in_a_later_plan_keeps_the_one_before(
@@ -173,75 +259,53 @@ def test_ctrl_c_in_a_later_plan_keeps_the_one_before(
     world = World(real, lambda *_: (0.5, 0.5), later(Status.INTERRUPTED))
     found = certified(world, monkeypatch)
     assert (found.status, found.target) == (Status.INTERRUPTED, world.aims[0])
-    assert low(found) < ASKED
+    assert found.certificate is None
 
 
-def test_a_round_that_has_no_plan_ends_it(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a certificate, unless an earlier round has one."""
-
-    short = certified(World(real, lambda *_: (0.5, 0.5), later(Status.INFEASIBLE)), monkeypatch)
+def test_an_aim_that_has_no_plan_ends_it(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a certificate, unless the plan of an aim before passes its look."""
+    ended = later(Status.INFEASIBLE)
+    short = certified(world := World(real, looking(0.5, rounds=0.88), ended), monkeypatch)
     assert (short.status, short.certificate) == (Status.INFEASIBLE, None)
-    more = certified(World(real, lambda *_: (0.95, 0.95), later(Status.INFEASIBLE)), monkeypatch)
-    assert more.status is Status.CONVERGED
+    assert world.seeds == [FIRST_SEED, LOOKS[0]]
+    more = certified(world := World(real, looking(0.91, rounds=0.88), ended), monkeypatch)
+    assert (more.status, more.target) == (Status.CONVERGED, world.aims[0])
     assert low(more) >= ASKED
+    after = certified(World(real, looking(0.89), ended), monkeypatch)
+    assert (after.status, after.certificate) == (Status.INFEASIBLE, None)
 
 
-def test_a_round_without_a_verdict_leaves_the_nearest(
+def test_an_aim_without_a_verdict_leaves_the_nearest(
     real: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world = World(real, lambda *_: (0.89, 0.89), later(Status.MAX_ITERATIONS))
-    short = certified(world, monkeypatch)
-    assert (short.status, short.target) == (Status.CONVERGED, world.aims[0])
-    assert low(short) < ASKED
-    first = World(real, lambda *_: (0.89, 0.89), lambda *_: Status.STALLED)
+    for rounds in (0.88, AIMED):
+        world = World(real, looking(0.89, rounds=rounds), later(Status.MAX_ITERATIONS))
+        short = certified(world, monkeypatch)
+        assert (short.status, short.target) == (Status.CONVERGED, world.aims[0])
+        assert low(short) < ASKED
+    first = World(real, losing(0.0), lambda *_: Status.STALLED)
     none = certified(first, monkeypatch)
     assert (none.status, none.certificate) == (Status.STALLED, None)
+    assert first.seeds == []
 
 
 def test_the_watch_sees_flights_begin_and_end(real: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[tuple[int, bool, int, int]] = []
+    seen: list[tuple[str, int, int, float | None]] = []
 
-    def watch(number: int, plan: Plan, samples: int, flown: int = 0) -> None:
-        seen.append((number, plan.certificate is not None, samples, flown))
+    def watch(
+        step: str, _: Plan, samples: int, flown: int = 0, reached: Estimate | None = None
+    ) -> None:
+        seen.append((step, samples, flown, reached and reached.value))
 
-    world = World(real, lambda *_: (NEEDED, NEEDED))
+    world = World(real, lambda *_: (AIMED, AIMED))
     world.enter(monkeypatch)
     certify(real.mission, world.start, world.make_plan, watch)
     assert seen == [
-        *((1, False, 10_000, 0), (1, False, 10_000, 10_000)),
-        (1, True, 10_000, 0),
+        *(("round 1", ROUND, 0, None), ("round 1", ROUND, ROUND, None)),
+        ("round 1", ROUND, ROUND, pytest.approx(AIMED, abs=1.0 / ROUND)),
+        *(("look 1", LOOK, 0, None), ("look 1", LOOK, LOOK, None)),
+        ("look 1", LOOK, LOOK, pytest.approx(AIMED, abs=1.0 / ROUND)),
     ]
-
-
-def test_chance_neither_wastes_much_nor_breaks_the_promise(
-    real: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Flights drawn from the binomial law, with losses that a plan does not know.
-
-    Whoever stops at the first success ends 0.75 standard errors above what is needed in the mean.
-    """
-    rng = np.random.default_rng(5)
-    excess, broken, none = [], 0, 0
-    for case in range(240):
-        loss = ndtri(NEEDED) - ndtri(NEEDED - (case % 5 - 1.0) * ERROR)
-        samples = flights_needed(ASKED)
-
-        def truth(target: float, loss: float = loss) -> float:
-            return float(ndtr(ndtri(target) - loss))
-
-        def reach(target: float, _: int, samples: int = samples) -> Reached:
-            return (share := rng.binomial(samples, truth(target)) / samples), share
-
-        with monkeypatch.context() as patch:
-            found = certified(World(real, reach), patch)
-        assert found.target is not None
-        none += low(found) < ASKED
-        broken += truth(found.target) < ASKED
-        excess.append((truth(found.target) - NEEDED) / ERROR)
-    assert -0.2 < np.mean(excess) < 0.55
-    assert np.quantile(excess, 0.95) < 1.7
-    assert broken <= 2
-    assert none <= 3
 
 
 @given(asked=st.floats(0.5, 0.9996))

@@ -41,7 +41,7 @@ SPLIT_TOO_DEAR = ("--set", "risk.p_chance=0.98", "--set", COARSE)
 EXACT = ("risk.allocation=exact", COARSE)
 
 
-REACHED = Certificate(10_000, 1_000, 0.7, 0.69, 0.71, 0.7, 1)
+REACHED = Certificate(20_000, 2_000, 0.7, 0.69, 0.71, 0.7, 1, 1, 0.975)
 
 
 def failed(*overrides: str, target: float | None = None) -> Plan:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from scp_recon.certification.certify import with_nodes_at
+from scp_recon.certification.flights import with_nodes_at
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
 from scp_recon.monte_carlo.sampling import sample_positions

@@ -72,7 +72,7 @@ def keys_of(data: Any, path: str = "") -> set[str]:
 # --- older files --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("number", [1, 2, 3])
 def test_the_figures_of_an_older_file_follow_from_its_facts(
     older: Data, number: int, tmp_path: Path
 ) -> None:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from formulations.rows.exact import FLIGHT
+from scp_recon.certification.flights import Kept, certificate_of
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.planning.plan import Certificate
+from scp_recon.monte_carlo.estimates import proportion, successes_needed
 from scp_recon.results.facts import EventProbability, JointProbability, Risk
 from scp_recon.results.solution import Solution
 from scp_recon.verification.probabilities import shortfalls
@@ -35,16 +35,13 @@ def promising(
     """A plan whose certificate has so many successes, or none; told by the law as asked."""
     reached = None
     if certified is not None:
-        value, low, high = proportion(certified, SAMPLES)
-        reached = Certificate(
-            samples=SAMPLES, seed=1_000, reached=value, low=low, high=high, at_nodes=value, rounds=1
-        )
+        reached = certificate_of(Kept(certified, certified, SAMPLES), 1, 1)
     law = EventProbability(name=FLIGHT, t_s=[0.0], probability=[by_law or ASKED])
     risk = Risk(scope="flight", required=ASKED, target=ASKED, certificate=reached, normal_law=[law])
     return replace(solution, risk=risk)
 
 
-ENOUGH = next(k for k in range(9_000, SAMPLES) if proportion(k, SAMPLES).low >= ASKED)
+ENOUGH = successes_needed(ASKED, SAMPLES)
 """Successes whose lower limit is what was asked."""
 
 
