@@ -242,8 +242,8 @@ def plan(
             [compare] (default: CLARABEL).
         facet_rounds: choose the facets again at the solution and solve again, up to so many times; what
             is infeasible is tried again in any case.
-        certify: with risk.allocation = exact, fly the plan and plan again until the lower limit of the
-            probability reached is what was required (default: yes).
+        certify: with risk.allocation = exact, fly plans to aim, until flights that no aim has used
+            reach what was required (default: yes).
         objective: the least "delta-v"; or with risk.allocation = exact the largest "probability",
             whatever risk.p_chance says.
         dv_budget_m_s: with `objective` probability, most delta-v that the plan may cost, m/s (default:

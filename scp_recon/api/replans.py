@@ -62,8 +62,8 @@ def replan(
             `frame`).
         measured_burns: burns flown as telemetry saw them, by their number in the flight from 1, m/s.
         overrides: `section.entry=value` each, as of `load_scenario`, for what is left.
-        certify: with risk.allocation = exact, fly the plan and plan again until the lower limit of the
-            probability reached is what was required (default: yes).
+        certify: with risk.allocation = exact, fly plans to aim, until flights that no aim has used
+            reach what was required (default: yes).
 
     Returns:
         A plan of the burns that are left, whose `parent` names the one that is flown.

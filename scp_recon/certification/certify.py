@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -201,7 +202,7 @@ class Aiming:
     fresh: int
     losses: list[tuple[float, int]] = field(default_factory=list)
 
-    @property
+    @cached_property
     def needed(self) -> float:
         """Share of the fresh flights with which a look passes."""
         return successes_needed(self.asked, self.fresh) / self.fresh

@@ -197,7 +197,7 @@ def test_chance_neither_wastes_much_nor_breaks_the_promise(
     """Flights drawn from the binomial law, with losses that a plan does not know."""
     rng = np.random.default_rng(5)
     excess, rounds, first, broken, none = [], [], 0, 0, 0
-    cases = 240
+    cases = 1000
     for case in range(cases):
         loss = float(ndtri(AIMED) - ndtri(AIMED - (case % 5 - 1.0) * ERROR))
 
@@ -217,11 +217,11 @@ def test_chance_neither_wastes_much_nor_breaks_the_promise(
         broken += truth(found.target) < ASKED
         rounds.append(steps(found)[0])
         excess.append((truth(found.target) - ASKED) / ERROR)
-    assert 0.93 <= first / cases <= 0.98
-    assert none <= 3
+    assert 0.93 <= first / cases <= 0.97
+    assert none <= 6
     assert broken == 0
-    assert np.mean(rounds) < 2.2
-    assert 3.0 < np.mean(excess) < 3.6
+    assert np.mean(rounds) < 2.1
+    assert 3.2 < np.mean(excess) < 3.6
     assert np.quantile(excess, 0.95) < 4.9
 
 

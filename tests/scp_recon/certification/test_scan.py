@@ -76,7 +76,7 @@ def test_flights_that_break_a_limit_between_nodes_are_found(
 def test_nodes_are_added_until_flights_lose_next_to_nothing_between(
     sparse: Plan, kept: KeptFlights, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(estimates, "FLIGHTS_MIN", 2_000)
+    monkeypatch.setattr(estimates, "FLIGHTS_MIN", 1_000)
     monkeypatch.setattr(estimates, "FAILURES", 100)
     mission = sparse.mission
     lost = min(c.min() for c in kept.at_nodes.values()) - min(kept.throughout.values())
@@ -88,7 +88,7 @@ def test_nodes_are_added_until_flights_lose_next_to_nothing_between(
     )
     reached = found.certificate
     assert reached is not None
-    assert reached.at_nodes - reached.reached <= 0.25 * lost / FLIGHTS
+    assert reached.at_nodes - reached.reached <= 0.5 * lost / FLIGHTS
     assert reached.low >= ASKED
     assert set(mission.times_s) < set(found.times_s)
     assert found.mission.scenario.grid.nodes_s
