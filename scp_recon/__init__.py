@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from scp_recon.api.drafts import new
     from scp_recon.api.files import compare, export, load, report, save, verify
     from scp_recon.api.flights import fly, simulate
+    from scp_recon.api.inputs import scenarios
     from scp_recon.api.planning import plan
     from scp_recon.api.replans import replan
     from scp_recon.api.survey import windows
@@ -41,6 +42,7 @@ __all__ = [
     "replan",
     "report",
     "save",
+    "scenarios",
     "simulate",
     "verify",
     "windows",
@@ -55,6 +57,7 @@ _ELSEWHERE = {
     "plan": "api.planning",
     "read_campaign": "api.campaigns",
     "replan": "api.replans",
+    "scenarios": "api.inputs",
     "simulate": "api.flights",
     "windows": "api.survey",
 }

@@ -11,10 +11,11 @@ import sys
 from collections.abc import Sequence
 
 from scp_recon.cli.commands import COMMANDS
+from scp_recon.errors import version_of
 
 HELP = "\n".join(
     [
-        "usage: scp-recon COMMAND ...    (scp-recon COMMAND --help says more)",
+        "usage: scp-recon COMMAND ...    (scp-recon COMMAND --help says more; --version)",
         "",
         *(
             f"  {name:11} {command.description.partition('.')[0]}"
@@ -31,6 +32,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return COMMANDS[words[0]].main(words[1:])
     if words and words[0] in ("-h", "--help"):
         sys.stdout.write(f"{HELP}\n")
+        return 0
+    if words == ["--version"]:
+        sys.stdout.write(f"scp-recon {version_of('scp_recon')}\n")
         return 0
     given = repr(words[0]) if words else "no command"
     sys.stderr.write(f"{HELP}\n\nerror: got {given}; must be one of {', '.join(COMMANDS)}\n")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
 from numbers import Integral
@@ -13,6 +13,8 @@ from typing import Any, NoReturn, TypeVar
 
 OPTION = re.compile(r"\0(\w+)(?:=([^\0]*))?\0")
 """An option in a message, its name and a value's `repr`, between characters that no file's name has."""
+ENTRY = re.compile(r"^(\w+(?:\.\w+)*)(?=: got )", re.MULTILINE)
+"""An entry that begins another line of a message."""
 ON_COMMAND_LINE = {"True": "yes", "False": "no"}
 Value = TypeVar("Value")
 
@@ -40,17 +42,31 @@ class InputError(ValueError):
         entry: dotted path of the entry, or the file or `option`.
         given: what was found there.
         allowed: what would have been accepted.
+        file: of a scenario, that holds the entry; empty of what stands in none.
     """
 
-    def __init__(self, entry: str, given: str, allowed: str) -> None:
-        self._said = entry, given, allowed
+    def __init__(self, entry: str, given: str, allowed: str, file: str = "") -> None:
+        self._said = entry, given, allowed, file
         entry, allowed = (OPTION.sub(_in_python, text) for text in (entry, allowed))
         self.entry, self.given, self.allowed = map(printable, (entry, given, allowed))
-        super().__init__(f"{self.entry}: got {self.given}; {self.allowed}")
+        self.file = printable(file)
+        where = f"{self.file}: " if file else ""
+        super().__init__(f"{where}{self.entry}: got {self.given}; {self.allowed}")
 
-    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str, str]]:
         """Pickle it by its parts, so that it comes back whole from another process."""
         return type(self), self._said
+
+    def in_files(self, file_of: Callable[[str], str]) -> InputError:
+        """The same with the file that holds each entry that it names; empty where none does."""
+        entry, given, allowed, _ = self._said
+        file = file_of(entry)
+
+        def named(match: re.Match[str]) -> str:
+            other = file_of(match[1])
+            return f"{other}: {match[0]}" if other and other != file else match[0]
+
+        return InputError(entry, given, ENTRY.sub(named, allowed), file)
 
     def for_command(self, flags: Mapping[str, str]) -> InputError:
         """The same with options as a command line has them.
@@ -58,7 +74,7 @@ class InputError(ValueError):
         Args:
             flags: by the parameters' names, such as --facet-rounds.
         """
-        entry, given, allowed = self._said
+        entry, given, allowed, file = self._said
 
         def flag(match: re.Match[str]) -> str:
             name, value = match.groups()
@@ -70,6 +86,7 @@ class InputError(ValueError):
             OPTION.sub(flag, entry),
             ON_COMMAND_LINE.get(given, given) if of_option else given,
             OPTION.sub(flag, allowed),
+            file,
         )
 
 

@@ -15,6 +15,7 @@ from scp_recon.passes.design import Designer, Trial
 from scp_recon.passes.setting import settled
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
+from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 
 FACET_ROUNDS = 3
@@ -72,7 +73,8 @@ def design(
     """
     given = scenario_of(scenario, overrides)
     options = design_options(given, certify=certify)
-    found = find_pass(given)
+    with naming_files(scenario, overrides):
+        found = find_pass(given)
     if found.scenario is None:
         return found
     mission = Mission.from_scenario(found.scenario)

@@ -212,23 +212,26 @@ def new(
 
     Args:
         name: of the scenario, written to NAME.toml.
-        body: Bennu or Eros; or another, with `gm`, `radius`, `period`, `pole` and `orbit`.
+        body: Bennu or Eros; or another, with `gm`, `radius`, `period`, `pole` and `orbit`, which
+            `from_spice` has and packaged bodies must not be given.
         site: planetocentric latitude and east longitude, deg; as --site=-20,30 on the command line.
-        epoch: earliest time of the first burn, TDB, e.g. 2020-01-21T20:33:17; where no trajectory is
-            given.
+        epoch: earliest time of the first burn, TDB, e.g. 2020-01-21T20:33:17; with `from_csv` that of
+            t_s = 0; left out with `from_spice` and `from_oem`.
         gm: of the body, m^3/s^2.
         radius: of the sphere that stands for it, m.
         period: sidereal spin period, h, right-handed about the pole.
         pole: right ascension and declination of the spin pole, deg, J2000.
-        orbit: the body from the Sun at `epoch`, km and km/s, J2000.
+        orbit: the body from the Sun at `epoch`, with `from_oem` at the first state taken, km and km/s,
+            J2000.
         from_spice: a meta-kernel: body, Sun, boundary states and start from it, with `spacecraft`,
             `begin` and `end`; needs the extra [spice].
         spacecraft: NAIF's number in the kernels, as --spacecraft=-64 on the command line.
         from_oem: a CCSDS OEM: boundary states and start from it, `begin` and `end` if given; needs the
             extra [oem].
-        from_csv: a table of states as solve --init takes it, its t_s past `epoch`; the same.
-        begin: first burn, UTC, e.g. 2020-01-21T20:32:08.
-        end: last burn, UTC, e.g. 2020-01-21T20:32:08.
+        from_csv: a table of states as solve --init takes it, its t_s past `epoch`, which
+            it needs; the rest as with `from_oem`.
+        begin: first burn, with a trajectory only, UTC, e.g. 2020-01-21T20:32:08.
+        end: last burn, with a trajectory only, UTC, e.g. 2020-01-21T20:32:08.
         progress: told of each draft that was planned, in a line.
 
     Raises:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from scp_recon.errors import InputError, option, shortened
+from scp_recon.errors import InputError, Named, option, shortened
 from scp_recon.physics.time_scales import tdb_of_utc
-from scp_recon.scenario.load import load_scenario, override
+from scp_recon.scenario.load import base_names, load_scenario, override, packaged_scenario
 from scp_recon.scenario.schema import Scenario
 
 
@@ -28,6 +28,16 @@ def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> 
     if not isinstance(given, str | Path):
         raise InputError("scenario", shortened(given), "must be a scenario, its name, or a file")
     return load_scenario(given, overrides)
+
+
+def scenarios() -> dict[str, Scenario]:
+    """The packaged scenarios by name, each ready to be planned or changed.
+
+    >>> import scp_recon as sr
+    >>> sr.scenarios()["recon_b"]
+    <Scenario recon_b: Bennu, site Nightingale, 4 burns>
+    """
+    return Named({name: packaged_scenario(name) for name in base_names()})
 
 
 def check_overrides(given: object) -> None:

@@ -26,6 +26,7 @@ from scp_recon.planning.starts import plan_from_several
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution
+from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.loop import Record
 from scp_recon.scp.status import Status
@@ -294,7 +295,8 @@ def inputs(
             scenario = init.mission.scenario
         elif isinstance(init, Solution):
             scenario = init.scenario
-    mission = Mission.from_scenario(scenario_of(scenario, overrides))
+    with naming_files(scenario, overrides):
+        mission = Mission.from_scenario(scenario_of(scenario, overrides))
     return mission, _start(mission, init)
 
 

@@ -13,6 +13,7 @@ from scp_recon.errors import InputError, needing, number_between, option
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.mission.survey import Survey, survey
 from scp_recon.results.table import Table
+from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 
 DAYS_MAX = 100.0
@@ -57,7 +58,8 @@ def windows(
     if chart is not None:
         with needing(option("chart"), "report"):
             from scp_recon.api.charts import draw_windows
-    found = survey(given, (first, first + span_days * DAY_S))
+    with naming_files(scenario):
+        found = survey(given, (first, first + span_days * DAY_S))
     if csv is not None:
         _write_result(Path(csv), option("csv"), survey_csv(given, found))
     if chart is not None:

@@ -11,12 +11,14 @@ With --json one document goes to standard output, and all that people read to st
 
     {"schema": "scp_recon.command/1", "command": ..., "status": ..., ...}
 
-`status` is the exit status. After bad input there is `error` with `entry`, `given` and `allowed`.
+`status` is the exit status. After bad input there is `error` with `entry`, `given` and `allowed`, and
+with `file` where a scenario's file holds the entry.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -114,18 +116,38 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
     """
     add_output_options(p)
     words = sys.argv[1:] if arguments is None else arguments
-    usual = p.error
 
     def error(message: str) -> NoReturn:
+        message = f"{_in_our_words(message, words)} ({p.prog} --help says more)"
         if "--json" in words:
             _print_document(p.prog, BAD_INPUT, {"error": {"message": message}})
-        usual(message)
+        p.exit(BAD_INPUT, f"error: {printable(message)}\n")
 
     p.error = error  # type: ignore[method-assign]  # errors go into the document too
     found = p.parse_args(arguments)
     found.prog = p.prog
     found.flags = flags_of(p)
     return found
+
+
+def _in_our_words(message: str, words: Sequence[str]) -> str:
+    """What argparse says, by option, what was found and what was expected, as all other messages do."""
+    if match := re.fullmatch(r"argument (?:\S+/)?(\S+): expected one argument", message):
+        option = match[1]
+        at = words.index(option) + 1 if option in words else len(words)
+        value = words[at] if at < len(words) else ""
+        if re.match(r"-[\d.]", value):
+            return (
+                f"{option}: got {value!r}, which begins as an option does; write {option}={value}"
+            )
+        return f"{option}: got nothing; must have a value"
+    if match := re.fullmatch(r"argument (?:\S+/)?(\S+): (.*)", message, re.DOTALL):
+        return f"{match[1]}: {match[2]}"
+    if match := re.fullmatch(r"unrecognized arguments: (.*)", message, re.DOTALL):
+        return f"got {match[1]}; there is no such option or argument"
+    if match := re.fullmatch(r"the following arguments are required: (.*)", message):
+        return f"{match[1]}: got nothing; must be given"
+    return message
 
 
 def add_output_options(p: argparse.ArgumentParser) -> None:
@@ -199,7 +221,8 @@ def run_command(
         return end(*answer) if isinstance(answer, Answer) else end(answer, {})
     except InputError as caught:
         error = caught.for_command(getattr(options, "flags", {}))
-        return fail(str(error), entry=error.entry, given=error.given, allowed=error.allowed)
+        parts = {"entry": error.entry, "given": error.given, "allowed": error.allowed}
+        return fail(str(error), **parts, **({"file": error.file} if error.file else {}))
     except MemoryError:
         return fail("not enough memory: take a larger grid.step_max_s")
     except OSError as error:  # files have messages of their own: this is the terminal, or a pipe

@@ -17,9 +17,18 @@ WHOLE = re.compile(r"[+-]?[0-9]{1,20}")
 """Longer ones are beyond every bound, and slow to read."""
 
 
+EXACT = 2.0**53
+"""Above it a float such as 1e4 need not be the whole number that was meant."""
+
+
 def whole(text: str) -> int | str:
-    """A type of option: a whole number; a text that is none goes on, to be refused with its bounds."""
-    return int(text) if WHOLE.fullmatch(text) else text
+    """A type of option: a whole number, 1e4 too; what is none goes on and is refused later."""
+    if WHOLE.fullmatch(text):
+        return int(text)
+    found = number(text)
+    return (
+        int(found) if isinstance(found, float) and abs(found) < EXACT and found % 1 == 0 else text
+    )
 
 
 def number(text: str) -> float | str:
@@ -31,8 +40,8 @@ def number(text: str) -> float | str:
 
 
 def numbers(text: str) -> tuple[float, ...] | str:
-    """A type of option: numbers with commas; a text that is none goes on, to be refused."""
-    found = tuple(number(word) for word in text.split(","))
+    """A type of option: numbers with commas or spaces; a text that is none goes on, to be refused."""
+    found = tuple(number(word) for word in text.replace(",", " ").split())
     floats = tuple(x for x in found if isinstance(x, float))
     return floats if floats == found else text
 
@@ -261,7 +270,7 @@ def _row(one: Parameter) -> dict[str, Any]:
     return row | ROWS.get(one.name, {})
 
 
-LISTS = {"--state": 6, "--measured-burn": 3}
+LISTS = {"--state": 6, "--measured-burn": 3, "--orbit": 6, "--site": 2, "--pole": 2}
 """Options whose value is so many numbers, which may be negative and stand apart."""
 
 

@@ -116,9 +116,13 @@ def show_solution(console: Console, solution: Solution) -> None:
             "total delta-v ",
             (f"{solution.total_dv_m_s:.6f} m/s", "bold"),
             f"; iterations: {iterations}; {solution.timing_s.total:.2f} s, of which "
-            f"{solution.timing_s.conic_solver:.2f} s in the conic solver\n",
+            f"{solution.timing_s.conic_solver:.2f} s in the conic solver",
         )
     )
+    for stage in solution.stages:
+        if stage.meaning:
+            show_line(console, f"{stage.name}: {stage.meaning}", "dim")
+    console.print()
     console.print(terminal(constraints_table(solution).without("kind")))
     _show_risk(console, solution.risk)
     if solution.starts is not None:

@@ -6,6 +6,7 @@ refused. What is strange about a trajectory and cannot be refused is a warning t
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timedelta
@@ -18,6 +19,7 @@ from scp_recon.bodies.kernels import number_of, read_gm, read_heliocentric, read
 from scp_recon.drafting.draft import Entry, Tables
 from scp_recon.drafting.flown import Track
 from scp_recon.errors import InputError, needing, option
+from scp_recon.files import read_text
 from scp_recon.interop.ccsds import plain_name
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
@@ -133,6 +135,7 @@ def oem_track(path: Path, body: str) -> Track:
         from oem import OrbitEphemerisMessage
     if not path.is_file():
         raise InputError(entry, "no such file", "must be a readable OEM")
+    _check_finite(path, entry)
     rows = []
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore")  # of leap seconds that nobody knows yet
@@ -153,6 +156,21 @@ def oem_track(path: Path, body: str) -> Track:
     times = np.round([(row[0] - first).sec for row in rows], 9)
     states = np.array([np.concatenate(row[1:]) for row in rows])
     return Track(epoch, times, states, f"from {path.name}")
+
+
+NOT_FINITE = re.compile(r"(?:^|[\s>])[+-]?(?:nan|inf|infinity)(?=[\s<]|$)", re.IGNORECASE)
+
+
+def _check_finite(path: Path, entry: str) -> None:
+    """Refuse an OEM with a number that is none, by its line; key = value lines and comments are text.
+
+    Raises:
+        InputError: if there is one.
+    """
+    for number, line in enumerate(read_text(path, entry, "OEM").splitlines(), start=1):
+        if "=" not in line and "COMMENT" not in line and NOT_FINITE.search(line):
+            allowed = "must be finite numbers"
+            raise InputError(f"{entry}, line {number}", line.strip()[:120], allowed)
 
 
 def csv_track(path: Path, epoch: datetime) -> Track:

@@ -291,8 +291,8 @@ def stages_table(solution: Solution) -> Table:
     """Status, iterations and delta-v of each stage of planning."""
     return Table.of(
         "Stages",
-        ("stage", "status", "iterations", Column("total delta-v", "m/s", ".6f")),
-        ([s.name, s.status, s.iterations, s.total_dv_m_s] for s in solution.stages),
+        ("stage", "status", "iterations", Column("total delta-v", "m/s", ".6f"), "meaning"),
+        ([s.name, s.status, s.iterations, s.total_dv_m_s, s.meaning] for s in solution.stages),
         key="stages",
     )
 

@@ -94,6 +94,17 @@ class FacetTable:
             raise ValueError("facets must have columns of one length")
 
 
+STAGES = {
+    "b": "begun again at the ballistic arc",
+    "c": "begun again at a turn about the body, the shorter way",
+    "d": "begun again at a turn about the body, the longer way",
+    "open": "leads to P3 from a guess that is no flight",
+    "node": "each node by itself, which leads to whole flights",
+    "coarse": "whole flights by few sampled directions, which leads to all of them",
+}
+"""Endings of stages' names in words."""
+
+
 @dataclass(frozen=True)
 class StageSummary:
     """One run of the SCP.
@@ -112,6 +123,14 @@ class StageSummary:
     status: Line
     total_dv_m_s: float
     iterations: int
+
+    @property
+    def meaning(self) -> str:
+        """What the name says beyond the problem; empty of plain P3 and P2."""
+        again, _, rest = self.name[2:].partition(".")
+        facets = f"facets chosen for the {rest}. time" if rest.isdecimal() else ""
+        said = STAGES.get(again), STAGES.get(rest), facets
+        return "; ".join(words for words in said if words)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -22,6 +25,7 @@ DOTS_MAX = 200
 """In a line: a list of 64 firing times has a third, and what has more nests without end."""
 PARTS_MAX = 3
 """Of a dotted entry: section.entry.item."""
+NO_FILE = os.strerror(errno.ENOENT).lower()
 BASES_MAX = 8
 """Of files that are each the base of the one before."""
 
@@ -44,7 +48,63 @@ def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ())
     if name in base_names():
         return _validated(_with_base(packaged(name), Path(), ()), overrides)
     file = Path(name)
-    return _validated(_with_base(_read(file), file.parent, (file.absolute(),)), overrides)
+    with naming_files(file, overrides):
+        return _validated(_with_base(_read(file), file.parent, (file.absolute(),)), overrides)
+
+
+@contextmanager
+def naming_files(scenario: object, overrides: Sequence[str] = ()) -> Iterator[None]:
+    """Around what may find fault with a scenario: the message names the file that holds the entry.
+
+    What overrides give, and what packaged scenarios hold, stands in none.
+
+    Args:
+        scenario: its file; of anything else there is nothing to name.
+        overrides: that were applied to it.
+    """
+    try:
+        yield
+    except InputError as error:
+        if not isinstance(scenario, str | Path) or str(scenario) in base_names() or error.file:
+            raise
+        sources, layer = list(_sources(Path(scenario))), _layer(overrides)
+
+        def file_of(entry: str) -> str:
+            if _holds(layer, entry) or not sources:
+                return ""
+            if entry in ("base", "scenario"):  # of the file at which the chain ends
+                return str(sources[-1][0])
+            held = [str(file) for file, tables in sources if _holds(tables, entry)]
+            known = entry.partition(".")[0] in Scenario.model_fields
+            return held[0] if held else str(sources[0][0]) if known else ""
+
+        raise error.in_files(file_of) from None
+
+
+def _sources(file: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """A scenario's file and those that it is based on, as far as they can be read."""
+    for _ in range(BASES_MAX):
+        try:
+            tables = _read(file)
+        except InputError:
+            return
+        yield file, tables
+        base = tables.get("base")
+        if not isinstance(base, str) or base in base_names():
+            return
+        file = file.parent / base
+
+
+def _holds(tables: Mapping[str, Any], entry: str) -> bool:
+    """Whether some tables have an entry, or a value in which it is an item."""
+    inside: Any = tables
+    for key in entry.split("."):
+        if not isinstance(inside, Mapping):
+            return True
+        if key not in inside:
+            return False
+        inside = inside[key]
+    return True
 
 
 def validate_scenario(data: Mapping[str, Any], overrides: Sequence[str] = ()) -> Scenario:
@@ -96,7 +156,13 @@ def packaged_scenario(name: str) -> Scenario:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    text = read_text(path, f"scenario {path}", "scenario file in TOML", BYTES_MAX)
+    try:
+        text = read_text(path, f"scenario {path}", "scenario file in TOML", BYTES_MAX)
+    except InputError as error:
+        if error.given != NO_FILE:
+            raise
+        allowed = f"{error.allowed}, or a packaged scenario: {', '.join(base_names())}"
+        raise InputError(error.entry, error.given, allowed) from None
     if text.lstrip().startswith("{"):  # TOML never does: likely a solution
         allowed = (
             "must be a scenario file in TOML; solve plans a solution's scenario again with --init"

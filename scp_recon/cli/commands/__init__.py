@@ -27,6 +27,12 @@ solve = Command(
     "api.planning.plan",
     "Plan a flyby.",
     {
+        "file": {
+            "first": True,
+            "nargs": "?",
+            "metavar": "SCENARIO",
+            "help": "in place of --scenario: a file, or a packaged one's name",
+        },
         "init": {
             "help": "straight line; ballistic arc; a solution file (and its scenario, unless "
             "--scenario is given) or a CSV of states t, x, y, z, vx, vy, vz in SI, J2000 (default: "
@@ -116,6 +122,9 @@ new = Command("new", "planning", "api.drafts.new", "Draft a scenario for one's o
 windows = Command(
     "windows", "scenarios", "api.survey.windows", "Find lighting windows and legal burn times."
 )
+scenarios = Command(
+    "scenarios", "scenarios", "api.inputs.scenarios", "List the packaged scenarios."
+)
 schema = Command(
     "schema",
     "scenarios",
@@ -139,6 +148,7 @@ COMMANDS = {
         export,
         new,
         windows,
+        scenarios,
         schema,
     )
 }

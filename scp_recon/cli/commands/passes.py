@@ -28,7 +28,7 @@ from scp_recon.planning.primer import WORTH, PrimerHistory
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME
 from scp_recon.results.table import Table
-from scp_recon.scenario.load import scenario_text
+from scp_recon.scenario.load import naming_files, scenario_text
 from scp_recon.scp.status import Status
 
 TABLE, MAP, SCENARIO, PRIMER = "design.csv", "design.png", "scenario.toml", "primer.png"
@@ -50,7 +50,7 @@ def design(options: argparse.Namespace, console: Console) -> Answer:
     scenario = scenario_of(options.scenario, options.overrides)
     how = design_options(scenario, certify=options.certify)
     with run_folder(options.out, scenario.name) as folder:
-        with _progress(console) as observe:
+        with _progress(console) as observe, naming_files(options.scenario, options.overrides):
             found = find_pass(scenario, observe)
         _keep(folder, TABLE, _as_csv(found.trials))
         _keep_map(folder, found, console)

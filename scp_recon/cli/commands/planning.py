@@ -27,7 +27,7 @@ from scp_recon.cli.command import (
 )
 from scp_recon.cli.plan_view import Progress, live_progress, plan_document
 from scp_recon.cli.rendering import show_warnings
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, option
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.method import FORMULATION
 from scp_recon.planning.plan import Plan
@@ -43,7 +43,7 @@ def solve(options: argparse.Namespace, console: Console) -> Answer:
         from scp_recon.reports.write import check_extra
 
         check_extra()
-    mission, start = inputs(options.scenario, options.init, options.overrides)
+    mission, start = inputs(_scenario(options), options.init, options.overrides)
     how.check(mission.scenario)
     with run_folder(options.out, mission.scenario.name) as folder:
         answer = plan_into(
@@ -60,6 +60,15 @@ def solve(options: argparse.Namespace, console: Console) -> Answer:
             _report(folder, console)
     point_latest(options.out, folder, answer.status)
     return answer
+
+
+def _scenario(options: argparse.Namespace) -> str | Path | None:
+    """The scenario, which stands behind its flag or without it."""
+    if options.file is not None and options.scenario is not None:
+        allowed = f"must be given once, with {option('scenario')} or without"
+        raise InputError("SCENARIO", f"{options.file} and {options.scenario}", allowed)
+    found: str | Path | None = options.scenario if options.file is None else options.file
+    return found
 
 
 def plan_options(options: argparse.Namespace) -> PlanOptions:

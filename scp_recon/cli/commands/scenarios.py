@@ -1,8 +1,9 @@
-"""The commands about scenarios: `new` drafts one, `windows` shows its lighting, `schema` its format."""
+"""The commands about scenarios: which are packaged, when one is lit, and the format of their files."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from scp_recon.api.inputs import scenario_of
+from scp_recon.api.inputs import scenarios as packaged_scenarios
 from scp_recon.api.survey import tdb
 from scp_recon.api.survey import windows as survey_windows
 from scp_recon.bodies.catalogue import DAY_S
@@ -23,6 +25,7 @@ from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import Survey
 from scp_recon.results.table import Column, Table
 from scp_recon.scenario.json_schema import schema_text
+from scp_recon.scenario.load import naming_files
 from scp_recon.scenario.schema import Scenario
 
 
@@ -30,13 +33,41 @@ def windows(options: argparse.Namespace, console: Console) -> Answer:
     """Show the windows, and write them."""
     scenario = scenario_of(options.scenario)
     files = {"csv": options.csv, "chart": options.chart}
-    found = survey_windows(scenario, options.begin, options.span_days, **files)
+    with naming_files(options.scenario):
+        found = survey_windows(scenario, options.begin, options.span_days, **files)
     show_survey(console, scenario, found)
     show_warnings(console, check_scene(Scene.of(scenario)))
     written = [path for path in files.values() if path]
     for path in written:
         show_written(console, path)
     return Answer(0, {**survey_document(scenario, found), "files": [str(p) for p in written]})
+
+
+def scenarios(options: argparse.Namespace, console: Console) -> Answer:  # noqa: ARG001 -- has none
+    """Show the packaged scenarios."""
+    found = packaged_scenarios()
+    console.print(terminal(_scenarios_table(found)))
+    console.print(
+        "solve and windows take their names; so does base in a scenario file", style="dim"
+    )
+    return Answer(0, {"scenarios": list(found)})
+
+
+def _scenarios_table(found: Mapping[str, Scenario]) -> Table:
+    rows = [
+        [
+            name,
+            one.body.name,
+            one.site.name,
+            one.epoch.tdb.isoformat(timespec="seconds"),
+            len(one.burns.times_s),
+            one.duration_s,
+            "yes" if one.boundary.home is not None else "",
+        ]
+        for name, one in found.items()
+    ]
+    names = ("scenario", "body", "site", "epoch, TDB", "burns", Column("lasts", "s", ".0f"))
+    return Table.of("Packaged scenarios", (*names, "from a home orbit"), rows)
 
 
 def schema(options: argparse.Namespace, console: Console) -> Answer:

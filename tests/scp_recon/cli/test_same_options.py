@@ -19,7 +19,7 @@ from scp_recon.scp.algorithms import ALGORITHMS
 
 FUNCTIONS = {name: command.function for name, command in COMMANDS.items() if command.function}
 OWN = {
-    "solve": {"out", "report"},
+    "solve": {"file", "out", "report"},
     "design": {"out"},
     "replan": {"out"},
     "simulate": {"out"},

@@ -1,0 +1,161 @@
+"""What a command says of what was typed or written wrongly: one line, with the file or the line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import scp_recon as sr
+from scp_recon.__main__ import main
+from scp_recon.errors import InputError
+from scp_recon.interop.tracks import oem_track
+from scp_recon.results.facts import StageSummary
+from scp_recon.scenario.load import base_names
+
+CHAIN = {
+    "c.toml": 'base = "b.toml"\n',
+    "b.toml": 'base = "a.toml"\n',
+    "a.toml": 'base = "recon_b"\n',
+}
+BROKEN = {
+    "an entry": ("b.toml", "[risk]\np_chance = 1.7\n", "b.toml: risk.p_chance: got 1.7"),
+    "an unknown one": ("a.toml", "[risk]\np = 0.7\n", "a.toml: risk.p: got an unknown entry"),
+    "a rule": (
+        "a.toml",
+        "[burns]\ntimes_s = [0.0, 14000.0, 25000.0, 34842.0]\n",
+        "a.toml: burns.times_s.1: got 14000 s; rule",
+    ),
+    "a list": ("c.toml", '[boundary]\ninitial_position_m = [1.0, 2.0, "x"]\n', "c.toml: boundary."),
+}
+
+
+@pytest.fixture
+def chain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    for name, text in CHAIN.items():
+        (tmp_path / name).write_text(text, "utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_an_error_of_a_scenario_names_the_file_that_holds_it(
+    name: str, chain: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, text, said = BROKEN[name]
+    with (chain / file).open("a", encoding="utf-8") as opened:
+        opened.write(text)
+    assert main(["solve", "c.toml", "--json"]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith(f"error: {said}")
+    assert json.loads(printed.out)["error"]["file"] == file
+    with pytest.raises(InputError, match=said) as caught:
+        sr.plan("c.toml")
+    assert caught.value.file == file
+
+
+def test_every_line_names_its_own_file(chain: Path) -> None:
+    (chain / "c.toml").write_text('base = "a.toml"\nfoo = 3\n', "utf-8")
+    (chain / "a.toml").write_text('base = "recon_b"\n[risk]\np = 0.7\n', "utf-8")
+    with pytest.raises(InputError) as caught:
+        sr.load_scenario("c.toml")
+    first, second = str(caught.value).splitlines()
+    assert first.startswith("a.toml: risk.p: got")
+    assert second.startswith("c.toml: foo: got")
+
+
+def test_what_stands_in_no_file_names_none(chain: Path) -> None:
+    for given in ("recon_b", "c.toml"):
+        with pytest.raises(InputError, match=r"^risk\.p_chance: got 1\.7"):
+            sr.load_scenario(given, ["risk.p_chance=1.7"])
+    (chain / "a.toml").write_text('base = "recon_bb"\n', "utf-8")
+    with pytest.raises(InputError, match=r"^a\.toml: base: got 'recon_bb'"):
+        sr.load_scenario("c.toml")
+
+
+def test_an_unknown_scenario_lists_the_packaged_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["windows", "recon_c"]) == 2
+    said = capsys.readouterr().err
+    assert "no such file" in said
+    assert all(name in said for name in base_names())
+    assert main(["scenarios"]) == 0
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in base_names())
+    assert {*sr.scenarios()} == {*base_names()}
+
+
+WORDS = {
+    ("windows",): "error: SCENARIO: got nothing; must be given",
+    ("windows", "recon_b", "--span-days"): "error: --span-days: got nothing; must have a value",
+    ("windows", "--from", "-1x"): "error: --from: got '-1x', which begins as an option does; write "
+    "--from=-1x",
+    ("solve", "--nosuch"): "error: got --nosuch; there is no such option",
+    ("solve", "a", "b"): "error: got b; there is no such option or argument",
+    ("solve", "--certify", "perhaps"): "error: --certify: got 'perhaps'; must be yes or no",
+    ("solve", "a", "--scenario", "b"): "error: SCENARIO: got a and b; must be given once",
+}
+
+
+@pytest.mark.parametrize("words", WORDS)
+def test_a_slip_on_the_command_line_is_one_line(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        status: object = main(words)
+    except SystemExit as ended:
+        status = ended.code
+    said = capsys.readouterr().err
+    assert status == 2
+    assert said.startswith(WORDS[words])
+    assert said.count("\n") == 1
+
+
+def test_lists_may_begin_with_a_minus(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are read whole: what is refused is the name of a body that is packaged."""
+    monkeypatch.chdir(tmp_path)
+    orbit = ["--orbit", "-160330838.37,11885469.54,301315.22,0.7,-24.6,-9.1"]
+    common = ["new", "x", "--body", "Bennu", "--epoch", "2029-05-01T20:15:36", "--site", "-20,60"]
+    assert main([*common, *orbit, "--pole", "-30", "-75"]) == 2
+    assert "--pole, --orbit must be left out" in capsys.readouterr().err
+
+
+def test_whole_numbers_may_be_written_as_powers_of_ten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["montecarlo", str(tmp_path), "--samples", "1e4"]) == 2
+    assert "--samples" not in capsys.readouterr().err
+    for text in ("1.5", "1e400", "nan", "1e17"):
+        assert main(["montecarlo", str(tmp_path), "--samples", text]) == 2
+        assert f"--samples: got '{text}'; must be a whole number" in capsys.readouterr().err
+
+
+def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"scp-recon {sr.__version__}\n"
+
+
+def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path: Path) -> None:
+    pytest.importorskip("oem")
+    file = tmp_path / "flight.oem"
+    file.write_text(
+        "CCSDS_OEM_VERS = 2.0\nCOMMENT nan is allowed here\nX = inf\n1 2 NaN 3\n", "utf-8"
+    )
+    with pytest.raises(InputError, match=r"flight\.oem, line 4: got 1 2 NaN 3; must be finite"):
+        oem_track(file, "BENNU")
+
+
+def test_names_of_stages_are_said_in_words() -> None:
+    said = {
+        "P3": "",
+        "P2": "",
+        "P2.2": "facets chosen for the 2. time",
+        "P3c": "begun again at a turn about the body, the shorter way",
+        "P2b.3": "begun again at the ballistic arc; facets chosen for the 3. time",
+        "P3.open": "leads to P3 from a guess that is no flight",
+        "P2.coarse": "whole flights by few sampled directions, which leads to all of them",
+    }
+    found = {name: StageSummary(name, "converged", 0.1, 3).meaning for name in said}
+    assert found == said
