@@ -268,13 +268,18 @@ def ticks(times_s: np.ndarray) -> np.ndarray:
 
 
 def meta_kernel(export: Export, files: Sequence[Path]) -> str:
-    """MK: loads files, by their full paths."""
+    """MK: loads files of its own folder, wherever that is moved to; SPICE looks in the current one."""
     parts: list[float | str] = []
     for file in files:
-        path = str(file.resolve())
+        path = f"$HERE/{file.name}"
         pieces = [path[i : i + STRING_MAX] for i in range(0, len(path), STRING_MAX)]
         parts += [f"{piece}+" for piece in pieces[:-1]] + pieces[-1:]
-    return _kernel("MK", export, {"KERNELS_TO_LOAD": parts}, ["furnsh this one alone."])
+    words = [
+        "furnsh this one alone, with its folder as the current one; from elsewhere put that folder in",
+        "place of the point.",
+    ]
+    entries = {"PATH_VALUES": ".", "PATH_SYMBOLS": "HERE", "KERNELS_TO_LOAD": parts}
+    return _kernel("MK", export, entries, words)
 
 
 def _name(name: str) -> str:

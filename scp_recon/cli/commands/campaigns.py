@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import signal
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -23,7 +25,7 @@ def campaign(options: argparse.Namespace, console: Console) -> Answer:
     """Run the cases, show and write."""
     study = read_study(options.study, yes=options.yes)
     where = {"workers": options.workers, "scheduler": options.scheduler}
-    with _progress(console) as (observe, say):
+    with _continuing(console), _progress(console) as (observe, say):
         path = run_campaign(study, options.out, **where, observe=observe, say=say)
     results = read_campaign(options.out)
     statuses = Counter(results.table["status"]).items()
@@ -60,6 +62,29 @@ def show_campaign(results: CampaignResults, written: Sequence[Path], console: Co
         show_line(console, line)
     for path in written:
         show_written(console, path)
+
+
+@contextmanager
+def _continuing(console: Console) -> Iterator[None]:
+    """Take a termination as Ctrl-C, and say after either how the campaign goes on.
+
+    Another thread than the main one cannot be told of a termination.
+    """
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    asked = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGTERM, stop) if asked else None
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = "every row until now is kept, and the same command continues the campaign"
+        show_line(progress_console(console), kept)
+        raise
+    finally:
+        if asked:
+            signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

@@ -126,22 +126,29 @@ def test_another_study_is_refused_in_the_same_folder(
     assert "holds another campaign" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    number: signal.Signals,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Ctrl-C with the third row, of real processes."""
+    """Ctrl-C, or a termination, with the third row, of real processes."""
     text = REFUSED.replace("count = 40", "count = 12")
     study, out, put = written(tmp_path / "study.toml", text), tmp_path / "out", Store.put
 
     def pressed(store: Store, *row: Any) -> None:
         put(store, *row)
         if len(store) == 3:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
 
     with monkeypatch.context() as patch:
         patch.setattr(Store, "put", pressed)
         assert command.main([study, "--out", str(out), "--workers", "2"]) == 130
-    assert "interrupted" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "interrupted" in said
+    assert "the same command continues the campaign" in said
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     kept = read_results(out)
     assert len(kept) == 3
     for folder in (out, tmp_path / "b"):

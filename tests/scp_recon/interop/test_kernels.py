@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterator
+from contextlib import chdir
 from pathlib import Path
 from types import ModuleType
 
@@ -38,16 +39,17 @@ def folder(export: Export, vehicle: Vehicle, tmp_path_factory: pytest.TempPathFa
     folder.mkdir()
     for form in ("spk", "ck"):
         write_export(export, form, folder, vehicle)
-    return folder
+    return folder.rename(folder.with_name("moved"))
 
 
 @pytest.fixture(scope="module")
 def spice(folder: Path) -> Iterator[ModuleType]:
-    """With nothing loaded but the list."""
+    """With nothing loaded but the list, from a folder to which the kernels were moved."""
     spiceypy: ModuleType = pytest.importorskip("spiceypy")
     (listed,) = folder.glob("*.tm")
     spiceypy.kclear()
-    spiceypy.furnsh(str(listed))
+    with chdir(folder):
+        spiceypy.furnsh(listed.name)
     yield spiceypy
     spiceypy.kclear()
 
