@@ -161,9 +161,9 @@ def _low(plan: Plan) -> float:
 
 
 def _law(plan: Plan) -> float:
-    """What the plan reaches by the normal law."""
+    """What the plan reaches by the normal law, as a quantile: nothing may bind by far."""
     assert plan.target is not None
-    return float(ndtr(ndtri(plan.target) + max(slack(plan), 0.0)))
+    return float(ndtri(plan.target)) + max(slack(plan), 0.0)
 
 
 def slack(plan: Plan) -> float:
@@ -221,10 +221,10 @@ class Aiming:
         return self._error(sum(flights for _, flights in self.losses) or self.samples)
 
     def learn(self, law: float, kept: int, samples: int) -> None:
-        """Take in how many flights kept what was planned with a probability by the normal law."""
+        """Take in how many flights kept what was planned to be kept with a quantile of the law."""
         half = 0.5 / samples
         reached = ndtri(np.clip(kept / samples, half, 1.0 - half))
-        self.losses.append((float(ndtri(law) - reached), samples))
+        self.losses.append((law - float(reached), samples))
 
     def begin_again(self, law: float, at_nodes: int, samples: int) -> None:
         """Forget the flights on other nodes, but for what the last lost at its nodes.
@@ -240,11 +240,11 @@ class Aiming:
         return float(np.clip(ndtr(ndtri(above) + self.loss), LEAST, MOST))
 
     def is_settled(self, law: float, *, binds: bool) -> bool:
-        """Whether a look should pass a plan, and its surplus is within sampling error.
+        """Whether a look should pass a plan with a quantile of the law, at no surplus but of sampling.
 
         Where its constraints do not bind a lower aim would save nothing.
         """
-        most, least = (float(ndtr(ndtri(p) - self.loss)) for p in (law, self.next()))
+        most, least = (float(ndtr(q - self.loss)) for q in (law, ndtri(self.next())))
         sure = most - self.needed >= SURE_ENOUGH * self._deviation
         return sure and (not binds or most - least <= EXCESS * self.error)
 
