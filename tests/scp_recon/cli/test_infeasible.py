@@ -33,7 +33,7 @@ from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
-from tests.scp_recon.support import CommandLine, mission_of, run_solve
+from tests.scp_recon.support import CommandLine, fly_few, mission_of, run_solve
 
 pytestmark = pytest.mark.usefixtures("few_flights")
 
@@ -59,6 +59,7 @@ def said(run: CommandLine) -> str:
 def refused(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "CLOSE", 1.0)
+        fly_few(patch)
         folder = tmp_path_factory.mktemp("refused")
         return run_solve(folder, *SPLIT_TOO_DEAR, "--facet-rounds", "1")
 
@@ -146,6 +147,7 @@ def small_burns() -> tuple[Plan, Diagnosis]:
     found = failed(*EXACT, "burns.dv_max_m_s=0.038", "risk.p_chance=0.9")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "CLOSE", 0.3)
+        fly_few(patch)
         return found, diagnose(found)
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from scp_recon.cli.commands import simulate as command
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
 from scp_recon.results.solution import Solution
+from scp_recon.simulation.basilisk import simulation
 from scp_recon.simulation.basilisk.power import distribute, mode_loads
 from scp_recon.simulation.basilisk.simulation import (
     Draws,
@@ -37,8 +39,23 @@ from scp_recon.simulation.flight import (
     sigma_distance,
 )
 from scp_recon.simulation.guidance import FlightPlan
-from scp_recon.simulation.record import leg_outcomes
+from scp_recon.simulation.record import (
+    ARRAYS,
+    FILE_NAME,
+    leg_outcomes,
+    make_record,
+    read_record,
+    write_record,
+)
 from scp_recon.simulation.vehicle import Vehicle
+
+PATH = frozenset({Source.INITIAL_STATE, Source.CHEMICAL_THRUSTER})
+
+
+@pytest.fixture(scope="module")
+def starved(short_solution: Solution, vehicle: Vehicle) -> Flight:
+    """Off the path by what it begins and burns with, its batteries emptied and filled again."""
+    return simulate(short_solution, weak(vehicle), 3, sources=PATH)
 
 
 def test_a_flight_without_errors_stays_with_the_plan(
@@ -119,18 +136,15 @@ def weak(vehicle: Vehicle) -> Vehicle:
     )
 
 
-def test_the_energy_ledger_closes_through_empty_and_full(
-    short_solution: Solution, vehicle: Vehicle
-) -> None:
-    flight = simulate(short_solution, weak(vehicle), seed=3)
-    assert abs(ledger_error(flight)) < 1e-6
-    stored = flight.stored_wh
+def test_the_energy_ledger_closes_through_empty_and_full(starved: Flight) -> None:
+    assert abs(ledger_error(starved)) < 1e-6
+    stored = starved.stored_wh
     assert stored.min() < 1e-6
     assert stored.max() > 2.0 - 1e-6
     assert (stored >= -1e-9).all()
     assert (stored <= 2.0 + 1e-9).all()
-    assert flight.short_w.max() > 1.0
-    assert flight.unused_w.max() > 1.0
+    assert starved.short_w.max() > 1.0
+    assert starved.unused_w.max() > 1.0
     # The first battery is emptied before the second, and filled after it.
     assert (stored[:, 0] <= stored[:, 1] + 1e-9).all()
 
@@ -239,6 +253,68 @@ def test_the_same_seed_gives_the_same_flight(
         state = sim.plant.hub.scStateOutMsg.read()
         ends.append([*state.r_CN_N, *state.v_CN_N, *state.sigma_BN])
     assert ends[0] == ends[1]
+
+
+def test_what_moves_the_path_is_what_was_drawn(
+    perfect: Flight, starved: Flight, short_mission: Mission
+) -> None:
+    """Velocities gained in the burns against those of the flight without errors."""
+    plan, factor = starved.plan, short_mission.initial_factor
+    draws = Draws.of(plan, factor, len(starved.times_s), 3, PATH)
+    off = starved.states[0] - short_mission.initial_state
+    np.testing.assert_allclose(off, draws.initial, rtol=1e-9, atol=1e-15)
+    for firing, error in zip(plan.firings, draws.burns, strict=True):
+        assert abs(error) > 5e-3
+        during = [round(firing.start_s), round(firing.end_s)]
+        gained, expected = (np.diff(f.states[during, 3:], axis=0)[0] for f in (starved, perfect))
+        more = gained - expected
+        np.testing.assert_allclose(more, error * firing.dv_m_s, atol=6e-5)
+        along = more @ firing.direction / np.linalg.norm(firing.dv_m_s)
+        assert along == pytest.approx(error, abs=5e-4)
+
+
+def test_the_attitude_holds_through_every_burn(perfect: Flight) -> None:
+    """From the first second on: a burn acts beside the centre of mass, and begins at time zero."""
+    assert perfect.micro_on_s[1].any()
+    assert np.rad2deg(pointing(perfect).executed).max() < 0.06
+
+
+def test_a_record_is_read_as_it_was_written(
+    perfect: Flight, short_solution: Solution, tmp_path: Path
+) -> None:
+    record = make_record(perfect, short_solution, 0)
+    assert set(record.arrays) == set(ARRAYS)
+    write_record(record, tmp_path)
+    again = read_record(tmp_path)
+    assert again.summary == record.summary
+    assert again.plan_hash == short_solution.plan_hash
+    for name in ARRAYS:
+        np.testing.assert_array_equal(again.arrays[name], record.arrays[name])
+
+
+def test_the_command_writes_one_file_and_says_one_document_with_json(
+    perfect: Flight,
+    short_solution: Solution,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: perfect)
+    short_solution.write(tmp_path)
+    words = [str(tmp_path), "--seed", "7", "--out", str(tmp_path / "out")]
+    assert command.main(words) == 0
+    said = capsys.readouterr()
+    assert "within 3 sigma" in said.out
+    assert "flight" in said.err
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [FILE_NAME]
+    summary = read_record(tmp_path / "out").summary
+    assert (summary.seed, summary.least_charge > 0.3) == (7, True)
+    assert command.main([*words, "--json", "--quiet"]) == 0
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert (document["command"], document["status"]) == ("simulate", 0)
+    assert document["summary"]["terminal_miss"]["position_m"] > 0.0
+    assert said.err == ""
 
 
 def test_without_basilisk_the_command_names_the_extra(

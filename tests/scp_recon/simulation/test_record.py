@@ -11,36 +11,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scp_recon.cli.commands import simulate
 from scp_recon.errors import InputError
 from scp_recon.results.solution import Solution
-from scp_recon.simulation.flight import Flight
 from scp_recon.simulation.record import (
     ARRAYS,
     FILE_NAME,
     SCHEMA,
     Arrays,
     inputs_digest,
-    make_record,
     read_record,
     shortfalls,
-    write_record,
 )
 from scp_recon.simulation.vehicle import Vehicle, check_vehicle, load_vehicle
 from tests.scp_recon.simulation.made_up import arrays, entries, summary
-
-
-def test_a_record_is_read_as_it_was_written(
-    perfect: Flight, short_solution: Solution, tmp_path: Path
-) -> None:
-    record = make_record(perfect, short_solution, 0)
-    assert set(record.arrays) == set(ARRAYS)
-    write_record(record, tmp_path)
-    again = read_record(tmp_path)
-    assert again.summary == record.summary
-    assert again.plan_hash == short_solution.plan_hash
-    for name in ARRAYS:
-        np.testing.assert_array_equal(again.arrays[name], record.arrays[name])
 
 
 @pytest.mark.parametrize("entry", [{}, {"plan_hash": None}])
@@ -125,32 +108,6 @@ def test_the_digest_knows_every_entry_of_the_vehicle(
     assert inputs_digest(elsewhere, vehicle) not in digests
     again = replace(short_solution, message="planned again")
     assert inputs_digest(again, vehicle) in digests
-
-
-def test_the_command_writes_one_file_and_says_one_document_with_json(
-    perfect: Flight,
-    short_solution: Solution,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    simulation = pytest.importorskip("scp_recon.simulation.basilisk.simulation")
-    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: perfect)
-    short_solution.write(tmp_path)
-    words = [str(tmp_path), "--seed", "7", "--out", str(tmp_path / "out")]
-    assert simulate.main(words) == 0
-    said = capsys.readouterr()
-    assert "within 3 sigma" in said.out
-    assert "flight" in said.err
-    assert [path.name for path in (tmp_path / "out").iterdir()] == [FILE_NAME]
-    summary = read_record(tmp_path / "out").summary
-    assert (summary.seed, summary.least_charge > 0.3) == (7, True)
-    assert simulate.main([*words, "--json", "--quiet"]) == 0
-    said = capsys.readouterr()
-    document = json.loads(said.out)
-    assert (document["command"], document["status"]) == ("simulate", 0)
-    assert document["summary"]["terminal_miss"]["position_m"] > 0.0
-    assert said.err == ""
 
 
 KEPT = entries()
