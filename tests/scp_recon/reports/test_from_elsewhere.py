@@ -15,7 +15,8 @@ from scp_recon.planning.plan import Plan
 from scp_recon.reports import flights
 from scp_recon.reports.flights import fly
 from scp_recon.results.solution import Solution
-from tests.scp_recon.support import run_solve
+from tests.scenarios import COARSE
+from tests.scp_recon.support import fly_few, run_solve
 
 door: Any = sr
 
@@ -23,6 +24,7 @@ door: Any = sr
 @pytest.fixture(autouse=True)
 def few_flights(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flights, "fly", partial(fly, samples=200))
+    fly_few(monkeypatch)
 
 
 def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(
@@ -33,7 +35,7 @@ def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(
     page = (tmp_path / "report.html").read_text("utf-8")
     assert "<strong>verified</strong>" in page
     assert run.output.rstrip().endswith(f"written: {tmp_path / 'report.html'}")
-    impossible = ("--set", "burns.dv_max_m_s=0.03", "--set", "grid.step_max_s=900")
+    impossible = ("--problem", "P3", "--set", "burns.dv_max_m_s=0.02", "--set", COARSE)
     assert run_solve(tmp_path, *impossible, "--report").exit_code == 3
     assert (tmp_path / "report.html").read_text("utf-8") == page
     other = (tmp_path / "report_unverified.html").read_text("utf-8")

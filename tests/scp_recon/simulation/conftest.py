@@ -6,7 +6,6 @@ import pytest
 
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution
-from scp_recon.simulation.flight import Flight
 from scp_recon.simulation.vehicle import Vehicle, load_vehicle
 from tests.scp_recon.support import mission_of
 
@@ -26,11 +25,3 @@ def short_mission() -> Mission:
 @pytest.fixture(scope="session")
 def short_solution(short_mission: Mission) -> Solution:
     return short_plan(short_mission)
-
-
-@pytest.fixture(scope="session")
-def perfect(short_solution: Solution, vehicle: Vehicle) -> Flight:
-    """The short plan flown without errors."""
-    simulation = pytest.importorskip("scp_recon.simulation.basilisk.simulation")
-    flight: Flight = simulation.simulate(short_solution, vehicle, sources=())
-    return flight

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,7 +15,6 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Leg, Mode
 from scp_recon.physics.frames import unit
 from scp_recon.physics.harmonics import HarmonicField
-from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk.navigation import build_sensors
 from scp_recon.simulation.basilisk.plant import Start, build_plant
 from scp_recon.simulation.basilisk.simulation import (
@@ -26,7 +23,6 @@ from scp_recon.simulation.basilisk.simulation import (
     Source,
     sensor_sigmas,
 )
-from scp_recon.simulation.flight import Flight
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.panels import irradiance
 from scp_recon.simulation.vehicle import Vehicle
@@ -62,29 +58,6 @@ def test_coasting_is_the_field_of_degree_eight_and_light_on_the_plates(
     gained = (flight.states[-1, 3:] - flight.states[0, 3:]) / 40.0
     off = {degree: np.linalg.norm(gained - mean) for degree, mean in expected.items()}
     assert off[8] < 2e-10 < 1e-8 < min(off[4], np.linalg.norm(push))
-
-
-def test_pulses_that_err_move_the_end(
-    perfect: Flight, short_solution: Solution, short_mission: Mission, vehicle: Vehicle
-) -> None:
-    """The first slew, with a tenth of the thrust as error; without it nothing changes at all."""
-    times, ends = np.arange(400.0), []
-    for sigma in (0.0, 0.1 * vehicle.micro_thrusters.thrust_n):
-        errors = vehicle.errors.model_copy(update={"micro_thruster_n": sigma})
-        other = vehicle.model_copy(update={"errors": errors})
-        whole = FlightPlan.of(short_solution, short_mission, other)
-        plan = replace(whole, firings=whole.firings[:1])
-        commands = whole.attitudes(times)
-        rate = (commands[0].inv() * commands[1]).as_rotvec()
-        start = Start(short_mission.initial_state, commands[0], rate, np.zeros(4))
-        draws = Draws.of(plan, np.zeros((6, 6)), len(times), 0, {Source.MICRO_THRUSTER})
-        sim = Simulator(plan, commands, start, draws, sensor_sigmas(errors, ()), times)
-        sim.run()
-        state = sim.plant.hub.scStateOutMsg.read()
-        ends.append(np.array([*state.r_CN_N, *state.v_CN_N]))
-    np.testing.assert_allclose(ends[0], perfect.states[399], rtol=0.0, atol=1e-9)
-    assert np.linalg.norm((ends[1] - ends[0])[:3]) > 1e-3
-    assert np.linalg.norm((ends[1] - ends[0])[3:]) > 1e-5
 
 
 def test_sensors_err_as_their_sigmas_say(short_mission: Mission, vehicle: Vehicle) -> None:

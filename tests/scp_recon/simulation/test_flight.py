@@ -53,6 +53,12 @@ PATH = frozenset({Source.INITIAL_STATE, Source.CHEMICAL_THRUSTER})
 
 
 @pytest.fixture(scope="module")
+def perfect(short_solution: Solution, vehicle: Vehicle) -> Flight:
+    """The short plan flown without errors."""
+    return simulate(short_solution, vehicle, sources=())
+
+
+@pytest.fixture(scope="module")
 def starved(short_solution: Solution, vehicle: Vehicle) -> Flight:
     """Off the path by what it begins and burns with, its batteries emptied and filled again."""
     return simulate(short_solution, weak(vehicle), 3, sources=PATH)
@@ -277,6 +283,29 @@ def test_the_attitude_holds_through_every_burn(perfect: Flight) -> None:
     """From the first second on: a burn acts beside the centre of mass, and begins at time zero."""
     assert perfect.micro_on_s[1].any()
     assert np.rad2deg(pointing(perfect).executed).max() < 0.06
+
+
+def test_pulses_that_err_move_the_end(
+    perfect: Flight, short_solution: Solution, short_mission: Mission, vehicle: Vehicle
+) -> None:
+    """The first slew, with a tenth of the thrust as error; without it nothing changes at all."""
+    times, ends = np.arange(400.0), []
+    for sigma in (0.0, 0.1 * vehicle.micro_thrusters.thrust_n):
+        errors = vehicle.errors.model_copy(update={"micro_thruster_n": sigma})
+        other = vehicle.model_copy(update={"errors": errors})
+        whole = FlightPlan.of(short_solution, short_mission, other)
+        plan = replace(whole, firings=whole.firings[:1])
+        commands = whole.attitudes(times)
+        rate = (commands[0].inv() * commands[1]).as_rotvec()
+        start = Start(short_mission.initial_state, commands[0], rate, np.zeros(4))
+        draws = Draws.of(plan, np.zeros((6, 6)), len(times), 0, {Source.MICRO_THRUSTER})
+        sim = Simulator(plan, commands, start, draws, sensor_sigmas(errors, ()), times)
+        sim.run()
+        state = sim.plant.hub.scStateOutMsg.read()
+        ends.append(np.array([*state.r_CN_N, *state.v_CN_N]))
+    np.testing.assert_allclose(ends[0], perfect.states[399], rtol=0.0, atol=1e-9)
+    assert np.linalg.norm((ends[1] - ends[0])[:3]) > 1e-3
+    assert np.linalg.norm((ends[1] - ends[0])[3:]) > 1e-5
 
 
 def test_a_record_is_read_as_it_was_written(
