@@ -6,6 +6,7 @@ import contextlib
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from scp_recon.cli.commands import solve
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess
+from scp_recon.reports import flights
 from scp_recon.scenario.load import load_scenario, validate_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.verification import probabilities, reintegration
@@ -29,9 +31,10 @@ def mission_of(*overrides: str) -> Mission:
 
 
 def fly_few(patch: pytest.MonkeyPatch) -> None:
-    """Have verifications fly few flights: where what is tested does not depend on their number."""
+    """Have verifications and reports fly few: where what is tested depends not on their number."""
     for module in (probabilities, reintegration):
         patch.setattr(module, "SAMPLES", 500)
+    patch.setattr(flights, "fly", partial(flights.fly, samples=500))
 
 
 def flight_beyond(mission: Mission) -> Iterate:

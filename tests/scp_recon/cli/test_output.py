@@ -49,7 +49,7 @@ def words_of(command: str, folder: Path, out: Path) -> list[str]:
         "windows": ["recon_b", "--csv", str(out / "windows.csv")],
         "scenarios": [],
         "schema": [str(out / "schema.json")],
-        "campaign": [a_study(out), "--out", str(out / "campaign")],
+        "campaign": [a_study(out), "--workers", "0", "--out", str(out / "campaign")],
     }[command]
 
 

@@ -10,10 +10,16 @@ from pathlib import Path
 import pytest
 
 from tests import reliability
+from tests.helpers import usually
 
 PROJECT = Path(__file__).parents[3]
 COMMANDS = ["scp_recon.solve", "scp_recon verify plan"]
 COMMANDS += ["experiments", "paper_figs", "benchmarks"]
+CASES = [
+    *(("numpy", command) for command in COMMANDS),
+    *((late, command) for command in COMMANDS for late in ("argparse", "rich.console")),
+]
+"""Each command; then the first early and late; then the others early and late."""
 
 AS_CTRL_C = """
     import os, runpy, signal, sys
@@ -27,9 +33,8 @@ AS_CTRL_C = """
 """
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("late", ["argparse", "numpy", "rich.console"])
-def test_ctrl_c_during_an_import_ends_in_one_line(command: str, late: str) -> None:
+@pytest.mark.parametrize(("late", "command"), usually(CASES, 7))
+def test_ctrl_c_during_an_import_ends_in_one_line(late: str, command: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(AS_CTRL_C), late, *command.split()],
         cwd=PROJECT,
