@@ -7,7 +7,10 @@ from formulations.problem.flyby import FlybyProblem
 from formulations.program.subproblem import Penalty, Subproblem
 from formulations.rows.cones import Rows
 
-FORMULATIONS = ("condensed", "lifted", "frozen-stm", "frozen-covariance")
+FULL = ("condensed", "lifted")
+"""The full linearisation, eliminated or as variables: what takes every kind of risk and limit."""
+
+FORMULATIONS = (*FULL, "frozen-stm", "frozen-covariance")
 
 
 def make_subproblem(

@@ -26,12 +26,7 @@ from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Provenance
-from scp_recon.planning.planner import (
-    CLEARANCE_M,
-    PROGRAM_NODES_MAX,
-    Planner,
-    screened,
-)
+from scp_recon.planning.planner import CLEARANCE_M, Planner, screened
 from scp_recon.planning.stages import RowsSolver, StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import SCvx
@@ -225,7 +220,7 @@ def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     p3 = plan_mission(mission, start, PlanOptions(problem="P3")).final.result.lin
     problem = mission.problem
     facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
-    included = screened(mission, facets, p3, CLEARANCE_M, PROGRAM_NODES_MAX)
+    included = screened(mission, facets, p3, CLEARANCE_M)
     runner = StageRunner(mission, _solver_of_rows(mission, cell.method))
     provenance = Provenance(
         cell.method.formulation, cell.method.algorithm, cell.method.solver, "p3"

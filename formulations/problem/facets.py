@@ -180,18 +180,3 @@ def _most_probable(candidates: list[Halfspaces], point: Array, factor: Array) ->
     best = np.argmax(slack / np.maximum(deviation, 1e-150), axis=0)
     nodes = np.arange(len(point))
     return Halfspaces(normal[best, nodes], offset[best, nodes])
-
-
-def included_rows(facets: Facets, margin: Array, clearance: float, nodes_max: int) -> Booleans:
-    """Facets that the convex program needs to know: those within `clearance` of binding.
-
-    Of more than `nodes_max` nodes that have any, those nearest to binding. The others are checked
-    after the solve and restored if one of them turned out to matter.
-    """
-    near = np.asarray(margin < clearance)
-    nodes = np.unique(facets.node[near])
-    if len(nodes) <= nodes_max:
-        return near
-    nearest = np.array([margin[near & (facets.node == node)].min() for node in nodes])
-    kept = nodes[np.argsort(nearest)[:nodes_max]]
-    return near & np.isin(facets.node, kept)

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
-from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -31,104 +31,122 @@ from formulations.linearisation.linearisation import (
     LinearisationError,
     require_finite,
 )
-from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint, factor_columns_used
+from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import (
     CompiledProgram,
+    Model,
     StateModel,
-    Values,
-    sparse_parameter,
     write_model,
 )
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
-from formulations.rows.cones import Rows
-from formulations.rows.uniform import ChanceRows, DeterministicRows
+from formulations.rows.cones import Rows, StateCones
 
 SETTINGS = {"CLARABEL": {"static_regularization_constant": 1e-7}}
 """With the default 1e-8 Clarabel's factorisation breaks down short of the tolerances."""
 
 
 class LiftedSubproblem(ConvexSubproblem):
-    """The textbook form of P3 or P2 around an iterate."""
+    """The textbook form of P3 or P2 around an iterate.
+
+    The numbers of an iterate stand in the program as they are, and it is compiled for each iterate:
+    CVXPY's memory for parameters grows with their number times that of the variables.
+    """
 
     def __init__(self, problem: FlybyProblem, rows: Rows, penalty: Penalty, solver: str) -> None:
         super().__init__(problem, rows, penalty, FallbackSolver(solver, SETTINGS))
-        self._dynamics = LiftedDynamics(problem, rows.nodes, rows.with_factor)
+        self._dynamics, self._name = LiftedDynamics(problem, rows), solver
+        self._model: Model | None = None
         self._compiled: CompiledProgram | None = None
+        self._buffers: Indices
 
     def update(self, lin: Linearisation) -> None:
         """Convexify at an iterate. Raises as `Subproblem.update` does."""
         try:
-            values = self._dynamics.values(lin)
+            model = write_model(self.problem.n_burns, self._penalty, partial(self._states, lin))
         except LinearisationError as error:
             raise SubproblemError(str(error)) from error
-        self._at, self._values = lin, values | keep_out_values(self.rows, lin)
+        if self._model is not None:  # zeros are left out, so that the sparsity may be another
+            self._solver = FallbackSolver(self._name, SETTINGS)
+        self._at, self._model, self._compiled = lin, model, None
+
+    def _states(self, lin: Linearisation, burns: cp.Variable) -> StateModel:
+        """Final state, rows and equations of the dynamics, in the states and the burns."""
+        states, miss = cp.Variable(self._dynamics.size), cp.Variable(6)
+        equations = self._dynamics.equations(lin, burns, states, miss)
+        cones = self.rows.state_cones(lin)
+        self._buffers = np.concatenate([np.zeros(0, np.intp), *(block.rows for block in cones)])
+        rows = [write_row(one, self._dynamics.index(one.places), states, burns) for one in cones]
+        return StateModel(miss, rows, equations, {})
 
     def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
         start = perf_counter()
         if self._compiled is None:
-            model = write_model(self.problem.n_burns, self._penalty, self._write_states)
-            self._compiled = CompiledProgram(model)
-        every = np.arange(self.rows.count)
-        step = self._solve(self._compiled, radius, charge, planes, self._values, every)
+            assert self._model is not None
+            self._compiled = CompiledProgram(self._model)
+        step = self._solve(self._compiled, radius, charge, planes, {}, self._buffers)
         return replace(step, canonicalise_s=perf_counter() - start - step.solver_s)
-
-    def _write_states(self, burns: cp.Variable) -> StateModel:
-        outputs, miss, constraints, parameters = self._dynamics.write(burns)
-        if isinstance(self.rows, ChanceRows):
-            return StateModel(miss, _chance_rows(self.rows, outputs), constraints, parameters)
-        assert isinstance(self.rows, DeterministicRows)
-        rows, planes = _deterministic_rows(self.rows, outputs)
-        return StateModel(miss, rows, constraints, parameters | planes)
 
 
 class LiftedDynamics:
-    """The linearised dynamics of mean and factor as sparse equations, with outputs at some nodes."""
+    """The linearised dynamics of mean and factor as sparse equations of all states stacked.
 
-    def __init__(self, problem: FlybyProblem, nodes: Indices, with_factor: bool) -> None:
-        self._problem, self._used = problem, nodes
+    Attributes:
+        size: number of states.
+    """
+
+    def __init__(self, problem: FlybyProblem, rows: Rows) -> None:
+        self._problem, nodes = problem, rows.nodes
         self._nodes = np.union1d(nodes, problem.leg_starts)
-        factor = with_factor and len(nodes) > 0
-        self._columns = factor_columns_used(problem, nodes) if factor else 0
+        self._columns = 0
+        if rows.with_factor and len(nodes) > 0:
+            limited = any(limit is not None for limit in problem.final_spread)
+            used = factor_columns_used(problem, nodes)
+            self._columns = problem.factor_columns if limited else used
         self._arcs = len(self._nodes) - 1
         # The factor is needed up to the last node that a constraint looks at.
         self._factor_arcs = int(np.searchsorted(self._nodes, nodes[-1])) if self._columns else 0
         self._mean_size = 6 * (self._arcs + 1)
-        self._size = self._mean_size + 6 * self._columns * (self._factor_arcs + 1)
+        self.size = self._mean_size + 6 * self._columns * (self._factor_arcs + 1)
         # Rows of the states that no arc ends in: the mean and the factor at the first node.
-        self._ends = np.r_[6 : self._mean_size, self._mean_size + 6 * self._columns : self._size]
-        self._starts = np.setdiff1d(np.arange(self._size), self._ends)
-        self._burns = np.searchsorted(self._nodes, problem.burn_nodes)
-        where = (self._burns, self._mean_size, self._columns, self._factor_arcs, self._size)
-        self._errors = LiftedErrors(problem, *where)
+        self._ends = np.r_[6 : self._mean_size, self._mean_size + 6 * self._columns : self.size]
+        self._starts = np.setdiff1d(np.arange(self.size), self._ends)
 
-    def write(
-        self, burns: cp.Variable
-    ) -> tuple[cp.Expression, cp.Expression, list[cp.Constraint], dict[str, cp.Parameter]]:
-        """Position and factor rows of the used nodes, (3 n, 1 + c); miss; equations; parameters."""
-        n, columns, ends, starts = self._mean_size, self._columns, self._ends, self._starts
-        states, virtual = cp.Variable(self._size), cp.Variable(6)
-        entries, stepping = sparse_parameter((len(ends), self._size), *self._pattern())
-        constant, start = cp.Parameter(len(ends)), cp.Parameter(len(starts))
-        final = cp.Parameter(6)
-        parameters = {"stepping": entries, "constant": constant, "start": start, "final": final}
-        kicks: Any = self._kicks()
-        if not self._errors.affine:
-            shape = (self._size, burns.size)
-            parameters["errors"], errors = sparse_parameter(shape, *self._errors.places)
-            kicks = kicks + errors
-        constraints: list[cp.Constraint] = [
-            states[starts] == start + kicks[starts] @ burns,
-            states[ends] == stepping @ states + constant + kicks[ends] @ burns,
-            states[n - 6 : n] == final + virtual,
+    def index(self, places: Indices) -> Indices:
+        """The state at each of `StateCones.places`."""
+        _, node, i, j = places
+        row = 6 * np.searchsorted(self._nodes, node) + i
+        return np.where(j == 0, row, self._mean_size + row * self._columns + j - 1)
+
+    def equations(
+        self, lin: Linearisation, burns: cp.Variable, states: cp.Variable, miss: cp.Variable
+    ) -> list[cp.Constraint]:
+        """The dynamics about an iterate, and the miss of the final state.
+
+        Raises:
+            LinearisationError: if their numbers are not finite.
+        """
+        n, c, arcs = self._factor_arcs, self._columns, compose(lin, self._nodes)
+        factor = lin.factor[self._nodes[: n + 1], :, :c]
+        # (T_k . dmu) S^_k: rows i, factor column c, mean component l.
+        bent = np.einsum("kijl,kjc->kicl", arcs.tensor[:n], factor[:n], optimize=True)
+        own = np.broadcast_to(arcs.stm[:n, :, None, :], bent.shape)
+        entries = np.concatenate([arcs.stm.ravel(), own.ravel(), bent.ravel()])
+        step = sp.csr_array((entries, self._pattern()), shape=(len(self._ends), self.size))
+        closing = np.r_[arcs.shift.ravel(), (arcs.shift_stm[:n] @ factor[:n]).ravel()]
+        here = np.r_[lin.iterate.mean[self._nodes].ravel(), factor.ravel()]
+        kicks, moved = self._kicks(lin), burns - lin.iterate.burns.ravel()
+        off, starts, ends = states - here, self._starts, self._ends
+        final = slice(self._mean_size - 6, self._mean_size)
+        return [
+            off[starts] == kicks[starts] @ moved,
+            off[ends] == step @ off + kicks[ends] @ moved + closing,
+            states[final] == lin.problem.final_state + miss,
         ]
-        pick = self._pick(np.searchsorted(self._nodes, self._used), self._size)
-        outputs = cp.reshape(pick @ states, (3 * len(self._used), 1 + columns), order="C")
-        return outputs, virtual, constraints, parameters
 
     def _pattern(self) -> tuple[Indices, Indices]:
-        """Rows of the dynamics and the state entries that the parameter connects to them.
+        """Rows of the dynamics and the states that they connect.
 
         In this order: A_k on the mean; A_k on every factor column; T_k . S^_k from the mean.
         """
@@ -143,107 +161,25 @@ class LiftedDynamics:
         rows = np.concatenate([mean_row.ravel(), factor_row.ravel(), factor_row.ravel()])
         return rows, np.concatenate([mean_entry.ravel(), own.ravel(), from_mean.ravel()])
 
-    def _kicks(self) -> sp.csr_array:
-        """What burns add: B dv to means and, where linear, B C(dv) to factors, (states, 3 burns)."""
-        rows = np.add.outer(6 * self._burns + 3, np.arange(3)).ravel()
-        entries = np.ones(len(rows)), (rows, np.arange(len(rows)))
-        kicks = sp.csr_array(entries, shape=(self._size, len(rows)))
-        return kicks + self._errors.constant(self._problem) if self._errors.affine else kicks
-
-    def _pick(self, nodes: Indices, size: int) -> sp.csr_array:
-        """Position rows (mean, factor columns) of the used nodes among the stacked states."""
-        component = np.add.outer(6 * nodes, np.arange(3))
-        factor = np.add.outer(self._mean_size + component * self._columns, np.arange(self._columns))
-        chosen = np.concatenate([component[..., None], factor], axis=2).ravel()
-        ones = np.ones(len(chosen))
-        return sp.csr_array((ones, (np.arange(len(chosen)), chosen)), shape=(len(chosen), size))
-
-    def values(self, lin: Linearisation) -> Values:
-        """The parameters for an iterate.
-
-        Raises:
-            LinearisationError: if they are not finite.
-        """
-        n, c, arcs = self._factor_arcs, self._columns, compose(lin, self._nodes)
-        start = lin.problem.first_factor[:, :c]
-        start = np.pad(start, ((0, 0), (0, c - start.shape[1])))
-        own = np.broadcast_to(arcs.stm[:n, :, None, :], (n, 6, c, 6))
-        factor = lin.factor[self._nodes[:n], :, :c]
-        # (T_k . dmu) S^_k: rows i, factor column c, mean component l.
-        curved = np.einsum("kijl,kjc->kicl", arcs.tensor[:n], factor, optimize=True)
-        mean = lin.iterate.mean[self._nodes]
-        factor_constant = arcs.shift_stm[:n] @ factor - np.einsum("kicl,kl->kic", curved, mean[:n])
-        mean_constant = self._mean_constant(lin, mean, arcs.stm, arcs.shift)
-        values = {
-            "stepping": np.concatenate([arcs.stm.ravel(), own.ravel(), curved.ravel()]),
-            "constant": np.concatenate([mean_constant.ravel(), factor_constant.ravel()]),
-            "start": np.r_[lin.problem.initial_state, start.ravel()],
-            "final": lin.problem.final_state,
-        }
-        if not self._errors.affine:
-            left = self._errors.remainder(lin.problem, lin.iterate)
-            values["constant"] += left[self._ends]
-            values["start"] += left[self._starts]
-            values["errors"] = self._errors.derivative(lin.problem, lin.iterate.burns)
-        return values
-
-    def _mean_constant(self, lin: Linearisation, mean: Array, stm: Array, shift: Array) -> Array:
-        """mu^_{k+1} - A_k mu^_k + d_k - B dv^_i, (arcs, 6)."""
-        constant = mean[1:] - np.einsum("kij,kj->ki", stm, mean[:-1]) + shift
-        later = lin.problem.burn_nodes > 0
-        at = np.searchsorted(self._nodes, lin.problem.burn_nodes[later]) - 1
-        constant[at, 3:] -= lin.iterate.burns[later]
-        return constant
-
-
-class LiftedErrors:
-    """Columns C(dv) of the burns' errors in their rows of the stacked states.
-
-    Their derivative is a constant of the program where they are linear in the burns, else a parameter.
-    Burns fall on the program's `nodes`, shape (m,). The factors begin at the state `first`, each stored
-    row by row; `last` is the node of the last one.
-    """
-
-    def __init__(
-        self, problem: FlybyProblem, nodes: Indices, first: int, columns: int, last: int, size: int
-    ) -> None:
-        shared, every = problem.shared_columns, range(problem.n_burns)
-        own = [problem.columns_of_burn(i) for i in every]
-        filled = np.array([np.r_[shared, own[i]] for i in every], dtype=np.intp)[:, None]
-        row = (6 * nodes[:, None] + 3 + np.arange(3))[..., None]
-        self._kept = np.broadcast_to(
-            (filled < columns) & (nodes <= last)[:, None, None], (len(nodes), 3, filled.shape[-1])
+    def _kicks(self, lin: Linearisation) -> sp.csr_array:
+        """What burns add: B dv to means and B C'^_i . dv to factors, shape (states, 3 m)."""
+        problem, c = self._problem, self._columns
+        m, node = problem.n_burns, np.searchsorted(self._nodes, problem.burn_nodes)
+        row, by = 6 * node[:, None] + 3 + np.arange(3), np.arange(3 * m).reshape(m, 3)
+        shape = self.size, 3 * m
+        kicks = sp.csr_array((np.ones(3 * m), (row.ravel(), by.ravel())), shape=shape)
+        if c == 0:
+            return kicks
+        shared = problem.shared_columns
+        columns = np.array([np.r_[shared, problem.columns_of_burn(i)] for i in range(m)])[:, None]
+        slopes = problem.execution_errors.jacobian(lin.iterate.burns)
+        state = self._mean_size + row[:, :, None] * c + columns
+        carried = (columns < c) & (node <= self._factor_arcs)[:, None, None]
+        kept, rows, cols = (
+            np.broadcast_to(part, slopes.shape)
+            for part in (carried[..., None], state[..., None], by[:, None, None])
         )
-        self._rows = (first + row * columns + filled)[self._kept]
-        self._size, self._burns = size, problem.n_burns
-        # Where no factor is carried, nothing is to be said of its derivative.
-        self.affine = problem.execution_errors.affine or not self._kept.any()
-
-    @property
-    def places(self) -> tuple[Indices, Indices]:
-        """Rows of the states, and burn components, that derivatives connect, in their order."""
-        by = 3 * np.arange(self._burns)[:, None, None, None] + np.arange(3)
-        by = np.broadcast_to(by, (*self._kept.shape, 3))[self._kept]
-        return np.repeat(self._rows, 3), by.ravel()
-
-    def derivative(self, problem: FlybyProblem, burns: Array) -> Array:
-        """By the burns (m, 3), at `places`."""
-        return problem.execution_errors.jacobian(burns)[self._kept].ravel()
-
-    def constant(self, problem: FlybyProblem) -> sp.csr_array:
-        """The derivative where it is the same everywhere, shape (states, 3 m)."""
-        values, (rows, columns) = self.derivative(problem, np.zeros((self._burns, 3))), self.places
-        filled = values != 0.0
-        entries = values[filled], (rows[filled], columns[filled])
-        return sp.csr_array(entries, shape=(self._size, 3 * self._burns))
-
-    def remainder(self, problem: FlybyProblem, iterate: Iterate) -> Array:
-        """Columns C less their derivative times the burns, shape (states,)."""
-        errors, burns = problem.execution_errors, iterate.burns
-        left = errors.columns(burns) - np.einsum("mikl,ml->mik", errors.jacobian(burns), burns)
-        state = np.zeros(self._size)
-        state[self._rows] = left[self._kept]
-        return state
+        return kicks + sp.csr_array((slopes[kept], (rows[kept], cols[kept])), shape=shape)
 
 
 @dataclass(frozen=True)
@@ -290,53 +226,13 @@ def compose(lin: Linearisation, nodes: Indices) -> ComposedArcs:
     return composed
 
 
-def keep_out_values(rows: Rows, lin: Linearisation) -> Values:
-    """The supporting planes of keep-out sets at an iterate, where the rows are deterministic."""
-    values: Values = {}
-    if isinstance(rows, DeterministicRows):
-        for c in rows.problem.constraints:
-            if c.keep == "out":
-                planes = c.region.supporting(lin.iterate.mean[c.nodes, :3])
-                values |= {f"{c.name} normal": planes.normal, f"{c.name} offset": planes.offset}
-    return values
-
-
-def _chance_rows(rows: ChanceRows, outputs: cp.Expression) -> list[cp.Expression]:
-    """All facets at once; normals, offsets and quantiles are constants."""
-    if rows.count == 0:
-        return []
-    room = rows.carried.offset - rows.pick @ outputs[:, 0]
-    weighted = sp.diags_array(rows.carried.quantile) @ rows.pick
-    return [cp.hstack([cp.reshape(room, (rows.count, 1), order="C"), weighted @ outputs[:, 1:]])]
-
-
-def _deterministic_rows(
-    rows: DeterministicRows, outputs: cp.Expression
-) -> tuple[list[cp.Expression], dict[str, cp.Parameter]]:
-    """One second-order cone per keep-in node, one linear row per keep-out node."""
-    written: list[cp.Expression] = []
-    parameters: dict[str, cp.Parameter] = {}
-    for c in rows.problem.constraints:
-        first = 3 * np.searchsorted(rows.nodes, c.nodes)
-        picked = (first[:, None] + np.arange(3)).ravel()
-        indices, shape = (np.arange(len(picked)), picked), (len(picked), outputs.shape[0])
-        pick = sp.csr_array((np.ones(len(picked)), indices), shape=shape)
-        position = cp.reshape(pick @ outputs[:, 0], (len(c.nodes), 3), order="C")
-        if c.keep == "in":
-            written.append(_keep_in(c, position))
-            continue
-        normal, offset = cp.Parameter(position.shape), cp.Parameter(len(c.nodes))
-        parameters |= {f"{c.name} normal": normal, f"{c.name} offset": offset}
-        room = cp.sum(cp.multiply(normal, position), axis=1) - offset
-        written.append(cp.reshape(room, (len(c.nodes), 1), order="C"))
-    return written, parameters
-
-
-def _keep_in(constraint: StateConstraint, position: cp.Expression) -> cp.Expression:
-    cone = constraint.region.second_order_cone
-    n = len(constraint.nodes)
-    offset = position - cone.origin
-    blocks = sp.block_diag(list(cone.matrix), format="csr")
-    across = cp.reshape(blocks @ cp.reshape(offset, (3 * n,), order="C"), (n, 3), order="C")
-    along = cp.sum(cp.multiply(cone.linear, offset), axis=1) + cone.constant
-    return cp.hstack([cp.reshape(along, (n, 1), order="C"), across])
+def write_row(
+    block: StateCones, index: Indices, states: cp.Variable, burns: cp.Variable
+) -> cp.Expression:
+    """The y of a block's cones, shape (n, d); `index` has the state at each of its places."""
+    shape = block.constants.size, states.size
+    y = sp.csr_array((block.entries, (block.places[0], index)), shape=shape) @ states
+    if block.burns.size:
+        p = block.burns.shape[2]
+        y = y + block.burns.reshape(-1, p) @ burns[:p]
+    return cp.reshape(y, block.constants.shape, order="C") + block.constants

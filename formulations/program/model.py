@@ -174,11 +174,15 @@ class CompiledProgram:
         self._burns = slice(first, first + model.burns.size)
         # Maps of all parameters and 1 to the cost, and to [A b] column by column.
         rows, columns = self._form.constr_size, self._form.x.size
-        both, cost = sp.csr_array(self._form.A), sp.csr_array(self._form.q)
-        filled = np.flatnonzero(np.diff(both.indptr))
-        entries = filled[filled < rows * columns]
-        self._cost, self._bound = cost[:columns], both[rows * columns :]
-        self._entries = both[entries]
+        both, cost = sp.coo_array(self._form.A), sp.csr_array(self._form.q)
+        # Only entries that can be other than zero are indexed: a large program has few of all.
+        filled, place = np.unique(both.row, return_inverse=True)
+        maps = sp.csr_array((both.data, (place, both.col)), shape=(len(filled), both.shape[1]))
+        split = int(np.searchsorted(filled, rows * columns))
+        entries, self._entries = filled[:split], maps[:split]
+        own = filled[split:] - rows * columns, np.arange(len(filled) - split)
+        bound = sp.csr_array((np.ones(len(own[1])), own), shape=(rows, len(own[1])))
+        self._cost, self._bound = cost[:columns], bound @ maps[split:]
         starts = np.searchsorted(entries, rows * np.arange(columns + 1))
         # QOCO takes 32-bit indices only.
         self._row, self._starts = (entries % rows).astype(np.int32), starts.astype(np.int32)

@@ -58,6 +58,39 @@ class Cones(NamedTuple):
         return self.values @ burns.ravel()[: self.values.shape[2]] + self.constants
 
 
+class StateCones(NamedTuple):
+    """Second-order cones y_0 + buffer >= ||y_1..|| in means and factors, as `Cones` are in the burns.
+
+        y = sum of entries * [mu_k, S_k][i, j]  +  burns z' + constants
+
+    and the burn components z' that curvature needs, if any.
+
+    Attributes:
+        rows: which of the buffers each has, shape (n,).
+        places: of each entry the component of y, among all n d, the node k, the state's component i and
+            the column j, 0 of the mean and 1 onwards of the factor; shape (4, e), the same at every
+            iterate.
+        entries: shape (e,).
+        burns: shape (n, d, p); p = 0 where y does not depend on them otherwise.
+        constants: shape (n, d).
+    """
+
+    rows: Indices
+    places: Indices
+    entries: Array
+    burns: Array
+    constants: Array
+
+
+def placed(component: Indices, node: Indices, i: Indices, j: Indices) -> Indices:
+    """`StateCones.places`, all of them broadcast against each other, shape (4, e)."""
+    return np.stack([part.ravel() for part in np.broadcast_arrays(component, node, i, j)])
+
+
+POSITION = np.arange(3)[:, None]
+"""Components of the position, in `placed` beside columns."""
+
+
 class Pulled(NamedTuple):
     """How weighed violations change with the positions of a flight.
 
@@ -127,6 +160,9 @@ class Rows(Protocol):
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """The rows, convexified at an iterate, for mean and factor at `nodes` affine in the burns."""
 
+    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+        """What `cones` says, before mean and factor are eliminated."""
+
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Derivative of the rows' violations at an iterate, by prices (rows,); as `cones` has them."""
 
@@ -155,6 +191,7 @@ class FinalSpread:
         limits = zip(PARTS, problem.final_spread, strict=True)
         self._limits = [(*part, limit) for part, limit in limits if limit is not None]
         self._first, self._last = first, problem.n_nodes - 1
+        self._columns = problem.factor_columns
         self.count = len(self._limits)
 
     @property
@@ -179,6 +216,18 @@ class FinalSpread:
             head = np.r_[np.zeros(jacobian.shape[1]), limit]
             rows = np.array([self._first + number])
             cones.append(triangular_cones(rows, head[None], spread[None]))
+        return cones
+
+    def state_cones(self) -> list[StateCones]:
+        """One each, in the factor's entries."""
+        cones = []
+        for number, (_, part, limit) in enumerate(self._limits):
+            y = 1 + np.arange(3 * self._columns).reshape(3, -1)
+            columns = 1 + np.arange(self._columns)
+            places = placed(y, self.nodes, np.arange(6)[part, None], columns)
+            rows, constants = np.array([self._first + number]), limit * np.eye(1, 1 + y.size)
+            none = np.zeros((1, 1 + y.size, 0))
+            cones.append(StateCones(rows, places, np.ones(y.size), none, constants))
         return cones
 
     def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:

@@ -19,17 +19,21 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import (
     Linearisation,
     Sensitivity,
+    condense,
     final_state_map,
 )
 from formulations.problem.facets import quantile
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.rows.cones import (
+    POSITION,
     Cones,
     FinalSpread,
     Margins,
     Pulled,
+    StateCones,
     Unit,
     burn_components_before,
+    placed,
     pulled_at,
     triangular_cones,
 )
@@ -85,6 +89,31 @@ def curved_cones(rows: Indices, margin: Array, slope: Array, hessian: Array, z: 
     return triangular_cones(rows, head, tail)
 
 
+def on_states(
+    cones: Cones, lin: Linearisation, row: Indices, nodes: Indices, gradient: Array
+) -> StateCones:
+    """Cones whose heads' slopes act on the states instead: only the curvature stays with the burns.
+
+    Args:
+        cones: as `curved_cones` makes them.
+        lin: the iterate that they are made at.
+        row: of the cones, which one a part of the gradient belongs to, shape (e,).
+        nodes: where that part belongs, shape (e,).
+        gradient: by positions and factors, side by side, shape (e, 3, 1 + c).
+    """
+    n, d, _ = cones.values.shape
+    places = placed(
+        (d * row)[:, None, None], nodes[:, None, None], POSITION, np.arange(gradient.shape[2])
+    )
+    at = np.concatenate([lin.iterate.mean[nodes, :3, None], lin.factor[nodes, :3]], axis=2)
+    burns, constants = cones.values.copy(), cones.constants.copy()
+    constants[:, 0] = cones.at(lin.iterate.burns)[:, 0]
+    here = np.einsum("eij,eij->e", gradient, at[:, :, : gradient.shape[2]])
+    constants[:, 0] -= np.bincount(row, here, n)
+    burns[:, 0] = 0.0
+    return StateCones(cones.rows, places, gradient.ravel(), burns, constants)
+
+
 class ExactRows:
     """Rows that spend the risk exactly with a probability above one half: the base of both scopes."""
 
@@ -131,6 +160,19 @@ class NodeRows(ExactRows):
                 hessian[near] = self._hessian(rows[near], s, z, p)
             blocks.append(curved_cones(rows, g.value[rows] - self.required, slope, hessian, z[:p]))
         return blocks + self.final.cones(s)
+
+    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+        """The gradient of each row acts on the mean and the factor of its node."""
+        g = self._at(lin)
+        used = factor_columns_used(self.problem, np.unique(self.node))
+        gradient = np.concatenate([g.by_mean[:, :, None], g.by_factor[:, :, :used]], axis=2)
+        own = self.cones(lin, condense(lin, self.nodes))[: -self.final.count or None]
+        return [
+            on_states(
+                block, lin, np.arange(len(block.rows)), self.node[block.rows], gradient[block.rows]
+            )
+            for block in own
+        ] + self.final.state_cones()
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of -g at each row's node."""
@@ -237,6 +279,17 @@ class FlightRows(ExactRows):
             )
             bent[:, j] = (ahead - behind) @ free / (2.0 * step)
         return free @ bent @ free.T
+
+    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+        """The gradient acts on the mean and the factor of every node that may take part."""
+        g, own = self._at(lin), self.cones(lin, condense(lin, self.nodes))[0]
+        parts = pulled_at(self.problem, g.nodes, g.by_mean, g.by_factor)
+        gradient = np.concatenate([parts.by_mean[:, :, None], parts.by_factor], axis=2)
+        row = np.zeros(len(self.nodes), dtype=np.intp)
+        return [
+            on_states(own, lin, row, self.nodes, gradient[self.nodes]),
+            *self.final.state_cones(),
+        ]
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of -g at the nodes that it depends on."""

@@ -17,15 +17,18 @@ from formulations.linearisation.linearisation import (
     Sensitivity,
 )
 from formulations.problem.facets import Facets
-from formulations.problem.flyby import FlybyProblem
+from formulations.problem.flyby import FlybyProblem, StateConstraint, factor_columns_used
 from formulations.rows.cones import (
     NEAR_LENGTH,
+    POSITION,
     Cones,
     FinalSpread,
     Margins,
     Pulled,
+    StateCones,
     Unit,
     burn_components_before,
+    placed,
     pulled_at,
     triangular_cones,
 )
@@ -61,20 +64,27 @@ class DeterministicRows:
         for c in self.problem.constraints:
             at = np.searchsorted(self.nodes, c.nodes)
             position, jacobian = s.mean_constant[at, :3], s.mean_jacobian[at, :3]
-            if c.keep == "out":
-                planes = c.region.supporting(lin.iterate.mean[c.nodes, :3])
-                matrix = planes.normal[:, None]
-                constants = (matrix @ position[:, :, None])[:, :, 0] - planes.offset[:, None]
-            else:
-                cone = c.region.second_order_cone
-                matrix = np.concatenate([cone.linear[:, None], cone.matrix], axis=1)
-                constants = (matrix @ (position - cone.origin)[:, :, None])[:, :, 0]
-                constants[:, 0] += cone.constant
+            matrix, origin, offset = _map_of(c, lin)
+            constants = (matrix @ (position - origin)[:, :, None])[:, :, 0] + offset
             rows = first + np.arange(len(c.nodes))
             values = matrix @ jacobian[:, :, : burn_components_before(self.problem, c.nodes).max()]
             blocks[c.keep].append(Cones(rows, values, constants))
             first += len(rows)
         return [_joined(cones) for cones in blocks.values() if cones]
+
+    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+        """As `cones`, a block for each constraint."""
+        blocks, first = [], 0
+        for c in self.problem.constraints:
+            matrix, origin, offset = _map_of(c, lin)
+            n, d, _ = matrix.shape
+            y = np.arange(n * d).reshape(n, d, 1)
+            places = placed(y, c.nodes[:, None, None], POSITION[:, 0], np.array(0))
+            constants = offset - (matrix @ origin[:, :, None])[:, :, 0]
+            rows, none = first + np.arange(n), np.zeros((n, d, 0))
+            blocks.append(StateCones(rows, places, matrix.ravel(), none, constants))
+            first += n
+        return blocks
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of the keep-in cones and of the keep-out sets' supporting planes; no factor."""
@@ -91,6 +101,16 @@ class DeterministicRows:
             np.add.at(by_mean, c.nodes, price[:, None] * slope)
             first += len(c.nodes)
         return Pulled(by_mean, np.zeros((self.problem.n_nodes, 3, 0)))
+
+
+def _map_of(constraint: StateConstraint, lin: Linearisation) -> tuple[Array, Array, Array]:
+    """Maps from positions r to y = matrix (r - origin) + offset; (n, d, 3), (n, 3) and (n, d)."""
+    if constraint.keep == "out":
+        planes = constraint.region.supporting(lin.iterate.mean[constraint.nodes, :3])
+        return planes.normal[:, None], np.zeros_like(planes.normal), -planes.offset[:, None]
+    cone = constraint.region.second_order_cone
+    matrix = np.concatenate([cone.linear[:, None], cone.matrix], axis=1)
+    return matrix, cone.origin, cone.constant[:, None] * np.eye(1, 4)
 
 
 def _joined(blocks: list[Cones]) -> Cones:
@@ -174,6 +194,22 @@ class ChanceRows:
             room[:, -1] += carried.offset[rows]
             blocks.append(triangular_cones(rows, room, spread))
         return blocks + self.final.cones(s)
+
+    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+        """All facets in one block; their numbers are those of the facets."""
+        del lin
+        carried, n = self.carried, len(self.carried.node)
+        if n == 0:
+            return self.final.state_cones()
+        columns = factor_columns_used(self.problem, np.unique(carried.node))
+        d = 1 + columns
+        y = np.arange(n * d).reshape(n, 1, d)
+        weight = np.column_stack([-np.ones(n), np.repeat(carried.quantile[:, None], columns, 1)])
+        entries = (carried.normal[:, :, None] * weight[:, None]).ravel()
+        constants = carried.offset[:, None] * np.eye(1, d)
+        places = placed(y, carried.node[:, None, None], POSITION, np.arange(d))
+        own = StateCones(np.arange(n), places, entries, np.zeros((n, d, 0)), constants)
+        return [own, *self.final.state_cones()]
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Of a'mu + q ||S'a||: a in the mean, q a (S'a)' / ||S'a|| in the factor."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from formulations.registry import FULL
 from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
 from scp_recon.monte_carlo.estimates import flights_needed
 from scp_recon.planning.method import (
@@ -124,13 +125,13 @@ class PlanOptions:
                 raise InputError(option("objective"), self.objective, f"goes with {others}")
         if not exact:
             return
-        for name, given, only in (
-            ("method", self.method, "scp"),
-            ("formulation", self.formulation or FORMULATION, FORMULATION),
-            ("facet_rounds", self.facet_rounds, 0),
+        for name, given, those in (
+            ("method", self.method, ("scp",)),
+            ("formulation", self.formulation or FORMULATION, FULL),
+            ("facet_rounds", self.facet_rounds, (0,)),
         ):
-            if given != only:
-                allowed = f"must be {only} with risk.allocation = exact"
+            if given not in those:
+                allowed = f"must be {' or '.join(map(str, those))} with risk.allocation = exact"
                 raise InputError(option(name), shortened(given), allowed)
         if self.is_certified(scenario) and self.objective == "delta-v":
             flights_needed(scenario.risk.p_chance)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy.typing as npt
 
+from formulations.registry import FULL
 from scp_recon.api.inputs import check_overrides
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanObserver, plan_mission
@@ -135,9 +136,10 @@ def left_options(flown: FlownPlan, mission: Mission, *, certify: bool | None) ->
         InputError: if flights cannot certify it.
     """
     exact = mission.scenario.risk.allocation == "exact"
+    made = flown.method.formulation
     options = PlanOptions(
         problem=flown.problem,
-        formulation=FORMULATION if exact else flown.method.formulation,
+        formulation=FORMULATION if exact and made not in FULL else made,
         algorithm=flown.method.algorithm if mission.must_meet else ALGORITHM,
         solver=flown.method.solver,
         certify=certify,

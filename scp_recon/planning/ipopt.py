@@ -108,7 +108,7 @@ class IpoptStages:
         """P2's constraints on given facets, screened as the planner screens them."""
         mission = self.mission
         clearance_m = CLEARANCE_M if self.variant.screened else np.inf
-        included = screened(mission, facets, lin, clearance_m, mission.problem.n_nodes)
+        included = screened(mission, facets, lin, clearance_m)
         return ChanceRows(mission.problem, facets, included)
 
     def exact_rows(self) -> Sequence[tuple[str, Rows]]:

@@ -12,10 +12,10 @@ import numpy as np
 
 from formulations.arrays import Array, Booleans
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets, included_rows
+from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import Subproblem
-from formulations.registry import make_subproblem
+from formulations.registry import FULL, make_subproblem
 from formulations.rows.cones import Rows
 from formulations.rows.exact import FlightRows, NodeRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
@@ -33,9 +33,6 @@ from scp_recon.planning.stages import (
 )
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, run
-
-PROGRAM_NODES_MAX = 48
-"""Nodes in the lifted program of P2 to begin with: its memory grows with them times the factor."""
 
 CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
 """Facets farther than this from binding stay out of the convex program, and are checked after it.
@@ -127,8 +124,9 @@ class Planner:
                 algorithm,
                 "must be scvx or ptr where too few burns are left to meet the final state",
             )
-        if formulation != "condensed":
-            require_no_final_limit(mission, f"the formulation condensed, not with {formulation}")
+        if formulation not in FULL:
+            needs = f"the formulations {' and '.join(FULL)}, not with {formulation}"
+            require_no_final_limit(mission, needs)
         self._formulation = formulation
         self._p2_rows: ChanceRows | None = None
         self._exact_rows: Sequence[tuple[str, Rows]] = ()
@@ -210,9 +208,7 @@ class Planner:
         self, facets: Facets, lin: Linearisation, clearance_m: float = CLEARANCE_M
     ) -> ChanceRows:
         """See `RowsSolver`; the last are kept."""
-        lifted = self.formulation == "lifted"
-        nodes_max = PROGRAM_NODES_MAX if lifted else self.mission.problem.n_nodes
-        included = screened(self.mission, facets, lin, clearance_m, nodes_max)
+        included = screened(self.mission, facets, lin, clearance_m)
         kept = self._p2_rows
         if kept is None or kept.facets is not facets or np.any(kept.included != included):
             self._p2_rows = kept = ChanceRows(self.mission.problem, facets, included)
@@ -235,8 +231,8 @@ class Planner:
         Flights are never likelier than their nodes, so that where the nodes are infeasible so are they.
         Made once: drawing the directions takes time.
         """
-        if self.formulation != "condensed":
-            needs = f"goes with the formulation condensed, not with {self.formulation}"
+        if self.formulation not in FULL:
+            needs = f"goes with the formulations {' and '.join(FULL)}, not with {self.formulation}"
             raise InputError("risk.allocation", "'exact'", needs)
         problem, target = self.mission.problem, self.target
         if not self._exact_rows and self.mission.scenario.risk.scope == "node":
@@ -263,16 +259,14 @@ class Planner:
         return Stage(name, result, subproblem.merit, facets, algorithm.feasible)
 
 
-def screened(
-    mission: Mission, facets: Facets, lin: Linearisation, clearance_m: float, nodes_max: int
-) -> Booleans:
+def screened(mission: Mission, facets: Facets, lin: Linearisation, clearance_m: float) -> Booleans:
     """Facets that take part in the program of P2 to begin with, shape (facets,).
 
-    Those farther from binding at an iterate than the clearance stay out, and all but the nodes nearest
-    to binding.
+    Those farther from binding at an iterate than the clearance are checked after it, and restored if
+    one of them turns out to matter.
     """
     margin = facets.margin(lin.iterate.mean, lin.factor)
-    return included_rows(facets, margin, clearance_m / mission.units.length_m, nodes_max)
+    return np.asarray(margin < clearance_m / mission.units.length_m)
 
 
 def has_final_limit(mission: Mission) -> bool:

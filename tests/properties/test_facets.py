@@ -17,7 +17,6 @@ from formulations.problem.facets import (
     Facets,
     Polytopes,
     choose_facets,
-    included_rows,
     inner_facets,
     outer_facets,
 )
@@ -295,40 +294,3 @@ def test_a_facets_deviation_is_that_of_the_covariance_along_it(
     distance = facets.offset - np.sum(normal * mean[node, :3], axis=1)
     expected = distance - facets.quantile * facets.deviation(factor)
     assert facets.margin(mean, factor) == pytest.approx(expected, abs=EXACT)
-
-
-def facets_at(nodes: list[int]) -> Facets:
-    n = len(nodes)
-    zero = np.zeros(n, dtype=np.intp)
-    return Facets(zero, np.array(nodes, dtype=np.intp), np.zeros((n, 3)), np.zeros(n), np.zeros(n))
-
-
-rows_to_screen = st.lists(st.tuples(st.integers(0, 9), st.floats(-1.0, 1.0)), max_size=20)
-
-
-@given(rows_to_screen, st.floats(0.0, 0.5))
-def test_every_facet_nearer_to_binding_than_the_clearance_is_included(
-    rows: list[tuple[int, float]], clearance: float
-) -> None:
-    facets, margins = facets_at([node for node, _ in rows]), [margin for _, margin in rows]
-    included = included_rows(facets, np.array(margins), clearance, 10)
-    assert included.dtype == np.bool_
-    assert included.tolist() == [margin < clearance for margin in margins]
-
-
-@given(rows_to_screen, st.floats(0.0, 0.5), st.integers(1, 5))
-def test_of_too_many_nodes_those_nearest_to_binding_are_included(
-    rows: list[tuple[int, float]], clearance: float, most: int
-) -> None:
-    facets, margins = facets_at([node for node, _ in rows]), np.array([m for _, m in rows])
-    everything = included_rows(facets, margins, clearance, 10)
-    included = included_rows(facets, margins, clearance, most)
-    kept = set(facets.node[included].tolist())
-    assert len(kept) == min(most, len(set(facets.node[everything].tolist())))
-    assert not (included & ~everything).any()
-
-    def nearest(node: int) -> float:
-        return float(margins[everything & (facets.node == node)].min())
-
-    dropped = set(facets.node[everything].tolist()) - kept
-    assert all(nearest(a) <= nearest(b) for a in kept for b in dropped)

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from formulations.problem.flyby import Iterate
+from formulations.registry import FULL
 from scp_recon.api.drafts import NewOptions
 from scp_recon.api.drafts import new as draft_scenario
 from scp_recon.api.infeasibility import SIZE, Diagnosis, diagnose
@@ -29,7 +30,6 @@ from scp_recon.cli.plan_view import Progress, live_progress, plan_document
 from scp_recon.cli.rendering import show_warnings
 from scp_recon.errors import InputError, option
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.method import FORMULATION
 from scp_recon.planning.plan import Plan
 from scp_recon.results.solution import FILE_NAME, make_solution
 from scp_recon.scp.status import Status
@@ -185,9 +185,10 @@ def show_what_would_do(
 def undoing(options: argparse.Namespace) -> list[str]:
     """Options after those of a command that make it one for exact risk and a probability."""
     undone = []
-    for name, only in (("method", "scp"), ("formulation", FORMULATION), ("facet-rounds", 0)):
-        if getattr(options, name.replace("-", "_")) not in (only, None):
-            undone += [f"--{name}", str(only)]
+    kept = ("method", ("scp",)), ("formulation", FULL), ("facet-rounds", (0,))
+    for name, those in kept:
+        if getattr(options, name.replace("-", "_")) not in (*those, None):
+            undone += [f"--{name}", str(those[0])]
     if options.objective != "delta-v":
         undone += ["--objective", "delta-v"]
     if options.dv_budget_m_s is not None:

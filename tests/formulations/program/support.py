@@ -23,6 +23,7 @@ from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step
 from formulations.rows.cones import Rows
+from formulations.rows.exact import FlightRows, NodeRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from tests.helpers import constrain, random_flyby
 
@@ -40,16 +41,20 @@ def linearised(rng: np.random.Generator, keeps: tuple[str, ...] = ("in", "out"))
             return lin
 
 
-def small(seed: int = 3, **sizes: int) -> Linearisation:
+def small(seed: int = 3, *, defect: float = 0.05, **sizes: int) -> Linearisation:
     """One of few nodes, quick to solve in every form."""
     rng = np.random.default_rng(seed)
-    return constrain(rng, random_flyby(rng, **{"nodes": 5, **sizes})).perturbed(rng, 0.1, 0.05)
+    return constrain(rng, random_flyby(rng, **{"nodes": 5, **sizes})).perturbed(rng, 0.1, defect)
 
 
 def every_row(lin: Linearisation, name: str, facets: int = 8) -> Rows:
-    """The constraints of P3, or all facets of P2 placed at the iterate."""
+    """The constraints of P3, all facets of P2 placed at the iterate, or exact risk by its scope."""
     if name == "P3":
         return DeterministicRows(lin.problem)
+    if name == "node":
+        return NodeRows(lin.problem, 0.7)
+    if name == "flight":
+        return FlightRows(lin.problem, 0.7, 256, 0.0)
     polytopes = Polytopes(ball(facets), max(3, facets // 2))
     chosen = choose_facets(lin.problem, polytopes, lin.iterate.mean, lin.factor)
     return ChanceRows(lin.problem, chosen, np.ones(len(chosen.node), dtype=np.bool_))

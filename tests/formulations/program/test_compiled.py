@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import cvxpy as cp
 import numpy as np
@@ -35,7 +36,7 @@ def condensed_model(penalty: Penalty, _: str = "") -> Model:
 def lifted_model(penalty: Penalty, name: str) -> Model:
     lin = linearised(np.random.default_rng(1))
     subproblem = LiftedSubproblem(lin.problem, every_row(lin, name, 4), penalty, "CLARABEL")
-    return write_model(lin.problem.n_burns, penalty, subproblem._write_states)
+    return write_model(lin.problem.n_burns, penalty, partial(subproblem._states, lin))
 
 
 MODELS: dict[str, Callable[[Penalty], Model]] = {

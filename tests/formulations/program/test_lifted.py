@@ -18,29 +18,63 @@ from formulations.program import convex_subproblem, lifted, solvers
 from formulations.program.solvers import SOLVERS
 from formulations.program.subproblem import Penalty, PenaltyParameters
 from formulations.registry import FORMULATIONS, make_subproblem
+from formulations.rows.cones import PARTS
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from tests.helpers import random_flyby, random_unit
 
 from .support import PENALTIES, alone, charge_for, every_row, minimum, need, small
 
+Limits = tuple[float | None, float | None]
+every_limit = pytest.mark.parametrize("limits", [(None, None), (0.9, 0.8)], ids=["", "limited"])
 
+
+def limited(lin: Linearisation, parts: Limits) -> Limits:
+    """Limits of the final spread, as parts of what it is at an iterate."""
+    now = [float(np.linalg.norm(lin.factor[-1, rows])) for _, rows in PARTS]
+    position, velocity = (part and part * size for part, size in zip(parts, now, strict=True))
+    return position, velocity
+
+
+@every_limit
 @pytest.mark.parametrize("seed", range(6))
-def test_lifted_rows_may_start_and_end_at_any_node(seed: int) -> None:
+def test_lifted_rows_may_start_and_end_at_any_node(seed: int, limits: Limits) -> None:
     """One constraint at a few nodes: before and after inner burns, at burns, in a coast."""
     flyby = small(seed, nodes=8, burns=4, coast=seed % 2)
     one = flyby.problem.constraints[0]
     assert isinstance(one.region, Ball)
     nodes = np.array([[0], [1], [2, 3], [7], [3, 4, 6], [0, 7]][seed])
     region = Ball(np.repeat(one.region.center[:1], len(nodes), axis=0), one.region.radius)
-    problem = replace(flyby.problem, constraints=(replace(one, nodes=nodes, region=region),))
+    constraints = (replace(one, nodes=nodes, region=region),)
+    spread = limited(flyby, limits)
+    problem = replace(flyby.problem, constraints=constraints, final_spread=spread)
     lin = Linearisation(problem, flyby.iterate, flyby.arcs)
-    for name in ("P3", "P2"):
+    for name in ("P3", "P2") if limits[0] is None else ("P2",):
         merits = []
         for formulation in ("condensed", "lifted"):
             subproblem = make_subproblem(problem, every_row(lin, name, 4), formulation)
             subproblem.update(lin)
             merits.append(subproblem.solve(0.5, 10.0).merit)
         assert merits[1] == pytest.approx(merits[0], rel=1e-6)
+
+
+@every_limit
+@pytest.mark.parametrize("scope", ["node", "flight"])
+@pytest.mark.parametrize("seed", [3, 4])
+def test_the_gradient_of_exact_risk_acts_on_the_factor_as_it_does_on_the_burns(
+    seed: int, scope: str, limits: Limits
+) -> None:
+    """The same program, at a flight that obeys the dynamics, within 1e-6 with tightened loops."""
+    flyby = small(seed, defect=0.0)
+    problem = replace(flyby.problem, final_spread=limited(flyby, limits))
+    lin, rows = replace(flyby, problem=problem), every_row(replace(flyby, problem=problem), scope)
+    steps = []
+    for formulation in ("condensed", "lifted"):
+        subproblem = make_subproblem(problem, rows, formulation)
+        subproblem.update(lin)
+        steps.append([subproblem.solve(radius, 1.0) for radius in (0.02, 0.2)])
+    for ours, theirs in zip(*steps, strict=True):
+        assert theirs.merit == pytest.approx(ours.merit, rel=1e-6)
+        assert theirs.burns == pytest.approx(ours.burns, abs=1e-4)
 
 
 @pytest.mark.parametrize("penalty", PENALTIES)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import FlybyProblem, Iterate
-from formulations.program import condensed, lifted
+from formulations.program import condensed
 from formulations.program.certificate import ConeProgram
 from formulations.program.model import CompiledProgram, Model
 from formulations.program.solvers import SOLVERS, Answer, FallbackSolver
@@ -107,17 +107,15 @@ def compiling(monkeypatch: pytest.MonkeyPatch) -> list[Model]:
         compiled.append(model)
         return CompiledProgram(model)
 
-    for module in (condensed, lifted):
-        monkeypatch.setattr(module, "CompiledProgram", watch)
+    monkeypatch.setattr(condensed, "CompiledProgram", watch)
     monkeypatch.setattr(condensed, "SLOTS", 128)
     condensed.compile_condensed.cache_clear()
     return compiled
 
 
 @pytest.mark.parametrize("name", ["P3", "P2"])
-@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_programs_are_compiled_once_and_only_their_numbers_change(
-    case: Case, formulation: str, name: str, monkeypatch: pytest.MonkeyPatch
+    case: Case, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     models, applied, programs = compiling(monkeypatch), [], list[ConeProgram]()
     apply, solve = SolvingChain.apply, FallbackSolver.solve
@@ -132,7 +130,7 @@ def test_programs_are_compiled_once_and_only_their_numbers_change(
 
     monkeypatch.setattr(SolvingChain, "apply", count)
     monkeypatch.setattr(FallbackSolver, "solve", watch)
-    subproblem, of = make_subproblem(case.problem, case.rows(name), formulation), []
+    subproblem, of = make_subproblem(case.problem, case.rows(name)), []
     for around in ("ballistic", "P3", "P2"):
         subproblem.update(case.at(around))
         subproblem.solve(0.5, WEIGHT)

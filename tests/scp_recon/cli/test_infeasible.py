@@ -89,6 +89,7 @@ def test_the_very_line_ends_verified(refused: CommandLine, tmp_path: Path) -> No
     [
         ("--method", "ipopt"),
         ("--method", "ipopt", "--formulation", "printed"),
+        ("--formulation", "frozen-stm"),
         ("--formulation", "lifted", "--facet-rounds", "2"),
     ],
     ids=" ".join,

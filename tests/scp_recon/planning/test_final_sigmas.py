@@ -104,8 +104,10 @@ def test_what_is_impossible_is_infeasible_and_named() -> None:
 
 def test_what_cannot_keep_them_refuses_them() -> None:
     mission = mission_of(COARSE, f"{LIMITS['velocity']}=0.01")
-    with pytest.raises(InputError, match=r"boundary\.final_sigma_velocity_m_s.*condensed"):
-        Planner(mission, formulation="lifted")
+    with pytest.raises(
+        InputError, match=r"boundary\.final_sigma_velocity_m_s.*condensed and lifted"
+    ):
+        Planner(mission, formulation="frozen-stm")
     with pytest.raises(InputError, match=r"boundary\.final_sigma_velocity_m_s.*scp"):
         ipopt.plan(mission, initial_guess.cold(mission))
     assert mission.problem.final_spread[0] is None

@@ -10,15 +10,18 @@ import numpy as np
 import pytest
 
 from formulations.arrays import Array
-from formulations.problem.facets import choose_facets, included_rows
-from formulations.problem.flyby import Iterate
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import choose_facets
+from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
+from formulations.rows.cones import Rows
+from formulations.rows.exact import FlightRows, NodeRows
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission import mission as mission_module
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt, stages
-from scp_recon.planning.planner import CLEARANCE_M, PROGRAM_NODES_MAX, Plan, Planner, Stage, plan
+from scp_recon.planning.planner import CLEARANCE_M, Plan, Planner, Stage, plan, screened
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import ALGORITHMS, SCvx
 from scp_recon.scp.loop import Record, Result, run
@@ -116,8 +119,7 @@ def test_facets_are_those_of_the_p3_solution_and_all_hold(
     np.testing.assert_array_equal(p2.facets.offset, facets.offset)
     assert facets.margin(end.iterate.mean, end.factor).min() >= -SCvx.feasible
     margin = facets.margin(start.iterate.mean, start.factor)
-    clearance = CLEARANCE_M / mission.units.length_m
-    assert not included_rows(facets, margin, clearance, PROGRAM_NODES_MAX).all()
+    assert not (margin < CLEARANCE_M / mission.units.length_m).all()
 
 
 def test_a_facet_round_is_kept_only_while_it_is_cheaper(
@@ -157,9 +159,7 @@ def test_facets_wrongly_left_out_are_restored(
 def solve_p2(of: Plan, formulation: str) -> tuple[Result, Subproblem]:
     mission, start, facets = of.mission, of.stages[0].result.lin, of.final.facets
     assert facets is not None
-    margin = facets.margin(start.iterate.mean, start.factor)
-    clearance = CLEARANCE_M / mission.units.length_m
-    included = included_rows(facets, margin, clearance, PROGRAM_NODES_MAX)
+    included = screened(mission, facets, start, CLEARANCE_M)
     subproblem = make_subproblem(
         mission.problem, ChanceRows(mission.problem, facets, included), formulation
     )
@@ -167,11 +167,42 @@ def solve_p2(of: Plan, formulation: str) -> tuple[Result, Subproblem]:
     return result, subproblem
 
 
-def test_lifted_and_condensed_agree_at_convergence(coarse_plan: Plan) -> None:
-    lifted, _ = solve_p2(coarse_plan, "lifted")
-    assert lifted.status is Status.CONVERGED
-    condensed = coarse_plan.final.result
-    assert lifted.lin.iterate.total_dv == pytest.approx(condensed.lin.iterate.total_dv, rel=1e-6)
+def ignore(*_: object) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def at_nodes(coarse_plan: Plan) -> Linearisation:
+    """The optimum with exact risk at nodes, 0.88."""
+    mission, start = coarse_plan.mission, coarse_plan.stages[0].result.lin
+    rows = NodeRows(mission.problem, 0.88)
+    return Planner(mission).solve("", rows, start, mission.dynamics, ignore).result.lin
+
+
+def exact_rows(scope: str, problem: FlybyProblem) -> Rows:
+    return NodeRows(problem, 0.9) if scope == "node" else FlightRows(problem, 0.9, 512, 1e-5)
+
+
+@pytest.mark.parametrize("kind", ["facets", "node", "flight"])
+def test_lifted_and_condensed_agree_at_convergence(
+    coarse_plan: Plan, at_nodes: Linearisation, kind: str
+) -> None:
+    if kind == "facets":
+        found = [solve_p2(coarse_plan, "lifted")[0], coarse_plan.final.result]
+    else:
+        mission = coarse_plan.mission
+        rows = exact_rows(kind, mission.problem)
+        found = [
+            Planner(mission, formulation=name)
+            .solve("", rows, at_nodes, mission.dynamics, ignore)
+            .result
+            for name in ("lifted", "condensed")
+        ]
+        start = at_nodes.iterate.total_dv
+        assert found[0].lin.iterate.total_dv > (1.0 + 1e-4) * start
+    assert [one.status for one in found] == 2 * [Status.CONVERGED]
+    ours, theirs = (one.lin.iterate.total_dv for one in found)
+    assert ours == pytest.approx(theirs, rel=1e-6)
 
 
 def test_frozen_stm_stops_where_the_exact_model_goes_on(default_plan: Plan) -> None:

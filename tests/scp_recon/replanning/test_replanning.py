@@ -264,8 +264,8 @@ def test_a_replan_is_made_as_its_parent_was(flown: FlownPlan, mission: Mission) 
         assert (made.formulation, made.algorithm) == ("lifted", "ptr")
     star = replace(flown, method=ScpMethod("condensed", "scvx-star", "CLARABEL"))
     assert again(star, 26_000.0, OFF).provenance.algorithm == "scvx"  # which can weigh a miss
-    lifted = replace(flown, method=ScpMethod("lifted", "scvx", "CLARABEL"))
-    exact = again(lifted, 17_000.0, OFF, "risk.allocation=exact")
+    frozen = replace(flown, method=ScpMethod("frozen-stm", "scvx", "CLARABEL"))
+    exact = again(frozen, 17_000.0, OFF, "risk.allocation=exact")
     assert exact.provenance.formulation == "condensed"  # of which exact risk has rows
 
 
