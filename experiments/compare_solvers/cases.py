@@ -81,6 +81,9 @@ TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOP
 UNGUARDED = "unguarded"
 """`experiments.compare_solvers.unguarded`, for P2 from a P3 solution only."""
 
+EVERY_NODE = Method("lifted-every-node", "scvx", "CLARABEL")
+"""Lifted with all facets from the first, for P2 from a P3 solution only: every node has its factor."""
+
 SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, installed()))
 NLP_METHODS = (*(Method(v, "hard", IPOPT) for v in NLP_VARIANTS), ELASTIC)
 FEW = (
@@ -165,6 +168,7 @@ def full_design(guesses: int = 50) -> tuple[Cell, ...]:
         *_cells("matrix", default, (*SCP_METHODS, *NLP_METHODS), ("cold",)),
         *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), ("warm",)),
         *_cells("scenarios", scenarios(), FEW, ("p3",)),
+        *_cells("scenarios", default, (Method("lifted", "scvx", "CLARABEL"), EVERY_NODE), ("p3",)),
         *_guesses(GUESSED, guesses),
     )
 

@@ -11,7 +11,15 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from experiments.compare_solvers.cases import IPOPT, REFERENCE, UNGUARDED, Cell, Method, start_of
+from experiments.compare_solvers.cases import (
+    EVERY_NODE,
+    IPOPT,
+    REFERENCE,
+    UNGUARDED,
+    Cell,
+    Method,
+    start_of,
+)
 from experiments.compare_solvers.exact.check import check, rolled_out
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import choose_facets
@@ -178,7 +186,7 @@ def _needs(method: Method) -> tuple[str, ...]:
     """Modules that a method imports where it uses them, which is not to count as its time."""
     if method.solver == IPOPT:
         return ("scp_recon.planning.ipopt",)
-    form = "lifted" if method.formulation == "lifted" else "condensed"
+    form = "lifted" if method.formulation.startswith("lifted") else "condensed"
     return (f"formulations.program.{form}", method.solver.lower())
 
 
@@ -220,7 +228,8 @@ def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     p3 = plan_mission(mission, start, PlanOptions(problem="P3")).final.result.lin
     problem = mission.problem
     facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
-    included = screened(mission, facets, p3, CLEARANCE_M)
+    clearance_m = np.inf if cell.method == EVERY_NODE else CLEARANCE_M
+    included = screened(mission, facets, p3, clearance_m)
     runner = StageRunner(mission, _solver_of_rows(mission, cell.method))
     provenance = Provenance(
         cell.method.formulation, cell.method.algorithm, cell.method.solver, "p3"
@@ -240,7 +249,8 @@ def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
         return IpoptStages(mission, arcs, variant, method.algorithm == "elastic")
     unguarded = Unguarded(mission.problem) if method.algorithm == UNGUARDED else None
     name = "scvx" if unguarded else method.algorithm  # of the same penalty
-    planner = Planner(mission, formulation=method.formulation, algorithm=name, solver=method.solver)
+    form = "lifted" if method == EVERY_NODE else method.formulation
+    planner = Planner(mission, formulation=form, algorithm=name, solver=method.solver)
     planner.algorithm = unguarded or planner.algorithm
     return planner
 

@@ -15,6 +15,7 @@ from experiments.__main__ import main
 from experiments.compare_solvers import study as compare_solvers
 from experiments.compare_solvers.cases import (
     ELASTIC,
+    EVERY_NODE,
     REFERENCE,
     TUNED,
     UNGUARDED,
@@ -30,12 +31,16 @@ from experiments.compare_solvers.study import ROWS_FILE, Solve, run_cells
 from experiments.compare_solvers.tables import csv_of, report, shown
 from experiments.harness import Findings
 from experiments.harness import report as as_markdown
+from formulations.linearisation.linearisation import Linearisation
+from formulations.rows.uniform import ChanceRows
 from scp_recon.jobs.job import TIMED_OUT, Done, Executor, Failure, Job, attempt
 from scp_recon.jobs.processes import Limits
 from scp_recon.jobs.store import Store, read_rows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Stage
 from scp_recon.planning.planner import plan
+from scp_recon.planning.stages import StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from tests.scp_recon.support import flight_beyond
@@ -126,6 +131,27 @@ def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
         assert row.iterations_p2 == len(done.final.result.records)
         assert 0.0 < row.solver_s < row.total_s
         assert row.peak_mib > 10.0
+
+
+def test_where_every_node_has_its_factor_the_optimum_is_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """No facet is left out, so that the program looks at all nodes."""
+    made, restore = list[ChanceRows](), StageRunner.restore
+
+    def watch(self: StageRunner, name: str, rows: ChanceRows, lin: Linearisation) -> Stage:
+        made.append(rows)
+        return restore(self, name, rows, lin)
+
+    monkeypatch.setattr(StageRunner, "restore", watch)
+    ours, lifted = (
+        solve_cell(Cell("scenarios", "few", ("grid.step_max_s=3000.0",), method, "p3"), 0)
+        for method in (REFERENCE, EVERY_NODE)
+    )
+    assert lifted.solved
+    assert lifted.total_dv_m_s == pytest.approx(ours.total_dv_m_s, rel=1e-6)
+    assert made[1].nodes.tolist() == list(range(made[1].problem.n_nodes))
+    assert len(made[0].nodes) < len(made[1].nodes)
 
 
 def test_ipopt_agrees_from_the_same_p3_solution_and_facets() -> None:
