@@ -9,7 +9,7 @@ BY_FILE := -n 2 --dist loadfile
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test nightly coverage mutation lint format types check reference bench figures clean
+.PHONY: help solve test extras nightly coverage mutation lint format types check reference bench figures clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -18,6 +18,8 @@ solve: $(VENV)/.solve  ## set up and plan Reconnaissance B from a cold start
 
 test: $(VENV)/.test  ## set up and run the tests on two processes
 	$(BIN)/python -m pytest $(BY_FILE)
+
+extras: $(VENV)/.extras  ## set up all that the commands can need: reports, campaigns, kernels, the spacecraft
 
 lint: $(VENV)/.dev  ## lint and check the format
 	$(BIN)/ruff check .
@@ -65,6 +67,10 @@ $(VENV)/.venv:
 
 $(VENV)/.solve: $(VENV)/.venv pyproject.toml constraints.txt
 	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.extras: $(VENV)/.venv pyproject.toml constraints.txt
+	$(PIP) --editable '.[all]'
 	@touch $@
 
 $(VENV)/.test: $(VENV)/.venv pyproject.toml constraints.txt

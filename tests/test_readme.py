@@ -387,6 +387,19 @@ def test_targets_that_are_shown_exist_and_do_what_is_said() -> None:
         assert f"python -m {words}" in recipes[target]
 
 
+def test_one_target_installs_every_extra_that_a_command_may_need() -> None:
+    """All but those of who works on this repository."""
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    (everything,) = extras["all"]
+    listed = re.findall(r"\w+", everything)
+    assert listed[0] == project["name"]
+    assert {*listed[1:]} == extras.keys() - {"all", "peer", "test", "dev"}
+    makefile = (PROJECT / "Makefile").read_text("utf-8")
+    assert re.search(r"^extras: \$\(VENV\)/\.extras ", makefile, re.MULTILINE)
+    assert re.search(r"/\.extras: .*\n\t\$\(PIP\) --editable '\.\[all\]'", makefile)
+
+
 # --- snippets and links ---------------------------------------------------------------------------
 
 

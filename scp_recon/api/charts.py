@@ -120,8 +120,14 @@ def _legend(figure: Figure, count: int) -> None:
 COLOURS_NAMED = 6
 
 
-def draw_design(tried: Sequence[Trial], found: PassResult) -> bytes:
-    """PNG: plans without uncertainty as squares, those with it as dots, what was found as a star."""
+def draw_design(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> bytes:
+    """PNG: plans without uncertainty as squares, those with it as dots, what was found as a star.
+
+    Args:
+        tried: all plans.
+        found: the cheapest pass.
+        dv_m_s: what it costs as it was planned in the end, with its facets chosen again.
+    """
     figure = sheet(5.6)
     axes = figure.subplots()
     kept = [one for one in tried if one.result.converged and one.step != "certain"]
@@ -141,7 +147,7 @@ def draw_design(tried: Sequence[Trial], found: PassResult) -> bytes:
         norm=colours,
     )
     if found.converged:
-        label = f"found: {found.dv_m_s:.6f} m/s"
+        label = f"found: {dv_m_s:.6f} m/s"
         place = np.rad2deg(found.at.phases) % 360.0
         axes.plot(*place, "*", color="red", markeredgecolor="white", markersize=14, label=label)
         figure.legend(loc="outside upper center", frameon=False)

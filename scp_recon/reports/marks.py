@@ -36,6 +36,8 @@ NIGHT_TO_DAY = [[0.0, "#23262e"], [0.499, "#3b3f4a"], [0.501, "#7c7466"], [1.0, 
 """Of the body's surface by the cosine of the incidence, -1 to 1: the terminator is a step."""
 MODES = {"delta-V": "#CC79A7", "sun-pointing": "#E69F00", "observation": "#0072B2"}
 
+PLACES = ((1.0, "right"), (0.0, "left"), (0.5, "center"))
+"""Across a panel, of the names of its limits."""
 TIME = "time since the first burn (s)"
 PANEL_PX, FOOT_PX, HEAD_PX, GAP_PX = 160, 56, 58, 42
 """Of panels, of what is below and above all of them, and between them; words stand there."""
@@ -166,7 +168,10 @@ class Panels:
             self.data[-1]["line"] = {"width": 0}
 
     def limit(self, name: str, value: float, panel: int) -> None:
-        """Draw a dashed line across a panel with its name, once; the name is on the allowed side."""
+        """Draw a dashed line across a panel with its name, once; the name is on the allowed side.
+
+        The names of a panel stand at different places across it, however close their lines are.
+        """
         axis = _axis(panel)
         if any(s["yref"] == axis and s.get("y0") == value for s in self.layout["shapes"]):
             return
@@ -174,7 +179,9 @@ class Panels:
         where = {"xref": "paper", "x0": 0, "x1": 1, "yref": axis, "y0": value, "y1": value}
         self.layout["shapes"].append({"type": "line", **where, "line": line})
         side = "top" if name.endswith(("most", "to")) else "bottom"
-        place = {"xref": "paper", "x": 1, "xanchor": "right", "yref": axis, "y": value}
+        named = sum(a.get("yref") == axis for a in self.layout["annotations"])
+        across, anchor = PLACES[named % len(PLACES)]
+        place = {"xref": "paper", "x": across, "xanchor": anchor, "yref": axis, "y": value}
         self._write(f"{name} {value:g}", place | {"yanchor": side, "font": {"size": 11}})
 
     def window(self, window_s: tuple[float, float]) -> None:

@@ -53,8 +53,8 @@ def design(options: argparse.Namespace, console: Console) -> Answer:
         with _progress(console) as observe, naming_files(options.scenario, options.overrides):
             found = find_pass(scenario, observe)
         _keep(folder, TABLE, _as_csv(found.trials))
-        _keep_map(folder, found, console)
         if found.scenario is None:
+            _keep_map(folder, found, console, found.best.dv_m_s)
             show_line(console, found.message)
             show_written(console, folder / TABLE)
             return Answer(Status.INFEASIBLE.value.exit_code, {"files": [str(folder / TABLE)]})
@@ -63,6 +63,7 @@ def design(options: argparse.Namespace, console: Console) -> Answer:
         answer = plan_into(
             folder, mission, lambda seen: plan_pass(found, mission, how, seen), console
         )
+        _keep_map(folder, found, console, answer.document["plan"]["total_dv_m_s"])
         _keep_primer(folder, console)
     point_latest(options.out, folder, answer.status)
     return answer
@@ -75,8 +76,8 @@ def _keep(folder: Path, name: str, content: str | bytes) -> None:
         raise unwritable(folder, option("out"), error) from None
 
 
-def _keep_map(folder: Path, found: Design, console: Console) -> None:
-    """The map of the design, if there is matplotlib."""
+def _keep_map(folder: Path, found: Design, console: Console, dv_m_s: float) -> None:
+    """The map of the design with what its plan costs, if there is matplotlib."""
     if not any(one.result.converged for one in found.trials):
         return
     if not _can_draw():
@@ -84,7 +85,7 @@ def _keep_map(folder: Path, found: Design, console: Console) -> None:
         return
     from scp_recon.api.charts import draw_design
 
-    _keep(folder, MAP, draw_design(found.trials, found.best))
+    _keep(folder, MAP, draw_design(found.trials, found.best, dv_m_s))
 
 
 def _keep_primer(folder: Path, console: Console) -> None:

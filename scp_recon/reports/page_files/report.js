@@ -279,12 +279,17 @@ window.report = (() => {
     later();
   }
 
-  window.addEventListener("beforeprint", () => {
+  /* All at once: a browser does not wait for what is still to come. */
+  function toPrint() {
     printing = true;
     charts.forEach(draw);
+    const still = document.getElementById("still");
+    const view = scene._fullLayout && scene._fullLayout.scene._scene;
+    if (view && !still.getAttribute("src")) still.src = view.toImage("png");
     ready.forEach((div) => Plotly.relayout(div, { ...themed(data.charts[Number(div.dataset.chart)].layout), width: 690 }));
     document.querySelectorAll("details").forEach((each) => { each.open = true; });
-  });
+  }
+  window.addEventListener("beforeprint", toPrint);
   window.addEventListener("afterprint", () => {
     printing = false;
     ready.forEach((div) => Plotly.relayout(div, { ...themed(data.charts[Number(div.dataset.chart)].layout), width: null, autosize: true }));
@@ -382,5 +387,5 @@ window.report = (() => {
   const rest = first.then(() => charts.reduce(
     (before, div) => before.then(() => new Promise((done) => idle(() => done(draw(div))))), Promise.resolve(),
   )).then(() => { performance.mark("all-drawn"); later(); });
-  return { first, rest, show, craftAt, camera, time: () => time };
+  return { first, rest, show, toPrint, craftAt, camera, time: () => time };
 })();

@@ -126,31 +126,31 @@ def test_another_study_is_refused_in_the_same_folder(
     assert "holds another campaign" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(
-    number: signal.Signals,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Ctrl-C, or a termination, with the third row, of real processes."""
+    """Ctrl-C with the third row, and a termination with the sixth, of real processes."""
     text = REFUSED.replace("count = 40", "count = 12")
     study, out, put = written(tmp_path / "study.toml", text), tmp_path / "out", Store.put
 
-    def pressed(store: Store, *row: Any) -> None:
-        put(store, *row)
-        if len(store) == 3:
-            signal.raise_signal(number)
+    for rows, number in ((3, signal.SIGINT), (6, signal.SIGTERM)):
 
-    with monkeypatch.context() as patch:
-        patch.setattr(Store, "put", pressed)
-        assert command.main([study, "--out", str(out), "--workers", "2"]) == 130
-    said = capsys.readouterr().err
-    assert "interrupted" in said
-    assert "the same command continues the campaign" in said
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
-    kept = read_results(out)
-    assert len(kept) == 3
+        def stopped(
+            store: Store, *row: Any, rows: int = rows, number: signal.Signals = number
+        ) -> None:
+            put(store, *row)
+            if len(store) == rows:
+                signal.raise_signal(number)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Store, "put", stopped)
+            assert command.main([study, "--out", str(out), "--workers", "2"]) == 130
+        said = capsys.readouterr().err
+        assert "interrupted" in said
+        assert "the same command continues the campaign" in said
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        kept = read_results(out)
+        assert len(kept) == rows
     for folder in (out, tmp_path / "b"):
         assert command.main([study, "--out", str(folder), "--workers", "0", "--quiet"]) == 0
     assert table_of(out).equals(table_of(tmp_path / "b"))

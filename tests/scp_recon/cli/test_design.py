@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from scp_recon.api import charts
 from scp_recon.cli.commands import design, solve
 from scp_recon.cli.commands.passes import primer_says
 from scp_recon.mission.mission import Mission
+from scp_recon.passes.descent import PassResult
+from scp_recon.passes.design import Trial
 from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario, scenario_text
@@ -33,10 +37,19 @@ NARROW = {
 }
 
 
-def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(tmp_path: Path) -> None:
-    out = tmp_path / "out"
+def test_a_design_ends_with_a_verified_plan_its_scenario_a_table_and_a_map(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, drawn, draw = tmp_path / "out", [], charts.draw_design
+
+    def seen(tried: Sequence[Trial], found: PassResult, dv_m_s: float) -> bytes:
+        drawn.append(dv_m_s)
+        return draw(tried, found, dv_m_s)
+
+    monkeypatch.setattr(charts, "draw_design", seen)
     assert design.main([str(scenario_file(tmp_path, NARROW)), "--out", str(out)]) == 0
     solution = read_solution(out)
+    assert drawn == [solution.total_dv_m_s]
     assert solution.verification is not None
     assert solution.verification.ok
     assert solution.total_dv_m_s <= 0.0254

@@ -201,6 +201,24 @@ def test_dark_and_light_follow_the_system_and_the_button(seen: Seen) -> None:
     assert seen.said == []
 
 
+def test_it_prints_at_once_with_every_chart_and_the_view(browser: Any, html_file: Path) -> None:
+    """As a browser without a window does, which waits for no frame."""
+    page = browser.new_context(viewport=WINDOW).new_page()
+    page.add_init_script(
+        "const frame = requestAnimationFrame; let held = false;"
+        "window.requestAnimationFrame = (f) => held ? frame(f) : (held = true, 0)"
+    )
+    page.goto(html_file.as_uri())
+    assert page.evaluate("window.report === undefined")
+    drawn = page.evaluate(
+        "dispatchEvent(new Event('beforeprint')),"
+        " [...document.querySelectorAll('[data-chart]')].map((div) => !!div.querySelector('svg path'))"
+    )
+    assert drawn == [True] * 9
+    assert page.evaluate("document.getElementById('still').src").startswith("data:image/png")
+    page.close()
+
+
 def test_it_prints_in_light_colours_with_the_view_as_a_picture(seen: Seen, tmp_path: Path) -> None:
     """From the dark, in which the test before has left it."""
     seen.page.wait_for_function("document.getElementById('still').src.startsWith('data:image/png')")

@@ -23,7 +23,7 @@ from scp_recon.reports import flights
 from scp_recon.reports.flights import fly
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.marks import DASHES, PLANS, compact, packed, script, significant
-from scp_recon.reports.page import Page, plotly_script, render, verdict_of
+from scp_recon.reports.page import Page, _surplus, plotly_script, render, verdict_of
 from scp_recon.reports.scene import PATHS
 from scp_recon.reports.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.reports.write import page_of
@@ -133,6 +133,27 @@ def test_the_view_has_one_scale(page: Page) -> None:
     edges = {axis: np.ptp(scene[f"{axis}axis"]["range"]) for axis in "xyz"}
     scales = [scene["aspectratio"][axis] / edge for axis, edge in edges.items()]
     assert scales == pytest.approx(3 * [scales[0]], rel=1e-5)
+
+
+def test_names_of_limits_do_not_overprint(page: Page) -> None:
+    """Those of a panel stand at different places, however close their lines are."""
+    for chart in page.charts:
+        places = [
+            (a["yref"], a["x"])
+            for a in chart["layout"]["annotations"]
+            if a.get("xref") == "paper" and ":" in a["text"]
+        ]
+        assert len(set(places)) == len(places), chart["key"]
+
+
+def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified: Solution) -> None:
+    (line,) = _surplus(verified)
+    assert re.match(r"flights reach at least 0\.\d{4} where 0\.7 is required", line)
+    assert 'risk.allocation="exact"' in line
+    exact = verified.scenario.replace({"risk.allocation": "exact"})
+    sure = verified.scenario.replace({"risk.p_chance": 0.999})
+    for other in (exact, sure):
+        assert _surplus(replace(verified, scenario=other)) == []
 
 
 def test_limits_are_in_the_histories_and_every_band_around_its_mean(page: Page) -> None:
