@@ -67,15 +67,13 @@ def test_a_span_may_begin_before_the_epoch(capsys: pytest.CaptureFixture[str]) -
     assert "2020-01-20T" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
-def test_a_chart_is_drawn_the_same_every_time(tmp_path: Path, ending: str) -> None:
+def test_a_chart_is_drawn_in_every_format_and_the_same_every_time(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra [report]")
-    paths = [tmp_path / f"{name}.{ending}" for name in "ab"]
+    paths = [tmp_path / name for name in ("a.png", "b.png", "a.svg", "a.pdf")]
     for path in paths:
         assert run("recon_b", "--span-days", "0.5", "--chart", str(path)) == 0
-    if ending == "png":  # whose writer names no moments or random marks
-        assert paths[0].read_bytes() == paths[1].read_bytes()
-    assert min(path.stat().st_size for path in paths) > 5000
+        assert path.stat().st_size > 5000
+    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def test_a_site_without_windows_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -304,7 +304,7 @@ def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) 
 @pytest.mark.usefixtures("few_flights")
 def test_facets_that_leave_nothing_feasible_are_chosen_again() -> None:
     """Where the first choice ended; every stage has a name of its own."""
-    mission = mission_of("risk.p_chance=0.9")
+    mission = mission_of("risk.p_chance=0.9", COARSE)
     found = plan(mission, initial_guess.cold(mission))
     names = [stage.name for stage in found.stages]
     assert names == ["P3", "P2", "P3b", "P3c", "P3d", "P2.2"]
@@ -327,12 +327,12 @@ def how_made(found: Plan) -> tuple[str | None, ...]:
     return s.method, s.formulation, s.algorithm, s.solver, s.init
 
 
-def test_a_plan_knows_how_it_was_made(mission: Mission, default_plan: Plan) -> None:
+def test_a_plan_knows_how_it_was_made(coarse_plan: Plan) -> None:
     made = {"formulation": "frozen-stm", "algorithm": "ptr", "solver": "QOCO", "init": "mine"}
-    coarse = mission_of(COARSE)
-    found = plan(coarse, initial_guess.cold(coarse), problem="P3", **made)  # type: ignore[arg-type]
+    mission = coarse_plan.mission
+    found = plan(mission, initial_guess.cold(mission), problem="P3", **made)  # type: ignore[arg-type]
     assert how_made(found) == ("scp", *made.values())
-    start = default_plan.stages[0].result.lin.iterate
+    start = coarse_plan.stages[0].result.lin.iterate
     for elastic, algorithm in ((False, "interior point"), (True, "interior point, elastic")):
         by_ipopt = ipopt.plan(mission, start, variant="shooting", problem="P3", elastic=elastic)
         assert how_made(by_ipopt) == ("ipopt", "shooting", algorithm, "IPOPT", "given")
