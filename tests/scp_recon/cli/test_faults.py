@@ -87,9 +87,9 @@ def nonsense(_: ConeProgram, answer: Answer) -> Answer:
 
 FAULTS: dict[str, Fault] = {
     "panic": raises(PanicError("called `Option::unwrap()` on a `None` value")),
-    "not finite": not_finite,
-    "nonsense": nonsense,
     "inaccurate": inaccurate,
+    "nonsense": nonsense,
+    "not finite": not_finite,
     "huge": huge,
     "error": raises(ValueError("the factorisation failed")),
     "foreign error": raises(RuntimeError("an assertion in the solver")),
