@@ -10,7 +10,7 @@ from scp_recon.api.inputs import scenario_of
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanObserver, plan_mission
 from scp_recon.mission.mission import Mission
-from scp_recon.passes.descent import PassResult, why_nothing
+from scp_recon.passes.descent import PassResult, explain_failure
 from scp_recon.passes.design import Designer, Trial
 from scp_recon.passes.setting import settled
 from scp_recon.planning.initial_guess import from_burns
@@ -43,7 +43,7 @@ class Design:
     def message(self) -> str:
         """What was found, or how far the pass came that came furthest and what stopped it."""
         if self.scenario is None:
-            return why_nothing(self.best, len(self.trials))
+            return explain_failure(self.best, len(self.trials))
         return f"a pass for {self.best.dv_m_s:.6f} m/s, in {len(self.trials)} plans"
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Make the rows of a study's axes: what changes from case to case. The key in a table says its kind."""
+"""Make the rows of a study's axes: the entries that change from case to case."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class Axis(Section):
 
     @abstractmethod
     def rows(self, base: Scenario, seed: tuple[int, ...], /) -> list[Changes]:
-        """Make the rows in order, of the study's scenario and the axis's own seed.
+        """Make the rows in order, from the study's scenario and the axis's own seed.
 
         Raises:
-            InputError: if there are none, or a file or an entry cannot be used.
+            InputError: if the axis has no rows, or a file or an entry cannot be used.
         """
 
 
@@ -70,7 +70,7 @@ class Values(Axis):
         return len(self.values)
 
     def rows(self, _base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
-        """Rows as they are listed."""
+        """Rows in the order of the file."""
         if self.entry is not None:
             return [{self.entry: value} for value in self.values]
         return [dict(zip(self.entries or (), row, strict=True)) for row in self.values]
@@ -93,7 +93,7 @@ class Span(Section):
         return self
 
     def numbers(self) -> list[float]:
-        """All numbers; the ends exactly as they are written."""
+        """All numbers; the ends exactly as given."""
         make = np.geomspace if self.scale == "log" else np.linspace
         numbers: list[float] = make(self.start, self.to, self.count).tolist()
         return numbers
@@ -115,7 +115,7 @@ class Grid(Axis):
 
 
 class Law(Section):
-    """The law by which an entry is drawn.
+    """The distribution of a random entry.
 
     normal and lognormal have mean and sigma (lognormal: of the logarithm), uniform and loguniform have
     low and high.
@@ -156,7 +156,7 @@ class Law(Section):
 
 
 class Draws(Axis):
-    """Random rows, all entries drawn independently; a larger count keeps the first ones."""
+    """Random rows, all entries independent; a larger count keeps the first rows."""
 
     draws: Annotated[tuple[Law, ...], Field(min_length=1)]
     number: Annotated[Count, Field(alias="count")]
@@ -208,7 +208,7 @@ class Sites(Axis):
 
 
 class WindowSearch(Section):
-    """The span that is searched for lighting windows, and which of them are taken."""
+    """The span searched for lighting windows, and the windows used."""
 
     start: Annotated[NaiveDatetime | None, Field(alias="from")] = None
     span_days: Annotated[float, Field(ge=0.01, le=DAYS_MAX)]
@@ -216,10 +216,10 @@ class WindowSearch(Section):
 
 
 class Windows(Axis):
-    """Epochs that put the base's burns legally about the lighting windows of its site.
+    """Epochs with which the base's burns are legal about the lighting windows of its site.
 
-    Each window that the span does not cut, and about which the burns can stand as they do about the
-    base's own, gives one: the middle of those allowed, to the second.
+    Each window that the span does not cut, and between the same burns as the base's own, gives one:
+    the middle of the legal epochs, to the second.
     """
 
     windows: WindowSearch
@@ -230,7 +230,7 @@ class Windows(Axis):
         return len(self.rows(base, ()))
 
     def rows(self, base: Scenario, _seed: tuple[int, ...], /) -> list[Changes]:
-        """Epochs in order of time; the search is made once."""
+        """Epochs in order of time; searched once."""
         if base not in self._found:
             self._found[base] = self._epochs(base)
         return self._found[base]
@@ -258,7 +258,7 @@ class Windows(Axis):
 
 
 class Spread(Section):
-    """The number of sites, and the time at which they are seen."""
+    """The number of sites, and the time of their local noon."""
 
     count: Annotated[int, Field(ge=4, le=10_000)]
     """Number of sites; each has nearly the same share of the area."""
@@ -270,8 +270,7 @@ class Spread(Section):
 class ShapeSites(Axis):
     """Sites spread evenly over the base's shape file, or its ellipsoid.
 
-    They come in an order in which the first ones are spread evenly too: a campaign that was stopped has
-    a coarser map.
+    The first sites are spread evenly too, so that a campaign that was stopped has a coarser map.
     """
 
     spread: Spread
@@ -307,10 +306,10 @@ KINDS: dict[str, type[Axis]] = {
 
 
 def axis_of(table: Mapping[str, Any]) -> type[Axis]:
-    """Find the kind of an axis.
+    """Find the kind of an axis by the key of its table.
 
     Raises:
-        ValueError: if its table has not exactly one key of `KINDS`.
+        ValueError: if the table has not exactly one key of `KINDS`.
     """
     kinds = [key for key in KINDS if key in table]
     if len(kinds) != 1:

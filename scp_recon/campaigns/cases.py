@@ -19,9 +19,9 @@ Changes = dict[str, Any]
 
 
 class Case(NamedTuple):
-    """One case: its number from 0, its seed, and values by dotted entry of the scenario.
+    """A case of a study: its number from 0, its seed, and values by dotted entry of the scenario.
 
-    It depends on the study and its number alone.
+    Seed and values depend on the study and the number alone.
     """
 
     number: int
@@ -31,13 +31,13 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Cases(Sequence[Case]):
-    """The product of the axes; the last one changes fastest. A case is made when it is taken."""
+    """The product of the axes, the last one changing fastest; each case is made on access."""
 
     axes: tuple[list[Changes], ...]
     seed: int
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of cases."""
         return prod(len(rows) for rows in self.axes)
 
     def __getitem__(self, number: Any) -> Any:
@@ -58,7 +58,7 @@ def case_seed(seed: int, number: int) -> int:
 
 
 def solution_name(number: int) -> str:
-    """Path of a case's solution, if it is kept, in the campaign's folder: in a folder of its own."""
+    """Path of a case's kept solution, relative to the campaign's folder."""
     return f"solutions/case-{number:07d}/solution.json"
 
 

@@ -1,6 +1,6 @@
-"""Refuse a study before any work, in one message: what cannot be done, and what no case would do.
+"""Refuse a study that cannot be done, or has ineffective entries, before any work and in one message.
 
-An *ineffective* axis or entry changes nothing: nobody asks for it on purpose, so it is refused too.
+An *ineffective* axis or entry changes nothing. Nobody means that, so it is an error too.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def check_do(do: str, base: Scenario) -> None:
     """Refuse a base with which the study's `do` cannot be done.
 
     Raises:
-        InputError: if not.
+        InputError: naming the entry of the base, what was given and what is required.
     """
     home = base.boundary.home
     if base.in_flight is not None:
@@ -52,10 +52,10 @@ def check_do(do: str, base: Scenario) -> None:
 
 
 def check_count(counts: list[int], ask_from: int, *, yes: bool) -> None:
-    """Refuse more cases than are meant; they are counted, not made.
+    """Refuse too many cases, which are counted without being made.
 
     Raises:
-        InputError: if there are more.
+        InputError: if there are more than `ROWS_MAX`, or more than `ask_from` without `yes`.
     """
     cases = prod(counts)
     product = " x ".join(f"{count:,}" for count in counts)
@@ -63,7 +63,7 @@ def check_count(counts: list[int], ask_from: int, *, yes: bool) -> None:
         raise InputError(
             "axis",
             f"{cases:,} cases ({product})",
-            f"more than {ask_from:,} need --yes, if they are meant",
+            f"more than {ask_from:,} need --yes",
         )
     for number, count in enumerate(counts, start=1):
         if count > ROWS_MAX:
@@ -77,17 +77,17 @@ def check_axes(
     random: Sequence[bool],
     ineffective: Iterable[InputError] = (),
 ) -> None:
-    """Refuse an entry on two axes, and values that it cannot have, in up to `CHECKED` rows of each.
+    """Refuse entries on two axes and invalid values, in up to `CHECKED` rows of each axis.
 
     Args:
-        base: that the axes change.
-        folder: to which files are relative that they name.
-        axes: their rows.
-        random: whether an axis is drawn: rows beyond the bounds are refused cases, unless all are.
-        ineffective: what else is wrong, for the same message.
+        base: scenario that the axes change.
+        folder: folder of relative file names.
+        axes: rows of each axis.
+        random: whether each axis is drawn: its invalid rows are refused cases, unless all are.
+        ineffective: further errors for the same message.
 
     Raises:
-        InputError: one message of what is wrong.
+        InputError: one message with all errors.
     """
     wrong = [*ineffective, *_twice(axes)]
     first = {entry: value for rows in axes for entry, value in rows[0].items()}
@@ -112,7 +112,7 @@ def check_axes(
 
 
 def _twice(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
-    """Entries that are on two axes, by themselves or as part of a table."""
+    """Errors of entries on two axes, alone or as part of a table."""
     seen: list[tuple[str, int]] = []
     for number, rows in enumerate(axes, start=1):
         for entry in rows[0]:
@@ -124,7 +124,7 @@ def _twice(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
 
 
 def _refusal(base: Scenario, folder: Path, changes: Changes) -> InputError | None:
-    """Why changes make no scenario, if they make none."""
+    """The error with which changes are no valid scenario; None if they are valid."""
     try:
         changed(base, changes, folder)
     except InputError as error:
@@ -148,9 +148,9 @@ def refuse(wrong: Sequence[InputError]) -> NoReturn:
 def ineffective(
     do: str, given: Mapping[str, Any], axes: Sequence[list[Changes]], windows: Sequence[bool]
 ) -> Iterator[InputError]:
-    """Find entries and axes of a study that have no effect, or not the one that is written.
+    """Find entries and axes of a study that have no effect, or another than they seem to.
 
-    `given` is the table `[campaign]` as it is written; `windows`: which axes are of lighting windows.
+    `given` is the table `[campaign]` as written; `windows` says which axes are of lighting windows.
     """
     yield from unused(do, given, axes)
     yield from replaced(given.get("overrides", {}), axes)
@@ -181,7 +181,7 @@ def unused(
 
 
 def replaced(overrides: Mapping[str, Any], axes: Sequence[list[Changes]]) -> Iterator[InputError]:
-    """Find overrides that every case replaces, since an axis has the same entry."""
+    """Find overrides of entries that an axis sets in every case."""
     for number, rows in enumerate(axes, start=1):
         for entry in leaves(rows[0]):
             for other in leaves(overrides):
@@ -201,14 +201,14 @@ def doubled(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
                 yield InputError(
                     f"axis {number}, row {place}",
                     f"{shortened(row)}, the {'site' if site else 'value'} of row {first} again",
-                    "must be there once"
+                    "must be given once"
                     + "; 0 and 360 deg are one meridian, and a pole is one site" * site,
                 )
                 break
 
 
 def elsewhere(windowed: int, axes: Sequence[list[Changes]]) -> Iterator[InputError]:
-    """Find an axis of sites beside an axis of lighting windows, which are those of the base's site."""
+    """Find an axis of sites beside one of lighting windows, which are of the base's site."""
     for number, rows in enumerate(axes, start=1):
         for entry in leaves(rows[0]):
             if overlap(entry, "site") and entry != NAME:
@@ -221,7 +221,7 @@ def elsewhere(windowed: int, axes: Sequence[list[Changes]]) -> Iterator[InputErr
 
 
 def leaves(changes: Mapping[str, Any], before: str = "") -> Iterator[str]:
-    """Dotted entries of values, of those in tables too."""
+    """Values by dotted entry, those in tables included."""
     for entry, value in changes.items():
         if isinstance(value, Mapping):
             yield from leaves(value, f"{before}{entry}.")
@@ -230,13 +230,13 @@ def leaves(changes: Mapping[str, Any], before: str = "") -> Iterator[str]:
 
 
 def overlap(one: str, other: str) -> bool:
-    """Whether two entries are the same, or one is a table that holds the other."""
+    """Whether two entries are the same, or one is in the other."""
     part, whole = sorted((one, other), key=len, reverse=True)
     return f"{part}.".startswith(f"{whole}.")
 
 
 def _same(row: Changes) -> Hashable:
-    """A key that is equal for rows of the same meaning."""
+    """A key that is equal for equivalent rows."""
     latitude, longitude = row.get(LATITUDE), row.get(LONGITUDE)
     if isinstance(latitude, Real) and isinstance(longitude, Real):
         row = {**row, LONGITUDE: 0.0 if abs(latitude) == 90.0 else longitude % 360.0}

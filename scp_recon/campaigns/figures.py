@@ -1,4 +1,4 @@
-"""Pictures of a campaign: curves along its axes, or a map of its sites on a chart and on the shape."""
+"""Draw a campaign's results: curves along its axes, or its sites on a map and on the shape."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ DARKEST = 0.55
 
 
 def figures(results: CampaignResults) -> dict[str, Figure]:
-    """All pictures that a campaign's axes allow, by name; none where nothing differs in numbers."""
+    """Draw all pictures that a campaign's axes allow, by name; none if no axis has numbers."""
     found = {}
     if results.is_map:
         found = {"map": draw_map(results), "globe": draw_globe(results)}
@@ -66,9 +66,9 @@ def figures(results: CampaignResults) -> dict[str, Figure]:
 
 
 def draw_map(results: CampaignResults) -> Figure:
-    """Delta-v and probability at each site by longitude and latitude; marks where there is no plan.
+    """Map delta-v and probability by longitude and latitude, with marks where there is no plan.
 
-    Of several cases at a site it is the cheapest.
+    Of several cases at a site the cheapest is shown.
     """
     results = results.by_site
     figure, good = sheet(6.6, dpi=DPI), results.ending(FEASIBLE)
@@ -108,10 +108,10 @@ def draw_map(results: CampaignResults) -> Figure:
 
 
 def draw_curves(results: CampaignResults) -> Figure:
-    """Delta-v and probability along the axis with most values, curves by another, panels by a third.
+    """Draw delta-v and probability along the longest axis, curves by another, panels by a third.
 
-    Only cases with a verified plan have points: a curve ends where there is none. Of cases that differ
-    in a fourth entry, or in text, the cheapest is drawn.
+    Only cases with a verified plan have points. Of cases that differ in a fourth entry, or in text,
+    the cheapest is drawn.
     """
     along, by, panels = axes_of(results)
     table = results.ending(FEASIBLE)
@@ -154,7 +154,7 @@ def _numbers(column: Any) -> Any:
 
 
 def _ticks(axes: Axes, results: CampaignResults, entry: str) -> None:
-    """A logarithmic axis where its values are at even ratios, with ticks at some of them."""
+    """Make an axis logarithmic, with ticks at some values, where its values are at even ratios."""
     if entry == EPOCH:
         axes.xaxis.set_major_formatter(DateFormatter("%Y-%m"))  # type: ignore[no-untyped-call]  # Matplotlib's
         return
@@ -170,12 +170,12 @@ def _ticks(axes: Axes, results: CampaignResults, entry: str) -> None:
 
 
 def _some(results: CampaignResults, entry: str, most: int) -> list[Any]:
-    """So many values of an entry at most, from the least to the greatest."""
+    """At most `most` values of an entry, from the least to the greatest."""
     return _spread(sorted(results.table[entry].unique()), most)
 
 
 def _left_out(results: CampaignResults, entry: str, shown: Sequence[Any]) -> str:
-    """How many of an entry's values are shown, if not all are."""
+    """Note of how many of an entry's values are shown; empty if all are."""
     count = results.table[entry].nunique()
     return f" {len(shown)} of {count} values" if len(shown) < count else ""
 
@@ -200,7 +200,7 @@ def _east(longitude: Any) -> Any:
 
 
 def draw_globe(results: CampaignResults) -> Figure:
-    """Delta-v of the nearest site on the surface; grey where it has no verified plan."""
+    """Draw the surface in the colours of its nearest sites' delta-v; grey without a verified plan."""
     results = results.by_site
     shape = shape_of(results.base)
     rows = results.table
@@ -230,7 +230,7 @@ def draw_globe(results: CampaignResults) -> Figure:
 
 
 def _view(axes: Axes, shape: Shape, sites: Array, colours: Array, eye: tuple[float, float]) -> None:
-    """Facets that face the eye, from the farthest to the nearest."""
+    """Draw the facets that face the eye, from the farthest to the nearest."""
     towards = direction_of(*eye)
     up = np.array([0.0, 0.0, 1.0]) if abs(eye[0]) < 89.0 else direction_of(0.0, eye[1] + 180.0)
     up = up * (1.0 if eye[0] > -89.0 else -1.0)

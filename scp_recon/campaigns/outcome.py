@@ -1,4 +1,4 @@
-"""A campaign as it is shown: its rows, how each ended, along what they differ, and remarks on it."""
+"""Results of a campaign as shown to the user: rows, how each ended, axes, and remarks."""
 
 from __future__ import annotations
 
@@ -27,14 +27,13 @@ FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER = (
     *("feasible", "infeasible", "no mission"),
     *("not verified", "no answer"),
 )
-"""How a case ends: a verified plan; none that keeps the limits; refused, as without a lighting window;
-a plan that flights, a simulation or other checks do not bear out; an iteration that ended early, or a
-failure."""
+"""Ends of a case: a verified plan; infeasible; refused, as without a lighting window; a plan that
+fails its flights, simulation or other checks; an iteration that ended early, or a failure."""
 ENDS = (FEASIBLE, INFEASIBLE, NO_MISSION, NOT_VERIFIED, NO_ANSWER)
 SHORTFALLS = ("flown_shortfalls", "simulated_shortfalls")
-"""Columns of what a plan's own flights or its simulation did not keep."""
+"""Columns of requirements that a plan's own flights or its simulation did not meet."""
 AXES_DRAWN = 3
-"""Entries for which curves have room: along them, one by one, and in panels."""
+"""Number of entries that curves can show: along the curve, by curve, and by panel."""
 DELTA_V, PROBABILITY = "total delta-v (m/s)", "lowest probability (-)"
 COST, CHANCE = "total_dv_m_s", "probability"
 MEASURES = ((COST, DELTA_V), (CHANCE, PROBABILITY))
@@ -59,16 +58,16 @@ MARKS = {INFEASIBLE: "x", NO_MISSION: ".", NOT_VERIFIED: "+", NO_ANSWER: "*"}
 GREYS = {INFEASIBLE: "#8b9098", NO_MISSION: "#bcc1c8", NOT_VERIFIED: PLANS[1], NO_ANSWER: PLANS[3]}
 """Their colours, of sites and of the surface about them."""
 COMMONEST = 3
-"""Reasons that are named of those why cases have no plan."""
+"""Reasons shown for cases without a plan."""
 LONGEST = 160
 """Characters of a reason."""
 
 
 @dataclass(frozen=True)
 class CampaignResults:
-    """What a campaign has found, finished or not: a row a case, of as many as there are to be.
+    """Results of a campaign, finished or not: one row per case that has ended, of `cases` in all.
 
-    The base is the scenario of all cases, before the axes change its `entries`.
+    `base` is the scenario of all cases, before the axes change its `entries`.
     """
 
     folder: Path
@@ -80,7 +79,7 @@ class CampaignResults:
 
     @cached_property
     def ends(self) -> list[str]:
-        """How each row ended, one of `ENDS`."""
+        """End of each row, one of `ENDS`."""
         rows = self.table.reindex(columns=["status", "verdict"])
         short = self.table.reindex(columns=list(SHORTFALLS)).notna().any(axis=1)
         return [
@@ -89,29 +88,29 @@ class CampaignResults:
         ]
 
     def ending(self, end: str) -> pandas.DataFrame:
-        """The rows that ended so."""
+        """The rows with that end."""
         return self.table[np.array(self.ends) == end]
 
     @property
     def feasible(self) -> int:
-        """Cases with a verified plan."""
+        """Number of cases with a verified plan."""
         return self.ends.count(FEASIBLE)
 
     @property
     def verdict(self) -> str:
-        """How many are feasible of how many."""
+        """Sentence such as "12 feasible of 30 cases"."""
         done = len(self.table)
         so_far = "" if done == self.cases else f" run so far, of {self.cases:,} in the study"
         return f"{self.feasible:,} feasible of {done:,} cases{so_far}"
 
     @property
     def is_map(self) -> bool:
-        """Whether it has sites by latitude and longitude."""
+        """Whether the axes are sites by latitude and longitude."""
         return LATITUDE in self.entries and LONGITUDE in self.entries
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """The entries along which cases differ, of those that change together the first."""
+        """Entries in which cases differ; of entries that change together the first."""
         found: list[str] = []
         for entry in self.entries:
             if entry == NAME or self.table[entry].nunique() < 2:
@@ -122,13 +121,13 @@ class CampaignResults:
 
     @cached_property
     def varies(self) -> list[str]:
-        """The entries of numbers, or the epoch, in which cases differ."""
+        """Entries with numbers, or the epoch, in which cases differ."""
         kinds = self.table.dtypes
         return [e for e in self.free if e == EPOCH or kinds[e].kind in "if"]
 
     @cached_property
     def by_site(self) -> CampaignResults:
-        """Of each site one case: the cheapest feasible one, or else the first that came furthest."""
+        """One case per site: the cheapest feasible one, or else the first that came furthest."""
         ranks = [ENDS.index(end) for end in self.ends]
         costs = self.table["total_dv_m_s"].where([end == FEASIBLE for end in self.ends])
         rows = self.table.assign(rank=ranks, cost=costs).sort_values(["rank", "cost", "case"])
@@ -137,13 +136,13 @@ class CampaignResults:
 
     @property
     def overlaid(self) -> bool:
-        """Whether several cases share a place in the pictures, which show the cheapest of them."""
+        """Whether several cases share a place in the pictures, which show the cheapest."""
         if self.is_map:
             return len(self.by_site.table) < len(self.table)
         return bool(self.varies) and not len(self.free) == len(self.varies) <= AXES_DRAWN
 
     def scatters(self, entry: str) -> bool:
-        """Whether other numbers jump up and down along an entry, as where several are drawn."""
+        """Whether other entries vary irregularly along this one, as where several are drawn."""
         along = self.table.sort_values(entry)
         return any(
             not (along[other].is_monotonic_increasing or along[other].is_monotonic_decreasing)
@@ -157,7 +156,7 @@ class CampaignResults:
         return int(self.table.groupby(other)[entry].nunique().max()) == 1
 
     def counts(self) -> dict[str, int]:
-        """Cases by how they ended, those that there are."""
+        """Number of cases by their end, without zeros."""
         return {end: self.ends.count(end) for end in ENDS if end in self.ends}
 
 
@@ -173,7 +172,7 @@ def read_campaign(folder: Path) -> CampaignResults:
     """Read the folder of a campaign, finished or not.
 
     Raises:
-        InputError: if it holds none, or the extra [campaign] is missing.
+        InputError: if it holds no campaign, or the extra [campaign] is missing.
     """
     path = folder / FILE_NAME
     try:
@@ -189,7 +188,7 @@ def read_campaign(folder: Path) -> CampaignResults:
 
 
 def axes_of(results: CampaignResults) -> tuple[str, str | None, str | None]:
-    """The entries by which curves run, differ, and stand in panels: in order of how many values."""
+    """Entries along curves, by curve and by panel: in order of their numbers of values."""
     counts = {entry: results.table[entry].nunique() for entry in results.varies}
     ordered = sorted(counts, key=lambda entry: -counts[entry])
     first, second, third, *_ = *ordered, None, None
@@ -198,12 +197,12 @@ def axes_of(results: CampaignResults) -> tuple[str, str | None, str | None]:
 
 
 def cheapest(rows: Any, along: str) -> Any:
-    """Of the rows at each value of an entry the cheapest, in its order."""
+    """The cheapest row at each value of an entry, in its order."""
     return rows.sort_values(COST).drop_duplicates(along).sort_values(along)
 
 
 def in_words(value: Any) -> str:
-    """A value of an entry in a legend; of an epoch its date and minute."""
+    """A value of an entry as a legend shows it; an epoch to the minute."""
     return value[:16] if isinstance(value, str) else f"{value:.3g}"
 
 
@@ -219,7 +218,7 @@ def label(entry: str) -> str:
 
 
 def remarks(results: CampaignResults) -> list[str]:
-    """How the cases ended, what the feasible ones cost, what stopped the others."""
+    """Remarks on how the cases ended, the cost of the feasible ones, and reasons of the others."""
     counts = ", ".join(f"{count:,} {end}" for end, count in results.counts().items())
     found = [f"Ends: {counts}."]
     table, good = results.table, results.ending(FEASIBLE)
@@ -247,7 +246,7 @@ def remarks(results: CampaignResults) -> list[str]:
 
 
 def _reasons(what: str, column: Any) -> Iterator[str]:
-    """The commonest values of a column, if there is any."""
+    """The most frequent values of a column, if there are any."""
     counts = {} if column is None else column.value_counts().to_dict()
     if counts:
         most = list(counts.items())[:COMMONEST]

@@ -1,7 +1,7 @@
-"""A campaign's page, campaign.html, which works without a network, and its pictures as PNG.
+"""Write a campaign's page, campaign.html, which works without a network, and its pictures as PNG.
 
-The page has a map or curves, and a table from which each case opens. A campaign that is under way, or
-was stopped, is shown as far as it came.
+The page has a map or curves, and a table from which each case opens. An unfinished campaign is shown as
+far as it came.
 """
 
 from __future__ import annotations
@@ -67,15 +67,15 @@ ABOVE = {"orientation": "h", "x": 0, "y": 1.0, "yanchor": "bottom"}
 
 
 def has_extras() -> bool:
-    """Whether page and pictures can be made."""
+    """Whether the extra for page and pictures is installed."""
     return all(find_spec(name) is not None for name in EXTRA)
 
 
 def check_extras() -> None:
-    """Find out before the work whether page and pictures can be made.
+    """Check before the work that page and pictures can be made.
 
     Raises:
-        InputError: if not.
+        InputError: if the extra [report] is missing.
     """
     imported("report", "report", "plotly", "jinja2", "matplotlib")
 
@@ -100,7 +100,7 @@ def write_pictures(results: CampaignResults) -> list[Path]:
 
 
 def render(results: CampaignResults, made: datetime) -> str:
-    """One HTML file that needs nothing else."""
+    """The page as one self-contained HTML file."""
     charts = charts_of(results)
     names = [label(entry) for entry in shown(results)]
     done = len(results.table)
@@ -123,12 +123,12 @@ def render(results: CampaignResults, made: datetime) -> str:
 
 
 def shown(results: CampaignResults) -> list[str]:
-    """Entries of the table: all that change, but epochs that follow from a site."""
+    """Entries shown in the table: all that change, except epochs that follow from a site."""
     return [e for e in results.entries if not (results.is_map and e == EPOCH)]
 
 
 def order(results: CampaignResults) -> list[int]:
-    """Places of the rows: feasible ones first, the cheapest first; the others by case."""
+    """Order of the rows: feasible ones by cost, then the others by case."""
     costs = results.table[COST].to_numpy(dtype=float)
     good = np.array(results.ends) == FEASIBLE
     found: list[int] = np.lexsort((np.where(good, costs, 0.0), ~good)).tolist()
@@ -136,7 +136,7 @@ def order(results: CampaignResults) -> list[int]:
 
 
 def line_of(results: CampaignResults, place: int) -> dict[str, Any]:
-    """A row of the results as the page has it: cells, and what stands below when it is opened."""
+    """A row as the page holds it: cells, and the details shown when it is opened."""
     row = {key: _plain(value) for key, value in results.table.iloc[place].to_dict().items()}
     number = int(row["case"])
     columns = [*shown(results), *(column for column, _ in MEASURES), "binds"]
@@ -157,7 +157,7 @@ def line_of(results: CampaignResults, place: int) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Python's own number or text; None of what is missing."""
+    """Python's own number or text; None for a missing value."""
     value = value.item() if hasattr(value, "item") else value
     return None if value is None or value != value else value
 
@@ -213,7 +213,7 @@ def shape_chart(results: CampaignResults) -> dict[str, Any]:
 
 
 def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, Any]:
-    """A measure of the feasible cases along an axis, a curve for each value of the others."""
+    """Curves of a measure of the feasible cases along an axis, one for each value of the others."""
     along, *others = axes_of(results)
     by = [entry for entry in others if entry is not None]
     table = results.ending(FEASIBLE)
@@ -250,7 +250,7 @@ def curve_chart(results: CampaignResults, column: str, name: str) -> dict[str, A
 
 
 def _by_end(results: CampaignResults, size: int) -> list[tuple[Trace, Any]]:
-    """Markers of the cases that ended alike, without their places, and their rows."""
+    """Markers, not yet placed, of the cases with the same end, and their rows."""
     found = []
     for end in results.counts():
         rows = results.ending(end)

@@ -1,4 +1,4 @@
-"""The table of a campaign: its columns, rows kept as cases end, `results.parquet` when all have ended.
+"""Keep a campaign's rows as cases end, and write `results.parquet` when all have ended.
 
 Until then the rows are in `rows.jsonl`, a store of `jobs`, whose first line has the table's columns.
 """
@@ -60,7 +60,7 @@ OWN: dict[str, dict[str, type]] = {
         "simulated_shortfalls": str,
     },
 }
-"""Columns by what is done with each case."""
+"""Columns by the study's `do`."""
 MEASURED: dict[str, type] = {"seconds": float, "cpu_s": float, "tries": int}
 """Columns that differ from run to run; all others are the same to the last bit."""
 BATCH = 5_000
@@ -73,15 +73,15 @@ def needing_parquet() -> Any:
     """Import pyarrow with its module for Parquet.
 
     Raises:
-        InputError: if there is none.
+        InputError: if pyarrow is missing.
     """
     return imported("campaign", "campaign", "pyarrow", "pyarrow.parquet")
 
 
 def open_rows(folder: Path, identity: str, columns: Mapping[str, type]) -> Store:
-    """Open the rows of a campaign so far: str, int, float or bool by column, one of them `case`.
+    """Open the store of a campaign's rows; columns are str, int, float or bool, one of them `case`.
 
-    The identity is a hash of all that decides the rows.
+    `identity` is a hash of everything that the rows depend on.
 
     Raises:
         InputError: if pyarrow is missing, or the folder cannot be written.
@@ -92,7 +92,7 @@ def open_rows(folder: Path, identity: str, columns: Mapping[str, type]) -> Store
 
 
 def write_results(folder: Path, rows: Store) -> Path:
-    """Write `results.parquet`, and take away the rows that it was made of.
+    """Write `results.parquet`, and delete the rows that it was made of.
 
     Raises:
         InputError: if the folder cannot be written.
@@ -122,7 +122,7 @@ def read_results(folder: Path) -> pandas.DataFrame:
     """Read the rows of a campaign by case, finished or not; unknown values are missing.
 
     Raises:
-        InputError: if there is none, or the extra is missing.
+        InputError: if the folder holds no campaign, or the extra is missing.
     """
     arrow = needing_parquet()
     imported("campaign", "campaign", "pandas")
@@ -147,7 +147,7 @@ def cell(value: Any, kind: type) -> Any:
 
 
 def kind_of(values: Iterable[Any]) -> type:
-    """Kind of a column that holds these values; text where they are of several kinds."""
+    """Kind of a column for these values; text if they are of several kinds."""
     known = list(values)
     kinds = {type(value) for value in known}
     if kinds == {bool}:

@@ -33,18 +33,18 @@ EARLIER = "rows"
 WORKERS_MAX = 256
 
 Observer = Callable[[int, int, Mapping[str, Any] | None], None]
-"""Called with how many rows there are, of how many, and the last one."""
+"""Called with the number of rows so far, of all, and the last row."""
 CaseWork = Callable[[Case], Row]
-"""What is done with a case: its row and its files. It pickles, and depends on the case alone."""
+"""Makes a case's row and files; must pickle, and depend on the case alone."""
 
 
 def executor_of(
     study: Study, workers: int, scheduler: str | None, say: Callable[[str], None] = lambda _: None
 ) -> Executor:
-    """Choose where a study's cases are run, each within the study's limits.
+    """Choose the executor of a study's cases, each within the study's limits.
 
-    In so many processes, with 0 in this one, or on the Dask cluster of a scheduler's address; `say` is
-    called with what is worth a line.
+    That is `workers` processes, with 0 this process, or the Dask cluster of a scheduler's address.
+    `say` is called with each line worth showing.
     """
     limits = Limits(study.campaign.limit_s, memory_mb=study.campaign.memory_mb)
     if scheduler is not None:
@@ -67,10 +67,10 @@ def run_study(
 ) -> Path:
     """Run the cases of a study that have no row yet, and return the file `results.parquet`.
 
-    What the folder holds of the same study is kept and continued.
+    Rows of the same study in the folder are kept and continued.
 
     Raises:
-        InputError: if the folder cannot be written, is at work, or holds another campaign.
+        InputError: if the folder cannot be written, is in use, or holds another campaign.
     """
     needing_parquet()
     check_writable(folder, FILE_NAME, option("out"))
@@ -111,7 +111,7 @@ def _take(folder: Path, study: Study) -> None:
     """Claim a folder for this campaign.
 
     Raises:
-        InputError: if it holds another, or rows whose campaign is not known.
+        InputError: if it holds another campaign, or rows of an unknown one.
     """
     identity = {
         "hash": study.hash,
@@ -150,7 +150,7 @@ def _take(folder: Path, study: Study) -> None:
 
 
 def _differing(found: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
-    """Say what differs of the code that the rows were made with."""
+    """Describe how the code differs from the one that made the rows."""
     old, new = found.get("versions", {}), identity.get("versions", {})
     names = [
         f"{name} ({old.get(name)}, now {new[name]})" for name in new if old.get(name) != new[name]

@@ -24,10 +24,10 @@ GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 
 
 def surface_of(scenario: Scenario) -> Surface:
-    """Surface on which a scenario's sites are: its shape file, else its ellipsoid.
+    """Surface of a scenario's body: its shape file, else its ellipsoid.
 
     Raises:
-        InputError: if it has neither, or the file cannot be read.
+        InputError: if the scenario has neither, or the file cannot be read.
     """
     body = scenario.body
     if body.shape_file is not None:
@@ -43,10 +43,10 @@ def surface_of(scenario: Scenario) -> Surface:
 def even_sites(surface: Surface, count: int) -> list[tuple[float, float]]:
     """Spread sites over a surface: planetocentric latitude and east longitude (-180 to 180), deg.
 
-    A centroidal Voronoi tessellation: each site is the centroid of what is nearest to it, seen from the
-    body's centre. Lloyd 1982, IEEE Transactions on Information Theory 28, 129, begun at a spherical
+    A centroidal Voronoi tessellation: each site is the centroid of the area nearest to it, seen from
+    the body's centre. Lloyd 1982, IEEE Transactions on Information Theory 28, 129, from a spherical
     Fibonacci lattice (Gonzalez 2010, Mathematical Geosciences 42, 49), in order from south to north.
-    The surface is seen whole from its centre.
+    The surface must be visible from the centre (star-shaped).
     """
     middles, areas = parts(surface, PARTS * count)
     lattice = fibonacci(count)
@@ -71,7 +71,7 @@ def fibonacci(count: int) -> Array:
 def parts(surface: Surface, least: int) -> tuple[Array, Array]:
     """Cut a surface into small parts: their middles, m, shape (n, 3), and areas, m^2, shape (n,).
 
-    Facets of a mesh are cut in four until they are enough; any other surface is smooth.
+    Facets of a mesh are cut in four until there are `least`; an ellipsoid is divided by directions.
     """
     if isinstance(surface, Mesh):
         corners = surface.vertices_m[surface.facets]
@@ -88,7 +88,7 @@ def parts(surface: Surface, least: int) -> tuple[Array, Array]:
 
 
 def quartered(corners: Array) -> Array:
-    """Cut each triangle in four by the middles of its sides: shape (n, 3, 3) to (4 n, 3, 3)."""
+    """Cut each triangle in four at the middles of its sides: shape (n, 3, 3) to (4 n, 3, 3)."""
     a, b, c = np.moveaxis(corners, 1, 0)
     ab, bc, ca = (a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0
     found = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
@@ -96,9 +96,9 @@ def quartered(corners: Array) -> Array:
 
 
 def noons_of(scenario: Scenario) -> Callable[[float], float]:
-    """Make what finds the first local solar noon after the epoch, s past it, at an east longitude, deg.
+    """Make a function from east longitude, deg, to the first local solar noon, s past the epoch.
 
-    By Newton's method on the Sun's body-fixed longitude.
+    Newton's method on the Sun's body-fixed longitude.
     """
     rotation, sun = Scene.of(scenario).rotation, scenario.sun
     day = 2.0 * np.pi / abs(rotation.rate)

@@ -1,4 +1,4 @@
-"""Read a study: a base scenario, what to do with it, and the axes along which it changes."""
+"""Read a study: a base scenario, the axes along which it changes, and what to do with each case."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BYTES_MAX = 50_000_000
 WORK = "scp_recon.api.campaigns"
 """Module that does the cases: rows depend on it, and on all that it imports."""
 ASK_FROM = 100_000
-"""Number of cases from which on a caller has to say that they are meant."""
+"""Number of cases above which a caller has to pass `yes`."""
 
 Do = Literal["plan", "design", "certify", "fly", "simulate"]
 
@@ -57,9 +57,9 @@ class Campaign(Section):
 
 @dataclass(frozen=True)
 class Study:
-    """A base scenario, what is done with it, and the axes along which it changes.
+    """A base scenario, the axes along which it changes, and what is done with each case.
 
-    Files that the study names are relative to its folder; `tables` are as they were written.
+    Files that the study names are relative to its folder; `tables` are those of the file.
     """
 
     campaign: Campaign
@@ -72,7 +72,7 @@ class Study:
     def validated(
         cls, tables: Mapping[str, Any], folder: Path = Path(), *, yes: bool = False
     ) -> Study:
-        """Make a study of nested tables, as in a file; `yes` if more than `ASK_FROM` cases are meant.
+        """Make a study from nested tables, as in a file; `yes` allows more than `ASK_FROM` cases.
 
         Raises:
             InputError: one message of everything that is wrong.
@@ -115,7 +115,7 @@ class Study:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of all that decides the rows: base, axes, limits, named files, code."""
+        """SHA-256 of everything that the rows depend on: base, axes, limits, named files, code."""
         parts = {
             "campaign": self.campaign.model_dump(mode="json", exclude={"base", "overrides"}),
             "base": self.base.model_dump(mode="json"),
@@ -185,7 +185,7 @@ def _axes(tables: Any) -> list[Axis]:
 
 
 def _digests(study: Study) -> Iterator[tuple[str, str]]:
-    """Names and SHA-256 of the files that the scenarios name."""
+    """SHA-256 of the files that the scenarios name, by name."""
     named: set[str] = set()
     layers = [study.base.model_dump(mode="json", exclude_none=True)]
     layers += [layer_of(row, study.folder) for rows in study.axes for row in rows]

@@ -1,4 +1,4 @@
-"""Work that is done in many pieces, anywhere, and kept: executors and one store.
+"""Run work in many pieces, in processes or on a cluster, and keep what is finished.
 
 A *job* is a key and its inputs; the *work* is a function of the inputs that pickles: one of a module, a
 `partial` of one, or an instance of a dataclass. What it returns depends on the inputs alone.

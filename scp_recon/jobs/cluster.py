@@ -1,7 +1,7 @@
 """Run jobs on a Dask cluster, each in a process of its own beside the worker: same limits, same bits.
 
-The scheduler may be restarted and workers may die: what had not come back is sent again, and what comes
-twice is taken once.
+The scheduler may be restarted and workers may die: unfinished jobs are sent again, and a result that
+comes twice counts once.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ GONE_S = 120.0
 
 @dataclass(frozen=True)
 class Cluster:
-    """An executor on the cluster of a scheduler, which may be away for `gone_s`.
+    """An executor on a scheduler's cluster; the scheduler may be away for up to `gone_s`.
 
-    It says each line that is worth showing. Without `ahead` as many jobs are sent at once as suit the
-    size of the cluster.
+    `say` is called with each line worth showing. `ahead` is the number of jobs sent at once; by
+    default it follows the size of the cluster.
     """
 
     address: str
@@ -54,7 +54,7 @@ class Cluster:
         """Run jobs as workers become free; they are yielded as they end.
 
         Raises:
-            InputError: if the extra is missing, or the scheduler is not there.
+            InputError: if the extra is missing, or the scheduler does not answer.
         """
         session = Session(self, pickle.dumps((versions(), pickle.dumps(work))))
         with without_tracebacks(), closing(session):
@@ -167,8 +167,7 @@ class Session:
     def send(self, job: Job) -> None:
         """Send a job, pickled: Dask would look for its own things in it.
 
-        A client whose scheduler was away for too long has closed itself; its jobs are out, and `ended`
-        sends them again.
+        A client whose scheduler was away for too long has closed itself; `ended` sends its jobs again.
         """
         try:
             future = self.client.submit(
@@ -213,7 +212,7 @@ class Session:
         return found
 
     def _gathered(self, futures: list[Any]) -> dict[str, Done | None]:
-        """Fetch results together, by key: a lost one is None, and all are if the scheduler is."""
+        """Fetch results by key; a lost result is None, and all are if the scheduler is lost."""
 
         async def fetch() -> Any:  # of a list Dask leaves out what it skips: the rest would shift
             by_key = {future.key: future for future in futures}
@@ -225,7 +224,7 @@ class Session:
             return {}
 
     def _again(self) -> None:
-        self._cluster.say("the scheduler was lost: what had not come back is sent again")
+        self._cluster.say("the scheduler was lost: unfinished jobs are sent again")
         self._leave()
         self.connect()
 
@@ -251,7 +250,7 @@ def run_in_child(pickled: bytes, job: bytes, limits: Limits) -> Done:
     """Run a job in the process of this worker's thread, which is kept for the next one.
 
     Raises:
-        UnfitError: if it would be run by other versions than the caller's, or not at all.
+        UnfitError: if the process has other versions than the caller, or cannot run the job.
     """
     child: Child | None = getattr(_CHILDREN, "child", None)
     if child is None or (_CHILDREN.pickled, child.limits) != (pickled, limits):

@@ -1,4 +1,4 @@
-"""Describe jobs and how they end, run them in this process, and put results in order."""
+"""Jobs and their outcomes; run jobs in this process, and put outcomes in order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Key = str | int
 class Job(NamedTuple):
     """A piece of work: a unique key, which names its row in a store, and inputs, which pickle.
 
-    The inputs are all that the work's result depends on besides the work.
+    The result depends on the work and the inputs alone.
     """
 
     key: Key
@@ -28,13 +28,13 @@ class Job(NamedTuple):
 
 
 class Failure(NamedTuple):
-    """Why a job has no result.
+    """The reason for which a job has no result.
 
     Attributes:
         status: `REFUSED` (the work raised InputError), `FAILED` (another exception), `OUT_OF_MEMORY`,
             `TIMED_OUT` or `DIED` (its process ended, in each try).
         message: for the user.
-        error: what the work raised, where that is known and pickles.
+        error: the exception that the work raised, if known and picklable.
     """
 
     status: str
@@ -43,10 +43,9 @@ class Failure(NamedTuple):
 
 
 class Done(NamedTuple):
-    """A job that has ended, `tries` times begun: what the work returned, or why it did not.
+    """A job that has ended after `tries` tries, with the work's result or a failure.
 
-    `seconds` are wall time; `cpu_s` is processor time, which is None where the process died and took
-    that knowledge with it.
+    `seconds` is wall time; `cpu_s` is processor time, None where the process died.
     """
 
     key: Key
@@ -57,10 +56,10 @@ class Done(NamedTuple):
     tries: int
 
     def result(self, entry: str = option("workers"), name: str = "job") -> Any:
-        """What the work returned; messages of a lost process name the entry and what a job is.
+        """The work's result; the message of a lost process names `entry` and calls the job a `name`.
 
         Raises:
-            Exception: what the work raised.
+            Exception: the exception that the work raised.
             InputError: if its process was ended, or died.
         """
         if self.failure is None:
@@ -69,17 +68,17 @@ class Done(NamedTuple):
             raise self.failure.error
         status, message, _ = self.failure
         given = f"{name} {self.key}, {status}: {message}"
-        raise InputError(entry, given, f"every {name} must be done")
+        raise InputError(entry, given, f"every {name} must end with a result")
 
 
 Work = Callable[[Any], Any]
-"""From a job's inputs to its result. It pickles."""
+"""Makes a job's result from its inputs; must pickle."""
 Executor = Callable[[Work, Iterable[Job]], Generator[Done, None, None]]
 """Runs jobs, taken one by one, and yields them as they end; closed early, it ends its processes."""
 
 
 def in_order(executor: Executor, work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
-    """Run jobs anywhere, and yield them in the order in which they are given; early ones wait."""
+    """Run jobs by an executor, and yield them in the given order, whatever order they end in."""
     keys: deque[Key] = deque()
     waiting: dict[Key, Done] = {}
 
@@ -96,16 +95,16 @@ def in_order(executor: Executor, work: Work, jobs: Iterable[Job]) -> Generator[D
 
 
 def here(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
-    """Run jobs in this process, one after the other: nothing is started, and no limit is kept."""
+    """Run jobs one after the other in this process, without limits."""
     for job in jobs:
         yield attempt(work, job)
 
 
 def attempt(work: Work, job: Job) -> Done:
-    """Run a job once, here; an exception becomes its failure.
+    """Run a job once in this process; an exception becomes its failure.
 
     Raises:
-        KeyboardInterrupt: the user's.
+        KeyboardInterrupt: if the user interrupts.
     """
     watch = Stopwatch()
     value, failure = None, None

@@ -1,4 +1,4 @@
-"""Run jobs on processes of this machine: a job that hangs, eats memory or dies takes nothing with it.
+"""Run jobs on processes of this machine: one that hangs, eats memory or dies harms no other.
 
 The parent writes pickles to a child's standard input and reads them from its standard output: first the
 work, then job by job. The kernel ends a child that takes too long, whatever it is stuck in: the default
@@ -49,7 +49,7 @@ GRACE_S = 5.0
 START_S = 600.0
 """Seconds that a process may take to import its modules: a busy file server is slow."""
 LOOK_S = 1.0
-"""Seconds between a child's looks whether its parent is there."""
+"""Seconds between a child's checks that its parent is alive."""
 ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1"
 )
@@ -66,7 +66,7 @@ class Limits:
 
 
 class StoppedError(Exception):
-    """The child was ended because nobody wants its job any more."""
+    """The child was ended: its job is no longer wanted."""
 
 
 class UnfitError(Exception):
@@ -75,7 +75,7 @@ class UnfitError(Exception):
 
 @dataclass(frozen=True)
 class Processes:
-    """An executor on so many processes."""
+    """An executor on `count` processes."""
 
     workers: int
     limits: Limits = Limits()
@@ -141,7 +141,7 @@ class Processes:
 
 
 class Child:
-    """A process for jobs, begun with the first one and again after it has died."""
+    """A process for jobs, started with the first job and restarted after it has died."""
 
     def __init__(self, pickled_work: bytes, limits: Limits) -> None:
         self.work, self.limits = pickled_work, limits
@@ -153,7 +153,7 @@ class Child:
         """Run a job, up to `TRIES` times while it kills the process.
 
         Raises:
-            StoppedError: if `stop` was called meanwhile.
+            StoppedError: if `stop` is called during the job.
             UnfitError: if no job can be run here.
         """
         watch, status, tries = Stopwatch(), 0, 0
@@ -181,7 +181,7 @@ class Child:
         return Done(job.key, None, Failure(DIED, message), watch.read()[0], None, tries)
 
     def _try(self, job: Job) -> tuple[Done | None, int]:
-        """Try a job once: what it came to, or else how the process ended."""
+        """Try a job once: its outcome, or the exit status of a process that died."""
         process = self._process
         try:
             if process is None:
@@ -206,7 +206,7 @@ class Child:
         return read_message(process.stdout)
 
     def _begun(self) -> subprocess.Popen[bytes]:
-        """Begin a process, which sends READY once it can run jobs."""
+        """Start a process, which sends READY once it can run jobs."""
         paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-c", SERVE],
@@ -221,14 +221,14 @@ class Child:
         return self._process
 
     def stop(self) -> None:
-        """End the process for good, from any thread; the result of its job is dropped."""
+        """End the process for good, from any thread, and drop the result of its job."""
         self._stopped.set()
         process = self._process
         if process is not None:
             process.kill()
 
     def end(self, patience_s: float = 0.0) -> int:
-        """Wait for the process to end, then kill it; its exit status. The next job begins another."""
+        """Wait for the process to end, then kill it; its exit status. The next job starts another."""
         process, self._process, self._used = self._process, None, False
         if process is None:
             return 0
@@ -278,7 +278,7 @@ def serve() -> None:
 
 
 def _portable(done: Done) -> Done:
-    """Drop an exception or a result that does not pickle."""
+    """A job's outcome without an exception or a result that does not pickle."""
     try:
         if done.failure and done.failure.error:
             pickle.loads(pickle.dumps(done.failure.error))
@@ -296,7 +296,7 @@ def _end_with(parent: int) -> None:
 
 
 def _limit_memory(limits: Limits) -> None:
-    """Allow so much beyond what the process has now, where the system keeps the limit (Linux)."""
+    """Limit the memory beyond the process's present size, where the system supports it (Linux)."""
     own = Path("/proc/self/statm")
     if limits.memory_mb is not None and own.exists():
         pages = int(own.read_text("ascii").split()[0])
@@ -319,7 +319,7 @@ def write_message(pipe: IO[bytes] | None, content: object) -> None:
 
 
 def read_message(pipe: IO[bytes]) -> Any:
-    """Receive one.
+    """Receive a pickle.
 
     Raises:
         EOFError: if the other side is gone.

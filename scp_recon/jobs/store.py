@@ -1,8 +1,8 @@
 """Keep rows of finished work in one file: none is lost or doubled, wherever the work stops.
 
-The file has a line of JSON a row, each with its checksum, below a line that says what they depend on. A
-file of anything else is begun anew with the first row. A row is on the disk when `put` returns, but for
-what a power cut may cost; a torn last line is cut off and its job done again.
+Each row is a line of JSON with its checksum, below a first line that says what all rows depend on. If
+that differs, the file is replaced with the first row. A row is on the disk when `put` returns, except
+for a power cut; a torn last line is cut off and its job done again.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Values = Mapping[str, Any]
 
 
 class Row(NamedTuple):
-    """A job's row: values as JSON has them, and contents of files in the store's folder, by path.
+    """A job's row: values that JSON can hold, and contents of files in the store's folder, by path.
 
     The files are written before the row.
     """
@@ -45,10 +45,11 @@ class Row(NamedTuple):
 
 
 class Store:
-    """Rows by key in a file, which one process at a time has open; its folder is made.
+    """Rows by key in a file, which one process at a time may open; its folder is created.
 
-    `depends_on` is all that the rows depend on besides their jobs: scenario, options, `code(...)`; as
-    JSON. Rows of a file that depends on anything else do not count. Messages call the folder `entry`.
+    `depends_on`, as JSON, is all that the rows depend on besides their jobs: scenario, options,
+    `code(...)`. Rows of a file that depends on anything else are ignored. Messages call the folder
+    `entry`.
 
     Raises:
         InputError: if another process has it open, or the folder cannot be written.
@@ -91,7 +92,7 @@ class Store:
         self.close()
 
     def __len__(self) -> int:
-        """How many rows there are."""
+        """Number of rows."""
         return len(self._places)
 
     def __contains__(self, key: Key) -> bool:
@@ -111,20 +112,20 @@ class Store:
         return row
 
     def rows(self) -> Iterator[tuple[Key, dict[str, Any]]]:
-        """Yield keys and values, in the order in which they came."""
+        """Yield keys and values, in the order in which they were put."""
         return ((key, self[key]) for key in list(self._places))
 
     def row(self, key: Key, make: Callable[[], Values]) -> dict[str, Any]:
-        """The values of a row, which is made and kept if it is not there."""
+        """The values of a row; a missing one is made and kept."""
         if key not in self:
             self.put(key, make())
         return self[key]
 
     def put(self, key: Key, values: Values, files: Mapping[str, bytes] | None = None) -> None:
-        """Keep a row, in place of one of the same key, and before it the files that belong to it.
+        """Keep a row's files, then the row, in place of an earlier one with its key.
 
         Raises:
-            InputError: if the folder cannot be written; the row counts as not done.
+            InputError: if the folder cannot be written; the row then counts as not done.
         """
         try:
             for name, content in (files or {}).items():
@@ -162,7 +163,7 @@ class Store:
         self._end += len(line)
 
     def forget(self) -> None:
-        """Delete the file: its rows are somewhere else now."""
+        """Delete the file, once its rows are kept elsewhere."""
         self._leave()
         self._places, self._end = {}, 0
         self.path.unlink(missing_ok=True)
@@ -176,7 +177,7 @@ class Store:
                 file.close()
 
     def close(self) -> None:
-        """Close the file, and leave it to another process."""
+        """Close the file, so that another process may open it."""
         self._leave()
         self._open.close()
 
@@ -192,8 +193,8 @@ def run(
 ) -> None:
     """Run the jobs that have no row in a store, and keep each row as its job ends.
 
-    In this process without an executor. Without `row_of` the work returns the row's values, and a
-    failure is raised. `on_done` is called with the key and the values of each row once it is kept.
+    Without an executor jobs run in this process. Without `row_of` the work returns the row's values,
+    and a failure is raised. `on_done` is called with the key and the values of each row once kept.
 
     Raises:
         InputError: if the store cannot be written, or the executor cannot run the work.
@@ -211,7 +212,7 @@ def read_head(path: Path) -> dict[str, Any]:
     """Read what the rows of a file depend on.
 
     Raises:
-        OSError: if it cannot be read.
+        OSError: if the file cannot be read.
         ValueError: if it is no store.
     """
     with path.open("rb") as file:
@@ -223,7 +224,7 @@ def read_head(path: Path) -> dict[str, Any]:
 
 
 def read_rows(path: Path) -> Iterator[tuple[Key, dict[str, Any]]]:
-    """Yield keys and values of a file that may be at work; of a key the last counts."""
+    """Yield keys and values of a file that may be in use; of rows with one key the last counts."""
     with path.open("rb") as file:
         file.readline()
         for key, row, _, _ in _lines(file):
@@ -259,7 +260,7 @@ def versions() -> dict[str, str]:
 
 
 def code(*names: str) -> dict[str, Any]:
-    """What rows depend on besides inputs: versions of packages, sources of modules (see `sources`)."""
+    """Versions of packages and hash of modules' sources (see `sources`), for `Store.depends_on`."""
     return {"versions": versions(), "sources": sources(*names)}
 
 

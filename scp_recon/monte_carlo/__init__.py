@@ -1,1 +1,1 @@
-"""Many flights with errors: sampled, tallied and summarised."""
+"""Monte Carlo flights with errors: sampled, tallied and summarised."""

@@ -1,4 +1,4 @@
-"""Estimates with confidence intervals from tallies of bounded size, and how many flights they take."""
+"""Estimates with confidence intervals, from tallies of bounded size, and the flights they need."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ class Tally:
 
     @classmethod
     def empty(cls, low: float, high: float, resolution: float) -> Tally:
-        """No values yet; bins of `resolution` from `low` to `high`."""
+        """A tally without values, with bins of `resolution` from `low` to `high`."""
         bins = max(1, int(np.ceil((high - low) / resolution)))
         return cls(np.linspace(low, high, bins + 1), np.zeros(bins, dtype=np.int64))
 
     def add(self, values: Array) -> Tally:
-        """The tally with one more batch."""
+        """The tally with one more batch of values."""
         inside = np.clip(values, self.edges[0], self.edges[-1])
         return Tally(
             self.edges,
@@ -121,7 +121,7 @@ class Tally:
         return Estimate(value, low, high)
 
     def _at_rank(self, rank: float, cumulative: Array) -> float:
-        """Where the cumulative count reaches a rank; a full bin's upper edge for the top one."""
+        """Value at which the cumulative count reaches a rank, interpolated linearly in its bin."""
         at = int(np.searchsorted(cumulative, max(rank, 1.0), side="left"))
         inside = (rank - cumulative[at - 1]) / (cumulative[at] - cumulative[at - 1])
         width = self.edges[at] - self.edges[at - 1]
@@ -129,10 +129,10 @@ class Tally:
 
 
 def flights_needed(required: float) -> int:
-    """Flights of a round, whose failures tell a probability to be aimed at well enough.
+    """Number of flights that can certify a required probability.
 
     Raises:
-        InputError: if they are too many.
+        InputError: if it exceeds `FLIGHTS_MAX`.
     """
     rounding = 1e-6  # of 1 - required, in flights
     flights = int(np.ceil(max(FLIGHTS_MIN, FAILURES / (1.0 - required) - rounding)))
@@ -166,7 +166,7 @@ def look_interval(successes: int, samples: int) -> Estimate:
 
 
 def successes_needed(required: float, samples: int) -> int:
-    """The least number of successes with which a look passes: its lower limit is `required`."""
+    """Least number of successes whose lower confidence limit is at least `required`."""
     low, high = int(required * samples), samples
     while low < high:
         middle = (low + high) // 2

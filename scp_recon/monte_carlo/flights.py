@@ -1,4 +1,4 @@
-"""Monte Carlo: flights tallied block by block, in memory that does not grow with them."""
+"""Fly a plan many times with errors, tallied block by block in constant memory."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LOOK_STEP_S = 60.0
 
 TIME_BIN_S, DISTANCE_BIN_M = 0.5, 0.1
 LIMITS = Limits(seconds=3600.0)
-"""Of a block, which takes a second or less: what takes longer hangs."""
+"""Limits of a block, which takes a second or less: one that takes longer hangs."""
 TERMINAL_KEPT = 5000
 """Final states kept for the normality test, whose distribution is tabulated up to this number."""
 
@@ -40,17 +40,17 @@ PARTIAL, FLOWN = "montecarlo_partial.jsonl", "flights"
 COUNTS = ("samples", "whole", "full")
 SUMS = ("terminal", "terminal_sum", "terminal_outer")
 TALLIES = ("entry", "exit", "closest", "executed_dv")
-"""Of a `FlightTally`: what is kept as it is, as lists, and taken apart."""
+"""Fields of a `FlightTally` kept as numbers, as lists, and by their own fields."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlightConfig:
-    """What is flown: planned burns, shape (m, 3), and a seed of all draws.
+    """Planned burns to fly, J2000, m/s, shape (m, 3), the true dynamics, and the seed of all draws.
 
-    Burns are executed with the scenario's errors if no others are given.
+    Burns are executed with the scenario's errors if `errors` is None.
 
     Raises:
-        InputError: if seed, truth or errors are none, or cannot be flown in this scenario.
+        InputError: if seed, truth or errors are unknown, or cannot be flown in this scenario.
     """
 
     mission: Mission
@@ -60,7 +60,7 @@ class FlightConfig:
     errors: ErrorModel | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what would fail in the flights, and another body's gravity."""
+        """Refuse inputs with which flights would fail, and another body's gravity."""
         whole_number("seed", self.seed, 0, SEED_MAX)
         one_of("truth", self.truth, get_args(TruthModel))
         if self.errors is not None:
@@ -71,7 +71,7 @@ class FlightConfig:
 
     @property
     def looks_s(self) -> Array:
-        """Times in what is left of the window, its edges and the grid's nodes included."""
+        """Times in the rest of the window, s, at most `LOOK_STEP_S` apart; edges and nodes included."""
         if self.mission.observed_s is None:
             return np.zeros(0)
         first, last = self.mission.observed_s
@@ -81,7 +81,7 @@ class FlightConfig:
 
 @dataclass(frozen=True, eq=False)
 class FlightBlock:
-    """What one block of flights contributes."""
+    """Counts and sums of one block of flights."""
 
     held: dict[str, Array]
     entry: Array
@@ -94,7 +94,7 @@ class FlightBlock:
 
 
 def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
-    """Fly a block: (its number, its flights)."""
+    """Fly a block, given as (its number, its number of flights)."""
     number, flights = block
     mission, looks = config.mission, config.looks_s
     times = np.append(looks, mission.times_s[-1])
@@ -135,10 +135,10 @@ class FlightTally:
 
     Attributes:
         held: seconds in which each observation constraint holds, and all at once.
-        full: flights in which it holds throughout the window.
+        full: flights in which each holds throughout the window.
         entry, exit: first and last time at which all hold, of the flights in which they ever do.
         node_counts: flights in which each joint constraint holds, by time.
-        whole: flights that keep every limit on the position at every time looked at.
+        whole: flights that keep every limit on the position at every sampled time.
         closest, executed_dv: smallest distance from the body's centre, total delta-v.
         terminal: final states of the first flights.
     """
@@ -158,7 +158,7 @@ class FlightTally:
     terminal_outer: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     def __post_init__(self) -> None:
-        """Empty tallies that span what can occur."""
+        """Make empty tallies that span all values that can occur."""
         observed = self.config.mission.observed_s
         first, last = observed or self.config.mission.schedule.window_s
         planned = float(np.linalg.norm(self.config.burns_m_s, axis=1).sum())
@@ -171,7 +171,7 @@ class FlightTally:
         self.executed_dv = Tally.empty(0.0, 3.0 * max(planned, 1e-9), planned / 1e4 or 1e-9)
 
     def add(self, block: FlightBlock) -> None:
-        """Count a block in; blocks come in order, so that sums round the same way every time."""
+        """Count a block; blocks must come in order, so that sums round the same way every time."""
         first, last = self.config.mission.observed_s or (0.0, 0.0)
         for name, seconds in block.held.items():
             self.held[name] = self.held[name].add(seconds)
@@ -193,7 +193,7 @@ class FlightTally:
         self.samples += len(block.terminal)
 
     def worst_probability(self, name: str) -> tuple[float, Estimate]:
-        """Time at which a joint constraint holds in the fewest flights, and its probability there."""
+        """Time (s) at which a joint constraint holds in the fewest flights, and its probability."""
         counts = self.node_counts[name]
         at = int(np.argmin(counts))
         return float(self.config.looks_s[at]), proportion(int(counts[at]), self.samples)
@@ -201,7 +201,7 @@ class FlightTally:
     def widest_interval(self) -> float:
         """Width of the widest confidence interval among the joint probabilities.
 
-        Where nothing is observed any more it is that of the flights that keep clear of the body.
+        After the observation window it is that of the probability to stay clear of the body.
         """
         estimates = [self.worst_probability(name)[1] for name in self.node_counts]
         estimates += [] if estimates else [proportion(self.whole, self.samples)]
@@ -225,12 +225,12 @@ def fly_many(
     stop: Callable[[], bool] | None = None,
     begun: FlightTally | None = None,
 ) -> FlightTally:
-    """Fly `samples`, or at most that many until every probability's interval is `until` wide.
+    """Fly `samples` flights, or fewer if every probability's interval is `until` wide before.
 
-    The result does not depend on where blocks are flown, nor on having been stopped and continued. One
-    worker is this process; an executor takes the workers' place. `progress` is told how many are flown
-    after each block, and `stop` asked: where it says so, what is flown by then comes back. Whole
-    blocks of the same configuration that were `begun` with are counted on.
+    The result does not depend on where blocks are flown, nor on interruptions. One worker is this
+    process; an executor replaces the workers. After each block `progress` is called with the number
+    flown so far, and a true `stop()` ends the flights. `begun` is a tally of whole blocks of the same
+    configuration to continue.
 
     Raises:
         InputError: if samples, until or workers are out of bounds, before any flight; or if a block
@@ -259,7 +259,7 @@ def fly_many(
 
 
 def keep_flights(flown: FlightTally, solution: Solution, folder: Path) -> Path:
-    """Keep what is flown so far in a file, to the last bit, so that it is not flown again.
+    """Write the flights so far to a file, to the last bit, so that they are not flown again.
 
     Raises:
         InputError: if the folder cannot be written.
@@ -270,21 +270,21 @@ def keep_flights(flown: FlightTally, solution: Solution, folder: Path) -> Path:
 
 
 def flights_so_far(config: FlightConfig, solution: Solution, folder: Path) -> FlightTally | None:
-    """What was flown of this configuration by this very code, in whole blocks; None if nothing was.
+    """Read the kept flights of this configuration and code, whole blocks only; None if there are none.
 
-    A file that is damaged, or of other flights, counts as none.
+    A file that is damaged or of other flights is ignored.
     """
     with _kept(config, solution, folder) as store:
         return _put_together(store[FLOWN], config) if FLOWN in store else None
 
 
 def forget_flights(folder: Path) -> None:
-    """Delete what is kept: its flights are in a summary now."""
+    """Delete the kept flights, once they are in a summary."""
     (folder / PARTIAL).unlink(missing_ok=True)
 
 
 def _kept(config: FlightConfig, solution: Solution, folder: Path) -> Store:
-    """What two flights have in common that may be counted together, and where they are kept."""
+    """Open the store of kept flights: only equal configurations and code are counted together."""
     depends_on = {
         "plan": solution.plan_hash,
         "seed": config.seed,
@@ -297,7 +297,7 @@ def _kept(config: FlightConfig, solution: Solution, folder: Path) -> Store:
 
 
 def _taken_apart(flown: FlightTally) -> dict[str, Any]:
-    """A tally as JSON has it, whose numbers come back as they were."""
+    """A tally as JSON, whose numbers are read back bit by bit."""
     return {
         **{name: getattr(flown, name) for name in COUNTS},
         **{name: getattr(flown, name).tolist() for name in SUMS},

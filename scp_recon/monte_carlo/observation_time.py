@@ -1,4 +1,4 @@
-"""When a flight observes: margins of the observation constraints and how long each of them holds."""
+"""Margins of the observation constraints in flights, and the time for which each holds."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from scp_recon.physics.flow import interpolate
 Margins = dict[str, tuple[Literal["m", "rad"], Array]]
 
 SCIENCE = ("site_distance", "emission", "phase")
-"""The observation constraints proper, whose time is counted; the battery's is not one of them."""
+"""Observation constraints whose time is counted; the battery's is not one of them."""
 
 ALL = "all"
 BISECTIONS = 12
 
 
 def observation_margins(mission: Mission, times_s: Array, position: Array) -> Margins:
-    """Margins of the original observation constraints, >= 0 where satisfied, m or rad.
+    """Margins of the original observation constraints, m or rad, >= 0 where they hold.
 
-    At times of shape (n,), of positions in J2000, m, shape (n, ..., 3).
+    Times are in s, shape (n,), positions J2000, m, shape (n, ..., 3).
     """
     found = measured(mission, times_s, position)
     return {
@@ -56,7 +56,7 @@ def joint_margins(mission: Mission, times_s: Array, position: Array) -> dict[str
 
 @dataclass(frozen=True)
 class Held:
-    """How long a constraint holds in the window, by flight; all of shape (flights,), s.
+    """Time for which a constraint holds in the window, by flight; all of shape (flights,), s.
 
     `entry` and `exit` are the first and the last time at which it holds, NaN where it never does.
     """
@@ -67,12 +67,11 @@ class Held:
 
 
 def time_held(mission: Mission, times_s: Array, states: Array) -> dict[str, Held]:
-    """Time in which each observation constraint holds, and all of them at once.
+    """Time for which each observation constraint holds, and all of them at once.
 
-    From states in J2000, m and m/s, shape (n, flights, 6), at ascending times that span the window,
-    shape (n,). Crossings between them are bisected on a cubic Hermite interpolation of the states to
-    1/4096 of the spacing. Dips and peaks that begin and end between two times are found as the vertex
-    of a parabola through three margins.
+    States are J2000, m and m/s, shape (n, flights, 6), at ascending times that span the window, shape
+    (n,). Crossings are bisected on a cubic Hermite interpolation of the states to 1/4096 of the
+    spacing. Dips and peaks between two times are the vertices of parabolas through three margins.
     """
     margins = _counted(joint_margins(mission, times_s, states[..., :3]))
     holds = np.stack(list(margins.values())) >= 0.0
@@ -93,7 +92,7 @@ def _counted(joint: dict[str, Array]) -> dict[str, Array]:
 
 
 def _held(times: Array, margin: Array, k: Indices, flight: Indices, crossing: Array) -> Held:
-    """From one constraint's margins (n, flights) and its crossings in the arcs after times k."""
+    """`Held` of one constraint's margins (n, flights) and its crossings in the arcs after times k."""
     holds = margin >= 0.0
     steps = np.diff(times)
     duration = (steps[:, None] * (holds[1:] & holds[:-1])).sum(axis=0)
@@ -141,7 +140,7 @@ def _bisect(
 
 
 def _vertices(steps: Array, margin: Array) -> Array:
-    """Time to add for peaks above and dips below zero that no given time sees, (flights,).
+    """Time to add for peaks above and dips below zero between the given times, (flights,).
 
     Through three equally spaced margins with second difference c and first difference d, the vertex
     is v = m - d^2 / (8 c), and the parabola lies beyond zero for sqrt(-8 v / c) spacings. Spacings

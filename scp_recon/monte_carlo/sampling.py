@@ -1,4 +1,4 @@
-"""Flights drawn from the initial-state and execution errors, in blocks that nothing else changes."""
+"""Sample flights with errors of the initial state and of the burns, in independent blocks."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Flights:
     """Sampled flights.
 
     Attributes:
-        times_s: when they were looked at, shape (n,).
+        times_s: sampled times, shape (n,).
         states: J2000, m and m/s, after the burns, shape (n, flights, 6).
-        burns_m_s: as executed, shape (flights, m, 3).
-        closest_m: smallest distance from the body's centre where a step ended, shape (flights,).
+        burns_m_s: executed burns, shape (flights, m, 3).
+        closest_m: smallest distance from the body's centre at the ends of steps, shape (flights,).
     """
 
     times_s: Array
@@ -53,13 +53,12 @@ def fly_block(
 ) -> Flights:
     """Fly the first `flights` of a block of draws, at most `BLOCK`, with planned burns, shape (m, 3).
 
-    The initial state is Gaussian about the mission's. A burn is executed with the errors that the
-    scenario gives and the planner counts on: as dv (1 + beta w) by component with w standard normal
-    (Echigo et al., eq. 3), or by Gates' model. Gates' stands in for the former on request, with a
-    proportional error of the magnitude, beta, and of the pointing, beta rad about each axis across:
-    the isotropic counterpart of the same size. The dynamics are those of a point mass with J2, or the
-    mission's `truth_field` turning with the body. A flight is integrated from burn to burn in steps
-    that nothing else decides, and interpolated at the ascending times at which it is looked at.
+    The initial state is Gaussian about the mission's. A burn is executed with the scenario's errors:
+    dv (1 + beta w) by component with w standard normal (Echigo et al., eq. 3), or Gates' model.
+    With `errors` = "gates" Gates' model replaces the former by its isotropic counterpart: errors of
+    beta in magnitude and of beta rad about each axis across. The dynamics are a point mass with J2,
+    or the mission's `truth_field` turning with the body. Integration steps depend on the burns' times
+    alone; states at the ascending `times_s` are interpolated.
 
     Raises:
         InputError: if the scenario's errors have no such counterpart.
@@ -112,7 +111,7 @@ def sample_positions(
 
 
 def _flow(mission: Mission, truth: TruthModel) -> Flow:
-    """Carries positions and velocities (3, flights) from a time over a duration."""
+    """Flow of positions and velocities (3, flights) from a time over a duration."""
     forces, field = mission.forces, mission.truth_field if truth == "harmonics" else None
 
     def acceleration(at: Array, time_s: float) -> Array:

@@ -1,4 +1,4 @@
-"""Summarise many flights: the model of `montecarlo.json`, and where it falls short of the plan. SI."""
+"""Summarise many flights, as `montecarlo.json` holds them, and compare them with the plan. SI."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class Interval(Section):
-    """A value and its confidence interval; null where JSON has no number, as of an open end.
+    """A value and its confidence interval; null stands for an infinite end or no value.
 
     Attributes:
         value: the estimate.
@@ -45,7 +45,7 @@ class Interval(Section):
 
     @property
     def estimate(self) -> Estimate:
-        """With an infinite open end, and NaN for no value."""
+        """The same with infinite ends, and NaN for no value."""
         return Estimate(
             np.nan if self.value is None else self.value,
             -np.inf if self.low is None else self.low,
@@ -54,7 +54,7 @@ class Interval(Section):
 
 
 class LowestProbability(Interval):
-    """Of a joint constraint, at the time when it is smallest.
+    """Probability of a joint constraint at the time when it is lowest.
 
     Attributes:
         worst_t_s: that time, past the epoch.
@@ -64,7 +64,7 @@ class LowestProbability(Interval):
 
 
 class Histogram(Section):
-    """The bins of one width that hold anything: where they start, and how many flights each.
+    """Bins of one width that are not empty: where each starts, and its number of flights.
 
     Attributes:
         bin: width of all of them, s.
@@ -84,7 +84,7 @@ class Histogram(Section):
 
 
 class Held(Section):
-    """Seconds in which a constraint holds, and the probability that it does throughout.
+    """Seconds for which a constraint holds, and the probability that it holds throughout.
 
     Attributes:
         mean: of all flights.
@@ -102,7 +102,7 @@ class Held(Section):
 
 
 class Spread(Section):
-    """Mean and 5 % and 95 % quantiles of the flights that have the quantity; without any, no more.
+    """Mean and 5 % and 95 % quantiles over the flights that have a quantity; none if no flight has.
 
     Attributes:
         samples: flights that have the quantity.
@@ -152,7 +152,7 @@ class Normality(Section):
 
 
 class Terminal(Section):
-    """Final state by component, those that spread: sampled over predicted sigma, and normality.
+    """Final state by component with a spread: sampled over predicted sigma, and normality.
 
     Attributes:
         sigma_ratio: sampled over predicted sigma, by component.
@@ -164,7 +164,7 @@ class Terminal(Section):
 
 
 class Summary(File):
-    """Everything many flights found; `plan_hash` is that of the plan flown, null in older files.
+    """Results of many flights; `plan_hash` is that of the plan flown, null in older files.
 
     Attributes:
         plan_hash: of the plan flown.
@@ -212,7 +212,7 @@ class Summary(File):
         return self
 
     def __str__(self) -> str:
-        """What was flown, and each constraint's probability where it is lowest."""
+        """Flights and settings, and each constraint's lowest probability."""
         flown = f"{self.samples} flights, seed {self.seed}, {self.truth}, {self.errors} errors"
         lines = [
             f"P({name}) {p.estimate.value:.4f}, {p.estimate.low:.4f} to {p.estimate.high:.4f}, "
@@ -226,7 +226,7 @@ class Summary(File):
         return f"<Summary: {str(self).partition(chr(10))[0]}>"
 
     def is_of(self, solution: Solution) -> bool:
-        """Whether it was the solution's plan that was flown."""
+        """Whether the solution's plan was flown."""
         return self.plan_hash == solution.plan_hash
 
     def write(self, folder: Path) -> Path:
@@ -248,18 +248,18 @@ def read_summary(path: Path) -> Summary:
     """Read a summary, or the one in a folder.
 
     Raises:
-        InputError: if there is none, it is of another version, or it is damaged.
+        InputError: if there is none, or it is damaged or of another version.
     """
     return read_summary_as(Summary, path)
 
 
 def read_summary_as(kind: type[Kind], path: Path) -> Kind:
-    """Read a summary to which a study has added entries of its own, as `read_summary` does."""
+    """Read a summary of a class that a study has derived from `Summary`, as `read_summary` does."""
     return read_file(path / FILE_NAME if path.is_dir() else path, kind, [SCHEMA], "summary")
 
 
 def summarise(flown: FlightTally, solution: Solution) -> Summary:
-    """Everything the flights of a solution's plan found.
+    """Summarise the flights of a solution's plan.
 
     Raises:
         ValueError: if another plan was flown.
@@ -372,10 +372,10 @@ def required_probability(solution: Solution) -> float | None:
 
 
 def shortfalls(summary: Summary, solution: Solution) -> list[str]:
-    """List what is not met, each beside what is required; empty if all is.
+    """List requirements that the flights do not meet, as value and required value; empty if none.
 
-    Estimates are held to the probability, as the verification does, and whole flights where the
-    probability is required of them.
+    Estimates are compared with the required probability, as in the verification; whole flights only
+    where the probability is required of them.
     """
     converged = Status.CONVERGED.value.name
     found = []
@@ -396,7 +396,7 @@ def shortfalls(summary: Summary, solution: Solution) -> list[str]:
 
 
 def too_wide(width: float, until: float | None) -> list[str]:
-    """Say so where flights came to an end before the widest interval was as narrow as required."""
+    """A message if flights ended before the widest interval was as narrow as required."""
     if until is None or width <= until:
         return []
     return [
@@ -405,6 +405,6 @@ def too_wide(width: float, until: float | None) -> list[str]:
 
 
 def _judged(found: Interval, solution: Solution) -> float:
-    """The estimate; of an exact plan, which spends all of its risk, what flights do not refute."""
+    """The estimate; for an exact plan, which spends all its risk, the upper end of its interval."""
     exact = solution.scenario.risk.allocation == "exact"
     return found.estimate.high if exact else found.estimate.value

@@ -1,8 +1,8 @@
-"""Which flights keep all limits on the position, at the nodes and between them.
+"""Count flights that keep all limits on the position, at the nodes and between them.
 
-Limits of the observation count in the window, that of safety everywhere. Between looks a flight is
-known to the second where it may reach a limit there: how far a margin can dip below the line between
-two looks follows from how it bends about them.
+Observation limits count in the window, the safety distance everywhere. Flights are sampled at times
+here called looks, and every second between two looks if a margin may dip below zero there: second
+differences bound how far it dips below the line between the looks.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ FALL = 0.5
 
 @dataclass(frozen=True)
 class KeptFlights:
-    """How many of some flights keep what.
+    """Numbers of flights that keep the limits.
 
     Attributes:
         samples: flights.
         at_nodes: of each joint constraint at each of its nodes, shape (n,).
-        throughout: of each joint constraint the least at any second.
+        throughout: least number at any second, of each joint constraint.
         whole_at_nodes: flights that keep everything at all nodes.
         whole: flights that keep everything at all times.
-        touched_s: times between nodes at which more is lost than at nodes. With the scope `flight` when
-            flights break something that keep everything at nodes. With `node` the seconds at which a
+        touched_s: times between nodes at which more is lost than at nodes. With the scope `flight`:
+            when flights that keep all limits at nodes break one. With `node`: seconds at which a
             constraint is less likely than any is at a node, by more than half of the largest fall.
     """
 
@@ -63,9 +63,9 @@ def kept_flights(
     seed: int,
     progress: Callable[[int], None] | None = None,
 ) -> KeptFlights:
-    """Fly a plan's burns, shape (m, 3), with the planner's dynamics and see what holds.
+    """Fly a plan's burns, J2000, m/s, shape (m, 3), with the planner's dynamics and count limits kept.
 
-    `progress` is told how many are flown after each block.
+    `progress` is called with the number flown so far after each block.
     """
     nodes = mission.times_s
     looks = np.union1d(np.arange(nodes[0], nodes[-1], LOOK_S), nodes)
@@ -104,12 +104,12 @@ def _seconds(looks: Array) -> Array:
 
 
 def _every(at_looks: Counts, between: Counts) -> Counts:
-    """Flights that hold at the looks and between them."""
+    """Counts at the looks, then those between them."""
     return np.concatenate([at_looks, between.ravel()])
 
 
 def _less_likely(times: Array, fall: Counts) -> Array:
-    """Times at which so many flights fewer hold than at the worst node, where these are most."""
+    """Times at which the fall below the worst node exceeds half of the largest fall."""
     return times[fall > max(0.0, FALL * fall.max())]
 
 
@@ -206,7 +206,7 @@ def may_dip(times: Array, margin: Array) -> Array:
 def _between(
     mission: Mission, name: str, arcs: _Arcs, margin: Array
 ) -> tuple[Counts, Booleans, Array, Indices]:
-    """Counts that hold at each second between looks, flights that break it; and when which does."""
+    """Number that holds at each second between looks, flights that break it, and when they do."""
     times = arcs.times
     low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
     near = may_dip(times, margin)

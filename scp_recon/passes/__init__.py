@@ -1,1 +1,1 @@
-"""Design of a whole pass from a home orbit: phases, epochs and burn times, in a loop around plans."""
+"""Design whole passes from a home orbit: phases, epochs and burn times, in a loop around plans."""

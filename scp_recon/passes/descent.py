@@ -1,8 +1,8 @@
 """Descend to the cheapest pass near a given one: SLSQP over phases and times, in rounds.
 
-The cost of a pass is the delta-v of its plan, made by `Near` with the grid, the facets and the
-compiled program of the round's start, and begun where the last plan ended: a smooth function of phases
-and times. `Near.slope` gives its derivative from the multipliers of the plan's constraints.
+The cost of a pass is the delta-v of its plan. `Near` plans with the grid, the facets and the compiled
+program of the round's start, and starts from the last plan, so that the cost is smooth in phases and
+times. `Near.slope` gives its derivative from the multipliers of the plan's constraints.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from scp_recon.planning.stages import StageRunner
 from scp_recon.scp.status import Status
 
 REACH = 0.3
-"""Of a round, in rad and in units of time: facets and grid are those of its start."""
+"""Reach of a round, rad and units of time: facets and grid are those of its start."""
 ROUNDS_MAX, STEPS_MAX = 12, 20
 """Rounds, and steps of SLSQP in each."""
 WORTH = 1e-4
-"""Relative gain of a round for which another is worth its time."""
+"""Relative gain of a round after which another one is made."""
 FREE_SPAN = 1e-9
 DIFFERENCE = 1e-6
 """Step of the derivatives by phase (rad) and time; the flown deviation has an error of its square."""
@@ -44,7 +44,7 @@ Observe = Callable[["PassResult"], None]
 
 @dataclass(frozen=True, eq=False)
 class PassResult:
-    """A pass with its mission and what was planned for it, the stage of P3 or P2 as it ended.
+    """A pass with its mission and its plan, the last stage of P3 or P2.
 
     Attributes:
         at: the pass.
@@ -58,12 +58,12 @@ class PassResult:
 
     @property
     def converged(self) -> bool:
-        """Whether there is a plan."""
+        """Whether the plan converged."""
         return self.stage.result.status is Status.CONVERGED
 
     @property
     def dv_m_s(self) -> float:
-        """Total delta-v of the plan; infinite where there is none."""
+        """Total delta-v of the plan; infinite if it did not converge."""
         total = self.stage.result.lin.iterate.total_dv * self.mission.units.speed_m_s
         return total if self.converged else float("inf")
 
@@ -74,10 +74,10 @@ class PassResult:
 
 
 class Near:
-    """Plans P2 near a pass, with facets that `Planner.plan` would choose there, and keeps them.
+    """Plans P2 near a pass with the facets that `Planner.plan` would choose there.
 
-    With exact risk there are no facets. Without uncertainty, if `certain`, P3 is planned. `first` is
-    the plan at the pass itself, begun at the given burns (m, 3), J2000.
+    With exact risk there are no facets. If `certain`, P3 is planned instead, without uncertainty.
+    `first` is the plan at the pass itself, started from the given burns, J2000, m/s, shape (m, 3).
     """
 
     def __init__(self, space: Space, at: Pass, burns_m_s: Array, *, certain: bool = False) -> None:
@@ -93,7 +93,7 @@ class Near:
         self.first = self.plan(space.vector(at), start)
 
     def plan(self, x: Array, start: Linearisation | None = None) -> PassResult:
-        """P2 at x, begun at the burns of another iterate, or where the first plan ended."""
+        """Plan P2 at x, started from the burns of another iterate, or from the first plan."""
         at = self.space.at(x)
         mission = self.space.moved(self._mission, at)
         runner, begun = StageRunner(mission, self._planner), start or self.first.stage.result.lin
@@ -105,10 +105,9 @@ class Near:
     def slope(self, result: PassResult, free: Booleans) -> Array:
         """Derivative of the least delta-v by x, nondimensional, shape (2 + m,); zero where not free.
 
-        By the envelope theorem it is that of the Lagrangian with burns and multipliers kept. Only what
-        the flight misses and violates depends on x then, and flying the same burns from elsewhere, or
-        at other times, tells it. Fiacco, Introduction to Sensitivity and Stability Analysis, 1983,
-        section 3.4.
+        By the envelope theorem it is the Lagrangian's, with burns and multipliers kept. Only defects
+        and violations depend on x then; flying the same burns from other states and at other times
+        gives them. Fiacco, Introduction to Sensitivity and Stability Analysis, 1983, section 3.4.
         """
         space, stage, x = self.space, result.stage, self.space.vector(result.at)
         lin, merit = stage.result.lin, stage.merit
@@ -130,9 +129,9 @@ class Near:
 
 
 def reflown(mission: Mission, lin: Linearisation) -> Linearisation:
-    """The same burns flown in a mission that hardly differs, its defects closed to first order.
+    """Fly an iterate's burns in a nearly equal mission, with defects closed to first order.
 
-    The problem is the iterate's with the mission's boundary, its constraints kept.
+    The problem is the iterate's with the mission's boundary; its constraints are kept.
     """
     units, dynamics, iterate = mission.units, mission.dynamics, lin.iterate
     problem = replace(
@@ -158,11 +157,11 @@ def descend(
     *,
     certain: bool = False,
 ) -> PassResult:
-    """The best pass that rounds of SLSQP find from one; never a worse one than P2 at the start.
+    """Find the best pass by rounds of SLSQP from a given one; it is never worse than the start's P2.
 
-    The first plan begins at the given burns (m, 3), J2000; where it does not converge, it is what is
-    returned. `worth` is the relative gain of a round for which there is another. If `certain`,
-    uncertainty is left out: P3 in the place of P2.
+    The first plan starts from the given burns, J2000, m/s, shape (m, 3), and is returned if it does
+    not converge. A round is followed by another if its relative gain is at least `worth`. If `certain`,
+    uncertainty is left out: P3 in place of P2.
     """
     near = Near(space, at, burns_m_s, certain=certain)
     best = near.first
@@ -182,7 +181,7 @@ def descend(
 
 
 def _round(space: Space, near: Near, observe: Observe) -> tuple[Array, Array]:
-    """The cheapest x that SLSQP finds within reach, and the burns there."""
+    """One round: the cheapest x that SLSQP finds within reach, and the burns there."""
     start, low, high = space.vector(near.first.at), *space.bounds.T
     free = high - low > FREE_SPAN
     matrix, least = space.rules(space.before(near.first.at.times_s))
@@ -220,8 +219,8 @@ def _round(space: Space, near: Near, observe: Observe) -> tuple[Array, Array]:
     return space.vector(best.at), best.burns_m_s
 
 
-def why_nothing(result: PassResult, plans: int) -> str:
-    """How far a design without a pass came, which limit stopped it and for which departure."""
+def explain_failure(result: PassResult, plans: int) -> str:
+    """Explain a design without a pass: its best pass and the limit which that violates most."""
     stage, mission = result.stage, result.mission
     worst, most = "the final state", 0.0
     for name, margins in stage.margins.items():

@@ -1,8 +1,8 @@
 """Design a pass: a map over both phases, descents from its valleys, and the best one refined.
 
-Refining also changes the number of burns. Where errors shrink with the burns, the primer says where one
-more helps, and a burn that does not help vanishes. Errors that do not shrink leave no such derivative:
-then one more between any two burns, and one less, is tried.
+Refining also changes the number of burns. Where errors shrink with the burns, the primer shows where
+another burn helps, and a useless burn vanishes. Errors that do not shrink leave no such derivative:
+then one more burn between any two, and one less, are tried.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from scp_recon.scenario.schema import Scenario
 STARTS_MAX = 4
 """Valleys of the map from which descents begin."""
 FIRST, LAST, EXACT = (2, 1e-2), (ROUNDS_MAX, WORTH), (3, 1e-3)
-"""Effort (rounds at most, gain worth another one) of descents that are only to be compared, of the last
-ones, and under exact risk, where plans take ten times as long."""
+"""Effort (rounds at most, gain worth another one) of descents to compare, of the last ones, and under
+exact risk, where plans take ten times as long."""
 SURROGATE = {
     "risk": {"allocation": "uniform", "scope": "node"},
     "polytopes": {"ball": "tangent", "cone": 12},
 }
-"""What stands for exact risk until the last descent: quicker, and near it."""
+"""Risk planned with in place of exact risk until the last descent: quicker, and near it."""
 
 PLACES_MAX = 3
 """Peaks of the primer at which another burn is tried."""
 VANISHED_M_S = 1e-6
-"""Size of a burn that is none."""
+"""Size in m/s below which a burn has vanished."""
 
 Step = Literal["map", "descent", "certain", "window", "refinement", "fewer", "number", "exact"]
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A plan that was made on the way, and about which lighting window, from 0.
+    """A plan made during the design, and the number of its lighting window, from 0.
 
-    The pass's own times begin at `begin_s` past the scenario's epoch.
+    The pass's own times count from `begin_s` past the scenario's epoch.
 
     Attributes:
         step: that it belongs to.
@@ -64,7 +64,7 @@ class Trial:
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """A space, its number, when its times begin past the scenario's epoch, and legal times in it."""
+    """A window's space and number, its time zero past the scenario's epoch, s, and legal times."""
 
     space: Space
     number: int
@@ -74,7 +74,7 @@ class Around:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A pass with another number of burns, to begin with at given burns, J2000, shape (m, 3)."""
+    """A pass with another number of burns, and burns to start from, J2000, m/s, shape (m, 3)."""
 
     space: Space
     at: Pass
@@ -82,19 +82,19 @@ class Candidate:
 
 
 Best = tuple[Around, PassResult]
-"""The best pass so far, and about which window."""
+"""A pass and its window."""
 
 
 @dataclass
 class Designer:
-    """A design at work, for a scenario with a home orbit; every plan is kept and shown."""
+    """Designs a pass for a scenario with a home orbit; keeps every plan and reports it to `observe`."""
 
     scenario: Scenario
     observe: Callable[[Trial], None]
     trials: list[Trial] = field(default_factory=list)
 
     def run(self) -> tuple[Space, PassResult]:
-        """The cheapest pass found, with its space; where none has a plan, the furthest that one came.
+        """Find the cheapest pass and its space; if none converged, the one with the least violation.
 
         Raises:
             InputError: see `spaces_of`.
@@ -107,33 +107,33 @@ class Designer:
         ]
         begun = []
         for first in around:
-            begun.append(self._begun(first))
+            begun.append(self._map_and_descend(first))
             if begun[-1][1].converged:
                 break
         where, best = begun[-1]
         if not best.converged:
             where, best = min(begun, key=lambda one: violation(one[1]))
             if exact:  # which requires less than what stands for it
-                where, best = self._exactly(where, best)
+                where, best = self._descend_exact(where, best)
             return where.space, best
-        others = around[len(begun) :]  # about those before there is no pass
-        where, best = cheapest([(where, best), *self._elsewhere(others, best)])
+        others = around[len(begun) :]  # the earlier ones have no pass
+        where, best = cheapest([(where, best), *self._other_windows(others, best)])
         best = self._descent(where, "refinement", best.at, best, LAST)
-        where, best = self._numbered(where, best)
+        where, best = self._vary_burns(where, best)
         if exact:
-            where, best = self._exactly(where, best)
+            where, best = self._descend_exact(where, best)
         return where.space, best
 
-    def _exactly(self, where: Around, best: PassResult) -> Best:
-        """From a pass, under the scenario's own risk."""
+    def _descend_exact(self, where: Around, best: PassResult) -> Best:
+        """Descend from a pass under the scenario's own, exact risk."""
         space, given = where.space, self.scenario
         update = {"risk": given.risk, "polytopes": given.polytopes}
         own = space.mission.scenario.model_copy(update=update)
         where = replace(where, space=replace(space, mission=replace(space.mission, scenario=own)))
         return where, self._descent(where, "exact", best.at, best, EXACT)
 
-    def _begun(self, first: Around) -> Best:
-        """The best of descents from the valleys of a map about one window; if none, the furthest."""
+    def _map_and_descend(self, first: Around) -> Best:
+        """Map one window and descend from its valleys: the best pass, or that of least violation."""
         mapped = scan(first.space, first.times_s, self._seen("map", first))
         tries = [
             self._descent(first, "descent", one.at, one, FIRST)
@@ -144,43 +144,46 @@ class Designer:
             return first, best
         return first, min(tries or mapped, key=violation)
 
-    def _elsewhere(self, others: Iterable[Around], best: PassResult) -> Iterable[Best]:
-        """The best pass about the other windows, at their own legal times."""
+    def _other_windows(self, others: Iterable[Around], best: PassResult) -> Iterable[Best]:
+        """Descend from a pass about the other windows, at their own legal times."""
         for other in others:
             at = Pass(best.at.phases, other.times_s)
             yield other, self._descent(other, "window", at, best, FIRST)
 
-    def _numbered(self, where: Around, best: PassResult) -> Best:
-        """With burns left out that have vanished and others added, as long as that helps."""
+    def _vary_burns(self, where: Around, best: PassResult) -> Best:
+        """Leave out vanished burns and add others, as long as that helps."""
         if self.scenario.design is not None and self.scenario.design.burn_times == "given":
             return where, best
         for _ in range(BURNS_MAX):
             fewer = vanished(where.space, best)
             if fewer is not None:
-                there, result = self._try("fewer", where, fewer)
+                there, result = self._descend_candidate("fewer", where, fewer)
                 if result.dv_m_s <= (1.0 + WORTH) * best.dv_m_s:
                     where, best = there, result
-            tries = [self._try("number", where, other) for other in others(where.space, best)]
+            tries = [
+                self._descend_candidate("number", where, other)
+                for other in other_counts(where.space, best)
+            ]
             there, result = cheapest([(where, best), *tries])
             if result.dv_m_s > (1.0 - WORTH) * best.dv_m_s:
                 break
             where, best = there, result
         return where, best
 
-    def _try(self, step: Step, where: Around, other: Candidate) -> Best:
-        """From a pass with another number of burns."""
-        there = replace(where, space=about(other.space, other.at))
+    def _descend_candidate(self, step: Step, where: Around, other: Candidate) -> Best:
+        """Descend from a pass with another number of burns."""
+        there = replace(where, space=centred_on(other.space, other.at))
         seen = self._seen(step, there)
         return there, descend(there.space, other.at, other.burns_m_s, seen, *LAST)
 
     def _descent(
         self, where: Around, step: Step, at: Pass, known: PassResult, effort: tuple[int, float]
     ) -> PassResult:
-        """From a pass, begun at the burns of a known plan.
+        """Descend from a pass, started from the burns of a known plan.
 
-        Where there is no plan, from a pass near by that is cheaper without uncertainty, and errs less.
+        If that does not converge, descend without uncertainty first, and from there again.
         """
-        space, seen = about(where.space, at), self._seen(step, where)
+        space, seen = centred_on(where.space, at), self._seen(step, where)
         result = descend(space, at, known.burns_m_s, seen, *effort)
         if result.converged:
             return result
@@ -200,17 +203,17 @@ class Designer:
 
 
 def cheapest(tries: Iterable[Best]) -> Best:
-    """The cheapest of some passes that have a plan, or any."""
+    """The cheapest of some passes; any of them if none converged."""
     return min(tries, key=lambda one: one[1].dv_m_s)
 
 
 def violation(result: PassResult) -> float:
-    """The largest of a try."""
+    """Largest violation of a pass's plan."""
     return result.stage.merit.worst_violation(result.stage.result.lin)
 
 
-def about(space: Space, one: Pass) -> Space:
-    """The same space, a whole turn of phases laid about a pass."""
+def centred_on(space: Space, one: Pass) -> Space:
+    """The same space, with spans of a whole turn centred on a pass."""
     spans = [
         (phase - 0.5 * TURN, phase + 0.5 * TURN) if high - low >= TURN - 1e-9 else (low, high)
         for phase, (low, high) in zip(one.phases, space.phase_spans, strict=True)
@@ -219,13 +222,13 @@ def about(space: Space, one: Pass) -> Space:
 
 
 def vanished(space: Space, result: PassResult) -> Candidate | None:
-    """The pass without inner burns that have vanished and their rules; None if all count."""
+    """The pass without its vanished inner burns; None if no burn has vanished."""
     there = np.linalg.norm(result.burns_m_s, axis=1) > VANISHED_M_S
     there[[0, -1]] = True
     return None if there.all() else _chosen(space, result, there)
 
 
-def others(space: Space, result: PassResult) -> list[Candidate]:
+def other_counts(space: Space, result: PassResult) -> list[Candidate]:
     """Passes with one burn more, and without a primer also with one less."""
     history = primer_history(result.mission, result.stage)
     times, every = result.at.times_s, np.arange(space.n_burns)
@@ -235,14 +238,14 @@ def others(space: Space, result: PassResult) -> list[Candidate]:
         places = [0.5 * (first + second) for first, second in itertools.pairwise(times)]
         fewer = [_chosen(space, result, every != gone) for gone in every[1:-1]]
     room = space.n_burns < BURNS_MAX
-    more = [_with(space, result, place) for place in places if room]
+    more = [_with_burn(space, result, place) for place in places if room]
     return [one for one in more if one is not None] + fewer
 
 
 def peaks(history: PrimerHistory) -> list[float]:
     """Times at which the allowed part of the primer exceeds one and is largest near by, s.
 
-    Where the others leave no room for a burn they have to give way.
+    Other burns are moved if they leave no room for one at such a time.
     """
     allowed = np.array(history.allowed)
     size = np.r_[-np.inf, allowed, -np.inf]
@@ -252,8 +255,8 @@ def peaks(history: PrimerHistory) -> list[float]:
     return [history.t_s[at] for at in best.tolist()]
 
 
-def _with(space: Space, result: PassResult, time_s: float) -> Candidate | None:
-    """The pass with a burn at a time, the others moved by as little as the rules ask."""
+def _with_burn(space: Space, result: PassResult, time_s: float) -> Candidate | None:
+    """The pass with another burn at a time, the others moved as little as the rules require."""
     times, spans = result.at.times_s, space.time_spans
     place = int(np.clip(np.searchsorted(times, time_s), 1, len(times) - 1))
     inner = spans[1] if len(spans) > 2 else (spans[0][0], spans[-1][1])

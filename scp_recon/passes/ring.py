@@ -1,4 +1,4 @@
-"""The home orbit as a ring of states by phase: a circle, a revolution under forces, or of an ephemeris.
+"""The home orbit as states by phase: a circle, a revolution under forces, or one of an ephemeris.
 
 An ephemeris is a table of states, a CCSDS OEM or SPICE kernels.
 """
@@ -24,33 +24,33 @@ from scp_recon.scenario.schema import Scenario
 
 TURN = 2.0 * np.pi
 LONGEST, SAMPLES = 3.0, 3001
-"""Revolutions of the circle in which the flown one has to come round, and looks at it."""
+"""Revolutions of the circle within which the flown one must close, and samples of it."""
 ENTRY = "boundary.home.ephemeris_file"
 LONG, STATES = 1.25, 2001
 """Circle's revolutions that are read from kernels, and states."""
 APART = np.deg2rad(15.0)
 """Angle between neighbouring states, at most: cubics err by less than 2e-5 of the radius there."""
 WITHIN = 2.0
-"""Factor of the radius that is said."""
+"""Largest factor between the ephemeris's distances and radius_m."""
 LOOKS = 8
 """Between neighbouring states."""
 
 
 Ring = Callable[[float], Array]
-"""States by phase, in rad of any turn, whose waiting spacecraft may be at any of them at any time.
+"""States by phase, rad, of any turn; the waiting spacecraft may be at any of them at any time.
 
 Position and velocity, J2000, body-centred, m and m/s, shape (6,).
 """
 
 
 def home_ring(home: HomeOrbit, gm: float, axes: Array) -> Ring:
-    """The home orbit of a scenario, a circle; axes (3, 3) lead from boundary.frame to J2000."""
+    """A scenario's circular home orbit by phase; axes (3, 3) rotate from boundary.frame to J2000."""
     turn = np.kron(np.eye(2), axes)
     return lambda phase_rad: turn @ home.state(phase_rad, gm)
 
 
 def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
-    """Unit vectors of phase zero and of a quarter turn, J2000, and 1 or -1: the way it is flown."""
+    """Unit vectors of phase zero and of a quarter turn, J2000, and the sense of flight, 1 or -1."""
     first, second = (
         axes @ home.state(phase, 1.0)[:3] / home.radius_m for phase in (0.0, 0.25 * TURN)
     )
@@ -60,8 +60,8 @@ def directions(home: HomeOrbit, axes: Array) -> tuple[Array, Array, float]:
 def flown_ring(home: HomeOrbit, forces: ForceModel, axes: Array) -> Ring:
     """One revolution under a mission's forces, from the circle's state at phase zero on.
 
-    Phases are angles about the circle's normal, as on the circle; the ends of the revolution meet at
-    phase zero only nearly. Axes (3, 3) lead from boundary.frame to J2000.
+    Phases are angles about the circle's normal; the ends of the revolution meet only approximately.
+    Axes (3, 3) rotate from boundary.frame to J2000.
 
     Raises:
         InputError: if it does not come round within three of the circle's revolutions.
@@ -94,9 +94,12 @@ def ring_of(
 ) -> Ring | None:
     """The first revolution of a track, if it goes round in one sense.
 
-    The track gives states (6, n) at times (n,), or a single one; it is looked at at ascending times,
-    near to each other. Unit vectors are of phase zero and of a quarter of a turn; the sense is 1
-    towards growing phases, -1 the other way.
+    Args:
+        track: states (6, n) at times (n,), or (6,) at one time.
+        times_s: ascending times at which to sample it, close to each other.
+        first: unit vector of phase zero.
+        second: unit vector of a quarter turn.
+        sense: 1 towards growing phases, -1 the other way.
     """
     places = track(times_s)[:3]
     angle = sense * np.unwrap(np.arctan2(second @ places, first @ places))
@@ -114,11 +117,11 @@ def ring_of(
 
 
 def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
-    """The first revolution of a file; axes (3, 3) lead from boundary.frame to J2000.
+    """The first revolution of an ephemeris; axes (3, 3) rotate from boundary.frame to J2000.
 
     Raises:
         InputError: if the file cannot be read, is of another frame or centre, has no whole revolution
-            without a burn, or does not go about the circle that is said.
+            without a burn, or does not follow the scenario's circle.
     """
     path = Path(home.ephemeris_file or "")
     times, states = _states(scenario, home, path)
@@ -150,13 +153,13 @@ def ephemeris_ring(scenario: Scenario, home: HomeOrbit, axes: Array) -> Ring:
 
 
 def _cubics(times_s: Array, states: Array) -> Callable[[Array], Array]:
-    """States (6, n) at times (n,), or one, between states (n, 6) whose velocities are their slopes."""
+    """Cubic Hermite interpolation of states (n, 6): a function from times (n,) to states (6, n)."""
     place = CubicHermiteSpline(times_s, states[:, :3], states[:, 3:])
     return lambda time_s: np.concatenate([place(time_s).T, place(time_s, 1).T])
 
 
 def _states(scenario: Scenario, home: HomeOrbit, path: Path) -> tuple[Array, Array]:
-    """Times in s past any epoch, and states in J2000, m and m/s."""
+    """Times in s past some epoch, and states, J2000, m and m/s, of a file."""
     body, kind = scenario.body, path.suffix.lower()
     if kind in (".csv", ".oem"):
         if home.spacecraft_id is not None:

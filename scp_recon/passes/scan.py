@@ -1,6 +1,6 @@
-"""The map over both phases: least delta-v without uncertainty, each cell begun at its neighbour's plan.
+"""Map the least delta-v over both phases without uncertainty, each cell started from its neighbour.
 
-Uncertainty only adds constraints, so that where P3 costs much P2 does too.
+Uncertainty only adds constraints: where P3 is expensive, so is P2.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from scp_recon.planning.planner import Planner
 from scp_recon.planning.stages import StageRunner
 
 STEP = float(np.deg2rad(40.0))
-"""Between phases, at most."""
+"""Largest step between phases, rad."""
 COARSER = 2.0
-"""Than the scenario's: the map's grid."""
+"""Factor by which the map's grid is coarser than the scenario's."""
 ROUGH = 1e-3
 """Relative reduction of the merit at which a plan of the map stops."""
 
 
 def phases(span: tuple[float, float]) -> Array:
-    """Evenly spaced phases of a span in rad, at most `STEP` apart; the ends of a whole turn are one."""
+    """Evenly spaced phases of a span, rad, at most `STEP` apart; a whole turn's end is left out."""
     low, high = span
     if high - low >= TURN - 1e-9:
         return low + np.linspace(0.0, TURN, round(TURN / STEP), endpoint=False)
@@ -38,7 +38,7 @@ def phases(span: tuple[float, float]) -> Array:
 def scan(
     space: Space, times_s: tuple[float, ...], observe: Callable[[PassResult], None]
 ) -> list[PassResult]:
-    """P3 at every pair of phases for one set of times, row by row of departure and back again."""
+    """Plan P3 at every pair of phases for one set of times, row by row of departure, to and fro."""
     space = space.on_grid(COARSER * space.mission.scenario.grid.step_max_s)
     planner: Planner | None = None
     cells: list[PassResult] = []
@@ -55,7 +55,7 @@ def scan(
 
 
 def _cheapest(planner: Planner, at: Pass, mission: Mission, last: PassResult | None) -> PassResult:
-    """P3 from the neighbour's burns, and where that ends nowhere from turns about the body."""
+    """Plan P3 from the neighbour's burns, and if that does not converge from turns about the body."""
     runner = StageRunner(mission, planner)
     for guess in _guesses(mission, last):
         stage = runner.solve("P3", planner.p3_rows, runner.start(guess))
@@ -74,7 +74,7 @@ def _guesses(mission: Mission, last: PassResult | None) -> Iterator[Iterate]:
 
 
 def ahead(mission: Mission) -> Iterate:
-    """A steady turn about the body that begins the way in which the home orbit leads."""
+    """A guess that turns steadily about the body, in the home orbit's sense at departure."""
     first, last = mission.initial_state, mission.final_state[:3]
     shorter = np.cross(first[:3], first[3:]) @ np.cross(first[:3], last) >= 0.0
     return circular(mission, 1.0 if shorter else -1.0)
@@ -86,7 +86,7 @@ def _to_and_fro(rows: Array, columns: Array) -> Iterator[tuple[float, float]]:
 
 
 def starts(cells: Sequence[PassResult], most: int) -> list[PassResult]:
-    """Cells cheaper than all around them, the cheapest first; phases of a whole turn are around."""
+    """Cells cheaper than all neighbours, the cheapest first; phases of a whole turn wrap around."""
     rows, columns = (sorted({one.at.phases[k] for one in cells}) for k in (0, 1))
     cost = np.full((len(rows), len(columns)), np.inf)
     cell = {(rows.index(one.at.phases[0]), columns.index(one.at.phases[1])): one for one in cells}

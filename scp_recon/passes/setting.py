@@ -1,4 +1,4 @@
-"""From a scenario with a home orbit to the spaces of its passes, one about each lighting window."""
+"""Set up the spaces of a scenario's passes, one about each lighting window."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from scp_recon.scenario.schema import Scenario
 BURNS_MAX = 8
 """Of a design."""
 WINDOWS_MAX = 24
-"""In the span of dates; passes are planned about each."""
+"""Lighting windows in the span of dates, at most; passes are planned about each."""
 WINDOW_AT = 0.43
 """Share of the flight at which the window's middle is to begin with, as in Reconnaissance B."""
 SECOND = 1.0
 
 
 def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
-    """The spaces of a scenario's passes in order of time, and legal burn times to begin with in each.
+    """The spaces of a scenario's passes in order of time, each with legal burn times to start from.
 
     Raises:
-        InputError: if there is no home orbit, no window in the span of dates, too many, or none about
-            which burns can be placed by the schedule's rules; and as `Mission.from_scenario`.
+        InputError: if there is no home orbit, no lighting window in the span of dates, too many, or
+            none about which the burns can be legal; and as `Mission.from_scenario`.
     """
     home, design = scenario.boundary.home, scenario.design or Design()
     if home is None:
@@ -68,7 +68,7 @@ def spaces_of(scenario: Scenario) -> list[tuple[Space, tuple[float, ...]]]:
 
 
 def _check_size(scenario: Scenario) -> None:
-    """Refuse a home orbit that no plan may begin on, and more burns than a design has."""
+    """Refuse a home orbit inside the safety radius, and more burns than a design allows."""
     home, least = scenario.boundary.home, scenario.safety.radius_min_m
     assert home is not None
     if home.ephemeris_file is None and home.radius_m <= least:
@@ -101,9 +101,9 @@ def _windows(scenario: Scenario, span: Span) -> list[Window]:
 def _first_times(
     scenario: Scenario, window: Window, departure: Span, arrival: Span
 ) -> tuple[float, ...] | None:
-    """Legal times nearest to the scenario's own, moved so that the window falls where it falls there.
+    """Legal times nearest to the scenario's own, shifted with the window.
 
-    As many burns come before the window as there, or where that is not legal any other number.
+    As many burns come before the window as in the scenario, or any other number if that is not legal.
     """
     times, rules = np.array(scenario.burns.times_s), scenario.schedule
     middle = 0.5 * (window[0] + window[1])
@@ -128,7 +128,7 @@ def _space(
     axes: Array,
     known: Ring | None,
 ) -> Space:
-    """About a window, its times past the first burn of some legal ones, on a known ring or its own."""
+    """The space about a window, times past the first of legal burns, on a known ring or its own."""
     home, begin, (departure, arrival) = scenario.boundary.home, times[0], ends
     assert home is not None
     circle = {"flown": False, "ephemeris_file": None, "spacecraft_id": None} | {
@@ -153,7 +153,7 @@ def _space(
 
 
 def at_epoch(scenario: Scenario, shift_s: float) -> Scenario:
-    """The same scenario from a later epoch on: the body by two-body motion, given times moved along."""
+    """The same scenario at a later epoch: the Sun by two-body motion, given times shifted."""
     if shift_s == 0.0:
         return scenario
     sun, grid = scenario.sun, scenario.grid
@@ -169,7 +169,7 @@ def at_epoch(scenario: Scenario, shift_s: float) -> Scenario:
 
 
 def settled(scenario: Scenario, space: Space, one: Pass) -> Scenario:
-    """A pass as a scenario of its own: boundary states and times fixed, no home orbit, nothing free."""
+    """The scenario of a pass: boundary states and times fixed, no home orbit, nothing free."""
     begin = one.times_s[0]
     base = at_epoch(space.mission.scenario, begin)
     axes = Scene.of(base).boundary_axes
@@ -195,7 +195,7 @@ def settled(scenario: Scenario, space: Space, one: Pass) -> Scenario:
 
 
 def _finds(scenario: Scenario, window: Window) -> bool:
-    """Whether a mission takes this window by itself, not another one earlier in the flight."""
+    """Whether a mission finds this window by itself, not an earlier one in the flight."""
     try:
         own = Mission.from_scenario(scenario).schedule.window_s
     except InputError:  # about an earlier window the burns break a rule

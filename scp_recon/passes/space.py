@@ -1,4 +1,4 @@
-"""The choices of a design: two phases on the ring and the times of all burns, within their spans.
+"""The design space: two phases on the ring and the times of all burns, within their spans.
 
 The schedule's rules are linear inequalities on the times (`timing_rules`).
 """
@@ -24,14 +24,14 @@ from scp_recon.scenario.schema import Scenario, ScheduleRules
 Span = tuple[float, float]
 
 ROOM_S = 1.0
-"""By which times that are free keep the rules, so that they may be rounded."""
+"""Margin in s with which free times keep the rules, so that they may be rounded."""
 
 
 @dataclass(frozen=True)
 class Pass:
-    """One choice: phases of departure and arrival on the ring, rad, and the times of all burns.
+    """A pass: phases of departure and arrival on the ring, rad, and the times of all burns.
 
-    Times are past the design's epoch, s, the first the departure's and the last the arrival's.
+    Times are in s past the design's epoch, the first the departure's and the last the arrival's.
 
     Attributes:
         phases: of departure and arrival.
@@ -44,10 +44,10 @@ class Pass:
 
 @dataclass(frozen=True)
 class Space:
-    """All choices with as many burns about one window: x = (phases, times / unit of time)."""
+    """All passes with one number of burns about one window: x = (phases, times / unit of time)."""
 
     mission: Mission
-    """Any pass of the design; gives body, limits, units and rules."""
+    """Mission of any pass of the design, for body, limits, units and rules."""
     ring: Ring
     """Home orbit."""
     window_s: Window
@@ -64,7 +64,7 @@ class Space:
 
     @cached_property
     def bounds(self) -> Array:
-        """Of x, shape (2 + m, 2)."""
+        """Bounds of x, shape (2 + m, 2)."""
         return np.vstack([self.phase_spans, np.array(self.time_spans) / self.mission.units.time_s])
 
     def rules(self, before: int) -> tuple[Array, Array]:
@@ -92,14 +92,14 @@ class Space:
         return replace(self, mission=replace(self.mission, scenario=scenario))
 
     def mission_of(self, one: Pass) -> Mission:
-        """The mission of a pass, unchecked, its times past the design's epoch."""
+        """The mission of a pass, without checks; times are past the design's epoch."""
         step = self.mission.scenario.grid.step_max_s
         return self._on_grid(one, make_grid((*one.times_s, *self.window_s), step))
 
     def moved(self, mission: Mission, one: Pass) -> Mission:
-        """The mission of a near pass on the grid of another one, whose nodes move along.
+        """The mission of a pass on another pass's grid, whose nodes move along with the burns.
 
-        Nodes in the window stay, so that both have the same constraints there.
+        Nodes in the window stay, so that both missions have the same constraints there.
         """
         old = np.unique([*mission.scenario.burns.times_s, *self.window_s])
         new = np.unique([*one.times_s, *self.window_s])
@@ -117,7 +117,7 @@ class Space:
 
 
 def unchecked(scenario: Scenario, **tables: Mapping[str, object]) -> Scenario:
-    """The same scenario with other entries in some tables, neither checked nor with what follows."""
+    """The same scenario with other entries in some tables, without checks or computed entries."""
     changed = {
         name: getattr(scenario, name).model_copy(update=dict(entries))
         for name, entries in tables.items()
@@ -152,7 +152,7 @@ def nearest_legal(
     before: int,
     rules: ScheduleRules,
 ) -> tuple[float, ...] | None:
-    """Times within spans and rules, the sum of their differences from given ones the least, or None."""
+    """Times within spans and rules, the nearest to given ones by the sum of differences; or None."""
     n, wanted = len(times_s), np.array(times_s)
     matrix, least = timing_rules(n, window_s, before, rules)
     apart = np.vstack([np.hstack([s * np.eye(n), -np.eye(n)]) for s in (1.0, -1.0)])

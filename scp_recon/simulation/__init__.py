@@ -1,1 +1,1 @@
-"""The spacecraft that flies a plan: its data, its guidance and control, and its simulation."""
+"""Simulate the spacecraft that flies a plan: vehicle, guidance, estimation, and the record."""

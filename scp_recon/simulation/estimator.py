@@ -1,9 +1,9 @@
 """Attitude estimation: a multiplicative extended Kalman filter on gyro, star tracker and Sun sensors.
 
-Basilisk's filters either estimate the Sun's direction alone or predict with the wheels' torques, and
-so know nothing of a slew on thrusters; here the gyro carries the attitude from sample to sample.
+Basilisk's filters estimate the Sun's direction alone, or predict with the wheels' torques and miss
+slews on thrusters; here the gyro propagates the attitude from sample to sample.
 Markley and Crassidis, Fundamentals of Spacecraft Attitude Determination and Control, section 6.2.
-Quaternions are unit, scalar first, from the body to J2000, in plain numbers: SciPy's rotations take
+Quaternions are unit, scalar first, from the body to J2000, as plain numbers: SciPy's rotations take
 twenty times as long one by one.
 """
 
@@ -29,7 +29,7 @@ class SensorSigmas:
 class AttitudeFilter:
     """Attitude, and the covariance of its error in the body frame, rad^2, shape (3, 3).
 
-    It begins with a quaternion (4,), known to `sigma` about each axis, rad.
+    The first quaternion, shape (4,), is known to `sigma` about each axis, rad.
     """
 
     def __init__(self, quaternion: Array, sigmas: SensorSigmas, sigma: float) -> None:
@@ -56,12 +56,12 @@ class AttitudeFilter:
         self.covariance += self.sigmas.gyro**2 * np.eye(3)
 
     def see(self, stars: Array | None, cosines: Array, boresights: Array, sun: Array) -> None:
-        """Update with what the sensors see.
+        """Update with the measurements of star tracker and Sun sensors.
 
         A Sun sensor that contradicts the prediction by `GATE_SIGMA`, as in a shadow, is left out.
 
         Args:
-            stars: measured attitude, shape (4,), if the tracker sees any.
+            stars: measured attitude, shape (4,); None without one.
             cosines: between the Sun and the boresights of the Sun sensors that see it, shape (n,).
             boresights: of these, body frame, shape (n, 3).
             sun: unit vector to the Sun, J2000.
@@ -93,10 +93,10 @@ class AttitudeFilter:
 
 
 GATE_SIGMA = 6.0
-"""Of the innovation; by chance it happens once in 5e8 readings."""
+"""Largest innovation accepted; by chance it is exceeded once in 5e8 readings."""
 
 VARIANCE_MIN = 1e-18
-"""Keeps the gain defined where a sensor is taken as perfect, rad^2."""
+"""Variance added so that the gain of a perfect sensor is defined, rad^2."""
 
 
 def product(p: Array, q: Array) -> Array:

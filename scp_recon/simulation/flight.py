@@ -1,4 +1,4 @@
-"""A simulated flight, and what it says of its plan: pointing, energy, and where it went."""
+"""A simulated flight, and measures of how it kept its plan: pointing, position and energy."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ class Flight:
     """A simulated flight, sampled once in a control period.
 
     Attributes:
-        plan: what was commanded.
+        plan: commands of the flight.
         times_s: shape (n,).
         states: position and velocity, m and m/s, J2000, shape (n, 6).
         attitudes, commands, estimates: from the body to J2000.
         rates_rad_s: of the body, in its frame, shape (n, 3).
-        in_use: which actuators control the attitude, shape (n,), of `Actuators`.
+        in_use: `Actuators` that control the attitude, shape (n,).
         wheel_speeds_rad_s: shape (n, wheels).
         micro_on_s: on-time of each micro-thruster in the period, shape (n, thrusters).
         panels_w: generation, shape (n, panels).
         consumed_w, lost_w, unused_w, short_w: balance of the bus, shape (n,).
         stored_wh: charge of each battery, shape (n, batteries).
         burns_m_s: executed, J2000, shape (m, 3).
-        dumps: how often the wheels' momentum was dumped.
+        dumps: number of dumps of the wheels' momentum.
         terminal_state: at the planned end, with the last burn as an impulse, shape (6,).
     """
 
@@ -88,7 +88,7 @@ class Pointing:
 
 
 def pointing(flight: Flight) -> Pointing:
-    """How well the spacecraft pointed."""
+    """Compute the pointing errors of a flight, rad."""
     plan, vehicle = flight.plan, flight.plan.vehicle
     thrust = unit(vehicle.chemical_thruster.direction)
     starts = [round(firing.start_s / CONTROL_PERIOD_S) for firing in plan.firings]
@@ -135,7 +135,7 @@ def node_states(flight: Flight, solution: Solution) -> Array:
 
 
 def sigma_distance(flight: Flight, solution: Solution) -> Array:
-    """Of the flown positions at the nodes from the mean in the planned covariance, shape (n,)."""
+    """Distance of flown positions at the nodes from the planned mean, in sigmas, shape (n,)."""
     return distance_in_sigmas(node_states(flight, solution)[:, :3], solution)
 
 
@@ -152,7 +152,7 @@ def distance_in_sigmas(positions: Array, solution: Solution) -> Array:
 
 
 def state_of_charge(flight: Flight) -> Array:
-    """Of each battery, shape (n, batteries)."""
+    """State of charge of each battery, 0 to 1, shape (n, batteries)."""
     return flight.stored_wh / flight.plan.vehicle.battery.capacity_wh
 
 

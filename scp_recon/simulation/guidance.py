@@ -1,8 +1,8 @@
 """Guidance: attitude commands from the nominal trajectory, the site and the Sun.
 
 In delta-V mode the thruster's force points along the burn, in observation mode the camera at the site,
-both rolled for the largest power; in sun-pointing mode the panels face the Sun and the camera turns
-towards the asteroid as far as that allows.
+both rolled for the largest power. In sun-pointing mode the panels face the Sun, and the camera points
+as near to the asteroid as that allows.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ class Firing:
 
     @property
     def end_s(self) -> float:
-        """When it ends."""
+        """End of the firing, s."""
         return self.start_s + self.duration_s
 
     @property
     def direction(self) -> Array:
-        """Unit vector, J2000; any for a burn of zero."""
+        """Unit vector of the force, J2000; any direction for a burn of zero."""
         return unit(self.dv_m_s) if np.any(self.dv_m_s) else np.array([1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
 class FlightPlan:
-    """Commands that are known before departure.
+    """Commands fixed before departure.
 
-    Attitude modes are as scheduled, but the attitude of a burn is kept to its end. The nominal path is
-    the planned mean's positions, m, J2000.
+    Attitude modes are those of the schedule, but the attitude of a burn is kept to its end. The nominal
+    path is the planned mean's positions, m, J2000.
     """
 
     mission: Mission
@@ -90,7 +90,7 @@ class FlightPlan:
 
     @property
     def end_s(self) -> float:
-        """When the last burn ends."""
+        """End of the last burn, s."""
         return self.legs[-1].end_s
 
     @cached_property
@@ -118,7 +118,7 @@ class FlightPlan:
         return Rotation.from_matrix(matrices)
 
     def _leg_attitudes(self, leg: Leg, time_s: Array) -> Array:
-        """Shape (n, 3, 3)."""
+        """Attitudes of a leg, shape (n, 3, 3)."""
         sun = self.mission.sun_direction(time_s)
         position = self.position(time_s)
         camera = unit(self.vehicle.sensors.camera)
@@ -139,20 +139,26 @@ class FlightPlan:
 
 
 CONTROL_PERIOD_S = 1.0
-"""How often the sensors are read and the actuators commanded."""
+"""Period in s with which sensors are read and actuators commanded."""
 
 
 def sun_pointing(panels: SolarArray, camera: Array, sun: Array, position: Array) -> Array:
-    """Attitudes of the largest power, the camera towards the asteroid as far as that allows.
+    """Attitudes of largest power, with the camera as near to the asteroid as that allows.
 
-    Matrices (..., 3, 3) from the body to J2000, of unit vectors to the Sun and positions about the
-    asteroid (..., 3) there; the camera's boresight (3,) is in the body frame.
+    Args:
+        panels: the vehicle's panels.
+        camera: unit boresight in the body frame, shape (3,).
+        sun: unit vectors to the Sun, J2000, shape (..., 3).
+        position: positions about the asteroid, J2000, shape (..., 3).
+
+    Returns:
+        Matrices from the body to J2000, shape (..., 3, 3).
     """
     return align(unit(panels.best_direction()), sun, camera, -position)
 
 
 def _interpolate(solution: Solution) -> tuple[CubicHermiteSpline, ...]:
-    """Positions between the nodes, one piece from burn to burn, since velocity jumps between them."""
+    """Positions between the nodes, in one piece from burn to burn: velocity jumps at burns."""
     times, states = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
     at = np.searchsorted(times, [burn.t_s for burn in solution.burns])
     pieces = []

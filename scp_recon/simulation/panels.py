@@ -1,8 +1,8 @@
-"""Power of the solar panels, and the attitude of most power about a pointing axis.
+"""Power of the solar panels, and the attitude of largest power about a pointing axis.
 
 The power of panels with normals n_i and peak powers p_i under a Sun in the direction s is
 sum_i p_i max(0, n_i . s) = max over subsets S of (sum_S p_i n_i) . s: the support function of a
-zonotope. Every maximum over a rotation therefore is one over the few sums of a subset, in closed form.
+zonotope. A maximum over rotations is therefore a maximum over the sums of subsets, in closed form.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from scp_recon.scenario.schema import Scenario
 from scp_recon.simulation.vehicle import Vehicle
 
 PANELS_MAX = 16
-"""Beyond it the subsets would be too many."""
+"""More panels would have too many subsets."""
 
 
 @dataclass(frozen=True)
 class SolarArray:
     """At most 16 flat panels on a rigid body, under a given Sun.
 
-    Unit vectors out of the cells, body frame, shape (n, 3), and generation with the Sun along each, W.
+    `normals` point out of the cells, body frame, shape (n, 3); `peak_w` is the power with the Sun
+    along each, W.
     """
 
     normals: Array
@@ -34,7 +35,7 @@ class SolarArray:
     def __post_init__(self) -> None:
         """Check the number of panels."""
         if not 0 < len(self.normals) <= PANELS_MAX:
-            raise ValueError(f"{len(self.normals)} panels; must be 1 to {PANELS_MAX}")
+            raise ValueError(f"got {len(self.normals)} panels, expected 1 to {PANELS_MAX}")
 
     @classmethod
     def of(cls, vehicle: Vehicle, irradiance_w_m2: float) -> SolarArray:
@@ -43,7 +44,7 @@ class SolarArray:
         return cls(vehicle.panel_normals, irradiance_w_m2 * cells * vehicle.panel_areas_m2)
 
     def generation(self, sun_body: Array) -> Array:
-        """Power of each panel in W, shape (..., n), of unit vectors to the Sun (..., 3)."""
+        """Power of each panel, W, (..., n), for unit vectors to the Sun, body frame, (..., 3)."""
         return self.peak_w * np.maximum(0.0, sun_body @ self.normals.T)
 
     @cached_property
@@ -53,7 +54,7 @@ class SolarArray:
         return chosen @ (self.peak_w[:, None] * self.normals)
 
     def best_direction(self) -> Array:
-        """Body direction that generates most when it faces the Sun; its length is that power, W."""
+        """Body direction of largest power when it faces the Sun; its length is that power, W."""
         sums = self._sums
         return sums[np.argmax(np.linalg.norm(sums, axis=1))]
 

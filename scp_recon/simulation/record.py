@@ -1,4 +1,4 @@
-"""The file of a simulated flight: arrays every few seconds, a summary, and in what it fell short.
+"""The file of a simulated flight: arrays every few seconds, a summary, and unmet requirements.
 
 The summary is SI, with angles in degrees. `docs/simulation_file.md` describes both.
 """
@@ -49,23 +49,23 @@ MODES = tuple(Mode)
 STEADY_RAD = np.deg2rad(0.25)
 """Attitude error in steady state."""
 SHORT_WH = 1e-9
-"""Energy that counts as none."""
+"""Largest energy that counts as none, Wh."""
 QUANTILES = {"q50": 0.5, "q95": 0.95, "q997": 0.997, "q100": 1.0}
 
 Arrays = dict[str, npt.NDArray[Any]]
 Count = Annotated[int, Field(ge=0)]
 Vector = tuple[float, float, float]
 Shape = tuple[str | int, ...]
-"""Numbers, and names of lengths that are equal."""
+"""Shape of an array: numbers, and names of lengths that must be equal."""
 Of = Callable[[Flight, Solution], npt.NDArray[Any]]
 
 
 class ModeOutcome(Section):
-    """A mode as commanded and as flown against the schedule's rules, which require a least length.
+    """A mode as commanded and as flown, against the least length that the schedule's rules require.
 
-    It is `ok` if it was long enough; a control period is forgiven. It is settled from when on the
-    attitude error stays below `STEADY_RAD` to its end, in delta-V mode to the burn, counted from its
-    start; null if never. In time is as early as the rules assume.
+    A mode is `ok` if it was long enough, to a control period. `settled_s` is the time from its start
+    after which the attitude error stays below `STEADY_RAD` to its end, in delta-V mode to the burn;
+    null if never. `settled_in_time` means as early as the rules assume.
 
     Attributes:
         mode: its name.
@@ -127,7 +127,7 @@ class Angles(Section):
 
 
 class WindowPointing(Section):
-    """Of the camera in the observation window: against its command, and against the site.
+    """Pointing errors of the camera in the observation window: from its command, and from the site.
 
     Attributes:
         camera: against its command.
@@ -139,7 +139,7 @@ class WindowPointing(Section):
 
 
 class Energy(Section):
-    """Totals of the bus, Wh.
+    """Energy totals of the bus, Wh.
 
     Attributes:
         generated: by the panels.
@@ -169,7 +169,7 @@ class TerminalMiss(Section):
 
 
 class FlightSummary(File):
-    """Summary of a simulated flight; the hashes are those of what was flown, null in older files.
+    """Summary of a simulated flight, with hashes of its plan and inputs; null in older files.
 
     Attributes:
         vehicle: its name.
@@ -210,7 +210,7 @@ class FlightSummary(File):
     largest_sigma_distance: float
 
     def entries(self) -> dict[str, Any]:
-        """What the file holds."""
+        """The summary as the file holds it."""
         return {"schema": SCHEMA, **self.model_dump(mode="json", by_alias=True)}
 
 
@@ -244,7 +244,7 @@ ARRAYS: dict[str, tuple[Shape, Of]] = {
     "node_state": (("nodes", 6), node_states),
     "node_sigma_distance": (("nodes",), sigma_distance),
 }
-"""The arrays of every file of this schema: the shape of each, and how it follows from a flight."""
+"""Arrays of every file of this schema: the shape of each, and a function of a flight."""
 
 
 @dataclass(frozen=True)
@@ -265,18 +265,18 @@ class Record:
 
     @property
     def plan_hash(self) -> str | None:
-        """`Solution.plan_hash` of the plan flown; none in files of earlier versions."""
+        """`Solution.plan_hash` of the plan flown; None in files of earlier versions."""
         return self.summary.plan_hash
 
 
 def make_record(flight: Flight, solution: Solution, seed: int) -> Record:
-    """The record of a flight of a solution, whose errors were drawn by a seed."""
+    """Make the record of a solution's flight, its errors drawn with a seed."""
     arrays = {name: of(flight, solution) for name, (_, of) in ARRAYS.items()}
     return Record(arrays, _summary(flight, solution, seed))
 
 
 def inputs_digest(solution: Solution, vehicle: Vehicle) -> str:
-    """SHA-256 of what is flown: plan and vehicle; flights of the same differ by the seed."""
+    """SHA-256 of plan and vehicle: flights with equal digests differ by the seed alone."""
     inputs = {"plan_hash": solution.plan_hash, "vehicle": vehicle.model_dump(mode="json")}
     return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
@@ -312,7 +312,7 @@ def _summary(flight: Flight, solution: Solution, seed: int) -> FlightSummary:
 
 
 def leg_outcomes(flight: Flight) -> Iterator[ModeOutcome]:
-    """Every mode after the first burn, whose attitude is there from the start."""
+    """Outcomes of all modes after the first burn, whose attitude is acquired before the start."""
     plan, error, times = flight.plan, attitude_error(flight), flight.times_s
     rules, window = plan.mission.scenario.schedule, plan.mission.schedule.window_s
     steady_s = {
@@ -386,7 +386,7 @@ def read_record(path: Path) -> Record:
     """Read a simulation file, or the one in a folder.
 
     Raises:
-        InputError: if there is none, it is of another version or it is damaged.
+        InputError: if there is none, or it is damaged or of another version.
     """
     file = path / FILE_NAME if path.is_dir() else path
     try:
@@ -404,12 +404,14 @@ def read_record(path: Path) -> Record:
         ) from None
     parsed = parse_file(summary, FlightSummary, [SCHEMA], f"simulation {file}")
     if strange := _strange(arrays):
-        raise InputError(f"simulation {file}: {strange}", "no such array", _shape_of(strange))
+        raise InputError(
+            f"simulation {file}: {strange}", "missing or malformed", _shape_of(strange)
+        )
     return Record(arrays, parsed)
 
 
 def _strange(arrays: Arrays) -> str | None:
-    """An array that is missing, holds no numbers, or does not fit the others."""
+    """Name of an array that is missing, not of finite numbers, or of a wrong shape; None if none is."""
     lengths: dict[str | int, int] = {}
     for name, (shape, _) in ARRAYS.items():
         array = arrays.get(name)
@@ -429,10 +431,10 @@ def _shape_of(name: str) -> str:
 
 
 def shortfalls(summary: FlightSummary, solution: Solution) -> list[str]:
-    """Requirements that were not kept, each beside what was required; empty if all were.
+    """List requirements that the flight does not meet, as value and required value; empty if none.
 
-    A plan has to have converged, the charge to stay above the vehicle's floor with every load served,
-    and every mode to have the length and the steady attitude that the schedule's rules give it.
+    The plan must have converged, the charge stay above the vehicle's floor with every load served, and
+    every mode have the length and the steady attitude that the schedule's rules require.
     """
     converged = Status.CONVERGED.value.name
     failed = []

@@ -1,4 +1,4 @@
-"""The vehicle that is flown: validated data with units in the key names, and what follows from them."""
+"""The vehicle that is simulated: validated data with units in the key names."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from scp_recon.scenario.schema import Scenario
 Share = Annotated[float, Field(ge=0, le=1)]
 PositiveShare = Annotated[float, Field(gt=0, le=1)]
 SAME_MASS = 0.05
-"""How far the vehicle's mass may be off the plan's, relative; the plan burns nothing."""
+"""Relative tolerance of the vehicle's mass against the plan's, which is constant."""
 
 
 class MassProperties(Section):
-    """Of the whole vehicle, wheels at rest; the inertia is about principal axes along x, y and z."""
+    """Mass and inertia of the whole vehicle, wheels at rest, about principal axes along x, y and z."""
 
     mass_kg: Positive
     centre_of_mass_m: Vector
@@ -57,7 +57,7 @@ class Panel(Section):
 
 
 class Face(Panel):
-    """A flat plate under solar radiation pressure: where a panel has its cells, or any other."""
+    """A flat plate under solar radiation pressure: a panel's cells, or any other."""
 
     specular: Share
     diffuse: Share = 0.0
@@ -94,12 +94,12 @@ class Loads(Section):
 
     @property
     def observation_w(self) -> float:
-        """Draw in observation mode, without what spinning wheels take."""
+        """Power drawn in observation mode, W, without spinning wheels."""
         return self.quiescent_w + self.attitude_control_w + self.payload_w
 
     @property
     def warm_up_w(self) -> float:
-        """Draw in delta-V mode before the burn, without what spinning wheels take."""
+        """Power drawn in delta-V mode before the burn, W, without spinning wheels."""
         return self.quiescent_w + self.attitude_control_w + self.heater_w
 
 
@@ -158,7 +158,7 @@ class ChemicalThruster(Section):
 
 
 class Sensors(Section):
-    """Boresights, and what the sensors see."""
+    """Boresights and fields of view of the sensors."""
 
     camera: NonZeroVector
     star_tracker: NonZeroVector
@@ -195,22 +195,22 @@ class Vehicle(Section):
 
     @cached_property
     def centre_of_mass_m(self) -> Array:
-        """In the structure frame, shape (3,)."""
+        """Centre of mass in the structure frame, m, shape (3,)."""
         return np.array(self.mass.centre_of_mass_m)
 
     @cached_property
     def inertia(self) -> Array:
-        """About the centre of mass, kg m^2, shape (3, 3)."""
+        """Inertia about the centre of mass, kg m^2, shape (3, 3)."""
         return np.diag(self.mass.inertia_kg_m2)
 
     @cached_property
     def panel_normals(self) -> Array:
-        """Shape (p, 3)."""
+        """Unit normals of the panels' cells, body frame, shape (p, 3)."""
         return unit([panel.normal for panel in self.panels.panel])
 
     @cached_property
     def panel_areas_m2(self) -> Array:
-        """Shape (p,)."""
+        """Areas of the panels, m^2, shape (p,)."""
         return np.array([panel.area_m2 for panel in self.panels.panel])
 
     @cached_property
@@ -245,7 +245,7 @@ def load_vehicle(path: Path | None = None) -> Vehicle:
 
 
 def check_vehicle(vehicle: Vehicle, scenario: Scenario) -> Iterator[ScenarioWarning]:
-    """Warn of a vehicle in `simulate` whose mass is 5 % and more off `spacecraft.mass_kg`."""
+    """Warn of a vehicle in `simulate` whose mass is 5 % or more off `spacecraft.mass_kg`."""
     planned, flown = scenario.spacecraft.mass_kg, vehicle.mass.mass_kg
     if abs(flown - planned) > SAME_MASS * planned:
         yield ScenarioWarning.of(

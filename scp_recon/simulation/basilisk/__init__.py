@@ -1,1 +1,1 @@
-"""The spacecraft on Basilisk, the extra [sim]."""
+"""The spacecraft as Basilisk's modules; needs the extra [sim]."""

@@ -54,10 +54,11 @@ def build_flight_software(
     pulse_error: Array,
     burn_error: Array,
 ) -> tuple[list[sysModel.SysModel], Navigator, Allocator, Firer]:
-    """Modules in the order of their execution, and those that keep a record.
+    """Build modules in the order of their execution, and those that keep a record.
 
-    Commands, from the body to J2000, are one for each of n control periods. Every micro-thruster errs
-    in every period, N, shape (n, thrusters); every burn errs by a fraction, shape (m,).
+    Commands are attitudes from the body to J2000, one for each of n control periods. `pulse_error` is
+    each micro-thruster's in each period, N, shape (n, thrusters); `burn_error` each burn's, relative,
+    shape (m,).
     """
     vehicle = plan.vehicle
     config = _mass_properties(vehicle)
@@ -117,7 +118,7 @@ def _controller(
 
 
 def _wheel_motors(plant: Plant, torque: messaging.CmdTorqueBodyMsg) -> rwMotorTorque.rwMotorTorque:
-    """From a torque to those of the wheels."""
+    """Module from a torque to the wheels' torques."""
     motors = rwMotorTorque.rwMotorTorque()
     motors.controlAxes_B = np.eye(3).ravel().tolist()
     motors.vehControlInMsg.subscribeTo(torque)
@@ -129,7 +130,7 @@ def _wheel_motors(plant: Plant, torque: messaging.CmdTorqueBodyMsg) -> rwMotorTo
 def _force_mapping(
     plant: Plant, config: messaging.VehicleConfigMsg, torque: messaging.CmdTorqueBodyMsg
 ) -> thrForceMapping.thrForceMapping:
-    """From a torque (or an angular impulse) to forces (or impulses) of the micro-thrusters."""
+    """Module from a torque (or angular impulse) to forces (or impulses) of the micro-thrusters."""
     mapping = thrForceMapping.thrForceMapping()
     mapping.controlAxes_B = np.eye(3).ravel().tolist()
     mapping.thrForceSign = 1
@@ -142,7 +143,7 @@ def _force_mapping(
 def _trigger(
     plant: Plant, vehicle: Vehicle, forces: thrForceMapping.thrForceMapping
 ) -> thrFiringSchmitt.thrFiringSchmitt:
-    """From forces of the micro-thrusters to pulses."""
+    """Module from forces of the micro-thrusters to pulses."""
     trigger = thrFiringSchmitt.thrFiringSchmitt()
     trigger.thrMinFireTime = vehicle.micro_thrusters.pulse_min_s
     trigger.level_on, trigger.level_off = 0.75, 0.25
@@ -175,9 +176,9 @@ def _momentum_dumping(
 class Allocator(sysModel.SysModel):
     """Gives the commanded torque to the wheels or to the micro-thrusters, and starts dumps.
 
-    The thrusters take it during burns, while the attitude error is large, and while the torque is more
-    than the wheels can give; otherwise the wheels. A dump starts in sun-pointing mode when a wheel is
-    near its largest speed, and ends when their momentum is small; it leaves the attitude to the wheels.
+    The thrusters act during burns, while the attitude error is large, and while the torque exceeds the
+    wheels'; otherwise the wheels do. A dump starts in sun-pointing mode when a wheel is near its
+    largest speed, and ends when the wheels' momentum is small; the wheels hold the attitude meanwhile.
     """
 
     def __init__(
@@ -238,11 +239,11 @@ class Allocator(sysModel.SysModel):
 
 
 class Firer(sysModel.SysModel):
-    """Joins what control and dumping ask of the micro-thrusters, and fires the burns.
+    """Adds the commands of control and dumping to the micro-thrusters, and fires the burns.
 
-    Every pulse has its own error of thrust. A burn has one error for its whole length. Its torque is
-    fed forward one period after it begins and ends: pulses start with their period, so that each
-    undoes what the burn did in the last; without the delay the error grows all through the burn.
+    Every pulse has its own error of thrust, a burn one error for its whole length. The burn's torque
+    is fed forward one period after it begins and ends: pulses start with their period, and so cancel
+    the burn's effect in the period before. Without the delay the error grows throughout the burn.
     """
 
     def __init__(

@@ -43,7 +43,7 @@ def build_sensors(
     sigmas: SensorSigmas,
     seeds: dict[str, int],
 ) -> Sensors:
-    """Sensors of a hub with these states, whose noise is white with the given sigmas."""
+    """Build sensors of a hub with these states; their noise is white with the given sigmas."""
     white = np.zeros((3, 3)).tolist()
     tracker = starTracker.StarTracker()
     tracker.scStateInMsg.subscribeTo(states)

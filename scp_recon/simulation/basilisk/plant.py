@@ -1,7 +1,7 @@
-"""The simulated spacecraft and its surroundings, of Basilisk's modules.
+"""Build the simulated spacecraft and its surroundings from Basilisk's modules.
 
-Inertial frame J2000 about the asteroid, which rests; the body frame has the vehicle's axes and its
-origin at the centre of mass. The mass is constant: a flight uses some ten grams.
+The inertial frame is J2000 about the asteroid, which rests; the body frame has the vehicle's axes and
+its origin at the centre of mass. The mass is constant: a flight uses some ten grams.
 """
 
 from __future__ import annotations
@@ -80,11 +80,11 @@ class Surroundings(sysModel.SysModel):
 
 @dataclass(frozen=True)
 class Plant:
-    """Everything that obeys physics: asteroid and Sun, and the rigid body with its effectors attached.
+    """Physics of the simulation: asteroid and Sun, and the rigid body with its effectors attached.
 
-    Effectors are in the order in which they have to be updated before the hub. The thrusters' settings
-    are kept because their thrust may be changed, and the configurations of wheels and micro-thrusters
-    are what the flight software knows of them.
+    Effectors are in the order in which they must be updated before the hub. The thrusters' settings
+    are kept so that their thrust can be changed; the flight software reads the configurations of
+    wheels and micro-thrusters.
     """
 
     surroundings: Surroundings
@@ -103,7 +103,7 @@ class Plant:
 class Start:
     """Initial condition: state (6,), J2000, m and m/s; attitude from the body to J2000.
 
-    The rate is in the body frame, shape (3,); the wheels' speeds have shape (wheels,).
+    The rate is in the body frame, rad/s, shape (3,); the wheels' speeds, rad/s, have shape (wheels,).
     """
 
     state: Array
@@ -183,7 +183,7 @@ def _attach_gravity(
 def harmonic_gravity(
     field: HarmonicField,
 ) -> sphericalHarmonicsGravityModel.SphericalHarmonicsGravityModel:
-    """Basilisk's model of a field, whose coefficients it wants fully normalised."""
+    """Basilisk's model of a gravity field; its coefficients are fully normalised."""
     model = sphericalHarmonicsGravityModel.SphericalHarmonicsGravityModel()
     model.maxDeg = len(field.c) - 1
     model.muBody, model.radEquator = field.gm, field.radius
@@ -196,7 +196,7 @@ def harmonic_gravity(
 def _attach_wheels(
     hub: spacecraft.Spacecraft, vehicle: Vehicle, speeds: Array
 ) -> tuple[reactionWheelStateEffector.ReactionWheelStateEffector, messaging.RWArrayConfigMsg]:
-    """Balanced wheels, whose mass and inertia across the axis are the hub's."""
+    """Attach balanced wheels, whose mass and transverse inertia are counted with the hub."""
     wheels, factory = vehicle.wheels, simIncludeRW.rwFactory()
     for axis, speed in zip(wheels.axes, speeds.tolist(), strict=True):
         factory.create(
@@ -255,7 +255,7 @@ def _attach_chemical_thruster(
 def _attach_light(
     hub: spacecraft.Spacecraft, surroundings: Surroundings, vehicle: Vehicle
 ) -> facetSRPDynamicEffector.FacetSRPDynamicEffector:
-    """The vehicle's plates, with areas that make Basilisk's solar constant the scenario's."""
+    """Attach the plates, with areas scaled from Basilisk's solar constant to the scenario's."""
     constant = surroundings.mission.scenario.sun.solar_constant_w_m2 / SPEED_OF_LIGHT_M_S
     light = facetSRPDynamicEffector.FacetSRPDynamicEffector()
     light.setNumFacets(len(vehicle.plates))

@@ -1,8 +1,8 @@
-"""The electrical system: panels, loads and batteries of Basilisk, joined by a bus.
+"""Build the electrical system: Basilisk's panels, loads and batteries, joined by a bus.
 
-Basilisk's battery knows neither an efficiency nor an order of several batteries. The bus here gives
-each the net power that ends in its store: charging from the last battery to the first, discharging
-from the first, with the efficiency lost in either direction. Energies are sums of power times period.
+Basilisk's battery has no efficiency, and several have no order. The bus here charges from the last
+battery to the first and discharges from the first, with losses by the efficiency in either direction.
+Energies are sums of power times period.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from scp_recon.simulation.guidance import CONTROL_PERIOD_S, FlightPlan
 
 @dataclass(frozen=True)
 class Flow:
-    """How the bus shares out a period's net power, W; `stored` has shape (b,), negative out of it."""
+    """A period's net power by where it goes, W; `stored` has shape (b,), negative for discharging."""
 
     stored: Array
     lost: float
@@ -33,10 +33,10 @@ class Flow:
 
 
 def distribute(net: float, room: Array, charge: Array, efficiency: float) -> Flow:
-    """Share a surplus or deficit out among batteries, W.
+    """Distribute a surplus or deficit among batteries, W.
 
-    Room is the power that fills each battery within the period, charge the one that empties it, shape
-    (b,) each; the efficiency is that of charging, and again of discharging.
+    `room` is the power that fills each battery within the period, `charge` the one that empties it,
+    shape (b,) each; the efficiency applies to charging and to discharging.
     """
     stored = np.zeros(len(room))
     rest = abs(net)
@@ -54,7 +54,7 @@ def distribute(net: float, room: Array, charge: Array, efficiency: float) -> Flo
 
 
 def mode_loads(plan: FlightPlan, times_s: Array) -> Array:
-    """Draw of the schedule, W, shape (n,): everything but micro-thrusters in sun-pointing mode."""
+    """Power drawn by the modes, W, shape (n,), without micro-thrusters in sun-pointing mode."""
     loads = plan.vehicle.loads
     power = np.full(len(times_s), loads.quiescent_w)
     for leg in plan.legs:
@@ -71,7 +71,7 @@ def mode_loads(plan: FlightPlan, times_s: Array) -> Array:
 
 
 class Bus(sysModel.SysModel):
-    """Balances panels, loads and batteries once in a control period, and keeps the books."""
+    """Balances panels, loads and batteries once per control period, and records the energies."""
 
     def __init__(self, plan: FlightPlan, plant: Plant, firer: Firer, times_s: Array) -> None:
         super().__init__()
@@ -135,7 +135,7 @@ class Bus(sysModel.SysModel):
             message.write(messaging.PowerNodeUsageMsgPayload(netPower=power), now)
 
     def close(self) -> None:
-        """Enter the charge after the last period."""
+        """Record the charge after the last period."""
         self.stored_wh[-1] = [read().storageLevel / HOUR_S for read in self._charges]
 
 
@@ -143,7 +143,7 @@ HOUR_S = 3600.0
 
 
 class _Loads(sysModel.SysModel):
-    """Sets the sink to the demand of the moment."""
+    """Sets the sink to the present demand."""
 
     def __init__(self, bus: Bus) -> None:
         super().__init__()
@@ -155,7 +155,7 @@ class _Loads(sysModel.SysModel):
 
 
 def _panels(plan: FlightPlan, plant: Plant) -> list[simpleSolarPanel.SimpleSolarPanel]:
-    """Panels whose areas make Basilisk's solar constant the scenario's."""
+    """Panels with areas scaled from Basilisk's solar constant to the scenario's."""
     panels, sun = plan.vehicle.panels, plan.mission.scenario.sun
     models = []
     for panel in panels.panel:

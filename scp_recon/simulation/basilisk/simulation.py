@@ -1,4 +1,4 @@
-"""A flight of a solution: Basilisk's spacecraft under its own control, with chosen sources of error."""
+"""Simulate a solution's flight: Basilisk's spacecraft under control, with chosen sources of error."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Source(StrEnum):
 
 @dataclass(frozen=True)
 class Draws:
-    """Realised errors of one seed; a source that is left out leaves the others' draws as they are."""
+    """Errors drawn with one seed; leaving a source out does not change the others' draws."""
 
     initial: Array
     burns: Array
@@ -81,10 +81,10 @@ def simulate(
     initial_sigma_fraction: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Flight:
-    """Fly a solution; a source of error that is left out is perfect.
+    """Simulate a solution's flight; a source of error that is left out is perfect.
 
-    The initial state errs by a fraction of each component, 1 sigma, or by the scenario's uncertainty.
-    `progress` is called with the simulated time in s now and then.
+    The initial state's 1 sigma is a fraction of each component, or the scenario's uncertainty.
+    `progress` is called now and then with the simulated time in s.
 
     Raises:
         InputError: if the solution's scenario has no window or breaks a rule of the schedule.
@@ -173,7 +173,7 @@ class Simulator:
         self.bus.close()
 
     def flight(self) -> Flight:
-        """What was recorded."""
+        """The recorded flight."""
         states, bus = self._states, self.bus
         flown = np.hstack([states.r_CN_N, states.v_CN_N])
         attitudes = Rotation.from_mrp(states.sigma_BN)
@@ -205,7 +205,7 @@ class Simulator:
         )
 
     def _executed_burns(self, attitudes: Rotation) -> Array:
-        """Impulse of the chemical thruster over the mass, J2000, with the attitudes it had."""
+        """Executed burns, J2000, m/s: impulse over mass at the flown attitudes, shape (m, 3)."""
         directions = attitudes.apply(unit(self.plan.vehicle.chemical_thruster.direction))
         burns = np.zeros((len(self.plan.firings), 3))
         for i, firing in enumerate(self.plan.firings):

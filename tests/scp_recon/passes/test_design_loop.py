@@ -72,7 +72,7 @@ class World:
         patch.setattr(design, "starts", lambda found, _: [one for one in found if one.converged])
         patch.setattr(design, "violation", lambda one: one.short)
         patch.setattr(design, "vanished", lambda *_: None)
-        patch.setattr(design, "others", lambda *_: [])
+        patch.setattr(design, "other_counts", lambda *_: [])
 
 
 def run(world: World, patch: pytest.MonkeyPatch) -> tuple[Any, int, list[Trial]]:
@@ -146,7 +146,7 @@ def test_a_burn_more_counts_only_where_it_is_cheaper(
 
     spaces = spaces_of(home_scenario(design=SPANS))
     World({0}, {0}).install(monkeypatch, [space.window_s for space, _ in spaces])
-    monkeypatch.setattr(design, "others", more)
+    monkeypatch.setattr(design, "other_counts", more)
     monkeypatch.setattr(design, "descend", descend)
     designer = Designer(home_scenario(design=SPANS), lambda _: None)
     space, found = designer.run()

@@ -10,7 +10,7 @@ import pytest
 from scp_recon.mission.schedule import make_schedule
 from scp_recon.passes import design
 from scp_recon.passes.descent import Near, descend
-from scp_recon.passes.design import others, peaks, vanished
+from scp_recon.passes.design import other_counts, peaks, vanished
 from scp_recon.passes.setting import spaces_of
 from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.primer import primer_history
@@ -47,7 +47,7 @@ def test_a_burn_is_tried_where_the_primer_exceeds_one_and_makes_the_pass_cheaper
     assert found.converged
     history = primer_history(found.mission, found.stage)
     assert history is not None
-    tries = others(space, found)
+    tries = other_counts(space, found)
     assert 1 <= len(tries) <= len(peaks(history))
     for other in tries:
         assert other.space.n_burns == 4
@@ -76,7 +76,7 @@ def test_there_are_eight_burns_at_most(
     few: tuple[Space, Near], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(design, "BURNS_MAX", 3)
-    assert others(few[0], few[1].first) == []
+    assert other_counts(few[0], few[1].first) == []
 
 
 def test_inner_burns_that_have_vanished_are_left_out_with_their_rules() -> None:
@@ -95,5 +95,5 @@ def test_where_errors_do_not_shrink_one_more_and_one_less_is_tried() -> None:
     changes = COARSE | GATES | {"burns.times_s": [0.0, 25_000.0, 38_000.0]}
     space, near = near_of(home_scenario(changes, design={"arrival_s": [36_000.0, 52_000.0]}))
     assert near.first.converged
-    counts = sorted(other.space.n_burns for other in others(space, near.first))
+    counts = sorted(other.space.n_burns for other in other_counts(space, near.first))
     assert counts == [2, 4, 4]
