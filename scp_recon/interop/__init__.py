@@ -1,1 +1,1 @@
-"""Files for other tools, and from them: CCSDS messages, SPICE kernels, tables."""
+"""Write and read files of other tools: CCSDS messages, SPICE kernels, tables."""

@@ -1,8 +1,8 @@
-"""CCSDS 502.0-B-2 messages, in the key-value notation: OEM (path, covariances) and OPM (burns).
+"""Write CCSDS 502.0-B-2 messages in key-value notation: OEM (path, covariances) and OPM (burns).
 
-An OEM has a segment for each coast, so that no interpolation crosses a burn; its segments meet in the
-burn's epoch, once before it and once after it. An OEM can say of burns only this and comments; the OPM
-beside it holds them as manoeuvres. Units are the standard's: km, km/s, kg, s.
+An OEM has a segment for each coast, so that no interpolation crosses a burn; segments meet at the
+burn's epoch. The OPM beside it holds the burns as manoeuvres, which an OEM cannot. Units are the
+standard's: km, km/s, kg, s.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _covariances(epochs: Sequence[str], matrices: Array) -> Iterable[str]:
 
 
 def _unit(row: str, column: str) -> str:
-    """Of an entry of the covariance."""
+    """Unit of an entry of the covariance."""
     return ("km**2", "km**2/s", "km**2/s**2")[row.count("_DOT") + column.count("_DOT")]
 
 
@@ -125,5 +125,5 @@ def _numbers(values: Array) -> str:
 
 
 def plain_name(name: str) -> str:
-    """Capitals, digits and underscores, as other tools know names."""
+    """A name in capitals, digits and underscores, which other tools accept."""
     return "".join(c if c.isascii() and c.isalnum() else "_" for c in name).upper() or "UNNAMED"

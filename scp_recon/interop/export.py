@@ -1,4 +1,4 @@
-"""A plan that is exported, and what every file says of it: whose plan, how good, frame, units, time."""
+"""A plan to be exported, and the heading of every file: scenario, verdict, frame, units, time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scp_recon.physics.time_scales import instant, iso_tdb, iso_utc
 from scp_recon.results.solution import Solution
 
 SPACECRAFT_ID = -999
-"""NAIF's numbers of spacecraft are negative; it has given this one to nobody."""
+"""Default number of the spacecraft; NAIF's are negative, and this one is not assigned."""
 UNNAMED_BODY_ID = 9_999_999
 """For a body whose scenario has no `body.naif_id`."""
 LINE = 100
@@ -35,7 +35,7 @@ class Ids(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Export:
-    """A plan to be exported: its solution as the file has it, and the path of its burns.
+    """A plan to be exported: its solution and the path that its burns lead along.
 
     Attributes:
         solution: as its file has it.
@@ -51,12 +51,12 @@ class Export:
 
     @property
     def burns_flown(self) -> int:
-        """Before a plan that is made in flight."""
+        """Number of burns flown before a plan made in flight."""
         return self.mission.scenario.burns_flown
 
     @property
     def shortfalls(self) -> list[str]:
-        """Why the plan is not verified; empty where it is."""
+        """Reasons for which the plan is not verified; empty if it is."""
         checked = self.solution.verification
         if checked is None:
             return [f"{self.solution.status}, and never checked"]
@@ -66,25 +66,25 @@ class Export:
 
     @property
     def verdict(self) -> str:
-        """In one line."""
+        """The verdict in one line."""
         return "; ".join(f"NOT VERIFIED: {why}" for why in self.shortfalls) or "verified"
 
     def instant(self, time_s: float) -> int:
-        """Nanoseconds of TDB past J2000 at a time past the scenario's epoch."""
+        """Nanoseconds of TDB past J2000 at a time in s past the scenario's epoch."""
         return instant(self.mission.scenario.epoch.tdb, time_s)
 
     def et(self, times_s: np.ndarray) -> np.ndarray:
-        """TDB seconds past J2000, as SPICE counts, of times past the scenario's epoch."""
+        """SPICE's ephemeris time (TDB seconds past J2000) of times in s past the scenario's epoch."""
         return self.instant(0.0) / 1e9 + times_s
 
 
 def maker() -> str:
-    """The program and its version."""
+    """Name and version of this program."""
     return f"scp_recon {version_of('scp_recon')}"
 
 
 def heading(export: Export) -> list[str]:
-    """Lines of plain ASCII, none longer than a message's line may be."""
+    """Lines of the heading, in ASCII, short enough for a CCSDS message."""
     scenario, solution, path = export.mission.scenario, export.solution, export.path
     end = solution.burns[-1].t_s
     lines = [
@@ -108,7 +108,7 @@ def heading(export: Export) -> list[str]:
 
 
 def burn_line(export: Export, number: int) -> str:
-    """When and how much a burn of the plan is, counted from 1; its own number is the flight's."""
+    """Describe a burn, given by its number in the plan, from 1; the text counts the whole flight's."""
     burn = export.solution.burns[number - 1]
     when = export.instant(burn.t_s)
     x, y, z = burn.dv_m_s

@@ -1,7 +1,7 @@
-"""Files that a plan is exported to, written whole and beside each other.
+"""Write a plan's export in any format: tables, CCSDS messages or SPICE kernels.
 
-A table, CSV or Parquet, has a row a state with its covariance, in SI, J2000, body-centred; at a burn's
-time there are two: the last of one coast and the first of the next. `--init` and `scp-recon new
+A table, CSV or Parquet, has one row per state with its covariance, in SI, J2000, body-centred; at a
+burn's time there are two: the last of one coast and the first of the next. `--init` and `scp-recon new
 --from-csv` take the CSV.
 """
 
@@ -40,16 +40,16 @@ COVARIANCE_UNITS = ("m2", "m2_s", "m2_s2")
 
 
 def stem(export: Export) -> str:
-    """Of all names: scenario, first digits of the plan's hash, spacecraft."""
+    """Common part of the files' names: scenario, first digits of the plan's hash, spacecraft."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", export.mission.scenario.name)[:NAME_MAX]
     return f"{name}_{export.solution.plan_hash[:8]}_{abs(export.ids.spacecraft)}"
 
 
 def require(form: str) -> None:
-    """Find out before the work whether a format's extra is there.
+    """Check before the work that a format's extra is installed.
 
     Raises:
-        InputError: if not.
+        InputError: if it is not.
     """
     if form in ("spk", "ck"):
         kernels.needing_spice()
@@ -58,9 +58,9 @@ def require(form: str) -> None:
 
 
 def columns(export: Export) -> dict[str, list[Any]]:
-    """Names with units to values: time in three ways, coast, state, upper triangle of the covariance.
+    """Columns by name with unit: time in three ways, coast, state, upper triangle of the covariance.
 
-    `coast` counts the burns before: 0 until the first one.
+    `coast` is the number of burns before the row.
     """
     coasts = export.path.coasts
     times = np.concatenate([coast.times_s for coast in coasts])
@@ -81,7 +81,7 @@ def columns(export: Export) -> dict[str, list[Any]]:
 
 
 def csv_text(export: Export) -> str:
-    """With the heading in lines that begin with #."""
+    """The table as CSV, with the heading in lines that begin with #."""
     found = columns(export)
     text = io.StringIO()
     text.writelines(f"# {line}\n" for line in heading(export))
@@ -92,7 +92,7 @@ def csv_text(export: Export) -> str:
 
 
 def parquet_bytes(export: Export) -> bytes:
-    """With the heading as metadata `scp_recon`.
+    """The table as Parquet, with the heading as metadata `scp_recon`.
 
     Raises:
         InputError: if pyarrow is missing.
@@ -106,10 +106,10 @@ def parquet_bytes(export: Export) -> bytes:
 
 
 def needing_pyarrow() -> Any:
-    """The package pyarrow, with its module for Parquet.
+    """Import pyarrow with its module for Parquet.
 
     Raises:
-        InputError: if there is none.
+        InputError: if pyarrow is missing.
     """
     return imported(option("format"), "parquet", "pyarrow", "pyarrow.parquet")
 
@@ -122,9 +122,9 @@ CONTENTS: dict[str, dict[str, Callable[[Export], str | bytes]]] = {
 
 
 def write_export(export: Export, form: str, folder: Path, vehicle: Vehicle) -> list[Path]:
-    """Write a plan in one of `FORMATS` into a folder that is there; of kernels first the one to load.
+    """Write a plan in one of `FORMATS` into an existing folder; the first kernel is the one to load.
 
-    A CK has the vehicle's attitude.
+    A vehicle adds a CK with its attitude.
 
     Raises:
         InputError: if an extra is missing, or the vehicle cannot fly the plan.
@@ -138,7 +138,7 @@ def write_export(export: Export, form: str, folder: Path, vehicle: Vehicle) -> l
 
 
 def _kernels(export: Export, form: str, home: Path, vehicle: Vehicle) -> list[Path]:
-    """The binary kernels, the texts that go with them, and the list of all that are there."""
+    """Write the binary kernels, the text kernels and the meta-kernel that loads them all."""
     if form == "spk":
         kernels.write_spk(export, _named(home, ".bsp"))
         kernels.write_body_spk(export, _named(home, "_body.bsp"))

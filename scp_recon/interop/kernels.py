@@ -1,13 +1,12 @@
-"""SPICE kernels of a plan: SPK of path and body, CK of the attitude, and the texts that go with them.
+"""Write SPICE kernels of a plan: SPK of path and body, CK of the attitude, and text kernels.
 
-SPK type 13, cubic Hermite, one segment a coast: at a burn's epoch SPICE answers with the state after
-it, just before it with one that leads there. CK type 3, one segment a mode: within a mode SPICE turns
-evenly between attitudes, and nothing spans the slew from one mode's attitude to the next one's, which
-is the controller's; a mode begins a microsecond early, so that its first instant is its own. Needs
-the extra [spice].
+SPK type 13, cubic Hermite, has one segment per coast: at a burn's epoch SPICE returns the state after
+it. CK type 3 has one segment per mode: within a mode SPICE turns evenly between attitudes; the slew
+between modes, which the controller chooses, is left out. A mode begins a microsecond early, so that its
+first instant belongs to it. Needs the extra [spice].
 
-With the list (NAME.tm) alone SPICE knows the plan's bodies, times and frames. Rotation, size and the
-body's way about the Sun are those that the planner used. A mission's own kernels may know better: load
+Loading the meta-kernel (NAME.tm) alone gives SPICE the plan's bodies, times and frames. The body's
+rotation, size and orbit are those that the planner used. A mission's own kernels may be better: load
 them after the plan's.
 """
 
@@ -42,26 +41,26 @@ from scp_recon.simulation.guidance import FlightPlan
 Value = float | str | Sequence[float | str]
 
 TICKS_PER_S = 1_000_000
-"""Of the spacecraft's clock, which runs with TDB."""
+"""Ticks per second of the spacecraft's clock, which runs with TDB."""
 CLOCK_STARTS_S = -86_400.0
-"""Past the scenario's epoch: a clock counts no negative seconds."""
+"""Start of the clock in s past the scenario's epoch, so that no reading is negative."""
 STRING_MAX = 70
-"""Characters of a string in a kernel: 80 at most."""
+"""Characters per string in a kernel; SPICE allows 80."""
 MONTHS = {1: "JAN", 7: "JUL"}
 PUBLIC_FRAMES, PUBLIC_COUNT = 1_400_000, 600_000
-"""From here on so many frame numbers are free for anyone."""
+"""First of the frame numbers that anyone may use, and how many there are."""
 SUN, CUBIC = 10, 3
 WITHIN_RAD, STEP_MAX_S = 1e-6, 60.0
-"""Even turns between neighbouring attitudes are so near to what is commanded; and the longest step."""
+"""Largest error of even turns between neighbouring attitudes, and longest step."""
 TICK_S = 1.0 / TICKS_PER_S
 
 
 def write_spk(export: Export, path: Path) -> None:
-    """The spacecraft about the body, km and km/s, J2000.
+    """Write the SPK of the spacecraft about the body, km and km/s, J2000.
 
     Raises:
         InputError: if spiceypy is missing.
-        OSError: if it cannot be written.
+        OSError: if the file cannot be written.
     """
     with _written(path, export, "spk") as (spice, handle):
         for number, coast in enumerate(export.path.coasts):
@@ -74,11 +73,11 @@ def write_spk(export: Export, path: Path) -> None:
 
 
 def write_body_spk(export: Export, path: Path) -> None:
-    """The body about the Sun as the planner has it: on a straight line, km and km/s, J2000.
+    """Write the SPK of the body about the Sun on the planner's straight line, km and km/s, J2000.
 
     Raises:
         InputError: if spiceypy is missing.
-        OSError: if it cannot be written.
+        OSError: if the file cannot be written.
     """
     sun = export.mission.scenario.sun
     times = np.array([-MARGIN_S, export.path.coasts[-1].times_s[-1]])
@@ -93,11 +92,11 @@ def write_body_spk(export: Export, path: Path) -> None:
 
 
 def write_ck(export: Export, flight: FlightPlan, path: Path) -> None:
-    """The attitude that is commanded, of the vehicle's axes, and its rates, from the first burn on.
+    """Write the CK of the vehicle's commanded attitude and rates, from the first burn on.
 
     Raises:
         InputError: if spiceypy is missing.
-        OSError: if it cannot be written.
+        OSError: if the file cannot be written.
     """
     with _written(path, export, "ck") as (spice, handle):
         for leg in flight.legs:
@@ -116,12 +115,12 @@ def write_ck(export: Export, flight: FlightPlan, path: Path) -> None:
 
 
 def commanded(flight: FlightPlan, leg: Leg, times: Array) -> Rotation:
-    """Attitudes of a mode, from the vehicle's axes to J2000; at its end those of a tick before."""
+    """Commanded attitudes of a mode, from the vehicle's axes to J2000; its end a tick early."""
     return flight.attitudes(np.clip(times, leg.start_s, leg.end_s - TICK_S))
 
 
 def command_times(flight: FlightPlan, leg: Leg) -> Array:
-    """From a mode's start to its end, as dense as its turning needs, s."""
+    """Times from a mode's start to its end, s, as dense as its rotation needs."""
     count = max(int(np.ceil((leg.end_s - leg.start_s) / STEP_MAX_S)), 1)
     while True:
         times = np.linspace(leg.start_s, leg.end_s, count + 1)
@@ -143,7 +142,7 @@ def _rates(flight: FlightPlan, leg: Leg, times: Array) -> Array:
 
 @contextmanager
 def _written(path: Path, export: Export, kind: Literal["spk", "ck"]) -> Iterator[tuple[Any, int]]:
-    """SPICE and a kernel's handle: it is written beside the target first, and then in its place."""
+    """SPICE and the handle of a new kernel, which replaces the target once it is complete."""
     spice, beside = needing_spice(), path.with_name(f".{uuid4().hex}")
     lines = heading(export)
     try:
@@ -164,26 +163,26 @@ def _written(path: Path, export: Export, kind: Literal["spk", "ck"]) -> Iterator
 
 
 def needing_spice() -> Any:
-    """The module spiceypy.
+    """Import spiceypy.
 
     Raises:
-        InputError: if there is none.
+        InputError: if it is missing.
     """
     return imported(option("format"), "spice", "spiceypy")
 
 
 def frame_names(export: Export) -> tuple[str, str]:
-    """Of the spacecraft's axes and of the body's, in the frame kernel."""
+    """Names of the spacecraft's and the body's axes in the frame kernel."""
     return f"SC{abs(export.ids.spacecraft)}_AXES", f"B{export.ids.body}_FIXED"
 
 
 def attitude_id(export: Export) -> int:
-    """Of the spacecraft's axes in a CK."""
+    """Number of the spacecraft's axes in a CK."""
     return 1000 * export.ids.spacecraft
 
 
 def leap_seconds(export: Export) -> str:
-    """LSK."""
+    """Text of the LSK: leap seconds."""
     dates: list[float | str] = []
     for offset, (year, month) in enumerate(LEAPS, start=FIRST_TAI_MINUS_UTC_S):
         dates += [float(offset), f"@{year}-{MONTHS[month]}-1"]
@@ -198,7 +197,7 @@ def leap_seconds(export: Export) -> str:
 
 
 def body_constants(export: Export) -> str:
-    """PCK: the planner's rotation, gravitational parameter and size."""
+    """Text of the PCK: the planner's rotation, gravitational parameter and size."""
     body, of = export.mission.scenario.body, f"BODY{export.ids.body}"
     radii = body.radii_m or (body.reference_radius_m,) * 3
     entries: dict[str, Value] = {
@@ -216,7 +215,7 @@ def body_constants(export: Export) -> str:
 
 
 def frames(export: Export) -> str:
-    """FK: the spacecraft's axes by the CK, the body's by the PCK, and the names of both bodies."""
+    """Text of the FK: the spacecraft's axes by the CK, the body's by the PCK, both bodies' names."""
     craft, fixed = frame_names(export)
     ids, number = export.ids, attitude_id(export)
     body_frame = PUBLIC_FRAMES + ids.body % PUBLIC_COUNT
@@ -244,7 +243,7 @@ def frames(export: Export) -> str:
 
 
 def clock(export: Export) -> str:
-    """SCLK: a clock that counts microseconds of TDB from a day before the scenario's epoch on."""
+    """Text of the SCLK: microseconds of TDB from a day before the scenario's epoch on."""
     of = f"_{abs(export.ids.spacecraft)}"
     start = float(export.et(np.array([CLOCK_STARTS_S]))[0])
     entries: dict[str, Value] = {
@@ -263,12 +262,12 @@ def clock(export: Export) -> str:
 
 
 def ticks(times_s: np.ndarray) -> np.ndarray:
-    """Encoded clock of times past the scenario's epoch."""
+    """Encoded clock of times in s past the scenario's epoch."""
     return np.round((times_s - CLOCK_STARTS_S) * TICKS_PER_S)
 
 
 def meta_kernel(export: Export, files: Sequence[Path]) -> str:
-    """MK: loads files of its own folder, wherever that is moved to; SPICE looks in the current one."""
+    """Text of the meta-kernel that loads files by their full paths."""
     parts: list[float | str] = []
     for file in files:
         path = f"$HERE/{file.name}"
@@ -283,7 +282,7 @@ def meta_kernel(export: Export, files: Sequence[Path]) -> str:
 
 
 def _name(name: str) -> str:
-    """Letters, digits and underscores, short enough for SPICE."""
+    """A name in letters, digits and underscores, short enough for SPICE."""
     return re.sub(r"[^A-Z0-9]+", "_", name.upper()).strip("_")[:36] or "UNNAMED"
 
 

@@ -1,12 +1,12 @@
-"""A plan's mean and covariance between its burns, flown again and sampled for whoever interpolates.
+"""Fly a plan's mean and covariance again, sampled densely enough for linear interpolation.
 
-A burn is a jump of the velocity, so that the path comes in coasts: one before the first burn, one from
-each burn to the next, one after the last. Neighbours share their edge's time and position. Before the
-first and after the last burn there is nothing planned: ten minutes of coasting give both sides of them.
+Velocity jumps at a burn, so the path is a sequence of coasts: one before the first burn, one from each
+burn to the next, one after the last. Neighbouring coasts share a time and a position. The first and the
+last coast, ten minutes each, are not planned; they give the states on both sides of the outer burns.
 
 The flight is the verification's: the planner's acceleration by DOP853 at a relative tolerance of 1e-12,
-the STM by its variational equations. It is sampled so that straight lines between neighbouring states
-are within a centimetre of it. What interpolates better is closer by orders of magnitude.
+the STM by its variational equations. Straight lines between sampled states are within a centimetre of
+it; cubics are closer by orders of magnitude.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from scp_recon.results.solution import Solution
 from scp_recon.verification.reintegration import DEFECT_LIMIT_M, Spread, integrated
 
 WITHIN_M = 0.01
-"""Of the flight, straight lines between neighbours."""
+"""Largest distance of straight lines between neighbours from the flight, m."""
 STEP_MAX_S, MARGIN_S = 60.0, 600.0
 """Longest step; and how long the coasts before the first and after the last burn are."""
 STATES_MAX = 200_000
-"""Of one path: a file of a hundred megabytes."""
+"""Largest number of states of a path: a file of a hundred megabytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,11 +36,11 @@ class Coast:
     """States between burns, SI, J2000, body-centred.
 
     Attributes:
-        times_s: past the epoch, ascending, shape (n,).
-        states: mean, shape (n, 6).
+        times_s: times past the epoch, ascending, shape (n,).
+        states: mean states, shape (n, 6).
         covariances: shape (n, 6, 6).
         linear_error_m: largest distance of straight lines between neighbours from the flight.
-        cubic_error_m: the same of cubics of neighbours' positions and velocities.
+        cubic_error_m: the same for cubics through neighbours' positions and velocities.
     """
 
     times_s: Array
@@ -77,10 +77,10 @@ class FlownPath:
 
 
 def fly_path(mission: Mission, solution: Solution) -> FlownPath:
-    """Fly a plan's burns and sample what they lead to.
+    """Fly a plan's burns and sample the path.
 
     Raises:
-        InputError: if its nodes are not where its burns lead, or it needs too many states.
+        InputError: if the stored nodes are off the path, or the path needs too many states.
     """
     nodes, firing = np.array(solution.nodes.t_s), [burn.t_s for burn in solution.burns]
     begin, state = float(nodes[0]), mission.initial_state.copy()
@@ -108,7 +108,7 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
 
 
 def _joined(one: Coast, other: Coast) -> Coast:
-    """Two that follow each other without a burn."""
+    """Join two coasts without a burn between them."""
     return Coast(
         np.concatenate([one.times_s, other.times_s[1:]]),
         np.concatenate([one.states, other.states[1:]]),
@@ -119,7 +119,7 @@ def _joined(one: Coast, other: Coast) -> Coast:
 
 
 def _flight(mission: Mission, state: Array, begin: float, end: float) -> OdeSolution:
-    """State and STM from one time to another, be it an earlier one; shape (42,) of a time."""
+    """State and STM from one time to a later or earlier one, shape (42,), as a function of time."""
     flown = integrated(mission, state, (begin, end), dense_output=True)
     if not flown.success:
         raise InputError("solution", "a path that falls into the body", "must be one that flies on")
@@ -128,7 +128,7 @@ def _flight(mission: Mission, state: Array, begin: float, end: float) -> OdeSolu
 
 
 def _sampled(flown: OdeSolution, edges: Array, covariance: Array) -> Coast:
-    """Each arc between edges in even steps, more until straight lines do."""
+    """Sample each arc between edges evenly, with steps small enough for straight lines."""
     ascending = np.sort(edges)
     step = STEP_MAX_S
     while True:
@@ -156,7 +156,7 @@ def _sampled(flown: OdeSolution, edges: Array, covariance: Array) -> Coast:
 
 
 def _errors_m(flown: OdeSolution, times: Array) -> tuple[float, float]:
-    """Of a line and a cubic half-way between neighbours, where both are largest."""
+    """Errors of a line and a cubic half-way between neighbours, where both are largest."""
     at, middle = flown(times)[:6].T, flown(0.5 * (times[:-1] + times[1:]))[:3].T
     start, end = at[:-1], at[1:]
     line = 0.5 * (start[:, :3] + end[:, :3])
@@ -168,7 +168,7 @@ def _errors_m(flown: OdeSolution, times: Array) -> tuple[float, float]:
 
 
 def _check(path: FlownPath, solution: Solution) -> None:
-    """Hold the flown path against the stored nodes."""
+    """Compare the flown path with the stored nodes."""
     nodes = np.array(solution.nodes.t_s)
     stored = np.array(solution.nodes.state)
     times = np.concatenate([coast.times_s for coast in path.coasts])

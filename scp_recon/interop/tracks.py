@@ -1,7 +1,7 @@
-"""Trajectories and bodies from other tools' files: SPICE kernels, CCSDS OEM, tables.
+"""Read trajectories and bodies from SPICE kernels, CCSDS OEMs and tables.
 
-What is read is held to J2000 axes about the requested body: another frame or centre is
-refused. What is strange about a trajectory and cannot be refused is a warning that goes with the plan.
+States must be in J2000 axes about the requested body: another frame or centre is refused. Other
+oddities of a trajectory become warnings, which stay with the plan.
 """
 
 from __future__ import annotations
@@ -28,29 +28,29 @@ from scp_recon.scenario.fields import ScenarioWarning
 
 SPICE, OEM, CSV = (option(f"from_{form}") for form in ("spice", "oem", "csv"))
 STEP_S, STATES_MAX = 30.0, 100_000
-"""Between states that are read from kernels."""
+"""Step between states read from kernels, s."""
 FRAMES = ("EME2000", "J2000", "ICRF", "GCRF")
-"""What CCSDS calls J2000 axes, or what is within 0.02 arcseconds of them."""
+"""CCSDS's names of J2000 axes, or of axes within 0.02 arcseconds of them."""
 SCALES = ("UTC", "TDB", "TT", "TAI")
 STATES, SUBSTEPS = 60, 20
-"""Of a trajectory, carried from each to the next; and steps of RK4 between two."""
+"""Number of states propagated from each to the next; and steps of RK4 between two."""
 PULL_OFF_MAX = 0.3
-"""Of the change of velocity, in the middle of all: how far the planner's may be from it."""
+"""Largest median relative difference between the trajectory's change of velocity and the planner's."""
 GAP_MAX = 10.0
-"""Of the usual step, what is no gap."""
+"""Largest step, in usual steps, that is not a gap."""
 SPREAD_MAX, APART_MAX = 0.5, 1e-3
-"""Of the way, and of the distance from the centre: how far off velocities may lead."""
+"""Tolerances of positions against velocities, relative to the step and to the radius."""
 LATE_MAX_S = 1.0
-"""From the requested ends of a trajectory to those that it has."""
+"""Tolerance of a trajectory's ends against the requested times, s."""
 BESIDE_S, JUMP_MAX_M_S = 1.0, 1e-3
-"""How near an end a burn is looked for, and what is none."""
+"""Time from an end within which a burn is sought, s, and the least jump that is a burn, m/s."""
 
 
 def spice_track(meta: Path, spacecraft: int, body: int, span: tuple[datetime, datetime]) -> Track:
-    """From kernels, between two dates in TDB.
+    """Read a spacecraft's track from kernels, between two dates in TDB.
 
     Raises:
-        InputError: if they cannot be read, do not cover the dates, or these are not ascending.
+        InputError: if the kernels cannot be read or do not cover the dates, or the dates do not ascend.
     """
     begin, end = span
     duration = (end - begin).total_seconds()
@@ -72,11 +72,11 @@ def spice_body(
 ) -> tuple[int, float, Tables]:
     """Number, reference radius in m, and the tables `[body]` and `[sun]` of a body, from kernels.
 
-    What the kernels lack of gravity is taken from a packaged body of that name; J2, which no kernel of
-    its kind has, is zero without one.
+    GM is taken from a packaged body of that name if the kernels lack it, and J2, which no kernel has,
+    always; without such a body J2 is zero.
 
     Raises:
-        InputError: if they cannot be read or lack rotation, GM, size or the way about the Sun.
+        InputError: if the kernels cannot be read or lack rotation, GM, size or heliocentric state.
     """
     number = known.entries["naif_id"] if known else number_of([meta], name, SPICE)
     if number is None:
@@ -123,10 +123,10 @@ def spice_body(
 
 
 def oem_track(path: Path, body: str) -> Track:
-    """All segments of an OEM, in order; two states at a burn.
+    """Read all segments of an OEM, in order; there are two states at a burn.
 
     Raises:
-        InputError: if the extra [oem] is missing, or the message is none, of another frame, centre or
+        InputError: if the extra [oem] is missing, or the file is no OEM, of another frame, centre or
             time scale, or its segments are not in order.
     """
     entry = f"{OEM} {path}"
@@ -174,10 +174,10 @@ def _check_finite(path: Path, entry: str) -> None:
 
 
 def csv_track(path: Path, epoch: datetime) -> Track:
-    """A table of states as `--init` takes it; `t_s` counts from the epoch, TDB.
+    """Read a table of states as for `--init`; `t_s` counts from the epoch, TDB.
 
     Raises:
-        InputError: if it cannot be read.
+        InputError: if the file cannot be read.
     """
     table = read_table(path, f"{CSV} {path}")
     begin = epoch + timedelta(seconds=float(table[0, 0]))
@@ -185,7 +185,7 @@ def csv_track(path: Path, epoch: datetime) -> Track:
 
 
 def cut(track: Track, begin: datetime | None, end: datetime | None) -> Track:
-    """The part between two of a track's own times; to the nearest state within them.
+    """The part of a track between two times on it, from the first state within to the last.
 
     Raises:
         InputError: if fewer than two states are left, or times are not ascending.
@@ -218,10 +218,10 @@ def _one_of(entry: str, key: str, given: str, known: Sequence[str]) -> None:
 
 
 def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:
-    """Warn of a trajectory that does not bend as the body pulls: another body's, or in turning axes.
+    """Warn of a trajectory whose acceleration is not the body's: of another body, or in rotating axes.
 
-    States are carried to later ones by the planner's forces; half of them have to arrive with about the
-    change of velocity that the trajectory has. Axes that stand still and are turned look the same.
+    States are propagated to later ones by the planner's forces; half of them must arrive with about the
+    trajectory's change of velocity. Fixed but wrong axes cannot be detected.
     """
     chosen = np.unique(np.linspace(0, len(track.times_s) - 1, STATES + 1).astype(int))
     times, states = track.times_s[chosen], track.states[chosen]
@@ -241,7 +241,7 @@ def pull_doubts(mission: Mission, track: Track) -> Iterator[ScenarioWarning]:
 
 
 def step_doubts(track: Track) -> Iterator[ScenarioWarning]:
-    """Warn of a gap, and of a state that is not where its neighbours' velocities lead."""
+    """Warn of a gap, and of positions that do not agree with the velocities."""
     times, position, velocity = track.times_s, track.states[:, :3], track.states[:, 3:]
     took = np.diff(times)
     usual, k = float(np.median(took[took > 0.0])), int(np.argmax(took))
@@ -249,7 +249,7 @@ def step_doubts(track: Track) -> Iterator[ScenarioWarning]:
         yield ScenarioWarning.of(
             "trajectory",
             f"{track.source}, without a state from {times[k]:g} to {times[k + 1]:g} s",
-            f"states are usually {usual:.3g} s apart",
+            f"expected the usual step, {usual:.3g} s",
         )
     way = 0.5 * (velocity[1:] + velocity[:-1]) * took[:, None]
     off = np.linalg.norm(np.diff(position, axis=0) - way, axis=1)
@@ -262,14 +262,14 @@ def step_doubts(track: Track) -> Iterator[ScenarioWarning]:
         yield ScenarioWarning.of(
             "trajectory",
             f"{track.source}, whose positions jump between {times[k]:g} and {times[k + 1]:g} s",
-            "they are usually where the velocities lead",
+            "expected positions that agree with the velocities",
         )
 
 
 def late_doubts(
     begin: datetime | None, end: datetime | None, got: tuple[datetime, datetime]
 ) -> Iterator[ScenarioWarning]:
-    """Warn of a trajectory that begins or ends beside the requested times (TDB)."""
+    """Warn of a trajectory that does not begin and end at the requested times (TDB)."""
     for entry, wanted, found in (("--from", begin, got[0]), ("--to", end, got[1])):
         off = 0.0 if wanted is None else (found - wanted).total_seconds()
         if abs(off) > LATE_MAX_S:
