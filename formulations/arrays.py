@@ -1,4 +1,4 @@
-"""Names of the array types: one for numbers, one for whole numbers that index, one for truth values."""
+"""Array types of numbers, indices and truth values."""
 
 from __future__ import annotations
 

@@ -14,10 +14,10 @@ with the second-order tensor T_k of the arc keeps that dependence.
 
 Condensation eliminates mean and factor, in full or frozen. The frozen forms exist to be compared:
 
-- **frozen STM**: the factor moves with the burns, but the STMs do not move with the mean. Sequential
-  convex programming with it stops at points that do not solve P2.
-- **frozen covariance**: propagated with the previous iterate, not a variable. The solver then does not
-  know that smaller or other burns shrink the spread.
+- **frozen STM**: the factor depends on the burns, but the STMs not on the mean. Sequential convex
+  programming with it stops at points that do not solve P2.
+- **frozen covariance**: the covariance is the previous iterate's, not a variable. The program then does
+  not see that smaller or other burns shrink the spread.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def propagate_factor(
 ) -> Array:
     """Factor at every node, shape (n_nodes, 6, columns); columns of later burns are zero.
 
-    Of burns (m, 3) and the STMs from the last burn before each node, shape (n_nodes, 6, 6).
+    Takes burns (m, 3) and the STMs from the last burn before each node, shape (n_nodes, 6, 6).
     """
     legs = problem.legs
     start = np.zeros((len(problem.leg_starts), 6, problem.factor_columns))
@@ -73,8 +73,7 @@ def require_finite(*parts: Array) -> None:
 class Linearisation:
     """An iterate with the derivatives of its arcs. Derived quantities are computed lazily and cached.
 
-    Its problem is what the iterate flies: its boundary states and initial covariance count wherever it
-    is judged.
+    Boundary states and initial covariance are those of its own problem, wherever it is evaluated.
 
     Attributes:
         problem: that the iterate flies.
@@ -93,7 +92,7 @@ class Linearisation:
 
     @cached_property
     def defects(self) -> Array:
-        """Per arc and at the end, shape (n_nodes, 6)."""
+        """Defects per arc and at the end, shape (n_nodes, 6)."""
         return self.problem.defects(self.iterate, self.arcs.state)
 
     @cached_property
@@ -113,7 +112,7 @@ class Linearisation:
         return self.problem.legs.compose(maps)
 
     def after_burns(self, kicks: Array, constant: Array) -> Array:
-        """Deviations at the legs' starts, (legs + 1, 7, q), after burns kick by (m, 3, q) there.
+        """Deviations at the legs' starts, (legs + 1, 7, q), after velocity changes (m, 3, q) there.
 
         The row of the constant has shape (q,).
         """
@@ -175,13 +174,13 @@ class Sensitivity:
 def condense(
     lin: Linearisation, nodes: Indices | None = None, *, factor: bool = True, curvature: bool = True
 ) -> Sensitivity:
-    """Eliminate the linearised mean and factor dynamics, leaving the burns, at some nodes or at all.
+    """Eliminate the linearised mean and factor, leaving the burns as variables, at some nodes or all.
 
-    The affine map closes the defects. Without `factor` that has no columns; without `curvature` the
-    STMs do not depend on the mean (the T_k term).
+    The affine map closes the defects. Without `factor` the factor has no columns; without
+    `curvature` the T_k term is left out: the STMs do not depend on the mean.
 
     Raises:
-        LinearisationError: if they are not finite.
+        LinearisationError: if mean or factor is not finite.
     """
     z = lin.iterate.burns.ravel()
     nodes = np.arange(lin.problem.n_nodes) if nodes is None else nodes
@@ -243,8 +242,8 @@ def _factor_sensitivity(lin: Linearisation, nodes: Indices, *, curvature: bool) 
 def _composed_tensor(lin: Linearisation, last: int) -> Array:
     """Derivatives of the STMs from the legs' starts by the deviation there, (last + 1, 6, 6, 7).
 
-    Along a leg T' = A T + (T_k . D) P with D the map of the deviation and P the STM so far. What
-    the second term adds at each arc needs no recursion; the first carries it on.
+    Along a leg T' = A T + (T_k . D) P with D the map of the deviation and P the STM so far. The
+    second term of all arcs is computed at once; the first propagates it.
     """
     legs, before = lin.problem.legs, lin.affine_map_from_last_burn.copy()
     before[lin.problem.leg_starts] = np.eye(7)
@@ -282,4 +281,4 @@ CONDENSATIONS: dict[str, Condensation] = {
     "frozen-stm": partial(condense, curvature=False),
     "frozen-covariance": condense_frozen_covariance,
 }
-"""The ways to eliminate mean and factor, by the name of the formulation."""
+"""Condensations by the name of the formulation."""

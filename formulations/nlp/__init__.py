@@ -1,1 +1,1 @@
-"""The same problems as CasADi programs for IPOPT: printed, tuned, single shooting."""
+"""P3 and P2 as CasADi programs for IPOPT: as printed, tuned, and by single shooting."""

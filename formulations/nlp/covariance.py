@@ -1,12 +1,12 @@
-"""The covariance as unknowns of an NLP: all its entries, the unique ones, or a factor.
+"""Represent the covariance as unknowns of an NLP: all entries, the unique ones, or a factor.
 
     Sigma_{k+1} = A_k Sigma_k A_k' + B C(dv_i) C(dv_i)' B'
     S_{k+1} = [A_k S_k, B C(dv_i)]
 
-with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Columns that
-burns share are carried as columns in every form, beside the covariance of all else. Every form is a
-vector of entries per node, after the burn where one falls on it. An arc carries the entries; a burn
-appends zeros where the form grows by it, and adds its `kick`.
+with the columns C of a burn's errors (`execution_errors`, here over CasADi's symbols). Every form is a
+vector of entries per node, after the burn where one falls on it; columns that burns share are kept as
+columns in every form. An arc carries the entries; a burn appends zeros if the form grows, and adds its
+`kick`.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ GUARD = 1e-16
 """Added under every root, so that its derivative exists at zero. It moves a norm x by 5e-17 / x, in
 units of the problem, and never by more than 1e-8."""
 TINY = 1e-16
-"""Added under the root of how far a burn is executed, which has a kink where the burn vanishes."""
+"""Added under the root of e^2 (see `GatesErrors`), which has a kink where a burn vanishes."""
 CERTAIN = 1e-6
-"""Largest standard deviation of a start without spread to speak of."""
+"""Largest standard deviation that counts as a certain initial state."""
 
 
 def root(square: ca.MX) -> ca.MX:
-    """Guarded square root."""
+    """Square root whose derivative at zero is finite."""
     return ca.sqrt(square + GUARD)
 
 
 class Spread(Protocol):
-    """One form of the covariance at a node."""
+    """A form of the covariance at a node."""
 
     def size(self, burns: int) -> int:
         """Number of entries at a node, that many burns at or before it."""
@@ -58,10 +58,10 @@ class Spread(Protocol):
 
 
 class Covariance:
-    """Sigma by entries, the 36 that the paper writes or the 21 that are different.
+    """Sigma by entries: all 36, as in the paper, or the 21 unique ones.
 
-    In units of a standard deviation `unit`. Nothing but feasibility keeps an iterate of it positive
-    semidefinite.
+    Entries are in units of a standard deviation `unit`, squared. Only feasibility keeps an iterate
+    positive semidefinite.
     """
 
     def __init__(self, problem: FlybyProblem, *, unique: bool, unit: float = 1.0) -> None:
@@ -76,7 +76,7 @@ class Covariance:
             self._entry.T[self._element] = np.arange(21)
 
     def size(self, burns: int) -> int:  # noqa: ARG002 -- of the protocol
-        """All the same; six more per column that burns share."""
+        """Number of entries, the same at all nodes; six more per shared column."""
         return len(self._element[0]) + 6 * self._shared
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
@@ -88,7 +88,7 @@ class Covariance:
         return ca.vertcat(*carried, ca.vec(stm @ shared))
 
     def kick(self, burn: ca.MX, burns: int) -> ca.MX:  # noqa: ARG002 -- of the protocol
-        """Add C C' to the velocity's part, and shared columns as they are."""
+        """C C' in the velocity's part, and the shared columns."""
         added = own_covariance(self._errors, burn) / self._unit**2
         zero = ca.MX(1, 1)
         entries = [
@@ -99,7 +99,7 @@ class Covariance:
         return ca.vertcat(*entries, ca.vec(shared))
 
     def pack(self, factor: Array, burns: int) -> Array:  # noqa: ARG002 -- of the protocol
-        """Entries of S S' of the columns that burns do not share, and the columns that they do."""
+        """Entries of S S' of the columns that burns do not share, then the shared columns."""
         first = self._initial_columns
         shared = factor[:, first : first + self._shared]
         covariance = factor @ factor.T - shared @ shared.T
@@ -127,7 +127,7 @@ class Factor:
         self._before = problem.shared_columns.start
 
     def size(self, burns: int) -> int:
-        """Six per column."""
+        """Number of entries: six per column."""
         return 6 * self._columns(burns)
 
     def carry(self, stm: ca.SX, entries: ca.SX) -> ca.SX:
@@ -135,14 +135,14 @@ class Factor:
         return ca.vec(stm @ ca.reshape(entries, 6, entries.numel() // 6))
 
     def kick(self, burn: ca.MX, burns: int) -> ca.MX:
-        """Own columns B C(dv) after those that were there, and shared ones on top of them."""
+        """Own columns B C(dv) after the earlier ones; shared columns are added up."""
         shared, own = shared_columns(self._errors, burn), own_columns(self._errors, burn)
         between = self._columns(burns) - self._before - self._errors.shared
         columns = ca.horzcat(ca.MX(3, self._before), shared, ca.MX(3, between), own)
         return ca.vec(ca.vertcat(ca.MX(3, columns.shape[1]), columns)) / self._unit
 
     def pack(self, factor: Array, burns: int) -> Array:
-        """Column by column."""
+        """Entries of the columns, one after the other."""
         return factor.T.ravel()[: self.size(burns)] / self._unit
 
     def deviation(self, normal: Array, entries: ca.MX) -> ca.MX:
@@ -154,7 +154,7 @@ class Factor:
 def initial_deviation(problem: FlybyProblem) -> float:
     """Largest standard deviation before the first burn: the natural unit of a factor's entries.
 
-    Where the start is certain, that of the largest burn.
+    If the initial state is certain, that after the largest burn.
     """
     deviation = float(np.linalg.norm(problem.initial_factor, 2))
     if deviation > CERTAIN:
@@ -194,7 +194,7 @@ def own_covariance(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
 
 
 def _fixed_part(errors: GatesErrors, burn: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """How far a burn is executed, squared, and the symmetric root of its fixed part, (3, 3)."""
+    """Degree e^2 to which a burn counts as executed, and the root of its fixed part, (3, 3)."""
     square = ca.dot(burn, burn)
     executed, points = errors.transitions(square)
     m, s, p = errors.fixed_bound, errors.magnitude_fixed, errors.pointing_fixed
@@ -203,10 +203,10 @@ def _fixed_part(errors: GatesErrors, burn: ca.MX) -> tuple[ca.MX, ca.MX]:
 
 
 def _componentwise(errors: ExecutionErrors) -> ComponentwiseErrors:
-    """The only other model.
+    """The errors as the componentwise model.
 
     Raises:
-        TypeError: if it is one that no nonlinear program has been written for.
+        TypeError: if they are of a model without a nonlinear program.
     """
     if not isinstance(errors, ComponentwiseErrors):
         raise TypeError(f"no nonlinear program for {type(errors).__name__}")

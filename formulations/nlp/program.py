@@ -1,8 +1,8 @@
-"""A nonlinear program as CasADi expressions: unknowns, rows by constraint name, what each weighs.
+"""Nonlinear programs as CasADi expressions: unknowns, rows by constraint name, weights and prices.
 
 The rows are the limits on the burns, P3's sets or P2's facets. Every row is a margin (>= 0 where
-satisfied) or a defect (== 0) in the units in which `Subproblem` counts violations, so that one L1
-penalty serves both sides.
+satisfied) or a defect (== 0), in the units in which `Subproblem` counts violations, so that one L1
+penalty serves both methods.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ class NlpRows:
     """Rows of one constraint: value >= 0, or value == 0 if `equality`.
 
     Attributes:
-        name: as in `MeritFunction.violations`, or of the transcription's own.
+        name: as in `MeritFunction.violations`, or the transcription's own.
         value: shape (m,).
-        weight: of a unit of violation against the penalty; 0 keeps the rows hard.
+        weight: of a unit of violation, times the penalty; 0 keeps the rows hard.
         equality: whether the rows are defects instead of margins.
-        price: of a unit of violation that is a part of the cost, with a penalty and without.
+        price: cost of a unit of violation, with or without a penalty.
     """
 
     name: str
@@ -59,7 +59,7 @@ class NlpRows:
 
 @dataclass(frozen=True)
 class Mapped:
-    """Nonlinear part of a program's leading rows that brings its own derivatives.
+    """Nonlinear part of a program's leading rows, with its own derivatives.
 
     The value has shape (m,), the sparse Jacobian (m, n); the Hessian maps multipliers (m,) to the upper
     triangle (n, n) of that of their product with the value.
@@ -72,7 +72,7 @@ class Mapped:
 
 @dataclass(frozen=True)
 class Program:
-    """An NLP that is not yet bound to a penalty or a solver.
+    """An NLP without penalty or solver.
 
     Attributes:
         unknowns: symbol, shape (n,).
@@ -81,7 +81,7 @@ class Program:
         mean: node means after the burns, shape (6, n_nodes).
         cost: total delta-v.
         blocks: the constraints.
-        mapped: what to add to the values of the leading blocks.
+        mapped: addition to the values of the leading blocks.
     """
 
     unknowns: ca.MX
@@ -94,7 +94,7 @@ class Program:
 
     @property
     def smooth(self) -> ca.MX:
-        """All rows but for what `mapped` adds, which is what CasADi differentiates."""
+        """All rows without the addition of `mapped`; CasADi differentiates these."""
         return ca.vertcat(*(block.value for block in self.blocks))
 
     @property
@@ -122,7 +122,7 @@ Transcription = Callable[[FlybyProblem, Arcs, Facets | None, Start, bool], Progr
 
 @dataclass(frozen=True)
 class Assembled:
-    """A program with its penalty, as `nlpsol` wants it.
+    """A program with its penalty, in the form of `nlpsol`.
 
     Attributes:
         unknowns: the program's and, with a penalty, one slack >= 0 per elastic row (two if == 0).
@@ -131,9 +131,9 @@ class Assembled:
         rows_upper: 0 or infinity, shape (m,).
         lower: bounds of the unknowns, shape (n,).
         start: initial values, shape (n,).
-        jacobian: of the rows, or None to leave it to CasADi.
+        jacobian: of the rows; None leaves it to CasADi.
         hessian: from the factors of objective and rows to the upper triangle of the Lagrangian's
-            Hessian, or None likewise.
+            Hessian; None leaves it to CasADi.
     """
 
     unknowns: ca.MX
@@ -149,7 +149,7 @@ class Assembled:
 def assemble(program: Program, penalty: float | None) -> Assembled:
     """Stack the blocks; with a penalty w the objective is cost + w sum(weight * violation).
 
-    Violations that have a price are weighed by it in any case.
+    Violations with a price are charged it in any case.
     """
     counts = [block.value.numel() for block in program.blocks]
     equality = np.repeat([block.equality for block in program.blocks], counts)
@@ -190,7 +190,7 @@ def assemble(program: Program, penalty: float | None) -> Assembled:
 
 
 def _padded(matrix: ca.MX, rows: ca.MX, columns: ca.MX | None = None) -> ca.MX:
-    """The matrix with structural zeros below and to the right, as many as the vectors are long."""
+    """The matrix with structural zeros below and to the right, by the lengths of two vectors."""
     width = matrix.shape[1] if columns is None else columns.numel()
     padded = ca.horzcat(matrix, ca.MX(matrix.shape[0], width - matrix.shape[1]))
     return ca.vertcat(padded, ca.MX(rows.numel() - matrix.shape[0], width))
@@ -204,7 +204,7 @@ def total_dv(burns: ca.MX) -> ca.MX:
 def burn_blocks(problem: FlybyProblem, burns: ca.MX, *, printed: bool) -> list[NlpRows]:
     """Size and battery cone of burns (3, m).
 
-    Printed angles are by the paper's ratios, not as `FlybyProblem.burn_margins` has them.
+    `printed` writes angles by the paper's ratios, not as in `FlybyProblem.burn_margins`.
     """
     nappes = [
         -_inside_cone(burns, cone.axis, cone.half_angle, printed) for cone in problem.burn_cones
@@ -216,7 +216,7 @@ def burn_blocks(problem: FlybyProblem, burns: ca.MX, *, printed: bool) -> list[N
 
 
 def final_state_block(problem: FlybyProblem, mean: ca.MX) -> NlpRows:
-    """Miss of the final state, of means (6, n_nodes)."""
+    """Miss of the final state for means (6, n_nodes)."""
     miss = mean[:, -1] - problem.final_state
     return NlpRows("final_state", miss, DYNAMICS_WEIGHT, equality=True, price=problem.miss_weight)
 
@@ -231,7 +231,7 @@ def state_blocks(
 ) -> Iterator[NlpRows]:
     """State constraints on y = (mean, entries of the spread) of every node: P3's without facets.
 
-    There is no spread for P3 and for P2 without a single facet. Printed are P3's cones by ratios.
+    P3, and P2 without a facet, have no spread. `printed` writes P3's cones by ratios.
     """
     mean = ca.horzcat(*(y[:3] for y in node))
     if facets is None:

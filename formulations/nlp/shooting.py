@@ -1,9 +1,9 @@
-"""Two transcriptions of P3 and P2 into nonlinear programs: multiple and single shooting.
+"""Transcribe P3 and P2 into nonlinear programs by multiple or single shooting.
 
 In multiple shooting the unknowns are the burns and then, node by node, y_k = (mean, entries of the
 spread), after the burn where one falls on the node. An arc maps the leading part of y_k that its end
-still needs to the leading part of y_{k+1}; what a burn adds comes on top. In single shooting the burns
-alone are unknowns, and the y_k are rolled out of them.
+still needs to the leading part of y_{k+1}, to which a burn adds its own. In single shooting the burns
+alone are unknowns, and the y_k are rolled out from them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class MultipleShooting:
         arcs: one call per arc; or one map over all of them; or that with first and second
             derivatives formed arc by arc, not by CasADi's sweeps through the whole.
         printed: cones as the paper prints them, by ratios, unless violations are weighed.
-        whole: carry the spread to the last node, not only to the last that a facet looks at.
+        whole: carry the spread to the last node, not only to the last node with a facet.
     """
 
     spread: Callable[[FlybyProblem], Spread]
@@ -84,7 +84,7 @@ class MultipleShooting:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where each y_k stands among the unknowns.
+    """Places of the y_k among the unknowns.
 
     Attributes:
         start: index of its first component, shape (n_nodes,); the rows of the block `arcs` have the
@@ -151,7 +151,7 @@ class _Group:
         return ca.vertcat(*ends)
 
     def jacobian(self, x: ca.MX, rows: int) -> ca.MX:
-        """Of the value, each arc's block in its place among `rows` rows."""
+        """Jacobian of the value, each arc's block in its place among `rows` rows."""
         first = ca.jacobian(self._end, self._y)
         function = ca.Function("jacobian", [self._y, self._h], [first])
         blocks = function.map(self.count)(self.inputs(x), self._durations)
@@ -210,7 +210,7 @@ def _differentiated(layout: _Layout, groups: list[_Group], x: ca.MX, ends: ca.MX
 def _burn_part(
     problem: FlybyProblem, spread: Spread | None, layout: _Layout, burns: ca.MX
 ) -> ca.MX:
-    """The initial data and what the burns add, in the rows of their nodes."""
+    """Initial data and additions of the burns, in the rows of their nodes."""
     parts = [ca.MX(int(size), 1) for size in layout.size]
     for i, k in enumerate(problem.burn_nodes):
         parts[k] = kick(spread if layout.size[k] > 6 else None, burns[:, i], i)
@@ -244,7 +244,7 @@ def _pack(problem: FlybyProblem, spread: Spread | None, layout: _Layout, start: 
 
 @dataclass(frozen=True)
 class SingleShooting:
-    """A transcription; see `program.Transcription`. Of the start it takes the burns."""
+    """A transcription; see `program.Transcription`. It starts from the guess's burns alone."""
 
     def __call__(
         self, problem: FlybyProblem, arcs: Arcs, facets: Facets | None, start: Start, elastic: bool

@@ -1,4 +1,4 @@
-"""P3 and P2 as nonlinear programs, solved by IPOPT: the reference of the sequential convex programs."""
+"""Solve P3 and P2 as nonlinear programs by IPOPT: the reference for sequential convex programming."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 
 @dataclass(frozen=True)
 class Settings:
-    """IPOPT's options that matter here; its defaults otherwise.
+    """IPOPT's options that differ from its defaults.
 
     An inexact Hessian is a limited-memory BFGS approximation. With CasADi's wheels there is also the
     linear solver "spral", which needs the environment variables OMP_CANCELLATION=TRUE and
@@ -37,7 +37,7 @@ class Settings:
     max_iterations: int = 1000
 
     def options(self) -> dict[str, Any]:
-        """As CasADi wants them; nothing is printed."""
+        """The options in CasADi's form; IPOPT prints nothing."""
         return {
             "ipopt.hessian_approximation": self.hessian,
             "ipopt.linear_solver": self.linear_solver,
@@ -63,12 +63,12 @@ QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
 
 @dataclass(frozen=True)
 class Variant:
-    """A transcription and the settings that serve it.
+    """A transcription and IPOPT's settings for it.
 
     Attributes:
-        transcription: how the program is written down.
-        p3: settings for P3, and for P2 without a facet. There a burn may vanish, where the cost has a
-            kink that a quasi-Newton Hessian does not get over.
+        transcription: writes the program.
+        p3: settings for P3, and for P2 without a facet. There a burn may vanish, and a quasi-Newton
+            Hessian fails at the cost's kink.
         p2: settings for P2.
         screened: whether facets far from binding may be left out, to be checked afterwards.
     """
@@ -101,11 +101,11 @@ VARIANTS: dict[str, Variant] = {
     ),
     "shooting": Variant(SingleShooting(), p3=EXACT, p2=QUASI_NEWTON),
 }
-"""As the paper prints the problems; as an expert would pose them; with twelve unknowns."""
+"""Variants: the problems as the paper prints them, as an expert would pose them, with few unknowns."""
 
 
 class NlpOutcome(Enum):
-    """How IPOPT ended."""
+    """Outcome of a run of IPOPT."""
 
     SOLVED = "solved"
     ACCEPTABLE = "solved to the acceptable tolerance"
@@ -137,11 +137,11 @@ class NlpIteration:
 
 @dataclass(frozen=True)
 class NlpResult:
-    """Where IPOPT ended, and what it took.
+    """IPOPT's outcome, last iterate, iterations and times.
 
-    Single shooting's iterate has no defects but at the end. The objective is total delta-v, plus the
-    penalty if there is one; the iterations begin with the start. Writing the program down and
-    differentiating it is `build_s`; evaluations, `evaluate_s`, are a part of `solve_s`.
+    Single shooting's iterate has a defect at the end only. The objective is total delta-v, plus the
+    penalty if there is one; the iterations begin with the start. `build_s` is the time to write and
+    differentiate the program; the evaluations' time, `evaluate_s`, is part of `solve_s`.
     """
 
     iterate: Iterate
@@ -171,11 +171,11 @@ def solve_nlp(
 ) -> NlpResult:
     """Solve P2 on fixed facets, or P3 without.
 
-    A penalty is that of the exact L1 penalty on violations as `MeritFunction` weighs them, the arcs
-    alone staying hard; without one all constraints are hard.
+    `penalty` is the weight of an exact L1 penalty on violations, as in `MeritFunction`; only the arcs
+    stay hard. Without it all constraints are hard.
 
     Raises:
-        ValueError: if P2 is to start without a factor.
+        ValueError: if P2 has no factor to start from.
     """
     begin = perf_counter()
     elastic = penalty is not None
@@ -215,7 +215,7 @@ def _outcome(status: str, *, interrupted: bool) -> NlpOutcome:
 
 
 def _solver(nlp: Assembled, settings: Settings) -> ca.Function:
-    """IPOPT with the derivatives that the program brings along."""
+    """IPOPT with the program's own derivatives."""
     options = settings.options()
     if np.isfinite(nlp.lower).any():
         # IPOPT relaxes bounds by 1e-8. A slack below zero is paid for, and there are hundreds.
@@ -234,9 +234,9 @@ def _solver(nlp: Assembled, settings: Settings) -> ca.Function:
 
 @contextmanager
 def noticing_interrupts() -> Iterator[Callable[[], bool]]:
-    """A function that says whether SIGINT has come since; Python's own handling stays as it is.
+    """Yield a function that says whether SIGINT has come since; Python still handles the signal.
 
-    Python hands signals to the main thread: in another one none is noticed.
+    Python passes signals to the main thread: other threads notice none.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False

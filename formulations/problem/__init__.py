@@ -1,1 +1,1 @@
-"""The flyby problem as data: arcs, regions, and the polytopes and facets that stand for them."""
+"""The flyby problem as data: arcs, regions, execution errors, polytopes and facets."""

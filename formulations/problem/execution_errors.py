@@ -1,7 +1,7 @@
 """Execution errors: columns C(v) with C C' the covariance that a burn v adds to the velocity.
 
-A model has `own` columns, of errors that each burn draws anew, and `shared` ones before them, of errors
-that are drawn once for all burns: these fill the same columns of the covariance factor at every burn.
+A model has `shared` columns, of errors drawn once for all burns, and then `own` ones, of errors drawn
+for each burn. Shared columns fill the same columns of the covariance factor at every burn.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ VANISHED = 1e-3
 
 
 class ExecutionErrors(ABC):
-    """Model of the errors of burns, in their units."""
+    """Model of the burns' errors, in the burns' units."""
 
     @property
     @abstractmethod
     def own(self) -> int:
-        """Columns of one burn alone."""
+        """Number of columns of one burn alone."""
 
     @property
     def shared(self) -> int:
-        """Columns common to all burns."""
+        """Number of columns common to all burns."""
         return 0
 
     @property
@@ -54,11 +54,11 @@ class ExecutionErrors(ABC):
         return burns + errors
 
     def draws(self, burns: int) -> int:
-        """Standard normal numbers that so many burns take."""
+        """Number of standard normal draws for a number of burns."""
         return self.shared + burns * self.own
 
     def otherwise(self, burns: Array) -> Iterator[ExecutionErrors]:
-        """Models whose linearisation at these burns holds where this one's does not: of Gates'."""
+        """Models to linearise besides this one at these burns; see `GatesErrors`."""
         del burns
         yield from ()
 
@@ -74,7 +74,7 @@ class ComponentwiseErrors(ExecutionErrors):
 
     @property
     def own(self) -> int:
-        """One of each component."""
+        """Three: one of each component."""
         return 3
 
     def columns(self, burns: Array) -> Array:
@@ -102,27 +102,27 @@ class GatesErrors(ExecutionErrors):
     proportional parts have columns that are linear in the burn: s_p v, and p_p [v]x, whose product is
     p_p^2 (v^2 I - v v'). A bias of the magnitude that all burns share is one more, b v.
 
-    The fixed part has the symmetric root s_f u u' + p_f (I - u u'). Let m be the larger of the two.
-    A burn smaller than m has next to no direction, and gets a bound, m I: between VANISHED m and m the
-    root goes from the bound to itself. A burn below VANISHED m is not executed, and its fixed part goes
-    to zero with it. Wherever a burn is executed the covariance is at least Gates', and from m on it is.
+    The fixed part has the symmetric root s_f u u' + p_f (I - u u'). Let m be the larger of s_f and
+    p_f. A burn smaller than m has hardly a direction and gets the bound m I: between VANISHED m and m
+    the root changes from the bound to its own form. A burn below VANISHED m is not executed, and its
+    fixed part goes to zero with it. The covariance of an executed burn is at least Gates', and equals
+    it from m on.
 
-    Both transitions have two continuous derivatives, so that the merit is one smooth function of a burn
-    that does not vanish. At a burn that has vanished its root would have a kink; there the columns
-    are (m e / |v|) [[v]x, v] instead, of the same product, and smooth. Their linearisation is exact
-    as long as the burn stays there and forbids it to leave. `otherwise` therefore gives, for each such
-    burn, the model in which it is executed whatever its size: exact wherever it is. Both bound the
-    errors from above, an algorithm takes the better answer, and its merit, of the errors themselves,
-    decides: a burn may come and go, and cannot do so in turns. A burn that is executed, in contrast,
-    vanishes where its size leads it there; that leaving it out might be worth its fixed error, no
-    derivative tells.
+    Both transitions have two continuous derivatives, so that the merit is smooth in a burn that does
+    not vanish. At a vanished burn the root would have a kink; the columns (m e / |v|) [[v]x, v] have
+    the same product and are smooth. Their linearisation is exact as long as the burn stays vanished,
+    but keeps it from growing. `otherwise` therefore gives, for each vanished burn, the model in which
+    it is executed whatever its size. Both models bound the errors from above; an algorithm takes the
+    better answer and judges it by the merit, of the errors themselves, so that a burn may come or go
+    but not alternate. An executed burn vanishes only if its size goes to zero: no derivative shows
+    that leaving it out might save its fixed error.
 
     Attributes:
         magnitude_fixed: s_f, in the units of the burns.
         magnitude_proportional: s_p.
         pointing_fixed: p_f per axis across, in the units of the burns.
         pointing_proportional: p_p per axis across, rad.
-        magnitude_bias: b, of all burns alike.
+        magnitude_bias: b, common to all burns.
         executed: burns that count as executed whatever their size.
     """
 
@@ -135,7 +135,7 @@ class GatesErrors(ExecutionErrors):
 
     @property
     def own(self) -> int:
-        """One of the magnitude, three of the pointing, and four of the fixed part if there is one."""
+        """Four: magnitude and pointing; with a fixed part eight."""
         return 4 if self.affine else 8
 
     @property
@@ -145,7 +145,7 @@ class GatesErrors(ExecutionErrors):
 
     @property
     def affine(self) -> bool:
-        """Without a fixed part."""
+        """Whether there is no fixed part."""
         return self.fixed_bound == 0.0
 
     @property
@@ -154,7 +154,7 @@ class GatesErrors(ExecutionErrors):
         return max(self.magnitude_fixed, self.pointing_fixed)
 
     def transitions(self, square: Any) -> tuple[Any, Any]:
-        """Of a burn of that squared size: e^2, how far it is executed, and t / v^2, how far it points.
+        """Transitions at a squared size v^2: e^2, of execution, and t / v^2, of having a direction.
 
         The fixed part's root is e ((m - t (m - p_f)) I + t (s_f - p_f) u u'). Plain arithmetic, for
         arrays and CasADi's symbols.
@@ -239,7 +239,7 @@ class GatesErrors(ExecutionErrors):
         return jacobian
 
     def _slope(self, square: Array) -> tuple[Array, Array]:
-        """Of vanished burns: m e / |v|, and its derivative by v^2."""
+        """Factor m e / |v| of vanished burns, and its derivative by v^2."""
         vanished = VANISHED * self.fixed_bound
         y = square / vanished**2
         root = np.sqrt(3.0 - 3.0 * y + y**2)

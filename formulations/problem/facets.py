@@ -1,6 +1,6 @@
-"""Facets of the chance constraints: placed at a guess, chosen by largest probability, then fixed.
+"""Choose facets of the chance constraints at a guess, by largest probability; then they are fixed.
 
-Their risk is split by Boole's inequality.
+Risk is split evenly over facets by Boole's inequality.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def quantile(probability: float) -> float:
 
 @dataclass(frozen=True)
 class Polytopes:
-    """Polytopes that stand for regions.
+    """Polytopes that approximate the regions.
 
     Attributes:
         ball: polytope about the unit ball, or None for a single facet through the sphere's point on
@@ -70,7 +70,7 @@ class Facets:
     quantile: Array
 
     def chosen(self, which: Booleans) -> Facets:
-        """Those of a mask, shape (m,)."""
+        """The facets of a mask, shape (m,)."""
         return Facets(*(getattr(self, name)[which] for name in Facets.__annotations__))
 
     def deviation(self, factor: Array) -> Array:
@@ -86,10 +86,10 @@ class Facets:
 def choose_facets(
     problem: FlybyProblem, polytopes: Polytopes, mean: Array, factor: Array
 ) -> Facets:
-    """All facets of keep-in polytopes, and of each keep-out polytope the most probable one.
+    """Choose all facets of keep-in polytopes, and of each keep-out polytope the most probable one.
 
-    Means (n_nodes, 6), whose lines of sight turn the polytopes, and factor (n_nodes, 6, c) are the
-    guess's.
+    The guess's means (n_nodes, 6), by their lines of sight, orient the polytopes; its factor has
+    shape (n_nodes, 6, c).
     """
     parts = [
         _constraint_facets(index, constraint, polytopes, mean, factor)

@@ -39,8 +39,8 @@ class StateConstraint:
         nodes: node indices, shape (n,).
         region: one region per node.
         keep: "in" or "out".
-        probability: what P2 requires of this constraint alone, joint risk already split.
-        joint: chance constraint that it is one side of; itself, if not given.
+        probability: required of this constraint alone in P2, after joint risk was split.
+        joint: name of the joint chance constraint it belongs to; by default its own.
     """
 
     name: str
@@ -52,7 +52,7 @@ class StateConstraint:
 
     @property
     def event(self) -> str:
-        """Name of what has to hold with the required probability."""
+        """Name of the joint constraint that must hold with the required probability."""
         return self.joint or self.name
 
     def margin(self, mean: Array) -> Array:
@@ -82,8 +82,8 @@ class Iterate:
 class Legs:
     """The legs of a grid: the arcs from one burn to the next, or from the start to the first burn.
 
-    What happens linearly along a leg is a product of its arcs' matrices from its start; `compose` makes
-    those products once for all nodes.
+    A linear map along a leg is a product of its arcs' matrices from its start; `compose` makes those
+    products once for all nodes.
 
     Args:
         n_nodes: nodes of the grid.
@@ -142,7 +142,7 @@ class FlybyProblem:
         execution_errors: of the burns.
         dv_max: largest burn.
         sun: unit vectors to the Sun at each burn, shape (m, 3).
-        dv_cone: half-angle of the double cone about the Sun line that burns stay out of.
+        dv_cone: half-angle of the double cone about the Sun line that burns must avoid.
         constraints: on the position.
         miss_weight: price of each component of the final state's miss, where the burns are too few to
             meet it; without it the final state is a condition.
@@ -194,7 +194,7 @@ class FlybyProblem:
         return self.columns_before(self.n_burns)
 
     def columns_before(self, burns: int) -> int:
-        """Columns of the covariance factor that so many burns leave."""
+        """Number of columns of the covariance factor after a number of burns."""
         return self.first_factor.shape[1] + self.execution_errors.own * burns
 
     @property
@@ -216,7 +216,7 @@ class FlybyProblem:
 
     @cached_property
     def burn_cones(self) -> tuple[Cone, Cone]:
-        """The two nappes of the cone that burns stay out of, apex at zero."""
+        """The two nappes of the cone that burns must avoid, apex at zero."""
         apex = np.zeros((self.n_burns, 3))
         return Cone(apex, self.sun, self.dv_cone), Cone(apex, -self.sun, self.dv_cone)
 

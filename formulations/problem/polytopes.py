@@ -1,4 +1,4 @@
-"""Polytopes around and inside the unit ball, and pyramids around and inside a circular cone.
+"""Build polytopes around and inside the unit ball, and pyramids around and inside a circular cone.
 
 A ball polytope is kept as the unit normals u_j of its facets. Then {y : u_j'y <= 1} contains the
 unit ball with every facet tangent to it, and {y : u_j'y <= 1/reach} lies inside, where `reach` is
@@ -34,11 +34,11 @@ class BallPolytope:
 
 
 def paper_ball() -> BallPolytope:
-    """Convex hull of the six unit axes and the eight unit cube corners: 24 equal facets.
+    """The paper's polytope: convex hull of six unit axes and eight unit cube corners, 24 equal facets.
 
     Source: Echigo et al., arXiv 2412.06816, section VI. All facets are equally far from the centre,
-    so that their normals give the inner and the outer polytope alike. A cube corner is the vertex
-    that gets turned to the line of sight.
+    so that their normals give both the inner and the outer polytope. A cube corner is the vertex
+    turned to the line of sight.
     """
     axes = [sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
     corners = [np.array(signs) / np.sqrt(3.0) for signs in product((1.0, -1.0), repeat=3)]
@@ -48,7 +48,7 @@ def paper_ball() -> BallPolytope:
 
 @cache
 def ball(facets: int) -> BallPolytope:
-    """Polytope with any number of facets, ever tighter: normals by farthest-point insertion.
+    """Polytope with a given number of facets: normals by farthest-point insertion.
 
     Starting from the regular tetrahedron, the next facet cuts off the farthest vertex. The facets
     for n are among those for n + 1, so the outer polytopes are nested and `reach` never grows.

@@ -1,4 +1,4 @@
-"""Second-order-cone sets of a position: balls and circular cones, one per node.
+"""Regions of the position, balls and circular cones, one per node: distances, planes and chords.
 
 Both are convex, so the complement of either is described by supporting planes: for a point x the
 plane a'y = b that touches the region where it is closest to x. With it
@@ -63,9 +63,9 @@ def unit(vector: Array, fallback: Array) -> Array:
 
 
 def reject(vector: Array, axis: Array) -> Array:
-    """Part of each vector across a unit axis, (n, 3); zero where only rounding is left of it.
+    """Part of each vector across a unit axis, (n, 3); zero where only rounding is left.
 
-    Taken twice: rounding leaves a part along the axis that counts where little is left across.
+    The part along the axis is removed twice: its rounding matters where the part across is small.
     """
     across = vector
     for _ in range(2):
@@ -82,13 +82,13 @@ def perpendicular(axis: Array) -> Array:
 
 
 Chord = tuple[Array, Array]
-"""Where lines start + s direction lie in a region: from and to which s, (inf, inf) if nowhere."""
+"""Interval of s in which lines start + s direction lie in a region; (inf, inf) if none."""
 
 
 def _roots(a: Array, b: Array, c: Array) -> Chord:
     """Both roots of a s^2 + 2 b s + c in ascending order, without cancellation; inf if there are none.
 
-    For negative `a` there always are some, and zero counts as that: one root is infinite then.
+    For negative `a` there always are two. A zero `a` is treated as negative: one root is infinite.
     """
     discriminant = b * b - a * c
     real = (discriminant > 0.0) | (a < 0.0)
@@ -102,7 +102,7 @@ def _roots(a: Array, b: Array, c: Array) -> Chord:
 
 
 def _all_along(still: Booleans, low: Array, high: Array) -> Chord:
-    """A line without direction that starts inside is inside."""
+    """Interval of a line without direction: all of it if it starts inside, else unchanged."""
     if not still.any():
         return low, high
     return np.where(still, -np.inf, low), np.where(still, np.inf, high)

@@ -1,1 +1,1 @@
-"""The convex program, once, in CVXPY: written, compiled, handed to a conic solver, and proved."""
+"""The convex program: written in CVXPY, compiled once, solved by a conic solver, proved optimal."""

@@ -1,4 +1,4 @@
-"""A cone program as numbers, and the proof that an answer to it is optimal."""
+"""A cone program as arrays, and a test that proves an answer optimal."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class ConeProgram:
         zero: rows of the zero cone.
         nonnegative: rows of the non-negative cone.
         second_order: dimensions of the second-order cones.
-        form: CVXPY's parametric form that it is a value of, if it is one.
-        values: of that form's parameters, by their number.
+        form: CVXPY's parametric form from which it was evaluated, if any.
+        values: values of that form's parameters, by number.
     """
 
     cost: Array
@@ -41,10 +41,10 @@ class ConeProgram:
 
 
 def is_optimal(program: ConeProgram, x: Array, z: Array) -> bool:
-    """Whether multipliers z prove x optimal: a verdict rests on this arithmetic, not on a status.
+    """Whether multipliers z prove x optimal, to the tolerance `GAP`, whatever the solver's status.
 
-    Weak duality: with q + A'z = 0 and z in the dual cones no x' whose b - A x' is in the cones has
-    q'x' < -b'z. All of it holds here to `GAP`.
+    Weak duality: with q + A'z = 0 and z in the dual cones no x' with b - A x' in the cones has
+    q'x' < -b'z.
     """
     primal, dual = float(program.cost @ x), -float(program.bound @ z)
     gradient = program.cost + program.matrix.T @ z
@@ -61,7 +61,7 @@ def is_optimal(program: ConeProgram, x: Array, z: Array) -> bool:
 
 
 def outside(program: ConeProgram, y: Array) -> float:
-    """How far y is from the non-negative and second-order cones, which are their own duals."""
+    """Distance of y from the non-negative and second-order cones, which are their own duals."""
     first = program.zero + program.nonnegative
     worst = float((-y[program.zero : first]).max(initial=0.0))
     if not program.second_order:

@@ -1,10 +1,10 @@
-"""Condensed: mean and factor eliminated, so that the burns and the buffers are the only variables.
+"""Condensed subproblem: mean and factor are eliminated; burns and buffers are the only variables.
 
-The rows are second-order cones in the burns (`Rows.cones`). They stand in a fixed number of **slots**
-for each size of cone. A slot without a row holds one that is always satisfied, 1 >= 0, so that neither
-the sparsity nor the compiled program changes while rows come and go; when slots run out their number
-doubles. Rows far from binding are left out: the answer is checked against all of them, and the program
-solved again with those that it misses, so that it is the whole program's.
+The rows are second-order cones in the burns (`Rows.cones`), in a fixed number of **slots** for each
+size of cone. An empty slot holds 1 >= 0, so that neither sparsity nor compiled program changes while
+rows come and go; when slots run out their number doubles. Rows far from binding are left out. The
+answer is checked against all rows, and the program solved again with those it violates, until none is:
+the answer is that of the whole program.
 """
 
 from __future__ import annotations
@@ -33,20 +33,19 @@ from formulations.program.subproblem import Penalty, PenaltyParameters, Step, Su
 from formulations.rows.cones import Rows
 
 SLOTS = 32
-"""For each size of cone, to begin with."""
+"""Slots for each size of cone, to begin with."""
 
 FEW = 8
-"""Missed rows per free slot up to which slots are not doubled: a kept solver is quick to ask again."""
+"""Violated rows per free slot up to which slots are not doubled: a kept solver solves again quickly."""
 
 MISSED = 1e-9
-"""Violation from which on a row that was left out is put in: the conic solver's own tolerance."""
+"""Violation above which a row that was left out is included: the conic solver's own tolerance."""
 
 
 class ConeSize(NamedTuple):
-    """The size of one block of cones, which a program is compiled for.
+    """The size of a block of cones in a compiled program.
 
-    So many slots for cones of dimension d, which feel the first p burn components; for `triangular`
-    see `Cones`.
+    `slots` cones of dimension d depend on the first p burn components; for `triangular` see `Cones`.
     """
 
     dimension: int
@@ -68,12 +67,12 @@ class ConeSize(NamedTuple):
 def compile_condensed(
     n_burns: int, penalty: Penalty, sizes: tuple[ConeSize, ...]
 ) -> CompiledProgram:
-    """The program for any problem with so many burns and such cones, compiled once in a process."""
+    """Compile the program for a number of burns and sizes of cones, once per process."""
     return CompiledProgram(write_model(n_burns, penalty, lambda burns: write_states(burns, sizes)))
 
 
 def write_states(burns: cp.Variable, sizes: Sequence[ConeSize]) -> StateModel:
-    """Final state and rows as affine functions of the burns; all of their numbers are parameters."""
+    """Write final state and rows as affine functions of the burns; all coefficients are parameters."""
     jacobian, constant = cp.Parameter((6, burns.size)), cp.Parameter(6)
     parameters, rows = {"miss_jacobian": jacobian, "miss": constant}, []
     for block, size in enumerate(sizes):
@@ -126,13 +125,13 @@ class CondensedSubproblem(ConvexSubproblem):
             self._take(~self._active, slack)
 
     def _take_near(self, slack: Array) -> None:
-        """Fill half of the slots with rows near binding; the answer may miss others."""
+        """Fill half of the slots with the rows nearest to binding; the answer may violate others."""
         for cones, slots in zip(self._cones, self._slots, strict=True):
             near = cones.rows[slack[cones.rows] < self.rows.near]
             self._active[near[np.argsort(slack[near])[: slots // 2]]] = True
 
     def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
-        """Solve with the rows that take part, until the answer misses no other."""
+        """Solve with the included rows, adding others until the answer violates none."""
         start, solver_s = perf_counter(), 0.0
         while True:
             step = self._solve_with_slots(radius, charge, planes)
@@ -145,9 +144,9 @@ class CondensedSubproblem(ConvexSubproblem):
         return replace(step, solver_s=solver_s, canonicalise_s=perf_counter() - start - solver_s)
 
     def _take(self, missed: Booleans, slack: Array) -> None:
-        """Put missed rows into free slots, those with least slack first.
+        """Put violated rows into free slots, those with least slack first.
 
-        Slots double until at least an eighth of the rows fit: often the others then are not missed.
+        Slots double until at least an eighth of these rows fit: often the others are then satisfied.
         """
         for block, cones in enumerate(self._cones):
             candidates = cones.rows[missed[cones.rows]]
@@ -161,7 +160,7 @@ class CondensedSubproblem(ConvexSubproblem):
             self._active[candidates[np.argsort(slack[candidates])[:free]]] = True
 
     def _solve_with_slots(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
-        """Solve with the rows that take part."""
+        """Solve with the included rows."""
         sizes, states, buffers = [], dict(self._final), [np.zeros(0, dtype=np.intp)]
         for block, (cones, slots) in enumerate(zip(self._cones, self._slots, strict=True)):
             chosen = np.flatnonzero(self._active[cones.rows])
@@ -178,7 +177,7 @@ class CondensedSubproblem(ConvexSubproblem):
         return self._solve(compiled, radius, charge, planes, states, np.concatenate(buffers))
 
     def _slack(self, burns: Array) -> Array:
-        """Room that the model leaves in every row, >= 0 where it is satisfied, shape (rows,)."""
+        """Slack of every row by the model, >= 0 where satisfied, shape (rows,)."""
         slack = np.empty(self.rows.count)
         for cones in self._cones:
             y = cones.at(burns)

@@ -1,4 +1,4 @@
-"""The base of all formulations: set parameters, evaluate the compiled program, solve, and read back."""
+"""Base of all formulations: set parameters, evaluate the compiled program, solve, and read back."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from formulations.program.subproblem import (
 from formulations.rows.cones import Rows
 
 SMALL_BURN = 1e-2
-"""Of `dv_max`; see `ConvexSubproblem.solve`."""
+"""Size of a small burn over `dv_max`; see `ConvexSubproblem.solve`."""
 
 INSIDE = 1e-9
-"""Depth in a cone that counts as none: the conic solver's own tolerance."""
+"""Depth in a cone that is ignored: the conic solver's own tolerance."""
 
 
 class ConvexSubproblem(Subproblem):
-    """A subproblem whose program is a `CompiledProgram`; `update` says where it is convexified.
+    """A subproblem whose program is a `CompiledProgram`, convexified by `update`.
 
     The solver is kept from iteration to iteration.
     """
@@ -46,11 +46,12 @@ class ConvexSubproblem(Subproblem):
     def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """See `Subproblem.solve`.
 
-        Burns stay out of the battery's cones by planes, one for each nappe. Where a small burn points
-        says nothing about where it will point. A first answer without its planes does, and bounds what
-        any direction promises. If that answer lies in a cone, two more follow: with planes towards it,
-        and with planes towards where the burn points already, which is no worse than no step. The
-        better of the two counts. From a guess there is no step to compare with, and the first counts.
+        Planes keep burns out of the battery's cones, one for each nappe. A small burn's present
+        direction says little about its next one. It is therefore solved without planes first; that
+        answer gives a direction, and a bound on the merit for any direction. If it lies in a cone, the
+        program is solved with planes towards it and with planes towards the present direction, which
+        is no worse than no step, and the better answer counts. From a guess there is no step to
+        compare with, and the former counts.
         """
         charge = charge if isinstance(charge, PenaltyParameters) else PenaltyParameters(charge)
         burns = self._at.iterate.burns
@@ -79,7 +80,7 @@ class ConvexSubproblem(Subproblem):
         """Normals of the planes that keep burns out of the battery's cones, shape (2, m, 3).
 
         As ||across|| >= e'dv for any unit vector e across the Sun line, a plane's violation is never
-        less than its cone's, whatever burns it was made at; at these burns they are the same.
+        less than its cone's; at these burns they are equal.
         """
         toward, away = self.problem.burn_cones
         across = toward.across(burns)

@@ -9,10 +9,10 @@
           y_0 + v_row >= ||(y_1, ...)||                  state constraints, P3's or P2's
           v >= 0
 
-with the burns z, and in s the sum of squares that a penalty charges, if it does: as a cone, because a
-quadratic objective keeps the solvers short of their tolerances. How the miss and the rows y follow from
-the burns is a formulation's own: see `condensed` and `lifted`. Whatever changes from iteration to
-iteration is a parameter, so that the program is compiled once.
+with the burns z, and s the sum of squares that a penalty may charge: a cone, because with a quadratic
+objective the solvers do not reach their tolerances. Each formulation writes the miss and the rows y as
+functions of the burns: see `condensed` and `lifted`. Everything that changes between iterations is a
+parameter, so that the program is compiled once.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ Values = dict[str, Array]
 
 @dataclass(frozen=True)
 class StateModel:
-    """One formulation's part of the program: what follows from the burns.
+    """A formulation's part of the program: miss and state constraints as functions of the burns.
 
     The miss has shape (6,), the y of n state constraints of dimension d (n, d), with buffers in this
-    order; the constraints are the linearised dynamics, where they are not eliminated.
+    order. `constraints` are the linearised dynamics, unless these are eliminated.
     """
 
     miss: cp.Expression
@@ -53,7 +53,7 @@ StateModelWriter = Callable[[cp.Variable], StateModel]
 
 @dataclass(frozen=True)
 class Model:
-    """The program and what is read from it and set in it by name."""
+    """The program with its variables and parameters by name."""
 
     program: cp.Problem
     burns: cp.Variable
@@ -118,7 +118,7 @@ def penalty_values(
 ) -> Values:
     """Values of prices and curvature for a charge; `rows` holds the row of each buffer, -1 for none.
 
-    The miss weight is that of `FlybyProblem`; it does not go with the penalty "augmented".
+    The miss weight is `FlybyProblem`'s; the penalty "augmented" does not support one.
     """
     limits = 6 + 3 * n_burns
     prices = np.full(limits + len(rows), charge.weight)
@@ -136,9 +136,10 @@ def penalty_values(
 def sparse_parameter(
     shape: tuple[int, int], rows: Indices, columns: Indices
 ) -> tuple[cp.Parameter, cp.Expression]:
-    """A parameter of a matrix's entries at given places, and that matrix.
+    """A parameter for a sparse matrix's entries, and the matrix.
 
-    As a constant sparse map of a vector, which compiles faster than CVXPY's own sparse parameters.
+    The matrix is a constant sparse map of a vector, which compiles faster than CVXPY's own sparse
+    parameters.
     """
     entries, n = cp.Parameter(len(rows)), len(rows)
     places = (rows + shape[0] * columns, np.arange(n))
@@ -149,10 +150,10 @@ def sparse_parameter(
 class CompiledProgram:
     """A model reduced to cones: parameters' values in, a `ConeProgram` out.
 
-    CVXPY reduces the parametrised program to cones once (DPP). From then on an iteration evaluates that
-    form, q + A x as a linear map of the parameters, with the sparsity that it was compiled with, so
-    that a solver can be updated in place. The values go in with the call, so that a compiled program
-    has no state and can be shared.
+    CVXPY reduces the parametrised program to cones once (DPP). An iteration then only evaluates that
+    form, a linear map from the parameters to q, A and b with fixed sparsity, so that a solver can be
+    updated in place. Values are arguments of the call: a compiled program has no state and can be
+    shared.
 
     Raises:
         ValueError: if it is not a disciplined parametrised convex program.
@@ -190,7 +191,7 @@ class CompiledProgram:
     def evaluate(self, values: Mapping[str, Array]) -> ConeProgram:
         """The numbers of the program for every parameter's value, by name.
 
-        What `ParamConeProg.apply_parameters` gives, without laying out its sparsity again.
+        As `ParamConeProg.apply_parameters`, without computing the sparsity again.
         """
         form = self._form
         by_id = {self._ids[name]: value for name, value in values.items()}

@@ -1,8 +1,8 @@
-"""Multipliers of a plan by the conditions of Karush, Kuhn and Tucker, and the primer that follows.
+"""Multipliers of a plan by the Karush-Kuhn-Tucker conditions, and its primer.
 
-The multipliers say what each constraint costs; the primer, what another burn anywhere along the flight
-would save at first order. By the multipliers of an optimum the Lagrangian L is a function of the means
-mu_k and the factors S_k. With psi_k = dL/dmu_k and Psi_k = dL/dS_k, everything later included, the
+The multipliers are the prices of the constraints; the primer gives the first-order saving of another
+burn anywhere along the flight. With the multipliers of an optimum the Lagrangian L is a function of the
+means mu_k and the factors S_k. With psi_k = dL/dmu_k and Psi_k = dL/dS_k, all later nodes included, the
 adjoint of the dynamics reads
 
     psi_k = A_k' psi_{k+1} + sum_ij T_k[i, j, :] (Psi_{k+1} S_k')[i, j] + dL/dmu_k at the node itself,
@@ -12,10 +12,10 @@ A burn dv added at node k changes the least total delta-v by ||dv|| - p_k'dv + o
 
     p_k = -B'psi_k - sum over the columns that all burns share of C'(B'Psi_k).
 
-Where p_k'u <= 1 for every direction u that is allowed, no small burn helps there. Errors that the new
-burn draws for itself count at second order, as long as they shrink with it and the position is not
-known for certain. J. Breakwell's and D. Lawden's primer (Optimal Trajectories for Space Navigation,
-1963) is the case in which nothing is uncertain and only the final state is required.
+Where p_k'u <= 1 for every allowed direction u, no small burn helps. The new burn's own errors count at
+second order, as long as they shrink with it and the position is uncertain. J. Breakwell's and
+D. Lawden's primer (Optimal Trajectories for Space Navigation, 1963) is the case without uncertainty and
+with the final state as the only constraint.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from formulations.problem.flyby import FlybyProblem
 from formulations.rows.cones import Rows
 
 BINDING = 1e-5
-"""Room up to which a constraint may have a multiplier."""
+"""Slack up to which a constraint counts as active."""
 VANISHED = 1e-6
 """Size of a burn, nondimensional, below which its direction is rounding."""
 MISS = 6
@@ -45,10 +45,10 @@ BURN_LIMITS = 3
 def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
     """Multipliers m of the miss and of every violation, in the order of `MeritFunction.excess`.
 
-    The non-negative (those of the miss of either sign) that make grad(total delta-v) + J'm least at a
-    solution, with J the derivatives of the excess and the constraints with room left out; shape
-    (6 + 3 m + rows,). A burn that has vanished is left out too, as its size has no derivative there.
-    Nocedal & Wright, Numerical Optimization, 2006, eq. (12.34).
+    Non-negative multipliers, except for the miss, that make grad(total delta-v) + J'm least at a
+    solution; J are the derivatives of the excess without inactive constraints. Shape
+    (6 + 3 m + rows,). A vanished burn is left out, as its size has no derivative there. Nocedal &
+    Wright, Numerical Optimization, 2006, eq. (12.34).
     """
     burns = lin.iterate.burns
     sizes = np.linalg.norm(burns, axis=1)
@@ -65,7 +65,7 @@ def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
 
 
 def slope_left(problem: FlybyProblem, rows: Rows, lin: Linearisation, prices: Array) -> float:
-    """Largest component of grad(total delta-v) + J'm, of burns that are there: zero at an optimum."""
+    """Largest component of grad(total delta-v) + J'm, without vanished burns: 0 at an optimum."""
     burns = lin.iterate.burns
     sizes = np.linalg.norm(burns, axis=1)
     directions = burns / np.maximum(sizes, VANISHED)[:, None]
@@ -77,7 +77,7 @@ def slope_left(problem: FlybyProblem, rows: Rows, lin: Linearisation, prices: Ar
 def _excess_slopes(
     problem: FlybyProblem, rows: Rows, lin: Linearisation, directions: Array
 ) -> tuple[Array, Array]:
-    """Derivatives by all burns' components, (6 + 3 m + rows, 3 m), and room but of the miss."""
+    """Derivatives by all burns' components, (6 + 3 m + rows, 3 m), and slack without the miss's."""
     burns, m = lin.iterate.burns, len(directions)
     by_burn = np.zeros((3, m, m, 3))
     every = np.arange(m)

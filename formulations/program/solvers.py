@@ -1,4 +1,4 @@
-"""Conic solvers, fed with a program's numbers: built once, updated with new numbers where they can."""
+"""Conic solvers: built once per program, and updated in place with new numbers where possible."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ TOLERANCE = 1e-9
 
 
 class Answer(NamedTuple):
-    """The answer of a solver: variables x (n,) and multipliers z (rows,), which prove them optimal.
+    """A solver's answer: variables x (n,), and multipliers z (rows,) that prove them optimal.
 
-    It is accurate where the solver reports its tolerances met; its seconds include set-up or update.
+    `accurate` if the solver reports its tolerances met; `seconds` include set-up or update.
     """
 
     x: Array
@@ -33,10 +33,10 @@ class Answer(NamedTuple):
 
 
 class ConicSolver(Protocol):
-    """A solver of programs that differ in their numbers only."""
+    """A solver of programs that differ in their numbers alone."""
 
     def solve(self, program: ConeProgram) -> Answer:
-        """Solve; raises ValueError where there is no answer."""
+        """Solve; raises ValueError if there is no answer."""
 
 
 class Clarabel:
@@ -114,7 +114,7 @@ class Qoco:
 
 
 HUGE = 1e30
-"""No nondimensional variable is as huge."""
+"""Values above it count as diverged: nondimensional variables are of order one."""
 
 
 FORMS = Lock()
@@ -161,11 +161,11 @@ SOLVERS: dict[str, Callable[[Mapping[str, float]], ConicSolver]] = {
     "CLARABEL": Clarabel,
     "QOCO": Qoco,
 }
-"""Solvers that are kept, with their numbers updated in place."""
+"""Solvers that are kept and updated in place."""
 
 
 def installed() -> tuple[str, ...]:
-    """Conic solvers that CVXPY finds and that take second-order cones, Clarabel first."""
+    """Installed conic solvers for second-order cones, by CVXPY's names, Clarabel first."""
     import cvxpy as cp
     from cvxpy.reductions.solvers.defines import SOLVER_MAP_CONIC
 
@@ -182,15 +182,15 @@ def installed() -> tuple[str, ...]:
 class FallbackSolver:
     """A conic solver with fallbacks: rebuild it, then try the others whose numbers can be updated.
 
-    A solver keeps the equilibration of the numbers that it was built with: where that does not serve
-    the new ones, or it fails, it is built again. A solver is foreign code: whatever it raises is a
-    failure to answer, as is a number that is not finite, or an answer called accurate that its
-    multipliers do not prove optimal. What is left after that, the algorithm answers with a smaller
-    trust region. A solver that is not in `SOLVERS` stands alone: it is asked for to be compared.
-    Settings are by CVXPY's name of a solver, besides its tolerances.
+    A solver keeps the equilibration of the numbers it was built with. If it fails with new ones, it is
+    built again. A solver is foreign code: any exception counts as a failure, and so do numbers that
+    are not finite and an "accurate" answer that its multipliers do not prove optimal. After a failure
+    of all solvers the algorithm shrinks the trust region. A solver that is not in `SOLVERS` has no
+    fallbacks: it is there for comparison. `settings` are by CVXPY's name of a solver, besides its
+    tolerances.
 
     Raises:
-        ModuleNotFoundError: if that solver is not installed.
+        ModuleNotFoundError: if the solver is not installed.
     """
 
     def __init__(
@@ -204,7 +204,7 @@ class FallbackSolver:
         return SOLVERS[name](settings) if name in SOLVERS else ByCvxpy(name, settings)
 
     def solve(self, program: ConeProgram) -> Answer:
-        """See `ConicSolver`. An inaccurate answer is one where nobody gives a better."""
+        """See `ConicSolver`. An inaccurate answer counts if no solver has a better one."""
         failures: dict[str, str] = {}
         answer = self._ask(self._name, self._kept, program, failures)
         solver_s = answer.solver_s if answer else 0.0
@@ -239,6 +239,8 @@ class FallbackSolver:
             return None
         z = answer.multipliers
         if answer.accurate and z is not None and not is_optimal(program, answer.x, z):
-            failures[name] = f"{name} ended with status {answer.status} and proves nothing by it"
+            failures[name] = (
+                f"{name} ended with status {answer.status}, but does not prove it optimal"
+            )
             return None
         return answer

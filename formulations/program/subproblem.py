@@ -1,4 +1,4 @@
-"""One convex subproblem: burns, dynamics, state constraints, trust region and penalty.
+"""The convex subproblem of an iteration: burns, dynamics, state constraints, trust region, penalty.
 
     min  sum ||dv_i|| + w (sum of buffers + ||virtual control||_1)
 
@@ -9,8 +9,8 @@ or with another charge for violations and steps. Violations v >= 0 are the buffe
     proximal   w (10 ||m||_1 + sum v) + p/2 ||s||^2
     augmented  l'(m, v) + w/2 ||(m, v)||^2.
 
-The merit of an iterate is what it costs and is charged, from the nonlinear dynamics, never from the
-model. The program is written in `model`; what a formulation adds, in `condensed` and `lifted`.
+The merit of an iterate is its cost plus its charges, by the nonlinear dynamics, never by the model. The
+program is written in `model`; the formulations in `condensed` and `lifted`.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ DYNAMICS_WEIGHT = 10.0
 
 @dataclass(frozen=True)
 class PenaltyParameters:
-    """How much an iteration charges: w of violations, p of the step, where it is proximal.
+    """Charges of an iteration: weight w of violations, and p of the step if proximal.
 
-    Where it is augmented, multipliers of (m, v) have shape (6 + rows,).
+    If augmented, multipliers of (m, v) have shape (6 + rows,).
     """
 
     weight: float
@@ -47,9 +47,9 @@ class PenaltyParameters:
 class MeritFunction:
     """Cost and violations of an iterate.
 
-    Boundary states and initial covariance are those of the linearisation's own problem, so that one
-    function judges flights from any initial state. Limits on the burns and constraints are this one's.
-    Grid, burn nodes and execution error have to be the same in both.
+    Boundary states and initial covariance are those of the linearisation's problem, so that one
+    function serves flights from any initial state. Limits and constraints are this problem's.
+    Grid, burn nodes and execution errors must be the same in both.
     """
 
     def __init__(self, problem: FlybyProblem, rows: Rows) -> None:
@@ -59,8 +59,8 @@ class MeritFunction:
     def __call__(self, lin: Linearisation, charge: float | PenaltyParameters) -> float:
         """Total delta-v plus the charge for every violation, from the nonlinear dynamics.
 
-        Where the final state need not be met its weighed miss is a part of the cost, and no violation.
-        A number is the exact penalty's weight.
+        If the final state need not be met, its weighed miss is part of the cost, and no violation.
+        A number as `charge` is the exact penalty's weight.
         """
         if isinstance(charge, PenaltyParameters) and charge.multipliers is not None:
             excess = self.excess(lin)
@@ -90,7 +90,7 @@ class MeritFunction:
         return by_burn | self.rows.margins(lin)
 
     def violations(self, lin: Linearisation) -> dict[str, Array]:
-        """Amounts that the buffers would have to hold, by constraint; the defects are `dynamics`."""
+        """Violations >= 0 by constraint, in the order of the buffers; the defects are `dynamics`."""
         return {name: np.maximum(amount, 0.0) for name, amount in self._signed(lin).items()}
 
     def worst_violation(self, lin: Linearisation) -> float:
@@ -98,7 +98,7 @@ class MeritFunction:
         return max(float(amount.max(initial=0.0)) for amount in self.violations(lin).values())
 
     def _signed(self, lin: Linearisation) -> dict[str, Array]:
-        """Violations, negative where there is room; defects by their size."""
+        """Signed violations, negative where there is slack; defects by their size."""
         if self._seen is None or self._seen[0] is not lin:
             burns = lin.iterate.burns
             toward, away = (cone.inside(burns) for cone in self.problem.burn_cones)
@@ -114,14 +114,14 @@ class MeritFunction:
 
 
 class SubproblemError(RuntimeError):
-    """There is no usable answer; the message says why, in the conic solver's words if it has any."""
+    """A subproblem without a usable answer; the message gives the conic solver's reason if any."""
 
 
 @dataclass(frozen=True)
 class Step:
     """Answer of a subproblem: new burns (m, 3), the merit its model predicts, solver's seconds.
 
-    It is `accurate` where the conic solver reports so; a verdict needs an accurate answer.
+    `accurate` if the conic solver reports so; a verdict needs an accurate answer.
     """
 
     burns: Array
@@ -134,8 +134,7 @@ class Step:
 class Subproblem(ABC):
     """A formulation of P3 or P2 around an iterate, which approximates `merit`.
 
-    The merit says what counts of the problem of the linearisation that it is updated with, and what of
-    its own.
+    `MeritFunction` says which data come from the problem of the linearisation, and which from its own.
     """
 
     merit: MeritFunction
@@ -152,8 +151,8 @@ class Subproblem(ABC):
     def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """Solve within a trust region: no component of a burn moves by more than `radius`.
 
-        A charge that is a number is the exact penalty's weight. The step's merit leaves out what a
-        proximal penalty charges for it.
+        A number as `charge` is the exact penalty's weight. The step's merit leaves out a proximal
+        penalty's charge.
 
         Raises:
             SubproblemError: if the conic solver fails or gives no finite answer.

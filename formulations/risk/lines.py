@@ -1,10 +1,9 @@
-"""Probability along lines: where a line keeps all limits, and how much of a law lies there.
+"""Probability along lines: the segments on which a line keeps all limits, and their probability.
 
-Everything random in a position is one standard normal vector. Once a line through its space is
-fixed, a position is affine in the one coordinate s along it, r = m + s v, and every convex region
-holds an interval of the line. What keeps all limits is an intersection of intervals, less a union of
-intervals, with ends in closed form. Averaged over lines it is the probability, and moving the ends is
-its gradient:
+All randomness of a position is one standard normal vector. On a line through its space a position is
+affine in the coordinate s along it, r = m + s v, and every convex region contains an interval of the
+line. All limits hold on an intersection of intervals less a union of intervals, with ends in closed
+form. Its mean over lines is the probability, and the motion of the ends gives the gradient:
 
     P = E[sum F(end) - F(start)],    dP = E[sum f(end) d end - f(start) d start],
     n'(dm + s dv) + n'v ds = 0  with n normal to the limit that is met there.
@@ -46,7 +45,7 @@ class TwoSidedChiLaw:
         return np.asarray(0.5 * np.where(apart, tails, both))
 
     def density(self, s: Array) -> Array:
-        """Zero at infinity."""
+        """Density at s, zero at infinity."""
         n = self.dimension
         size = np.abs(s)
         with np.errstate(invalid="ignore"):
@@ -56,9 +55,9 @@ class TwoSidedChiLaw:
 
 
 class Segments(NamedTuple):
-    """Where lines keep all limits, one entry a segment; from -inf where nothing is met.
+    """Segments of lines on which all limits hold, one entry each; an end without a limit is infinite.
 
-    The limits met at both ends are by index, keep-ins first, -1 for none.
+    The limits at both ends are given by index, keep-ins first, -1 for none.
     """
 
     line: Indices
@@ -109,7 +108,7 @@ def _segments(
 
 
 def _met(candidates: Array, value: Array) -> Indices:
-    """Which candidate a value is, -1 for infinite ones."""
+    """Index of the candidate that equals a value, -1 for infinite values."""
     if candidates.shape[1] == 0:
         return np.full(len(value), -1)
     index = np.argmax(candidates == value[:, None], axis=1)

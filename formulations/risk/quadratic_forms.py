@@ -5,8 +5,8 @@ transform G(t) = E[exp(t Q)] has a closed form, and with a contour that crosses 
 
     1/(2 pi i) int G(t)/t dt = P(Q > 0) for t0 > 0,  -P(Q < 0) for t0 < 0.
 
-The contour crosses it at the saddle point of G(t)/t, where the integrand is largest, and bends the way
-in which it falls: the trapezoidal rule converges geometrically, however slender the law is (Rice, SIAM
+The contour crosses it at the saddle point of G(t)/t, where the integrand is largest, and follows its
+descent: the trapezoidal rule converges geometrically, however slender the law is (Rice, SIAM
 J. Sci. Stat. Comput. 1 (1980) 438; Weideman and Trefethen, Math. Comp. 76 (2007) 1341). With the tilted
 law's mean x(t) = (I - 2 t C M)^-1 d the derivatives are
 
@@ -47,21 +47,21 @@ LEAN_MIN, LEAN_MAX = 0.3, 1.0
 """Least and greatest slope of a contour's bend, real over imaginary part."""
 
 UPRIGHT = 0.5
-"""How far a contour bends, over the distance of the singularity beyond the saddle point."""
+"""Largest bend of a contour over the distance from the saddle point to the singularity beyond."""
 
 NEGLIGIBLE = 1e-11
-"""Of the integrand at the saddle point: where it first falls below, the contour ends."""
+"""Value, relative to the saddle point's, below which the integrand is negligible: the contour ends."""
 
 NEWTON, CLOSE = 40, 1e-2
 """Most steps to a saddle point, and the relative change that is near enough: any point does."""
 
 
 class Below(NamedTuple):
-    """Probabilities of Q < 0 and Q > 0, and how the first changes.
+    """Probabilities of Q < 0 and Q > 0, and the gradient of the first.
 
     Attributes:
         below: P(Q < 0), shape (n,).
-        above: P(Q > 0); the smaller of both keeps its digits.
+        above: P(Q > 0); the smaller of the two is accurate to a relative error.
         by_mean: d below / dd, shape (n, 3).
         by_covariance: d below / dC, symmetric, shape (n, 3, 3).
     """
@@ -185,7 +185,7 @@ def _form(matrix: Array, mean: Array, level: Array, covariance: Array) -> _Form:
 
 
 def _saddle_point(form: _Form, side: Array) -> Array:
-    """Real t on one side of zero where log G(t) - log |t|, which is convex, is about least."""
+    """Real t on one side of zero that nearly minimises log G(t) - log |t|, which is convex."""
     worst = np.maximum(
         side * np.where(side > 0.0, form.eigenvalue[:, -1], form.eigenvalue[:, 0]), 0.0
     )
@@ -208,8 +208,8 @@ def _saddle_point(form: _Form, side: Array) -> Array:
 def _contour(form: _Form, t0: Array, lean: Array, rule: Rule) -> tuple[ComplexArray, ComplexArray]:
     """Points t of the upper half, and weights dt/t / pi, shape (n, points).
 
-    The contour bends to the side that `lean` has the sign of, and goes on upright before it comes to
-    where the singularity beyond the saddle point is.
+    The contour bends to the side of `lean`'s sign, and turns upright before the singularity beyond
+    the saddle point.
     """
     x = rule.step * np.arange(rule.points)
     _, second, _ = form.slopes(t0)
@@ -226,13 +226,13 @@ def _contour(form: _Form, t0: Array, lean: Array, rule: Rule) -> tuple[ComplexAr
 
 
 def _exponent(form: _Form, t: ComplexArray, x: ComplexArray) -> ComplexArray:
-    """Log G less what the determinant adds."""
+    """Log G without the determinant's part."""
     bent = np.einsum("nj,nkj->nk", form.slope**2, 1.0 / x)
     return np.asarray(t * form.value[:, None] + 2.0 * t * t * bent)
 
 
 def _ended(f: ComplexArray) -> ComplexArray:
-    """Integrands, zero from where they are negligible first."""
+    """Integrands, set to zero from their first negligible value on."""
     size = np.abs(f)
     return np.where(np.logical_or.accumulate(size < NEGLIGIBLE * size[:, :1], axis=1), 0.0, f)
 

@@ -1,4 +1,4 @@
-"""The state constraints of a subproblem: their margins, and their second-order cones in the burns."""
+"""State constraints of a subproblem: their margins, and second-order cones in the burns."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from formulations.linearisation.linearisation import (
 from formulations.problem.flyby import FlybyProblem
 
 Unit = Literal["length", "sigma"]
-"""Units of length, or standard deviations on the normal quantile scale."""
+"""Unit of margins: length, or standard deviations on the normal quantile scale."""
 
 NEAR_LENGTH = 0.002
-"""Room in units of length that counts as near."""
+"""Slack in units of length below which a row counts as near."""
 
 
 FINAL_POSITION, FINAL_VELOCITY = "final_position_sigma", "final_velocity_sigma"
@@ -39,10 +39,10 @@ class Margins(NamedTuple):
 class Cones(NamedTuple):
     """Second-order cones in the burns: y = values z' + constants has y_0 + buffer >= ||y_1..||.
 
-    They are of one dimension d (d = 1: half-spaces) and feel the first p burn components z' only.
+    All have one dimension d (d = 1: half-spaces) and depend on the first p burn components z' only.
 
     Attributes:
-        rows: which of the buffers each has, shape (n,).
+        rows: index of each cone's buffer, shape (n,).
         values: shape (n, d, p).
         constants: shape (n, d).
         triangular: whether the last d - 1 rows of [values, constants] are zero below the diagonal.
@@ -92,7 +92,7 @@ POSITION = np.arange(3)[:, None]
 
 
 class Pulled(NamedTuple):
-    """How weighed violations change with the positions of a flight.
+    """Derivatives of weighed violations by the positions of a flight.
 
     Attributes:
         by_mean: by the mean positions, shape (n_nodes, 3).
@@ -105,12 +105,12 @@ class Pulled(NamedTuple):
 
 
 def triangular_cones(rows: Indices, head: Array, tail: Array) -> Cones:
-    """Cones head (z', 1) + buffer >= ||tail (z', 1)||, of which only the triangular factor is kept.
+    """Cones head (z', 1) + buffer >= ||tail (z', 1)||, reduced to the tail's triangular factor.
 
     With tail = Q R, Q preserves the norm, and R has a row for each burn component and one more.
 
     Args:
-        rows: which of the buffers each has, shape (n,).
+        rows: index of each cone's buffer, shape (n,).
         head: shape (n, p + 1).
         tail: shape (n, d, p + 1).
     """
@@ -132,11 +132,11 @@ class Rows(Protocol):
 
     @property
     def nodes(self) -> Indices:
-        """Nodes that the rows look at, ascending."""
+        """Nodes on which the rows depend, ascending."""
 
     @property
     def with_factor(self) -> bool:
-        """Whether they look at the covariance factor."""
+        """Whether the rows depend on the covariance factor."""
 
     @property
     def count(self) -> int:
@@ -144,7 +144,7 @@ class Rows(Protocol):
 
     @property
     def near(self) -> float:
-        """Room up to which a row had better take part in the program from the start."""
+        """Slack up to which a row is included in the program from the start."""
 
     @property
     def unit(self) -> Unit:
@@ -152,7 +152,7 @@ class Rows(Protocol):
 
     @property
     def resolution(self) -> float:
-        """Relative reduction of the merit that the rows' own errors hide."""
+        """Relative change of the merit below the rows' own errors."""
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins by constraint name from the nonlinear mean and factor, never from the model."""
@@ -164,19 +164,19 @@ class Rows(Protocol):
         """What `cones` says, before mean and factor are eliminated."""
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivative of the rows' violations at an iterate, by prices (rows,); as `cones` has them."""
+        """Derivative of the rows' violations, weighed by prices (rows,), in the order of `cones`."""
 
 
 def burn_components_before(problem: FlybyProblem, nodes: Indices) -> Indices:
-    """How many burn components the positions at some nodes depend on: those of the burns before.
+    """Number of burn components on which positions at some nodes depend: those of earlier burns.
 
-    At least a burn's, so that no cone is without them.
+    At least three, so that every cone has some.
     """
     return 3 * np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)
 
 
 class FinalSpread:
-    """Limits on the covariance after the last burn, by `final_spread`: rows that come after all others.
+    """Limits on the covariance after the last burn (`final_spread`): rows after all others.
 
     They bound the root of the summed variances of the position, and of the velocity. With the factor S
     affine in the burns each is one second-order cone,
@@ -207,7 +207,7 @@ class FinalSpread:
         }
 
     def cones(self, s: Sensitivity) -> list[Cones]:
-        """One each, in all burns; the last node of `s` is the problem's last."""
+        """One cone per limit, in all burns; the last node of `s` is the problem's last."""
         cones = []
         for number, (_, part, limit) in enumerate(self._limits):
             jacobian = s.factor_jacobian[-1, part]

@@ -1,4 +1,4 @@
-"""Rows of P2 that spend the risk exactly, by the probability of the sets: per node or per flight.
+"""Rows of P2 with exact risk, by the probability of the sets: per node or per flight.
 
 On the normal quantile scale, g = Phi^-1(P), a chance constraint reads g >= Phi^-1(p), and its margin
 g - Phi^-1(p) counts standard deviations. Each row has value, gradient and curvature of g at the
@@ -72,11 +72,11 @@ def curved_cones(rows: Indices, margin: Array, slope: Array, hessian: Array, z: 
     """Rows margin + slope'd + d'hessian d/2 >= 0 in d about z, their concave part as a cone.
 
     Args:
-        rows: which of the buffers each has, shape (r,).
+        rows: index of each row's buffer, shape (r,).
         margin: at z, shape (r,).
         slope: shape (r, p).
-        hessian: shape (r, p, p); its negative part counts.
-        z: burns where they are made, shape (p,).
+        hessian: shape (r, p, p); only its negative part is used.
+        z: burns about which the rows are made, shape (p,).
     """
     r, p = slope.shape
     curvature, axes = np.linalg.eigh(-0.5 * (hessian + hessian.swapaxes(1, 2)))
@@ -115,7 +115,7 @@ def on_states(
 
 
 class ExactRows:
-    """Rows that spend the risk exactly with a probability above one half: the base of both scopes."""
+    """Base of both scopes: rows of exact risk with a required probability above one half."""
 
     with_factor = True
     near = BINDING
@@ -128,7 +128,7 @@ class ExactRows:
 
 
 class NodeRows(ExactRows):
-    """At every node every joint constraint holds with a probability: a row each."""
+    """Every joint constraint holds at every node with the required probability: one row each."""
 
     def __init__(self, problem: FlybyProblem, probability: float, resolution: float = 0.0) -> None:
         super().__init__(problem, probability, resolution)
@@ -140,7 +140,7 @@ class NodeRows(ExactRows):
         self._seen: tuple[Linearisation, Quantiles] | None = None
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """By joint constraint, at its nodes."""
+        """Margins by joint constraint, at its nodes."""
         parts = np.split(self._at(lin).value - self.required, self._first[1:-1])
         return {
             event.name: Margins(event.nodes, part)
@@ -148,7 +148,7 @@ class NodeRows(ExactRows):
         } | self.final.margins(lin)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
-        """A block for each number of burn components that nodes feel."""
+        """Cones in a block for each number of burn components on which nodes depend."""
         g, z, blocks = self._at(lin), lin.iterate.burns.ravel(), []
         components = burn_components_before(self.problem, self.node)
         for p in np.unique(components):
@@ -175,7 +175,7 @@ class NodeRows(ExactRows):
         ] + self.final.state_cones()
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Of -g at each row's node."""
+        """Derivatives of -g at each row's node; see `Rows.pulled`."""
         g, own = self._at(lin), -prices[: len(self.node)]
         parts = own[:, None] * g.by_mean, own[:, None, None] * g.by_factor
         return self.final.pulled(pulled_at(self.problem, self.node, *parts), lin, prices)
@@ -199,7 +199,7 @@ class NodeRows(ExactRows):
         return Quantiles(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def _slope(self, g: Quantiles, rows: Indices, s: Sensitivity, p: int) -> Array:
-        """dg/dz of the rows that g holds, shape (r, p)."""
+        """dg/dz of the rows of g, shape (r, p)."""
         at = np.searchsorted(self.nodes, self.node[rows])
         slope = np.einsum("ri,rip->rp", g.by_mean, s.mean_jacobian[at, :3, :p])
         slope += np.einsum("ric,ricp->rp", g.by_factor, s.factor_jacobian[at, :3, :, :p])
@@ -226,9 +226,9 @@ class NodeRows(ExactRows):
 
 
 class FlightRows(ExactRows):
-    """All joint constraints hold at all nodes of the flight with a probability: one row.
+    """All joint constraints hold at all nodes of the flight with the required probability: one row.
 
-    The probability is estimated from so many lines, a power of two.
+    The probability is estimated from a number of lines that is a power of two.
     """
 
     def __init__(
@@ -247,7 +247,7 @@ class FlightRows(ExactRows):
         self._bent: tuple[Array, Array] | None = None
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """Of the whole flight, at the node where most flights end."""
+        """Margin of the whole flight, at the node where most flights break a limit."""
         g = self._at(lin)
         worst = g.nodes[np.argmax(g.ends)] if len(g.nodes) else self.nodes[0]
         own = {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.required]))}
@@ -269,8 +269,8 @@ class FlightRows(ExactRows):
     def _hessian(self, met: Limits, step: float, free: Array, s: Sensitivity, z: Array) -> Array:
         """d2g/dz2 along the directions `free` that keep the final state, shape (nz, nz).
 
-        By differences of slopes from few directions, so far apart that the kinks average out where a
-        flight's end passes from one limit to another. It is kept until the burns have moved as far.
+        By differences of slopes from few directions, over steps long enough to average out the kinks
+        where a flight's first broken limit changes. It is kept until the burns have moved that far.
         """
         bent = np.empty((free.shape[1], free.shape[1]))
         for j, direction in enumerate(step * free.T):
@@ -292,7 +292,7 @@ class FlightRows(ExactRows):
         ]
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Of -g at the nodes that it depends on."""
+        """Derivatives of -g at the nodes on which it depends; see `Rows.pulled`."""
         g = self._at(lin)
         parts = -prices[0] * g.by_mean, -prices[0] * g.by_factor
         return self.final.pulled(pulled_at(self.problem, g.nodes, *parts), lin, prices)

@@ -1,10 +1,10 @@
 """Probability that a whole flight keeps all limits on the position, with its gradient.
 
-All randomness of a flight is one standard normal vector w: the columns of the covariance factor. The
-position at every node is mu_k + S_k w, so that on a line through the mean, w = s u with u on the unit
-sphere, every limit at every node holds an interval of s. The directions u are fixed, quasi-random
-points of the sphere, so that the probability is a smooth function of means and factors: see
-`risk.lines`.
+All randomness of a flight is one standard normal vector w, one component per column of the covariance
+factor. The position at every node is mu_k + S_k w. On a line through the mean, w = s u with u on the
+unit sphere, every region at every node contains an interval of s. The directions u are fixed,
+quasi-random points of the sphere, so that the probability is a smooth function of means and factors:
+see `risk.lines`.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ good to a tenth at 1e-3, a third at 1e-4, a half (0.1 standard deviations) at 1e
 1e-6; and limits more than `reach` away are left out."""
 
 GRAZING = 1e-6
-"""Least cosine between line and normal: nearer to a tangent an end is taken to move no faster."""
+"""Least cosine between line and normal, which bounds the velocity of ends of nearly tangent lines."""
 
 
 class Limit(NamedTuple):
-    """One region at the nodes where a flight may meet it."""
+    """A limit's region at the nodes where a flight may reach it."""
 
     region: Region
     nodes: Indices
@@ -46,7 +46,7 @@ class Limit(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """The limits that flights are held to; rows are their nodes, those of keep-ins (`inner`) first."""
+    """Limits on flights; rows are their nodes, those of keep-ins (`inner`) first."""
 
     inner: tuple[Limit, ...]
     outer: tuple[Limit, ...]
@@ -87,7 +87,7 @@ class FlightQuantile(NamedTuple):
 
     Attributes:
         value: g.
-        limits: that were looked at, r rows.
+        limits: limits evaluated, r rows.
         by_mean: shape (r, 3).
         by_factor: shape (r, 3, d), of the factor's first d columns.
         ends: share of the flights that a row ends, in density, shape (r,).
@@ -112,8 +112,8 @@ class FlightProbability:
     Attributes:
         events: on positions.
         directions: unit vectors u, shape (lines, d).
-        reach: standard deviations within which limits are looked for: one farther off than 6 ends fewer
-            than 1e-9 of flights.
+        reach: standard deviations within which limits are evaluated: one farther off than 6 is broken
+            by fewer than 1e-9 of flights.
     """
 
     events: tuple[Event, ...]
@@ -121,7 +121,7 @@ class FlightProbability:
     reach: float = 6.0
 
     def limits(self, mean: Array, factor: Array) -> Limits:
-        """Limits that a flight within reach meets, for mean positions (n, 3) and factors (n, 3, c)."""
+        """Limits that flights within reach meet, for mean positions (n, 3) and factors (n, 3, c)."""
         spread = self.reach * factor[:, :, : self.directions.shape[1]]
         radius = np.sqrt(np.linalg.eigvalsh(spread @ spread.swapaxes(1, 2))[:, -1])
         inner = (limit for e in self.events for limit in _met_inside(e, mean, radius))
@@ -131,7 +131,7 @@ class FlightProbability:
     def __call__(self, mean: Array, factor: Array, limits: Limits | None = None) -> FlightQuantile:
         """The quantile g for mean positions (n, 3) and factors (n, 3, c) at all nodes.
 
-        It looks at some limits, or at all within reach.
+        By default all limits within reach are evaluated.
         """
         if limits is None:
             limits = self.limits(mean, factor)
@@ -160,7 +160,7 @@ class FlightProbability:
         return FlightQuantile(g, limits, scale * by_mean, scale * np.stack(by_factor, axis=1), ends)
 
     def _chords(self, limits: Sequence[Limit], mean: Array, factor: Array) -> tuple[Array, Array]:
-        """Where lines lie in each limit's regions, shape (lines, rows) twice."""
+        """Intervals of the lines in each row's region: starts and ends, shape (lines, rows) each."""
         lines = len(self.directions)
         lows, highs = [np.zeros((lines, 0))], [np.zeros((lines, 0))]
         for limit in limits:
@@ -192,7 +192,7 @@ def _met_outside(event: Event, mean: Array, spread: Array) -> Iterator[Limit]:
 
 
 def _adding_up(rows: Indices, count: int) -> sp.csr_array:
-    """Map that adds entries up into the rows that they belong to, shape (count, entries)."""
+    """Map that sums entries by row, shape (count, entries)."""
     entries = len(rows)
     return sp.csr_array((np.ones(entries), (rows, np.arange(entries))), shape=(count, entries))
 

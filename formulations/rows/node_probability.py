@@ -1,10 +1,9 @@
 """Probability at each node that a joint constraint holds, with its gradient in mean and covariance.
 
 Balls and cones are quadratic forms of the position, whose probability is one integral along a contour:
-see `risk.quadratic_forms`. The limits of an event are nested, one within the other, so that no position
-misses two of them and the probabilities of missing each add up. On the normal quantile scale, g =
-Phi^-1(P), a half-space gives the mean's distance in standard deviations, so that g is nearly affine in
-what it depends on.
+see `risk.quadratic_forms`. The limits of an event are nested: no position breaks two of them, and the
+probabilities of breaking each add up. On the normal quantile scale, g = Phi^-1(P), a half-space gives
+the mean's distance in standard deviations, so that g is nearly affine in mean and deviation.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from formulations.risk.lines import normal_density
 from formulations.risk.quadratic_forms import NAPPE, WHOLE, Below, below, below_beyond
 
 FAR = 7.0
-"""Deviations from a limit from which on it is sure to be kept or missed: but for 1e-11."""
+"""Deviations from a limit beyond which it is kept or broken for certain, up to 1e-11."""
 
 LEAST = 1e-13
 """Least probability for which the integral gives g; below it may be nothing but rounding."""
@@ -46,7 +45,7 @@ class Quantiles(NamedTuple):
 
 @dataclass(frozen=True)
 class Event:
-    """A joint constraint: limits, of a region per node, that have to hold together at n nodes."""
+    """A joint constraint: limits, with a region per node, that must hold together at n nodes."""
 
     name: str
     nodes: Indices
@@ -54,10 +53,10 @@ class Event:
     keep_out: tuple[Region, ...]
 
     def check_nested(self) -> None:
-        """At most one region to keep in, one to keep out of, and that within the other.
+        """Check that there is at most one keep-in and one keep-out, the latter within the former.
 
         Raises:
-            ValueError: if they are not.
+            ValueError: if the limits are not nested so.
         """
         if not (len(self.keep_in) <= 1 and len(self.keep_out) <= 1):
             raise ValueError(f"{self.name} has more than two limits")
@@ -87,7 +86,7 @@ class Event:
 
 
 def _holds(outer: Region, inner: Region) -> bool:
-    """Whether a region holds another of its kind everywhere, but for rounding."""
+    """Whether a region contains another of its kind at all nodes, up to rounding."""
     if isinstance(outer, Ball) and isinstance(inner, Ball):
         apart = np.linalg.norm(outer.center - inner.center, axis=1)
         return bool(np.all(apart <= outer.radius - inner.radius + SPREAD_MIN))
@@ -100,7 +99,7 @@ def _holds(outer: Region, inner: Region) -> bool:
 
 
 def joint_events(constraints: Sequence[StateConstraint]) -> tuple[Event, ...]:
-    """The joint constraints that some constraints are the sides of, in their order."""
+    """The joint constraints to which some constraints belong, in their order."""
     names = dict.fromkeys(c.event for c in constraints)
     sides = {name: [c for c in constraints if c.event == name] for name in names}
     return tuple(
@@ -115,7 +114,7 @@ def joint_events(constraints: Sequence[StateConstraint]) -> tuple[Event, ...]:
 
 
 def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
-    """The quantile g at each node and its gradient, of mean positions (n, 3) and factors (n, 3, c).
+    """The quantile g at each node and its gradient, for mean positions (n, 3) and factors (n, 3, c).
 
     Raises:
         ValueError: if the event's limits are not nested.
@@ -149,10 +148,10 @@ def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
 def _missed(
     event: Event, position: Array, covariance: Array, values: Array
 ) -> tuple[Indices, Below]:
-    """Nodes where it is not sure whether the limits are kept, and there the probability of missing.
+    """Nodes at which the event is neither sure nor impossible, and its probability of failing there.
 
-    A convex region is left with the half-space that its facet bounds, at the latest; the probability of
-    leaving one is known by the facet only where the mean is outside.
+    A position beyond a region's facet is outside the region; the converse holds nearly only where the
+    mean is outside.
     """
     n, count = len(position), len(event.keep_in)
     reach = FAR * np.sqrt(np.trace(covariance, axis1=1, axis2=2))

@@ -1,7 +1,4 @@
-"""Rows of P3, and of P2 where risk is split uniformly: the regions themselves, and facets.
-
-A facet holds with its share of the probability.
-"""
+"""Rows of P3 by the regions themselves, and of P2 with uniformly split risk by facets."""
 
 from __future__ import annotations
 
@@ -58,7 +55,7 @@ class DeterministicRows:
         return {c.name: Margins(c.nodes, c.margin(lin.iterate.mean)) for c in constraints}
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
-        """One cone per keep-in node, one half-space per keep-out node, each kind in one block."""
+        """One cone per keep-in node and one half-space per keep-out node, one block of each."""
         blocks: dict[Literal["in", "out"], list[Cones]] = {"in": [], "out": []}
         first = 0
         for c in self.problem.constraints:
@@ -87,7 +84,7 @@ class DeterministicRows:
         return blocks
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Of the keep-in cones and of the keep-out sets' supporting planes; no factor."""
+        """Derivatives of keep-in cones and of keep-out sets' supporting planes, by the mean alone."""
         by_mean, first = np.zeros((self.problem.n_nodes, 3)), 0
         for c in self.problem.constraints:
             position, price = lin.iterate.mean[c.nodes, :3], prices[first : first + len(c.nodes)]
@@ -114,7 +111,7 @@ def _map_of(constraint: StateConstraint, lin: Linearisation) -> tuple[Array, Arr
 
 
 def _joined(blocks: list[Cones]) -> Cones:
-    """Blocks of one dimension as one, which feels what the one that feels most does."""
+    """Join blocks of one dimension into one, in the most burn components of any."""
     rows = np.concatenate([block.rows for block in blocks])
     _, d, p = np.max([block.values.shape for block in blocks], axis=0)
     values, first = np.zeros((len(rows), d, p)), 0
@@ -128,7 +125,7 @@ def _joined(blocks: list[Cones]) -> Cones:
 class ChanceRows:
     """Chance constraints on fixed facets: a'mu + q ||S'a|| <= b + buffer, a second-order cone each.
 
-    The convex program carries the included ones, a mask.
+    `included` masks the facets in the convex program.
     """
 
     with_factor = True
@@ -146,7 +143,7 @@ class ChanceRows:
         self.count = len(self.carried.node) + self.final.count
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """Room b - a'mu - q ||S'a|| of the included facets."""
+        """Margins b - a'mu - q ||S'a|| of the included facets."""
         margin = self.carried.margin(lin.iterate.mean, lin.factor)
         ends = np.searchsorted(
             self.carried.constraint, np.arange(len(self.problem.constraints) + 1)
@@ -171,7 +168,7 @@ class ChanceRows:
         return sp.csr_array((self.carried.normal.ravel(), indices), shape=shape)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
-        """All facets, a block for each number of burn components that nodes feel."""
+        """Cones of all facets, in a block for each number of burn components on which nodes depend."""
         del lin
         blocks, carried = [], self.carried
         components = burn_components_before(self.problem, self.nodes)
@@ -212,7 +209,7 @@ class ChanceRows:
         return [own, *self.final.state_cones()]
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Of a'mu + q ||S'a||: a in the mean, q a (S'a)' / ||S'a|| in the factor."""
+        """Derivatives of a'mu + q ||S'a||: a by the mean, q a (S'a)' / ||S'a|| by the factor."""
         carried, node = self.carried, self.carried.node
         spread = np.einsum("ri,ric->rc", carried.normal, lin.factor[node, :3])
         size = np.maximum(np.linalg.norm(spread, axis=1), 1e-300)
