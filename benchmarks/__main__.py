@@ -1,8 +1,7 @@
 """Time everything in one run on one machine: `python -m benchmarks`.
 
-Every method runs in a process of its own, the methods in turn and that several times over, so that
-what else the machine does hits all of them. The smallest figures count. `make bench` sets up what it
-needs.
+Every method runs in a process of its own, all in turn and several times, so that other work on the
+machine affects all alike. The smallest figures count. `make bench` sets up the environment.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ def _measure(options: argparse.Namespace, console: Console) -> Answer:
 def measure(
     rounds: int, ordered: Callable[[list[tuple[int, str]]], list[tuple[int, str]]]
 ) -> dict[str, Timed]:
-    """Every method's figures, those of the process with the smallest `best`, and the least `first`."""
+    """Every method's figures from the process with the smallest `best`, with the least `first`."""
     found: dict[str, Timed] = {}
     for _, name in ordered([(round_, name) for round_ in range(rounds) for name in METHODS]):
         figures = in_a_process(name, 1 if name in SLOW else REPEATS)
@@ -110,7 +109,7 @@ def command_times(rounds: int) -> dict[str, float]:
 
 
 def machine() -> str:
-    """The machine and the versions that matter."""
+    """Description of the machine and of versions."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -122,7 +121,7 @@ def machine() -> str:
 
 
 def write_page(text: str) -> None:
-    """Replace what stands between the markers."""
+    """Replace the page's text between the markers."""
     before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
     write_atomically(PAGE, f"{before}{BEGIN}\n{text}\n{END}{after}")

@@ -1,9 +1,9 @@
-"""Time what a case of a campaign costs beside its plan: `python -m benchmarks.campaign_scale`.
+"""Time a campaign's overhead per case: `python -m benchmarks.campaign_scale`.
 
-Plans are those of `recon_b` with their verification; empty cases do nothing, and what they take is the
-way there and back. A figure is the difference between many and few cases, a case: starts cancel.
-Processor time is of all processes that take part, and counts what else the machine does little;
-throughput and efficiency are of wall time, and want a machine that does nothing else.
+Plans are those of `recon_b` with their verification; empty cases do nothing, so that their time is the
+overhead. Figures are differences between many and few cases, per case, so that the start cancels.
+Processor time is that of all processes involved, and hardly depends on other work; throughput and
+efficiency are by wall time, and need an idle machine.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Spent(NamedTuple):
     scheduler: float
 
     def a_case(self, fewer: Spent, cases: int) -> Spent:
-        """Times of each of so many cases, beyond a run without them."""
+        """Times per case, over those of a run with fewer cases."""
         return Spent(*((more - less) / cases for more, less in zip(self, fewer, strict=True)))
 
 
@@ -136,7 +136,7 @@ def spent(work: CaseWork, study: Study, executor: Executor) -> Spent:
 
 
 def _clocks() -> Spent:
-    """Of this process, those that it began and that have ended, and those that are there."""
+    """Processor time of this process, of its ended children and of those still running."""
     import psutil
 
     own, ended = time.process_time(), resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -17,7 +17,7 @@ REPEATS = 5
 
 @dataclass(frozen=True)
 class Study:
-    """Sizes of one thing, and how a scenario gets them."""
+    """Sizes of one quantity, and the changes to a scenario that give them."""
 
     name: str
     sizes: tuple[int, ...]
@@ -41,7 +41,7 @@ class Fit:
 
 
 def burn_times(count: int) -> list[str]:
-    """So many burns, none of them near the observation window, and no attitude modes between."""
+    """Times of a number of burns, none near the observation window, without attitude modes between."""
     early = np.linspace(0.0, 11_000.0, -(-count // 2))
     late = np.linspace(19_000.0, 34_842.0, count // 2) if count > 2 else [34_842.0]
     times = [round(float(time), 1) for time in (*early, *late)]

@@ -33,12 +33,12 @@ class Timed:
         first: of the first run in the process, programs built and solvers set up in it.
         best: of the fastest of the later runs; of replans the median.
         cpu: processor time of the fastest run.
-        split: its seconds by what they were spent on.
+        split: its seconds by part.
         peak_mib: resident memory at the end, imports included.
-        total_dv_m_s: what was found.
-        status: how it ended.
+        total_dv_m_s: of the plan.
+        status: of the plan.
         verified: whether an independent integration and Monte Carlo confirm it.
-        details: whatever else the method tells.
+        details: further figures of the method.
     """
 
     first: float

@@ -1,4 +1,4 @@
-"""The benchmarks' figures as Markdown."""
+"""Write the benchmarks' figures as Markdown."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def ratio_lines(figures: dict[str, Timed], commands: dict[str, float]) -> list[s
 
 
 def without_setup(figures: Timed) -> float:
-    """Seconds of the fastest later run but for building."""
+    """Seconds of the fastest later run without building."""
     return figures.best - figures.split["setup"]
 
 

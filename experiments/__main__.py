@@ -20,7 +20,7 @@ from scp_recon.errors import one_of
 
 STUDIES = {
     "observation_table": "the paper's table of observation times",
-    "frontier": "what probability costs, and what certifying adds",
+    "frontier": "delta-v against the required probability, and the cost of certifying",
     "compare_solvers": "forms, algorithms and conic solvers against IPOPT",
     "nlp_tricks": "what each trick gains the nonlinear program",
     "openscvx_peer": "P3 in OpenSCvx, an outside peer",
@@ -34,7 +34,7 @@ STUDIES = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the study that is named; 0, or what its command line says."""
+    """Run a study by name; returns 0 or the study's exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     name = words[0] if words else "--help"
     if name in ("-h", "--help"):
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def module_of(name: str) -> str:
-    """Where a study is: a module, or one called `study` in a folder."""
+    """Name of a study's module: the study's own, or `study` in its folder."""
     folder = Path(__file__).with_name(name).is_dir()
     return f"experiments.{name}.study" if folder else f"experiments.{name}"
 

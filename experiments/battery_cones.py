@@ -1,4 +1,4 @@
-"""Find where the panels cannot carry the load.
+"""Find the positions at which the panels cannot carry the load.
 
 Random positions on a sphere about the asteroid, the bottom face to nadir, the best rotation about it.
 Generation falls below a mode's load in two opposite cones about the Sun line; their half-angles, with
@@ -41,7 +41,7 @@ BOTTOM = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class Load:
-    """Power that a mode draws, and the half-angle that the paper finds for it."""
+    """Power drawn by a mode, and the paper's half-angle for it."""
 
     mode: str
     power_w: float
@@ -50,7 +50,7 @@ class Load:
 
 @dataclass(frozen=True)
 class Samples:
-    """Positions and what the panels generate there.
+    """Positions and the panels' power there.
 
     Attributes:
         direction: unit vectors from the body's centre, Sun-North frame, shape (n, 3).
@@ -62,7 +62,7 @@ class Samples:
 
     @property
     def off_sun_line(self) -> Array:
-        """Angle between the position and the Sun line, whichever end is nearer, rad."""
+        """Angle between the position and the nearer end of the Sun line, rad."""
         across = np.linalg.norm(self.direction[:, 1:], axis=1)
         return np.arctan2(across, np.abs(self.direction[:, 0]))
 
@@ -79,10 +79,10 @@ def sample(panels: SolarArray, count: int, seed: int, shadow_radius_m: float) ->
 
 
 def find_cone(panels: SolarArray, samples: Samples, load: Load, housekeeping_w: float) -> Record:
-    """Find the double cone in which generation less housekeeping is below a load: a row.
+    """Find the double cone in which generation less housekeeping is below a load, as a row.
 
-    Its half-angle is by the panels' closed form, of the wider of the two cones; it lies between that of
-    the farthest sample that does not meet the load, and that of the nearest that does.
+    The half-angle is the wider cone's by the panels' closed form. It lies between the angles of the
+    farthest sample below the load and of the nearest one above it.
     """
     needed = load.power_w + housekeeping_w
 
@@ -120,7 +120,7 @@ def find_cone(panels: SolarArray, samples: Samples, load: Load, housekeeping_w: 
 def find_cones(
     panels: SolarArray, samples: Samples, loads: Sequence[Load], extra_w: float
 ) -> list[Record]:
-    """Every mode's cone, first as the panels give it and then calibrated by `extra_w`."""
+    """Every mode's cone, uncalibrated and calibrated by `extra_w`."""
     return [find_cone(panels, samples, load, w) for w in (0.0, extra_w) for load in loads]
 
 
@@ -133,7 +133,7 @@ def mode_loads(vehicle: Vehicle, scenario: Scenario) -> tuple[Load, Load]:
 
 
 def table(cones: Sequence[Record], samples: Samples, extra_w: float) -> Table:
-    """The cones for people."""
+    """The table of cones for the report."""
     columns: dict[str, Column | str] = {
         "mode": "mode",
         "load_w": Column("load", "W", ".0f"),
@@ -158,7 +158,7 @@ def table(cones: Sequence[Record], samples: Samples, extra_w: float) -> Table:
 
 
 def claims(cones: Sequence[Record], extra_w: float) -> list[Claim]:
-    """Which half-angles agree with the paper's, and whether the planner's are wide enough for both."""
+    """Claims that half-angles agree with the paper's, and that the planner's are wide enough."""
     found = []
     for calibrated, kind in (
         (False, "uncalibrated half-angles are the paper's"),

@@ -2,8 +2,8 @@
 
 The plan is simulated with every source of error, once for each seed. Charge, modes, pointing and the
 flown path against the planned covariance go to OUT/flown_plan.csv, a row for each seed, and .md;
-the flights themselves to OUT/seed_N/simulation.npz. Flights of the same plan and vehicle that are there
-already are not flown again.
+the flights themselves to OUT/seed_N/simulation.npz. Existing flights of the same plan and vehicle are
+kept.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def fly(solution: Solution, vehicle: Path | None, out: Path, seed: int) -> Row:
 
 
 def folder_of(out: Path, seed: int) -> Path:
-    """Where a flight is."""
+    """Folder of a flight."""
     return out / f"seed_{seed}"
 
 
@@ -154,7 +154,7 @@ def report(
 
 
 def claims(summaries: Sequence[FlightSummary]) -> list[Claim]:
-    """Whether the charge and the modes hold in every flight."""
+    """Claims that charge and modes hold in every flight."""
     least, floor = min(s.least_charge for s in summaries), summaries[0].floor_charge
     found = [
         Claim("least state of charge", f"at least {floor:.2f}", f"{least:.3f}", least >= floor)
@@ -170,7 +170,7 @@ def claims(summaries: Sequence[FlightSummary]) -> list[Claim]:
 
 
 def _within_lines(distances: Sequence[Array], mission: Mission) -> list[tuple[Value, ...]]:
-    """Shares of the flights, with an interval, and of each sample, from distances (flights, nodes)."""
+    """Shares within 3 sigma of flights, with intervals, and of samples; distances (flights, nodes)."""
     flown, *sampled = [distance <= RADIUS_SIGMA for distance in distances]
     window = mission.window_nodes
     kinds: dict[str, Callable[[Booleans], Booleans]] = {

@@ -1,12 +1,11 @@
-"""Find what probability costs.
+"""Measure delta-v against the required probability.
 
-The default scenario planned for probabilities from 0.55 to 0.999, with the paper's bookkeeping (uniform
-risk on its polytopes, and on tangent spheres with 12-facet cones), with exact risk per node and for
-whole flights, and with flights that certify it. Every plan is flown 10,000 times. OUT/frontier.csv has
-a row for each: what it costs and reaches, the expected observation time, the processor's seconds of all
-rounds, and what certifying costs more than aiming at the probability itself, in delta-v and in seconds.
-OUT/frontier.md has the tables; `python -m paper_figs frontier` draws them. What was found before Ctrl-C
-is kept and taken up.
+The default scenario is planned for probabilities from 0.55 to 0.999, with the paper's bookkeeping
+(uniform risk on its polytopes, and on tangent spheres with 12-facet cones), with exact risk per node
+and for whole flights, and certified by flights. Every plan is flown 10,000 times. OUT/frontier.csv has
+a row for each: its cost, the probability reached, the expected observation time, the processor time of
+all rounds, and the extra delta-v and time of certifying. OUT/frontier.md has the tables; `python -m
+paper_figs frontier` draws them. After Ctrl-C the study continues with the missing rows.
 """
 
 from __future__ import annotations
@@ -42,17 +41,17 @@ KINDS: Mapping[str, tuple[dict[str, Any], bool | None]] = {
 }
 """Changes to the scenario, and of exact risk whether flights certify the plan."""
 NOT_CERTIFIED = "not certified"
-"""Status of a plan that has converged, and of which flights reach less than was required."""
+"""Status of a converged plan whose flights do not reach the required probability."""
 
 AIMED = {
     "certified, each node": "exact, each node",
     "certified, whole flights": "exact, whole flights",
 }
-"""The kind that a certified one is held against: the same problem, aiming at the probability itself."""
+"""The kind with which a certified one is compared: the same problem without certifying."""
 
 
 def measure(flights: int, case: tuple[str, float]) -> Record:
-    """Plan a kind for a probability from a cold start, and fly it: a row."""
+    """Plan one kind for one probability from a cold start, and fly it: a row."""
     kind, p = case
     changes, certified = KINDS[kind]
     scenario = load_scenario().replace({**changes, "risk.p_chance": p})
@@ -62,7 +61,7 @@ def measure(flights: int, case: tuple[str, float]) -> Record:
 
 
 def with_costs(rows: Sequence[Record]) -> list[Record]:
-    """Rows with what certifying costs more than aiming at the probability itself, NaN of others."""
+    """Rows with the extra cost of certifying over planning for the probability itself; else NaN."""
     found = {(row["kind"], row["asked"]): row for row in rows}
     keys = {"certifying_dv_m_s": "total_dv_m_s", "certifying_processor_s": "processor_s"}
     nothing = dict.fromkeys(keys.values(), float("nan"))
@@ -74,7 +73,7 @@ def with_costs(rows: Sequence[Record]) -> list[Record]:
 
 
 def record(kind: str, p: float, found: Plan, flights: int, processor_s: float) -> Record:
-    """Fly a plan: a row of its cost and of what flights reach; the time is that of all its rounds."""
+    """Fly a plan: a row of its cost and the probability reached; the time is that of all its rounds."""
     flown = fly_many(FlightConfig(found.mission, found.burns_m_s, SEED), samples=flights)
     node = min(flown.worst_probability(name)[1].value for name in flown.node_counts if name != ALL)
     reached = found.certificate
@@ -96,7 +95,7 @@ def record(kind: str, p: float, found: Plan, flights: int, processor_s: float) -
 
 
 def report(rows: Sequence[Record], flights: int) -> list[Table]:
-    """Delta-v by kind and probability, what flights reach, and what certifying costs."""
+    """Tables of delta-v and probability reached, by kind and probability, and of certifying's cost."""
     asked = list(dict.fromkeys(row["asked"] for row in rows))
     cells = {(row["kind"], row["asked"]): row for row in rows}
     by_kind = [
@@ -123,7 +122,7 @@ def report(rows: Sequence[Record], flights: int) -> list[Table]:
     flown = [row for row in rows if row["status"] == Status.CONVERGED.value.name]
     certified = [row | _alone(row) for row in rows if row["kind"] in AIMED]
     note = f"{flights} flights each, looked at every minute and at the nodes."
-    title = "What certifying costs more than aiming at the probability itself"
+    title = "Extra cost of certifying"
     return [
         Table.of("", ("delta-v (m/s) for", *headings), by_kind),
         view("What flights reach", flown, reached, note),
@@ -132,7 +131,7 @@ def report(rows: Sequence[Record], flights: int) -> list[Table]:
 
 
 def _alone(row: Record) -> Record:
-    """Against the plan that aims at the probability itself; NaN where either has not converged."""
+    """The row planned for the probability itself; figures are NaN if either has not converged."""
     more, cost = row["certifying_dv_m_s"], row["total_dv_m_s"]
     return {
         "percent": 100.0 * more / (cost - more),

@@ -1,4 +1,4 @@
-"""The shell that all studies share: options, finished work, progress, tables, claims and the report.
+"""Run a study: options, finished work, progress, tables, claims and the report.
 
 A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a `Session`
 and returns `Findings`: tables that go to OUT as CSV, the parts of a report in Markdown, and claims: a
@@ -52,7 +52,7 @@ Option = tuple[str, Mapping[str, Any]]
 
 
 def option(flag: str, **settings: Any) -> Option:
-    """An option, or an argument, as `argparse.add_argument` takes it."""
+    """An option or argument, with the keywords of `argparse.add_argument`."""
     return flag, settings
 
 
@@ -68,7 +68,7 @@ def number(flag: str, default: int, least: int, most: int, what: str, words: str
 
 
 SEED = number("--seed", 0, 0, 2**32 - 1, "of all random numbers")
-FRESH = option("--fresh", action="store_true", help="do again what is there already")
+FRESH = option("--fresh", action="store_true", help="do finished work again")
 VEHICLE = option(
     "--vehicle", type=Path, metavar="FILE", help="vehicle file (default: the packaged DARE)"
 )
@@ -81,7 +81,7 @@ PLAN = option(
 
 
 class Claim(NamedTuple):
-    """Something that a study is to show, in words; `holds` is None where nothing can tell."""
+    """A claim of a study, its threshold and measurement in words; `holds` is None if undecided."""
 
     claim: str
     threshold: str
@@ -90,7 +90,7 @@ class Claim(NamedTuple):
 
 
 def claims_table(claims: Sequence[Claim]) -> Table:
-    """Claims as rows; those that do not hold stand out."""
+    """The table of claims; those that do not hold are marked."""
     rows = [
         (c.claim, c.threshold, c.measured, Cell(VERDICTS[c.holds], c.holds, STYLES[c.holds]))
         for c in claims
@@ -105,8 +105,8 @@ STYLES = {True: "", False: "bad", None: "doubtful"}
 class Findings:
     """Results of a study.
 
-    The report is paragraphs, and tables with their titles as headings; the files are what else is
-    written, by name, tables as CSV; the status is the command's.
+    The report consists of paragraphs, and tables with their titles as headings. `files` are written
+    as well, by name, tables as CSV; `status` is the command's exit status.
     """
 
     report: Sequence[str | Table]
@@ -117,10 +117,10 @@ class Findings:
 
 @dataclass(frozen=True)
 class Study:
-    """A study: its report's heading, what --help says, and what does the work.
+    """A study: the report's heading, the text of --help, and the function that does the work.
 
-    It has options besides --out, --json and --quiet, and writes into a folder of `runs`, the report to
-    a file of this stem; both are the study's name if not given.
+    `options` come besides --out, --json and --quiet. `folder` of `runs` and `stem` of the report are
+    the study's name by default.
     """
 
     heading: str
@@ -143,7 +143,7 @@ class Session:
     _stores: list[tuple[Store, bool]] = field(default_factory=list)
 
     def __enter__(self) -> Self:
-        """The session itself; at its end it leaves its stores."""
+        """The session itself; its stores are closed at the end."""
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -151,22 +151,22 @@ class Session:
             one.close()
 
     def say(self, line: str) -> None:
-        """Tell how it goes on."""
+        """Show a line of progress."""
         show_line(self.console, line)
 
     @contextmanager
     def steps(self, label: str, total: int) -> Iterator[Callable[[], None]]:
-        """A bar on standard error for so many steps; call what it gives after each."""
+        """Show a bar on standard error; call the function that it yields after each step."""
         columns = (TextColumn(label), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
         with Progress(*columns, console=progress_console(self.console), transient=True) as bar:
             task = bar.add_task("", total=total)
             yield lambda: bar.advance(task)
 
     def store(self, file: str = "", work: str = "", **setting: Any) -> Store:
-        """Open the rows of finished work in OUT; those of other sources or settings do not count.
+        """Open the rows of finished work in OUT; rows of other sources or settings are ignored.
 
-        They stay in `file`; without one they are forgotten once the study has ended, because its tables
-        have them. The sources are those of the module `work`, or of the study's own.
+        The rows are kept in `file`; without one they are deleted when the study has ended, because its
+        tables have them. The sources are those of the module `work`, by default the study's own.
         """
         depends_on = {**code(work or self.module, "scp_recon.data"), **setting}
         store = Store(self.out / (file or f"{self.name}_partial.jsonl"), depends_on)
@@ -185,7 +185,7 @@ class Session:
     ) -> list[Record]:
         """Run the jobs whose rows a store lacks, under a bar, and return the rows of all in order.
 
-        Each row is said in a `line`, where there is one, as soon as it is there.
+        `line` gives the line to show for each new row, if any.
         """
         with self.steps(label, len(jobs)) as done:
 
@@ -201,7 +201,7 @@ class Session:
         return [store[job.key] for job in jobs]
 
     def end(self, study: Study, found: Findings) -> Answer:
-        """Write what was found, and show the claims."""
+        """Write the findings, and show the claims."""
         files = {n: f.csv() if isinstance(f, Table) else f for n, f in found.files.items()}
         if found.report:
             files[f"{study.stem or self.name}.md"] = report(study.heading, found)
@@ -223,7 +223,7 @@ class Session:
 
 
 def report(heading: str, found: Findings) -> str:
-    """The report in Markdown: what was found, and below it the claims."""
+    """The report in Markdown: findings, then claims."""
     parts = [f"# {heading}"]
     for part in (*found.report, *([claims_table(found.claims)] if found.claims else [])):
         if isinstance(part, Table):
@@ -238,7 +238,7 @@ def plan_or_default(solution: Path | None) -> Solution:
     """The plan in a folder, or the default scenario's from a cold start.
 
     Raises:
-        InputError: if the folder has none.
+        InputError: if the folder has no plan.
     """
     if solution is not None:
         return read_solution(solution)
@@ -255,7 +255,7 @@ def records(rows: Sequence[Record]) -> Table:
 def view(
     title: str, rows: Sequence[Record], columns: Mapping[str, Column | str], note: str = ""
 ) -> Table:
-    """Rows of a CSV file as people read them: some of its columns, under other headings."""
+    """A table for the report: some columns of a CSV file's rows, under other headings."""
     words = {True: "yes", False: "no"}
     lines = [
         [words[row[key]] if isinstance(row[key], bool) else row[key] for key in columns]

@@ -1,8 +1,8 @@
 """Measure what each trick gains the nonlinear program.
 
-P2 of the default scenario from SCP's P3 solution, the facets chosen there. First the tricks that lead
-from the program as the paper prints it to the tuned one, each on top of those before it; then what
-was tried instead of one of them. The table goes to OUT/nlp_tricks.csv and .md.
+P2 of the default scenario is solved from SCP's P3 solution, with the facets chosen there: first with
+the tricks that lead from the program as the paper prints it to the tuned one, each added to those
+before; then with alternatives to one of them. The table goes to OUT/nlp_tricks.csv and .md.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ FOR_SPRAL = {"OMP_CANCELLATION": "TRUE", "OMP_PROC_BIND": "TRUE"}
 
 
 def tricks() -> dict[str, Variant]:
-    """From printed to tuned, and the alternatives, each by what distinguishes it."""
+    """Variants from printed to tuned, and alternatives, each named by its difference."""
     from formulations.nlp.covariance import Covariance, Factor, initial_deviation
     from formulations.nlp.shooting import MultipleShooting, SingleShooting
     from formulations.nlp.solve import (
@@ -82,7 +82,7 @@ def tricks() -> dict[str, Variant]:
 
 
 def measuring(mission: Mission, chosen: Mapping[str, Variant]) -> Callable[[str], Record]:
-    """Return what solves P2 with a trick, always from the same P3 solution: a row, as it is printed."""
+    """Make the function that solves P2 with a trick from the same P3 solution, and returns a row."""
     from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
     p3 = plan_mission(mission, initial_guess.cold(mission), PlanOptions(problem="P3"))

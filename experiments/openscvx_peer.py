@@ -1,16 +1,16 @@
-"""P3 in OpenSCvx, an outside peer; needs the extra [peer].
+"""Solve P3 with OpenSCvx, an independent tool; needs the extra [peer].
 
-Its own algorithm (PTR) and solver (QOCO) solve P3; the burns that it ends with are flown by the
-planner's dynamics, and judged on the planner's grid like the planner's own. The rows go to OUT, from
-where `compare_solvers` takes them into its table and CSV.
+OpenSCvx's algorithm (PTR) and solver (QOCO) solve P3; the resulting burns are flown by the planner's
+dynamics, and judged on the planner's grid like the planner's own. The rows go to OUT, from where
+`compare_solvers` takes them into its table and CSV.
 
 P3 is posed as its users would: symbolic dynamics with impulsive controls, the turning site as a
 function of the time state, constraints at the nodes. Dynamics and limits are the planner's.
 
-What its release 0.5.2 does not express, or not as the planner does:
+Release 0.5.2 cannot express the following, or not as the planner does:
 
-- Chance constraints. There is no covariance state that a constraint could look at without writing its
-  36 differential equations with second derivatives by hand, so that only P3 is compared.
+- Chance constraints. A covariance state would need its 36 differential equations with second
+  derivatives written by hand, so only P3 is compared.
 - The size of an impulse: its derivative at the nodes without a burn, where the impulse is zero, is not
   a number. A second control bounds it from above, in the cost and in the battery's cone.
 - The straight line as a guess: it leads through the body's centre, where the adaptive integration
@@ -56,7 +56,7 @@ FLIGHTS = 2_000
 
 @dataclass(frozen=True)
 class Case:
-    """How OpenSCvx is asked.
+    """Settings of OpenSCvx.
 
     Attributes:
         stride: of the grid's nodes outside the window that are kept.
@@ -75,13 +75,13 @@ class Case:
 
     @property
     def algorithm(self) -> dict[str, float]:
-        """Its options."""
+        """Options of its algorithm."""
         names = ("lam_cost", "lam_vc", "lam_vb", "ep_tr")
         return {name: getattr(self, name) for name in names}
 
     @property
     def method(self) -> Method:
-        """Its name in the table."""
+        """Name of the method in the table."""
         nodes = "every node" if self.stride == 1 else f"every {self.stride}th node"
         tolerance = "default" if self.tolerance is None else f"{self.tolerance:g}"
         weights = " ".join(f"{value:g}" for value in self.algorithm.values())
@@ -98,7 +98,7 @@ CASES = (
 
 
 def peers_row(mission: Mission, start: Iterate, case: Case) -> Row:
-    """Solve it in OpenSCvx, and fly the burns by the planner's dynamics."""
+    """Solve P3 with OpenSCvx, and fly its burns by the planner's dynamics."""
     import openscvx as ox
 
     begin, cpu_begin = perf_counter(), process_time()

@@ -1,9 +1,9 @@
-"""The schedule's durations, measured.
+"""Measure the durations that the schedule's rules assume.
 
-The schedule allows so much for a slew to steady state, for heating the thruster and for a recharge
-from empty. Half turns about many axes with noisy sensors and actuators and spinning wheels, and a
-recharge in sun-pointing mode, are simulated; the durations go to OUT/timing_rules.csv and .md, the
-slews to timing_rules_slews.csv.
+The rules are for a slew to steady state, for heating the thruster and for a recharge from empty. Half
+turns about many axes with noisy sensors and actuators and spinning wheels, and a recharge in
+sun-pointing mode, are simulated; the durations go to OUT/timing_rules.csv and .md, the slews to
+timing_rules_slews.csv.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def coast(
     """Fly sun-pointing mode along the mission's first arc with given commands, one a second.
 
     Attitudes lead from the body to J2000; the first one is at rest. The wheels start with `speeds`,
-    rad/s, the battery as charged as the vehicle says.
+    rad/s, the battery with the vehicle's initial charge.
 
     Raises:
         InputError: if Basilisk is not installed.
@@ -82,10 +82,10 @@ def coast(
 def measure_slew(mission: Mission, vehicle: Vehicle, seed: int, index: int) -> Record:
     """A half turn about a principal axis of the body (the first three) or a random one: a row.
 
-    It ends where the star tracker sees stars, as in every mode: otherwise the gyro's random walk
-    leaves no steady state. The wheels start with a random momentum, below what is dumped; the row has
-    the largest speed over the largest there is, and the error's root mean square in the last five
-    minutes.
+    The turn ends where the star tracker sees stars, as in every mode: otherwise the gyro's random walk
+    leaves no steady state. The wheels start with a random momentum below that of a dump. The row has
+    the wheels' largest speed over the largest allowed, and the error's root mean square in the last
+    five minutes.
     """
     rng = np.random.default_rng([seed, index])
     axis = np.eye(3)[index] if index < 3 else rng.normal(size=3)
@@ -137,9 +137,9 @@ def measure_recharge(mission: Mission, vehicle: Vehicle, seed: int, extra_w: flo
 def rules(
     mission: Mission, vehicle: Vehicle, slews: Sequence[Record], recharges_s: tuple[float, float]
 ) -> list[Record]:
-    """The schedule's durations against the measured ones: a row each.
+    """Rows of the schedule's durations beside the measured ones.
 
-    The recharge stands there twice: quiescent, and with the attitude control's reserve drawn.
+    The recharge has two rows: quiescent, and with the attitude control's reserve drawn.
     """
     allowed, loads = mission.scenario.schedule, vehicle.loads
     worst = max(slew[SETTLED[STEADY_DEG[-1]]] for slew in slews)
@@ -164,7 +164,7 @@ def dark_charge(vehicle: Vehicle) -> float:
 
 
 def report(slews: Sequence[Record], vehicle: Vehicle) -> list[str | Table]:
-    """How the half turns settle, and what a warm-up in the dark leaves of the charge."""
+    """The report: settling of the half turns, and the charge after a warm-up in the dark."""
     times = {limit: [slew[column] for slew in slews] for limit, column in SETTLED.items()}
     settling = [
         (f"{limit:g} deg", float(np.median(own)) / 60.0, max(own) / 60.0)

@@ -1,1 +1,1 @@
-"""Figures and tables from what experiments wrote; each module is one and runs by itself."""
+"""Figures and tables from the results of `experiments`; each module is one."""

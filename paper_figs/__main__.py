@@ -1,8 +1,8 @@
-"""The paper's tables and figures, or those that are named: `python -m paper_figs [NAME ...]`.
+"""Make the paper's tables and figures, or those named: `python -m paper_figs [NAME ...]`.
 
 Without names everything of the paper goes to a folder: figures as PNG and PDF, tables as Markdown and
-CSV, and `captions.md`, with the figures of every study whose folder is found. They are made from what
-`python -m experiments observation_table` wrote. A single one may be written to a file of any format.
+CSV, and `captions.md`, with the figures of every study whose folder is found. They are made from the
+results of `python -m experiments observation_table`. A single one may be a file of any format.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ PICTURES = (".png", ".pdf")
 
 
 def plan_hash_of(source: object) -> str | None:
-    """Of the one plan of which a figure is drawn from this; none where that is not known."""
+    """Hash of the plan of which a figure is drawn; None if it is not one known plan."""
     match source:
         case Runs(plan=flown):
             return flown.solution.plan_hash
@@ -54,7 +54,7 @@ def plan_hash_of(source: object) -> str | None:
 def make_all(runs: Runs, source: Path, out: Path, studies: Path | None = None) -> Iterator[Path]:
     """Write everything of the paper into `out`, yielding each file as it is done.
 
-    The table is copied from the folder `source`; `studies` is where studies' folders are looked for.
+    The table is copied from the folder `source`; `studies` contains the studies' folders.
 
     Raises:
         InputError: if a study's folder is unusable.
@@ -75,14 +75,14 @@ def make_all(runs: Runs, source: Path, out: Path, studies: Path | None = None) -
 
 
 def _read_studies(folder: Path | None) -> Iterator[tuple[str, Item, Any]]:
-    """Every study that is there, and what it left."""
+    """Every study whose folder is found, with its results."""
     for name, item in STUDIES.items():
         if folder and (place := folder / item.source.folder).is_dir():
             yield name, item, item.read(place)
 
 
 def _write(item: Item, name: str, found: Any, out: Path) -> Iterator[Path]:
-    """Write one into a folder, or to `out` where that is a file's name."""
+    """Write an item into a folder, or to `out` if that is a file's name."""
     made, alone = item.make(found), out.suffix != "" and not out.is_dir()
     plan = plan_hash_of(found)
     if isinstance(made, str):
@@ -168,7 +168,7 @@ def _make(options: argparse.Namespace, console: Console) -> Answer:
 
 
 def _make_named(items: Mapping[str, Item], options: argparse.Namespace) -> Iterator[Path]:
-    """Those that are named, each from its own input."""
+    """Make the named items, each from its own input."""
     single, out = len(items) == 1, options.out
     if not (single and out.suffix):
         out.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Shared by all figures: their style, bands and legends, and how they are saved."""
+"""Style, bands and legends of all figures, and how to save them."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ HALO = [withStroke(linewidth=2.5, foreground="w")]
 
 @contextmanager
 def page(height_in: float, width_in: float = WIDTH_IN) -> Iterator[Figure]:
-    """A figure in the style of all; it is drawn on within."""
+    """Yield an empty figure in the common style; draw within the context."""
     with style.context(STYLE):
         yield Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def legend(figure: Figure, ncols: int, where: str = "outside upper center") -> None:
-    """Name what all panels show, each label once, beside the panels."""
+    """Add one legend for all panels, each label once, beside the panels."""
     pictures.legend(figure, ncols, where, fontsize=LEGEND_PT)
 
 
@@ -80,10 +80,10 @@ def save(
 ) -> Path:
     """Write a figure in the format of the path's ending, the same bytes every time, whole or not.
 
-    PNG, PDF and SVG keep the plan's hash in their metadata; without `dpi` the style's holds.
+    PNG, PDF and SVG keep the plan's hash in their metadata; `dpi` is the style's by default.
 
     Raises:
-        InputError: if the ending is no picture's, or the file cannot be written.
+        InputError: if the ending is no picture format, or the file cannot be written.
     """
     pictures.check_ending("" if path.is_dir() else path.suffix, f"file {path}", "no picture's name")
     with style.context(STYLE):

@@ -1,7 +1,7 @@
-"""The flyby at a glance.
+"""Draw a flyby at a glance.
 
-Left the path seen from the Sun with sampled flights, right what the instruments see in the
-observation window, with the spread of the samples about the plan.
+On the left the path seen from the Sun with sampled flights; on the right the observation geometry in
+the window, with the spread of the samples about the plan.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def read(folder: Path) -> Solution:
     """The solution in a folder, of a whole flight.
 
     Raises:
-        InputError: if there is none, or it is a replan's.
+        InputError: if there is none, or it is a plan made in flight.
     """
     solution = read_solution(folder)
     require_whole_flight(solution.scenario, "solution")
@@ -63,13 +63,13 @@ def draw(solution: Solution) -> Figure:
 
 
 def seen_from_sun(mission: Mission, vectors: Array) -> Array:
-    """Sun-North Y and Z over a thousand; the Sun is behind the viewer, so Y points right."""
+    """Sun-North Y and Z in km; the Sun is behind the viewer, so Y points right."""
     to_frame = sun_north_to_j2000(mission.sun_direction(0.0), mission.rotation.pole)
     return (vectors @ to_frame)[..., 1:] / 1000.0
 
 
 def _arrows(mission: Mission, solution: Solution) -> tuple[Array, Array]:
-    """Where the burns are, and their arrows, km, shape (m, 2) each."""
+    """Positions of the burns and their arrows, km, shape (m, 2) each."""
     states = np.array(solution.nodes.state)[:, :3]
     burns = seen_from_sun(mission, solution.burns_m_s)
     extent = float(np.ptp(states, axis=0).max()) / 1000.0
@@ -78,7 +78,7 @@ def _arrows(mission: Mission, solution: Solution) -> tuple[Array, Array]:
 
 
 def _name_burns(axes: Axes, mission: Mission, solution: Solution) -> None:
-    """Number and size of each, beside where it is."""
+    """Write number and size beside each burn."""
     starts, arrows = _arrows(mission, solution)
     path = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
     sizes = 1000.0 * np.linalg.norm(solution.burns_m_s, axis=1)

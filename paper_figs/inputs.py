@@ -1,4 +1,4 @@
-"""Input of the figures: a plan with its flights, tables of studies, and what writes them."""
+"""Read the figures' inputs: a plan with its flights, and tables of studies; run missing studies."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def numbers(rows: Iterable[Row], column: str) -> Array:
 
 @dataclass(frozen=True)
 class Source:
-    """Files that a command leaves for a figure.
+    """Files that a command writes for a figure.
 
     Attributes:
         folder: name of its folder among those of the studies.
-        command: that writes it.
-        tables: its CSV files by name, with a column that each must have.
+        command: command that writes it.
+        tables: its CSV files by name, each with a column that it must have.
     """
 
     folder: str
@@ -77,13 +77,13 @@ class Source:
         return found
 
     def rows(self, place: Path) -> list[Row]:
-        """Those of the first table; see `read`."""
+        """Rows of the first table; see `read`."""
         return self.read(place)[0]
 
 
 @dataclass(frozen=True)
 class Flown:
-    """A plan with its name for legends, its scenario resolved, and what many flights of it showed."""
+    """A plan with its name for legends, its mission, and the summary of its flights."""
 
     label: str
     solution: Solution
@@ -93,12 +93,12 @@ class Flown:
 
 @dataclass(frozen=True)
 class Runs:
-    """Everything that the figures need.
+    """Inputs of the paper's figures.
 
     Attributes:
-        plan: P2 by sequential convex programming from the cold start; or a plan of one's own.
-        reference: the flight itself where its kernel was given, else the ballistic arc.
-        table: the observation-time table, a dictionary per row; none of a plan of one's own.
+        plan: P2 by sequential convex programming from the cold start; or the user's own plan.
+        reference: the real flight if its kernel was given, else the ballistic arc.
+        table: the observation-time table, a dictionary per row; empty for the user's own plan.
     """
 
     plan: Flown
@@ -107,7 +107,7 @@ class Runs:
 
 
 def read_runs(folder: Path) -> Runs:
-    """Read what `experiments observation_table` left in a folder; or a plan, and fly what is wanting.
+    """Read results of `experiments observation_table`, or a plan; fly missing flights of a plan.
 
     Raises:
         InputError: if a file is missing or unusable, naming the command that writes it.
@@ -127,9 +127,9 @@ def read_runs(folder: Path) -> Runs:
 
 
 def own_plan(home: Path) -> Runs:
-    """Any plan beside the ballistic arc of its mission.
+    """Inputs from any plan, with the ballistic arc of its mission as reference.
 
-    Flights that lie beside it are taken if they are of this plan; others are flown.
+    Its flights are read if they lie beside it and are of this plan; else they are flown.
     """
     solution = read_solution(home)
     mission = solution.mission
@@ -166,9 +166,9 @@ def _flown(folder: Path, key: str, label: str) -> Flown:
 def check_same_plan(
     plan_hash: str | None, file: Path, solution: Solution, plan_file: Path, command: str
 ) -> None:
-    """Hold the plan that was flown against the solution that stands beside the flights' file.
+    """Check that the plan flown is that of the solution beside the flights' file.
 
-    Files of earlier versions have no hash; the command is the one that flies it again.
+    Files of earlier versions have no hash; `command` flies the plan again.
 
     Raises:
         InputError: if another plan was flown, or an unknown one.
@@ -182,10 +182,10 @@ def check_same_plan(
 
 
 def require(path: Path, folder: Path, command: str = COMMAND) -> Path:
-    """A file that is there.
+    """Path of an existing file.
 
     Raises:
-        InputError: if it is not, naming the command that writes it.
+        InputError: if it is missing, naming the command that writes it.
     """
     if not path.is_file():
         raise InputError(str(path), "no such file", f"written by `{command} --out {folder}`")
@@ -193,7 +193,7 @@ def require(path: Path, folder: Path, command: str = COMMAND) -> Path:
 
 
 def unusable(path: Path, folder: Path, command: str = f"{COMMAND} --fresh") -> InputError:
-    """The refusal of a damaged file, naming the command that writes it anew."""
+    """Error for a damaged file, naming the command that writes it anew."""
     written = f"written anew by `{command} --out {folder}`"
     return InputError(str(path), "an unusable file", written)
 
@@ -205,7 +205,7 @@ def run_missing(
     tell: Callable[[str], None],
     run: Callable[[list[str]], int] = lambda words: subprocess.run(words, check=False).returncode,
 ) -> None:
-    """Run the studies that have left nothing yet; one that lacks an extra says so and is passed over.
+    """Run the studies without results; one that lacks an extra is reported and skipped.
 
     `runs` is the folder of the observation-time table, or a plan; `studies` has the studies' folders.
     """

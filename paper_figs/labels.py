@@ -1,4 +1,4 @@
-"""Words beside points, so placed that they lie neither on each other nor on what is drawn."""
+"""Place words beside points so that they overlap neither each other nor the drawing."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ AWAY_PT = (9.0, 16.0, 26.0, 38.0, 52.0, 70.0)
 WAYS = 16
 """Directions at each distance."""
 ON_WORDS, OFF_PAGE, ON_POINT = 1000.0, 300.0, 8.0
-"""What it costs to lie on other words, to leave the axes, or to cover a point; a point's distance
-costs its size."""
+"""Costs of overlapping other words, of leaving the axes and of covering a point; a distance costs its
+length."""
 ROOM_PX = 2.0
 
 
 def place_labels(
     axes: Axes, points: Array, words: Sequence[str], avoid: Array, **style: Any
 ) -> list[Annotation]:
-    """Write words beside points; those far from their point have a line to it.
+    """Write words beside points; words far from their point get a line to it.
 
-    One after the other where it costs least: the layout has to be final but for small changes.
+    Each is placed in turn where it costs least; the layout must be final except for small changes.
 
     Args:
-        axes: to write in, with everything else drawn.
+        axes: axes with everything else drawn.
         points: in data coordinates, shape (n, 2).
-        words: as many.
+        words: one for each point.
         avoid: points that should stay visible, in data coordinates, shape (m, 2).
-        style: of the words.
+        style: style of the words.
     """
     figure = axes.get_figure(root=True)
     assert figure is not None
@@ -66,13 +66,13 @@ def place_labels(
 
 
 def _words(text: Text) -> Bbox:
-    """Where words are, without the arrow of an annotation."""
+    """Extent of words, without an annotation's arrow."""
     box = text.get_window_extent()
     return super(Annotation, text).get_window_extent() if isinstance(text, Annotation) else box
 
 
 def _box(at: Array, size: tuple[float, float], across: str, up: str) -> Bbox:
-    """Of words that hang on a point, with room around them, all in pixels."""
+    """Box of words anchored at a point, with room around them, in pixels."""
     (width, height), x, y = size, float(at[0]), float(at[1])
     left = {"left": x, "center": x - 0.5 * width, "right": x - width}[across]
     low = {"bottom": y, "center": y - 0.5 * height, "top": y - height}[up]
@@ -80,7 +80,7 @@ def _box(at: Array, size: tuple[float, float], across: str, up: str) -> Bbox:
 
 
 def _places() -> list[tuple[tuple[float, float], str, str]]:
-    """Offsets, and how words hang on them: away from the point."""
+    """Offsets from the point, and the words' alignment there."""
     places = []
     for away in AWAY_PT:
         for way in np.arange(WAYS) * 2.0 * np.pi / WAYS:

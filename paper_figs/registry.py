@@ -1,4 +1,4 @@
-"""Every figure and table by its name: how its input is read, and how it is drawn."""
+"""Registry of all figures and tables: how to read their input, and how to draw them."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class Item:
     """A figure or a table.
 
     Attributes:
-        make: of what `read` has found; nothing is written.
-        caption: what it shows, of the same; without one it is drawn only where it is named.
-        source: the folder that it is drawn from, and the command that writes it.
-        read: of that folder.
-        dpi: of a raster, where it is not the style's.
+        make: function of the result of `read` to the item; writes nothing.
+        caption: function of the same to a caption; an item without one is made only if named.
+        source: the folder of its input, and the command that writes it.
+        read: function of that folder to the input.
+        dpi: resolution of a raster, if not the style's.
     """
 
     make: Callable[[Any], Made]

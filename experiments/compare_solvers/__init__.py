@@ -1,1 +1,1 @@
-"""Forms, algorithms, conic solvers and IPOPT compared: `python -m experiments.compare_solvers`."""
+"""Compare forms, algorithms, conic solvers and IPOPT: `python -m experiments compare_solvers`."""

@@ -1,4 +1,4 @@
-"""The methods, scenarios and starts that are compared, and which of them meet in a cell."""
+"""The methods, scenarios and starts of the comparison, and the cells that combine them."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ NLP_VARIANTS = ("printed", "tuned", "shooting")
 
 @dataclass(frozen=True)
 class Method:
-    """How a case is solved: keys of `FORMULATIONS` and `ALGORITHMS`, and a conic solver.
+    """A method: keys of `FORMULATIONS` and `ALGORITHMS`, and a conic solver.
 
-    For `IPOPT` they are the variant of the nonlinear program, and "hard", or "elastic" with SCP's
+    For `IPOPT` the keys are the nonlinear program's variant, and "hard", or "elastic" with SCP's
     penalty.
     """
 
@@ -36,7 +36,7 @@ class Method:
 
     @property
     def name(self) -> str:
-        """As the tables print it."""
+        """Name in the tables."""
         return f"{self.formulation}/{self.algorithm}/{self.solver}"
 
 
@@ -47,13 +47,13 @@ EXACT: Group = "exact"
 
 @dataclass(frozen=True)
 class Cell:
-    """One run.
+    """One run of the comparison.
 
     Attributes:
         group: table that it belongs to.
         scenario: name of the scenario.
-        overrides: what makes it of the default one, as for `--set`.
-        method: how to solve it.
+        overrides: its changes to the default scenario, as for `--set`.
+        method: method that solves it.
         start: straight line; ballistic arc; SCP's own P3 solution and the facets there, the same for
             every method; or a random guess.
         seed: of the random guess.
@@ -68,7 +68,7 @@ class Cell:
 
     @property
     def key(self) -> str:
-        """Unique, and the same in every run of this study."""
+        """Unique name, the same in every run of this study."""
         start = f"{self.start}{self.seed}" if self.start == "random" else self.start
         return f"{self.group}|{self.scenario}|{start}|{self.method.name}"
 
@@ -79,7 +79,7 @@ REFERENCE = Method("condensed", "scvx", "CLARABEL")
 TUNED, ELASTIC = Method("tuned", "hard", IPOPT), Method("tuned", "elastic", IPOPT)
 
 UNGUARDED = "unguarded"
-"""`experiments.compare_solvers.unguarded`, for P2 from a P3 solution only."""
+"""`Unguarded` in `compare_solvers.cell`, for P2 from a P3 solution only."""
 
 EVERY_NODE = Method("lifted-every-node", "scvx", "CLARABEL")
 """Lifted with all facets from the first, for P2 from a P3 solution only: every node has its factor."""
@@ -97,7 +97,7 @@ FEW = (
     TUNED,
     ELASTIC,
 )
-"""Those that meet in every scenario."""
+"""Methods run in every scenario."""
 
 GUESSED = (
     *FEW[:4],
@@ -105,7 +105,7 @@ GUESSED = (
     TUNED,
     Method("shooting", "hard", IPOPT),
 )
-"""Those that start from random guesses; lifted by ECOS, which is its fastest solver but for SCS."""
+"""Methods started from random guesses; lifted by ECOS, its fastest solver except SCS."""
 
 
 PRINTED = {
@@ -154,14 +154,14 @@ def _overrides(changes: Changes) -> tuple[str, ...]:
 
 
 def start_of(mission: Mission, cell: Cell) -> Iterate:
-    """Where a cell starts; what starts from P3 gets there from the straight line."""
+    """The initial guess of a cell; a start from P3's solution itself begins at the straight line."""
     if cell.start == "random":
         return initial_guess.random(mission, cell.seed)
     return initial_guess.ballistic(mission) if cell.start == "warm" else initial_guess.cold(mission)
 
 
 def full_design(guesses: int = 50) -> tuple[Cell, ...]:
-    """Everything meets in the default scenario from the straight line, a few methods elsewhere."""
+    """All cells: every method in the default scenario from the straight line, a few elsewhere."""
     default: dict[str, tuple[str, ...]] = {"recon_b": ()}
     by_clarabel = [method for method in SCP_METHODS if method.solver == "CLARABEL"]
     return (
@@ -174,7 +174,7 @@ def full_design(guesses: int = 50) -> tuple[Cell, ...]:
 
 
 def quick_design() -> tuple[Cell, ...]:
-    """A cell of every kind: two minutes on one core, and little to conclude from."""
+    """A cell of every kind: two minutes on one core, too few for conclusions."""
     matrix = (
         *(Method("condensed", a, "CLARABEL") for a in ALGORITHMS),
         *(Method("condensed", "scvx", s) for s in installed()[1:]),
@@ -216,7 +216,7 @@ def _guesses(methods: Iterable[Method], number: int) -> list[Cell]:
 
 
 def drawn(seed: int) -> tuple[str, Changes]:
-    """A scenario by name, and its changes to the default one; odd seeds ask for whole flights."""
+    """A random scenario's name and changes to the default one; odd seeds require whole flights."""
     rng = np.random.default_rng([20200121, seed])
     scope: Literal["node", "flight"] = "flight" if seed % 2 else "node"
     risk: Changes = {
@@ -228,7 +228,7 @@ def drawn(seed: int) -> tuple[str, Changes]:
 
 
 def _errors(rng: np.random.Generator) -> Changes:
-    """Of the burns by either model, of the initial state by either form."""
+    """Random errors: of the burns by either model, of the initial state in either form."""
 
     def between(low: float, high: float) -> float:
         return float(f"{rng.uniform(low, high):.4g}")

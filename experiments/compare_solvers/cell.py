@@ -1,4 +1,4 @@
-"""One cell of the comparison, solved and measured: a row of the table."""
+"""Solve and measure one cell of the comparison: a row of the table."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ from scp_recon.scp.loop import Record, State, Timing, record_of, trial_step
 from scp_recon.scp.status import Status
 
 FAILED = "failed"
-"""Status of a cell that did not come to an end of its own."""
+"""Status of a cell that was ended or failed."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A cell and what came of it; empty figures are NaN.
+    """A cell and its results; empty figures are NaN.
 
     Attributes:
         key, group, scenario, start, seed, formulation, algorithm, solver: the cell.
         status: a `Status` by name, or `FAILED`.
-        detail: why it failed.
-        problem: "P2", or "P3" where that was not solved.
+        detail: reason of a failure.
+        problem: "P2", or "P3" if P3 was not solved.
         total_dv_m_s: sum of the burns.
         merit_m_s: with the exact penalty of SCvx, first weight; IPOPT's burns are flown first, because
             gaps between its arcs cost next to nothing there.
@@ -63,19 +63,19 @@ class Row:
         iterations_p3, iterations_p2: the latter over all facet restorations; evaluations of the
             references of exact risk.
         first_status: of the first try, where another was made.
-        from_arc: whether the answer is that of a later try, from the ballistic arc or a turn.
-        total_s: from the guess, or from SCP's P3 solution, to the end; programs are built in it, but
-            nothing is imported.
-        cpu_s: of the processor in that time, which other work on the machine does not lengthen.
+        from_arc: whether the answer is a later try's, from the ballistic arc or a turn.
+        total_s: from the guess, or from SCP's P3 solution, to the end, with building of programs but
+            without imports.
+        cpu_s: processor time of that, which other work on the machine does not lengthen.
         solver_s: in the conic solver, or in IPOPT without its evaluations.
         peak_mib: resident memory of the process, imports included.
         observed_s: mean observation time of many flights.
         burns_m_s: all components.
-        asked: probability, of exact risk.
-        reached: what the check finds of it, at the worst node or of whole flights.
+        asked: required probability, with exact risk.
+        reached: probability by the check, at the worst node or of whole flights.
         reached_error: its standard error.
-        limit_s: seconds of the processor that it was allowed.
-        version: of the sources that solved it.
+        limit_s: limit of processor time.
+        version: hash of the sources that solved it.
     """
 
     key: str
@@ -126,7 +126,7 @@ class Row:
 
 
 def failed_row(cell: Cell, reason: str, cpu_s: float = np.nan) -> Row:
-    """The row of a cell that did not come to an end of its own."""
+    """The row of a cell that was ended or failed."""
     return replace(empty_row(cell), detail=reason, cpu_s=cpu_s)
 
 
@@ -147,7 +147,7 @@ def empty_row(cell: Cell) -> Row:
 
 
 def solve_cell(cell: Cell, flights: int) -> Row:
-    """Solve a cell in this process; so many `flights` estimate the observation time, or none."""
+    """Solve a cell in this process; `flights` sampled flights, if any, give the observation time."""
     mission = Mission.from_scenario(load_scenario(None, cell.overrides))
     for name in _needs(cell.method):
         importlib.import_module(name)
@@ -164,7 +164,7 @@ def solve_cell(cell: Cell, flights: int) -> Row:
 def judged(
     row: Row, mission: Mission, lin: Linearisation, merit: MeritFunction, flights: int
 ) -> Row:
-    """A row with what its flight costs, violates and, by so many samples if any, observes."""
+    """A row with its flight's cost, violation and, by `flights` samples if any, observation time."""
     speed, weights, observed = mission.units.speed_m_s, SCvx(), np.nan
     burns = lin.iterate.burns * speed
     if flights:
@@ -183,7 +183,7 @@ def judged(
 
 
 def _needs(method: Method) -> tuple[str, ...]:
-    """Modules that a method imports where it uses them, which is not to count as its time."""
+    """Modules that a method imports late; they are imported before its time is taken."""
     if method.solver == IPOPT:
         return ("scp_recon.planning.ipopt",)
     form = "lifted" if method.formulation.startswith("lifted") else "condensed"
@@ -191,7 +191,7 @@ def _needs(method: Method) -> tuple[str, ...]:
 
 
 def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:
-    """P3, facets and P2 by one method, and seconds of the processor."""
+    """Plan P3, facets and P2 by one method; returns processor time in s as well."""
     start, method = start_of(mission, cell), cell.method
     begin = process_time()
     if method.solver == IPOPT:
@@ -206,7 +206,7 @@ def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:
 
 
 def _of_plan(cell: Cell, done: Plan, cpu_s: float) -> Row:
-    """The row of a plan, whose burns are still to be judged: its effort, and how it ended."""
+    """The row of a plan with effort and status; its burns are judged later."""
     names = [stage.name for stage in done.stages for _ in stage.result.records]
     tries = ((a.result.status.value.name, b.begun_again) for a, b in pairwise(done.stages))
     return replace(
@@ -223,7 +223,7 @@ def _of_plan(cell: Cell, done: Plan, cpu_s: float) -> Row:
 
 
 def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
-    """P2 from SCP's P3 solution and the facets there, restoring facets that should not be left out."""
+    """Solve P2 from SCP's P3 solution with its facets, restoring facets found violated."""
     start = start_of(mission, cell)
     p3 = plan_mission(mission, start, PlanOptions(problem="P3")).final.result.lin
     problem = mission.problem
@@ -260,12 +260,11 @@ def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
 
 @dataclass(frozen=True)
 class Unguarded:
-    """An `Algorithm` that linearises, solves and flies, without a safeguard: every answer is taken.
+    """An `Algorithm` without safeguards: it linearises, solves and flies, and accepts every answer.
 
-    A frozen covariance is known from this scheme: Rizza, Topputo et al. propagate the covariance with
-    the solution before, so that the convex program may have no feasible point where the problem has
-    one; Echigo et al. call that artificially infeasible. The ratio tests of `scp_recon` keep their runs
-    from getting there.
+    Frozen covariances are used in this scheme: Rizza, Topputo et al. propagate the covariance with
+    the previous solution, so that the convex program may be infeasible where the problem is not;
+    Echigo et al. call that artificial infeasibility. The ratio tests of `scp_recon` prevent it.
     """
 
     problem: FlybyProblem
@@ -276,12 +275,12 @@ class Unguarded:
     WEIGHT, STEP = 1e4, 1e-5
 
     def init(self, subproblem: Subproblem, lin: Linearisation) -> State:
-        """Start from the guess, with a trust region that no burn reaches."""
+        """Start from the guess, with a trust region so large that it never binds."""
         merit = subproblem.merit(lin, self.WEIGHT)
         return State(lin, merit, 2.0 * self.problem.dv_max, PenaltyParameters(self.WEIGHT))
 
     def resolving(self, resolution: float) -> Self:  # noqa: ARG002 -- of the protocol
-        """It knows no stationarity."""
+        """The same algorithm: it has no test of stationarity."""
         return self
 
     def step(
@@ -295,8 +294,8 @@ class Unguarded:
     def terminate(self, subproblem: Subproblem, state: State, record: Record) -> Status | None:  # noqa: ARG002 -- of the protocol
         """Stop where the convex program has no feasible point, or the burns stand still.
 
-        A feasible point costs its delta-v and no more, and no burn is larger than dv_max: where the
-        best that the elastic program finds costs more than that there is none.
+        A feasible point costs at most n burns of dv_max; an elastic optimum that costs more proves that
+        there is none.
         """
         promised = record.merit + record.actual - record.predicted
         if promised > self.problem.n_burns * self.problem.dv_max:
@@ -313,7 +312,7 @@ SEARCH_S = 60.0
 
 
 def solve_exact(cell: Cell, flights: int) -> Row:
-    """Solve a cell in this process; what it is worth is checked by the law it was made for."""
+    """Solve a cell of exact risk in this process, and check its probability independently."""
     del flights
     mission = Mission.from_scenario(load_scenario(None, cell.overrides))
     found = _planned(mission, cell) if cell.method == REFERENCE else _searched(mission, cell)
@@ -330,7 +329,7 @@ def solve_exact(cell: Cell, flights: int) -> Row:
 
 
 def _planned(mission: Mission, cell: Cell) -> Row:
-    """By the planner, as `solve --certify no` does it."""
+    """Solve by the planner, as `solve --certify no` does."""
     begin = process_time()
     done = plan_mission(mission, initial_guess.cold(mission), PlanOptions(certify=False))
     row = _of_plan(cell, done, process_time() - begin)
@@ -338,7 +337,7 @@ def _planned(mission: Mission, cell: Cell) -> Row:
 
 
 def _searched(mission: Mission, cell: Cell) -> Row:
-    """By a reference."""
+    """Solve by a reference."""
     from experiments.compare_solvers.exact.search import search  # by CasADi
 
     starts = _starts(mission)
@@ -358,7 +357,7 @@ def _searched(mission: Mission, cell: Cell) -> Row:
 
 
 def _starts(mission: Mission) -> dict[str, Linearisation]:
-    """SCP's solution of P3, where its P2 begins, and its plan with uniform risk, feasible or not."""
+    """Starts: SCP's solution of P3, and its plan with uniform risk, feasible or not."""
     guess = initial_guess.cold(mission)
     uniform = {"risk.allocation": "uniform", "risk.scope": "node"}
     even = Mission.from_scenario(mission.scenario.replace(uniform))

@@ -1,4 +1,4 @@
-"""Claims of the comparison, each held against its rows."""
+"""Claims of the comparison, tested on its rows."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def of_group(rows: Iterable[Row], group: str) -> list[Row]:
 
 
 def best_of(rows: Iterable[Row]) -> float:
-    """Least total delta-v of what was solved, m/s."""
+    """Least total delta-v of the solved rows, m/s."""
     return min((row.total_dv_m_s for row in rows if row.solved), default=np.nan)
 
 
 class Agreement(NamedTuple):
     """SCP's P2 and IPOPT's from the same P3 solution and facets, elastic where SCP did not converge.
 
-    The difference is theirs over ours less one, of the delta-v or, where infeasible, of the merit.
+    The difference is IPOPT's delta-v (if infeasible, merit) over SCP's, less one.
     """
 
     scenario: str
@@ -128,7 +128,7 @@ def _frozen_claims(rows: Sequence[Row]) -> list[Claim]:
 
 
 def _artificial_claim(found: dict[tuple[str, str], Row]) -> Claim:
-    """One case is enough, so that a part of the scenarios can show it but not deny it."""
+    """Claim of artificial infeasibility: one case shows it; only all scenarios can refute it."""
     free, frozen = (Method(form, UNGUARDED, "CLARABEL").name for form in FORMS)
     needed = (REFERENCE.name, free, frozen)
     tried = [
@@ -151,7 +151,7 @@ def _artificial_claim(found: dict[tuple[str, str], Row]) -> Claim:
 
 
 def _algorithm_claims(rows: Sequence[Row]) -> list[Claim]:
-    """Condensed by Clarabel, which is where all three algorithms meet."""
+    """Claims on the three algorithms, all with the condensed form and Clarabel."""
     whole = [row for row in rows if row.group in ("matrix", "scenarios")]
     return [
         _algorithm_claim(whole, "from P3's solution, the straight line and the ballistic arc"),
@@ -187,7 +187,7 @@ def _cases(rows: Sequence[Row]) -> dict[tuple[str, str, int], list[Row]]:
 
 
 def _unsolved(case: Sequence[Row]) -> str:
-    """A case by name, and what its algorithms say that did not solve it."""
+    """A case's name, and the status of the algorithms that did not solve it."""
     first = case[0]
     name = {"random": f"guess {first.seed}", "p3": first.scenario}.get(first.start, first.start)
     ends = [f"{row.algorithm} {row.status.replace('_', ' ')}" for row in case if not row.solved]
@@ -225,7 +225,7 @@ SOLVERS = ("SLSQP", "IPOPT")
 
 
 def holds(row: Row) -> bool:
-    """Whether the check finds that a row's burns keep what was asked."""
+    """Whether a row's burns keep the required probability and all limits, by the check."""
     if not np.isfinite(row.reached):
         return False
     short = float(ndtri(row.asked) - ndtri(min(max(row.reached, 1e-9), 1.0 - 1e-9)))
@@ -233,10 +233,10 @@ def holds(row: Row) -> bool:
 
 
 class Verdict(NamedTuple):
-    """The planner's row of a scenario, and the cheapest row that holds, whoever has found it.
+    """The planner's row of a scenario, and the cheapest valid row of any method.
 
-    The excess is the planner's delta-v over the best one less one; infinite where others alone solve
-    it, NaN where nobody does.
+    The excess is the planner's delta-v over the best one less one; infinite if only others solve the
+    scenario, NaN if none does.
     """
 
     scenario: str
@@ -246,7 +246,7 @@ class Verdict(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Who has solved it."""
+        """The outcome in words."""
         if self.best is None:
             return "no method solves it"
         if self.excess == np.inf:
@@ -269,7 +269,7 @@ def verdicts(rows: Sequence[Row]) -> list[Verdict]:
 
 
 def exact_claims(rows: Sequence[Row]) -> list[Claim]:
-    """Plans are as good as the best that anybody finds, and what has converged keeps its word."""
+    """Claims that plans are as good as the best known, and that converged plans hold by the check."""
     found = [v for v in verdicts(rows) if v.ours is not None]
     solved = [v for v in found if v.best is not None]
     words = "exact plans cost no more than the best that the planner, SLSQP and IPOPT find"
@@ -282,7 +282,7 @@ def exact_claims(rows: Sequence[Row]) -> list[Claim]:
     worst = max((v.excess for v in same), default=np.nan)
     measured = (
         f"at most {100 * worst:.2g} % in {len(same)} of {len(solved)} scenarios that any of them "
-        f"solves; not in: {_listed(apart)}; nobody solves: {_listed(none)}"
+        f"solves; not in: {_listed(apart)}; none solves: {_listed(none)}"
     )
     return [Claim(words, threshold, measured, not apart), _converged_claim(found)]
 
@@ -291,7 +291,7 @@ def _converged_claim(found: Sequence[Verdict]) -> Claim:
     plans = [v.ours for v in found if v.ours is not None and v.ours.solved]
     short = [row.scenario for row in plans if not holds(row)]
     measured = f"{len(plans) - len(short)} of {len(plans)} scenarios; not in: {_listed(short)}"
-    words = "what the planner calls converged holds by the check"
+    words = "plans that the planner calls converged hold by the check"
     return Claim(words, "in every scenario", measured, not short if plans else None)
 
 

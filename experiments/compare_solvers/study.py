@@ -1,4 +1,4 @@
-"""SCP's forms, algorithms and conic solvers against IPOPT.
+"""Compare SCP's forms, algorithms and conic solvers with IPOPT.
 
 Rows and tables are left in OUT; a run that was stopped continues with the first missing row.
 """
@@ -47,17 +47,17 @@ Solve = Callable[..., Row]
 
 @cache
 def version() -> str:
-    """Of the package, and a hash of the sources that rows depend on."""
+    """Version of the package, and hash of the sources that rows depend on."""
     return f"{release_of('scp_recon')}+{sources(WORK, 'scp_recon.data')[:12]}"
 
 
 def run_cells(
     cells: Iterable[Cell], store: Store, *, flights: int, limit_s: float, solve: Solve = solve_cell
 ) -> Iterator[Row]:
-    """Rows of the cells, from the store where they are there, else solved and put into it.
+    """Rows of the cells, from the store if it has them, else solved and stored.
 
-    Each is solved in a process of its own, which may take `limit_s` seconds of the processor, the Monte
-    Carlo estimate of so many flights included. What failed before its limit is tried again.
+    Each cell is solved in a process of its own within `limit_s` seconds of processor time, the Monte
+    Carlo estimate of `flights` flights included. A failure before the limit is tried again.
     """
     limits = Limits(seconds=ASLEEP * limit_s, cpu_s=limit_s)
     for cell in cells:
@@ -85,7 +85,7 @@ def row_from(values: Record) -> Row:
 
 
 def peer_rows(path: Path) -> list[Row]:
-    """Rows that `openscvx_peer` left with these sources; none if there is no file."""
+    """Rows of `openscvx_peer` by these sources; none if there is no file."""
     if not path.exists():
         return []
     found = [row_from(values) for _, values in read_rows(path)]
@@ -105,7 +105,7 @@ def design(options: Namespace) -> Sequence[Cell]:
 
 
 def run(session: Session) -> Findings:
-    """Solve what is missing, those of exact risk last."""
+    """Solve the missing cells, those of exact risk last."""
     options = session.options
     sizes = [name for name in ("quick", "full", "exact") if getattr(options, name)]
     if len(sizes) > 1:

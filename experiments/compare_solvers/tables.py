@@ -1,4 +1,4 @@
-"""The comparison's tables, from its rows."""
+"""Make the comparison's tables from its rows."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _scenarios(rows: Sequence[Row]) -> Table:
 
 
 def _scenario_cell(row: Row | None) -> str:
-    """Delta-v where solved; the status and the merit of the second weight where not."""
+    """Delta-v if solved, else status and merit with the second weight."""
     if row is None:
         return "-"
     if row.solved:
@@ -165,7 +165,7 @@ def _by_method(rows: Iterable[Row]) -> dict[str, list[Row]]:
 
 
 def _optima(rows: Sequence[Row]) -> Table:
-    """How often each method ended where: total delta-v to four digits, by status."""
+    """Number of runs of each method by status and optimum, total delta-v to four digits."""
     ends = {
         method: [
             f"{row.status.replace('_', ' ')} {_figure(row.total_dv_m_s, '.4f')}" for row in tries
@@ -217,7 +217,7 @@ def _ours(row: Row) -> tuple[str, str, str, str]:
 
 
 def _theirs(row: Row | None) -> str:
-    """Delta-v where the check holds, however the search ended."""
+    """Delta-v if the check holds, however the search ended."""
     if row is None:
         return "-"
     if not np.isfinite(row.reached):

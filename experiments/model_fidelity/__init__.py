@@ -1,1 +1,1 @@
-"""The effects that the planner's model leaves out, measured: `python -m experiments model_fidelity`."""
+"""Measure the effects that the planner's model leaves out: `python -m experiments model_fidelity`."""

@@ -1,4 +1,4 @@
-"""Models of each effect for the fidelity study, from the crudest to the truth, and flights in them."""
+"""Models of each effect, from the crudest to the truth, and flights with them."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ ATTITUDE_STEP_S = 60.0
 
 @dataclass(frozen=True)
 class Flight:
-    """A case by name: burns, and the attitude commanded along them."""
+    """A flight by name: its burns, and the attitude commanded."""
 
     name: str
     plan: FlightPlan
 
     @classmethod
     def of(cls, name: str, solution: Solution, mission: Mission, vehicle: Vehicle) -> Flight:
-        """A solution's burns; where one of them is zero the panels stay on the Sun."""
+        """The flight of a solution; with a burn of zero the panels stay on the Sun."""
         plan = FlightPlan.of(solution, mission, vehicle)
         idle = {f.end_s for f in plan.firings if not f.dv_m_s.any()}
         legs = tuple(
@@ -48,12 +48,12 @@ class Flight:
 
     @property
     def burns_m_s(self) -> Array:
-        """Shape (m, 3)."""
+        """Burns, J2000, m/s, shape (m, 3)."""
         return np.array([firing.dv_m_s for firing in self.plan.firings])
 
     @property
     def breaks_s(self) -> tuple[float, ...]:
-        """Where the attitude jumps."""
+        """Times at which the attitude jumps, s."""
         return tuple(leg.start_s for leg in self.plan.legs)
 
 
@@ -63,11 +63,11 @@ RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-11, 1e-9
 
 @dataclass(frozen=True)
 class Firing:
-    """How a burn is modelled.
+    """Model of a burn.
 
     Attributes:
-        finite: whether the thrust lasts, from the firing time on, or is an impulse.
-        late: of an impulse, by what part of the firing's length it follows the firing time.
+        finite: whether thrust lasts from the firing time on; otherwise it is an impulse.
+        late: delay of an impulse after the firing time, over the firing's length.
     """
 
     finite: bool
@@ -76,7 +76,7 @@ class Firing:
 
 @dataclass(frozen=True)
 class Model:
-    """A model of the flight; `srp` is the light's acceleration in J2000, m/s^2, of the time in s."""
+    """A model of the flight; `srp` gives the acceleration by sunlight, J2000, m/s^2, at a time in s."""
 
     gravity: HarmonicField
     srp: Callable[[float], Array]
@@ -96,9 +96,9 @@ def fly(
 
     Args:
         mission: initial state, rotation and firing times.
-        burns_m_s: planned burns, shape (m, 3); none of them sets a flight off course if it is zero.
-        model: what is flown.
-        times_s: ascending times to look at, from 0 on.
+        burns_m_s: planned burns, shape (m, 3); they may be zero.
+        model: model of the flight.
+        times_s: ascending times of the states, from 0 on.
         thrust_acceleration_m_s2: while firing; it is constant, the propellant being a ten-thousandth.
         breaks_s: times at which `model.srp` may jump.
     """
@@ -132,7 +132,7 @@ def fly(
 def _arc(
     mission: Mission, model: Model, state: Array, looks: Array, start: float, thrust: Array
 ) -> Array:
-    """States at some times of an arc in which no force jumps, its end the last of them."""
+    """States at some times of an arc without jumps of forces; the last time is its end."""
     stop = float(looks[-1])
     inside = np.nextafter(stop, start)  # an arc belongs to what holds before its end
 
@@ -155,7 +155,7 @@ def _arc(
 
 @dataclass(frozen=True)
 class Choices:
-    """For each effect its models by name, in the order of their fidelity; the last is the truth."""
+    """Models of each effect by name, in ascending fidelity; the last is the truth."""
 
     srp: dict[str, Callable[[float], Array]]
     gravity: dict[str, HarmonicField]
@@ -199,7 +199,7 @@ class Choices:
         return Model(self.gravity[names[GRAVITY]], self.srp[names[SRP]], self.burns[names[BURNS]])
 
     def single(self) -> Iterator[tuple[str, str, dict[str, str]]]:
-        """The truth with one effect modelled otherwise: effect, model, all choices."""
+        """Choices that differ from the truth in one effect: effect, model, all choices."""
         for effect, names in self.effects.items():
             for name in names[:-1]:
                 yield effect, name, self.truth | {effect: name}
@@ -280,12 +280,12 @@ class Plates:
 
 
 def passing(names: list[str], displacement: dict[str, float], limit: float) -> str:
-    """The lowest fidelity within the limit, the truth if no other is."""
+    """Lowest fidelity within the limit; the truth if there is no other."""
     return next(name for name in names if displacement.get(name, 0.0) < limit)
 
 
 def relapses(names: list[str], displacement: dict[str, float], limit: float) -> list[str]:
-    """Models above the one that passes which do not: more fidelity need not be better."""
+    """Models of higher fidelity than the one that passes, but beyond the limit."""
     chosen = passing(names, displacement, limit)
     above = itertools.islice(names, names.index(chosen) + 1, None)
     return [name for name in above if displacement.get(name, 0.0) >= limit]

@@ -1,9 +1,9 @@
 """Find how good a model the planner needs.
 
-A flight under the degree-8 field, light pressure on the vehicle's plates in their commanded attitude
-and finite burns is the truth. Each of these is replaced by its cruder models in turn, and the distance
-at the end of the flight decides: of every effect the crudest model that stays within 10 m is named.
-Written are OUT/model_fidelity.csv, .md and, with the distances over time, model_fidelity_history.csv.
+The truth is a flight under the degree-8 field, light pressure on the vehicle's plates in their
+commanded attitude, and finite burns. Each effect is replaced by its cruder models in turn; the crudest
+model whose flight ends within 10 m of the truth is named. Writes OUT/model_fidelity.csv, .md and, with
+the distances over time, model_fidelity_history.csv.
 """
 
 from __future__ import annotations
@@ -59,12 +59,12 @@ class Compared:
 
     @property
     def terminal_m(self) -> float:
-        """At the end of the flight."""
+        """Distance at the end of the flight, m."""
         return float(self.distance_m[-1])
 
     @property
     def window_m(self) -> float:
-        """Largest in the observation window."""
+        """Largest distance in the observation window, m."""
         first, last = self.window_s
         return float(self.distance_m[(self.times_s >= first) & (self.times_s <= last)].max())
 
@@ -77,7 +77,7 @@ class Compared:
 def compare(flight: Flight, session: Session, store: Store) -> list[Compared]:
     """Fly every model of every effect, then the named ones and the planner's together.
 
-    Distances that are kept are not flown again; the truth is.
+    Kept distances are not computed again; the truth is always flown.
     """
     mission, choices, vehicle = flight.plan.mission, Choices.of(flight), flight.plan.vehicle
 
@@ -121,7 +121,7 @@ def terminal_distances(found: Sequence[Compared], effect: str) -> dict[str, floa
 
 
 def effects_of(entries: Sequence[Compared]) -> dict[str, list[str]]:
-    """Names of the compared models of each effect, in their order; the truth comes last."""
+    """Names of the compared models of each effect in order, the truth last."""
     found: dict[str, list[str]] = {}
     for entry in entries:
         if entry.effect != TOGETHER and entry.model not in found.setdefault(entry.effect, []):
@@ -160,7 +160,7 @@ def table(entries: Sequence[Compared]) -> list[Record]:
 
 
 def claims(entries: Sequence[Compared]) -> list[Claim]:
-    """The rule applied, flight by flight: the crudest model of each effect, and several together."""
+    """Claims by flight: the crudest sufficient model of each effect, and several together."""
     found, threshold = [], f"within {LIMIT_M:g} m"
     for name, own in by_flight(entries).items():
         for effect, models in effects_of(own).items():

@@ -1,1 +1,1 @@
-"""The paper's table of observation times: `python -m experiments.observation_table`."""
+"""Compute the paper's table of observation times: `python -m experiments observation_table`."""

@@ -1,6 +1,6 @@
-"""The rows of the observation-time table: who designs the burns, and what the paper prints.
+"""Rows of the observation-time table: the design of the burns, and the paper's printed figures.
 
-The flight's states come from the user's SPK; impulses that follow them make a row, and a start.
+The real flight's states come from the user's SPK; impulses fitted to them make a row, and a start.
 """
 
 from __future__ import annotations
@@ -54,16 +54,16 @@ COLD = Printed("Proposed Method with Cold Start", 3271.0, 3397.0)
 
 @dataclass(frozen=True)
 class Row:
-    """One row.
+    """A row of our table.
 
     Attributes:
         key: name of its folder.
-        label: what it is.
-        role: "reference" stands for the practice that the planner is compared with.
-        printed: what the paper prints in this place.
-        design: finds the burns.
-        init: where it begins, as its solution file says.
-        anew: whether to find them in every run, because a file of the user's may have changed.
+        label: its name in the table.
+        role: "reference" for the practice with which the planner is compared.
+        printed: the paper's row.
+        design: function that finds the burns.
+        init: its start, as in its solution file.
+        anew: whether to find the burns in every run, because a file of the user's may have changed.
     """
 
     key: str
@@ -75,7 +75,7 @@ class Row:
     anew: bool = False
 
     def began_elsewhere(self, folder: Path) -> bool:
-        """Whether the folder holds a design that did not begin where this row's does."""
+        """Whether the folder holds a design from another start."""
         try:
             return read_solution(folder).init != self.init
         except InputError:  # nothing of use is there
@@ -153,12 +153,11 @@ def _planned(options: PlanOptions, start: Start, mission: Mission) -> Solution:
 
 
 def as_flown_burns(mission: Mission, kernel: Path, table: Path) -> tuple[Array, float]:
-    """Impulses at the firing times that follow the kernel, and how closely.
+    """Fit impulses at the firing times to the kernel.
 
-    The states at the nodes are written to `table`, a CSV that `--init` takes as well. Burns as
-    `state_table.from_table` reads them off the table would miss what was fired away from the
-    scenario's firing times, and the flight's forces are not quite the planner's; so all but the last
-    burn are fitted to the positions by least squares. The last one meets the final velocity.
+    The states at the nodes are written to `table`, a CSV that `--init` takes as well. The flight also
+    fired at other times, and its forces are not quite the planner's; so all burns but the last are
+    fitted to the positions by least squares. The last one meets the final velocity.
 
     Returns:
         Burns in m/s, shape (m, 3), and the largest distance from the kernel in the window, m.

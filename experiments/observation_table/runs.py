@@ -1,4 +1,4 @@
-"""Compute a row of the observation-time table in its folder, or take it up from there."""
+"""Compute a row of the observation-time table in its folder, or read it from there."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COUNTED_MAX = 10_000
 
 
 class Counted(Section):
-    """Observation times of flights looked at only at the nodes of the paper's uniform grid, s."""
+    """Observation times of flights sampled only at the nodes of the paper's uniform grid, s."""
 
     nodes: int
     mean_s: float
@@ -37,7 +37,7 @@ class Counted(Section):
 
 
 class RowSummary(Summary):
-    """A Monte Carlo summary, and what this study adds to it."""
+    """A Monte Carlo summary with this study's additions."""
 
     counted_on_uniform_grid: Counted
 
@@ -45,10 +45,10 @@ class RowSummary(Summary):
 def run_row(
     row: Row, mission: Mission, folder: Path, *, samples: int, check: bool, fresh: bool = False
 ) -> tuple[Record, bool]:
-    """Design the row's burns and fly them, as far as the folder does not hold that already.
+    """Design the row's burns and fly them, unless the folder already holds the results.
 
-    It gets the row's solution.json and montecarlo.json. With `check` a plan is verified independently
-    of its solver; `fresh` forgets what is there.
+    Writes solution.json and montecarlo.json. With `check` a plan is verified independently of its
+    solver; `fresh` ignores existing results.
 
     Returns:
         A row of the CSV, SI, and whether nothing had to be computed for it.
@@ -73,7 +73,7 @@ def run_row(
 
 
 def failed(row: Row, reason: str) -> Record:
-    """A row of the CSV without figures, and why it could not be computed."""
+    """A row of the CSV without figures, with the reason of the failure."""
     return _about(row, f"failed: {reason}") | _printed(row)
 
 
@@ -121,13 +121,13 @@ def _printed(row: Row) -> Record:
 
 
 def _ends(name: str, e: Estimate) -> Record:
-    """A value and its interval, whose ends may be missing."""
+    """Columns of a value and its interval, whose ends may be missing."""
     low, high = (end if np.isfinite(end) else "" for end in (e.low, e.high))
     return {name: e.value, f"{name}_low": low, f"{name}_high": high}
 
 
 def _status(solution: Solution) -> str:
-    """How the design ended, and whether it was verified."""
+    """Status of the design, and whether it was verified."""
     if solution.algorithm == NOT_OPTIMISED:
         return "given, not optimised"
     v = solution.verification
@@ -147,7 +147,7 @@ def _stored_solution(folder: Path, mission: Mission, check: bool) -> Solution | 
 
 
 def _stored_summary(folder: Path, solution: Solution, samples: int) -> RowSummary | None:
-    """The summary in the folder, if it is of this very plan and of as many flights as required."""
+    """The summary in the folder, if it is of this plan and of the required number of flights."""
     try:
         found = read_summary_as(RowSummary, folder / FILE_NAME)
     except InputError:
@@ -164,7 +164,7 @@ def _fly(mission: Mission, solution: Solution, samples: int) -> RowSummary:
 
 
 def _nominal_time(mission: Mission, solution: Solution) -> float:
-    """Time in which the mean itself holds all observation constraints, s."""
+    """Time for which the mean itself keeps all observation constraints, s."""
     window = mission.window_nodes
     states = np.array(solution.nodes.state)[window, None]
     return float(time_held(mission, mission.times_s[window], states)[ALL].duration[0])

@@ -1,8 +1,8 @@
 """Compute the paper's table of observation times.
 
-Every row's burns are designed and flown many times; solution.json and montecarlo.json are left in
-OUT/<row>/, the table in OUT/observation_table.csv and .md. A second run takes up what is there.
-With --as-flown FILE there is a row for the flight, and the warm rows start from it, as the paper's do;
+Every row's burns are designed and flown many times; solution.json and montecarlo.json are written to
+OUT/<row>/, the table to OUT/observation_table.csv and .md. A second run keeps existing results. With
+--as-flown FILE there is a row for the real flight, and the warm rows start from it, as the paper's do;
 without it they start from the ballistic arc.
 """
 
@@ -53,19 +53,19 @@ Rows = Sequence[Record]
 
 
 def computed(entries: Rows) -> list[Record]:
-    """Rows with figures: all but the failed ones."""
+    """Rows with figures, without the failed ones."""
     return [row for row in entries if "mean_s" in row]
 
 
 def shown(row: Record, name: str, digits: int) -> str:
-    """A value with its interval, if it has one."""
+    """Text of a value, with its interval if it has one."""
     value, low, high = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
     interval = "" if "" in (low, high) else f" ({low:.{digits}f} to {high:.{digits}f})"
     return f"{value:.{digits}f}{interval}"
 
 
 def observation_times(entries: Rows) -> Table:
-    """The table as the paper lays it out."""
+    """The table in the paper's layout."""
     columns = (
         Column("row"),
         Column("window", "s", ".0f"),
@@ -85,7 +85,7 @@ def observation_times(entries: Rows) -> Table:
 
 
 def other_figures(measured: Rows) -> Table:
-    """The figures that the paper's table does not have."""
+    """Table of the figures that the paper's does not have."""
     columns = (
         "row",
         Column("closest at 0.3 %", "m"),
@@ -118,7 +118,7 @@ def other_figures(measured: Rows) -> Table:
 
 
 def differences(measured: Rows) -> Table:
-    """Each row against the paper's that stands for it."""
+    """Table of the differences of each row from the paper's."""
     columns = (
         Column("row"),
         Column("paper's row"),
@@ -141,7 +141,7 @@ def differences(measured: Rows) -> Table:
 
 
 def numbers(measured: Rows) -> Table:
-    """Of every number in the paper's table: whether it is reproduced, and if not why not."""
+    """Table of the paper's numbers: whether each is reproduced, or why not."""
     by_key = {row["row"]: row for row in measured}
     lines = _certain_numbers(measured) if measured else []
     flights = [by_key[key] for key in ("as_flown", "ballistic", "p3") if key in by_key]
@@ -210,14 +210,14 @@ def _number(name: str, printed: float, chosen: Rows, what: str, why: str) -> Seq
 
 
 def _agrees(row: Record, name: str, printed: float) -> bool:
-    """Equal within what two such runs may differ by, or to the printed digit."""
+    """Whether a number agrees to the printed digit, or within the interval of two such runs."""
     off = abs(row[name] - printed)
     end = row[f"{name}_high" if printed > row[name] else f"{name}_low"]
     return bool(off < 0.5 or (end != "" and off <= TWO_RUNS * abs(end - row[name])))
 
 
 def _same_optimum(by_key: dict[str, Record]) -> str:
-    """How far apart the two starts end."""
+    """Sentence on the difference between the designs of the two starts."""
     apart = {}
     for solver in ("scp", "ipopt"):
         pair = [by_key.get(f"{solver}_{start}") for start in ("warm", "cold")]
@@ -238,7 +238,7 @@ def _same_optimum(by_key: dict[str, Record]) -> str:
 
 
 def _open_readings(rows: Rows) -> str:
-    """Choices that the paper leaves open, and the one that was measured not to be the cause."""
+    """Sentence on choices that the paper leaves open, one of which was measured not to be the cause."""
     shifts = [row["mean_on_uniform_grid_s"] - row["mean_s"] for row in rows]
     gaps = [COLD.mean_s - row["mean_s"] for row in rows]
     moved, gap = (
@@ -252,7 +252,7 @@ def _open_readings(rows: Rows) -> str:
 
 
 def claims(entries: Rows) -> list[Claim]:
-    """Planned rows above the OSIRIS-REx rows, and a full window at worst 1 sigma from a cold start."""
+    """Claims that planned rows exceed the OSIRIS-REx rows, and on the window at worst 1 sigma."""
     measured = computed(entries)
     planned, reference = (
         [row for row in measured if row["role"] == role] for role in ("planned", "reference")
@@ -294,7 +294,7 @@ def measure(
     fresh: bool = False,
     tell: Callable[[str], None] = lambda _: None,
 ) -> list[Record]:
-    """All rows, one after the other; what goes wrong in one does not keep the others from running."""
+    """Compute all rows in turn; a failure in one does not stop the others."""
     entries = []
     for row in table_rows:
         started, folder = perf_counter(), out / row.key
@@ -315,7 +315,7 @@ def measure(
 
 
 def report(entries: Rows) -> list[str | Table]:
-    """The table as the paper lays it out, what it does not have, and the comparison."""
+    """The report: the table in the paper's layout, further figures, and the comparison."""
     measured = computed(entries)
     samples = _samples(measured)
     return [

@@ -1,1 +1,1 @@
-"""The part that each source of error has in the spread: `python -m experiments uncertainty_sources`."""
+"""Measure each source of error's part in the spread: `python -m experiments uncertainty_sources`."""

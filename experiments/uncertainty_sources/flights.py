@@ -1,4 +1,4 @@
-"""Flights with chosen sources of uncertainty, of the path or of the whole spacecraft; their spread."""
+"""Fly the path or the whole spacecraft with chosen sources of uncertainty, and measure spread."""
 
 from __future__ import annotations
 

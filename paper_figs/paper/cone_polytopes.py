@@ -1,4 +1,4 @@
-"""Pyramids that stand for the emission cones."""
+"""Draw the pyramids that approximate the emission cones."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def section(flown: Flown) -> Section:
 
 
 def polygon(planes: list[Halfspaces], cut: Section) -> Array:
-    """Corners in which a pyramid's facets, in order about the axis, meet the plane, (n, 2)."""
+    """Corners of a pyramid's section; its facets are in order about the axis, (n, 2)."""
     normal = np.stack([plane.normal[0] for plane in planes])
     offset = np.array([plane.offset[0] for plane in planes]) - normal @ cut.origin_m
     lines = normal @ cut.frame[:, :2]
@@ -121,7 +121,7 @@ def draw(runs: Runs) -> Figure:
 
 
 def _keep_in(axes: Axes, cut: Section, angle_deg: float, facets: int) -> None:
-    """The pyramid whose edges lie on the cone: all facets have to hold."""
+    """Draw the pyramid whose edges lie on the cone: all facets must hold."""
     radius = cut.height_m * np.tan(np.deg2rad(angle_deg))
     axes.add_patch(
         Polygon(
@@ -142,7 +142,7 @@ def _keep_in(axes: Axes, cut: Section, angle_deg: float, facets: int) -> None:
 
 
 def _keep_out(axes: Axes, cut: Section, angle_deg: float, facets: int) -> None:
-    """The pyramid whose facets touch the cone: the most probable one has to hold."""
+    """Draw the pyramid whose facets touch the cone: the most probable one must hold."""
     radius = cut.height_m * np.tan(np.deg2rad(angle_deg))
     planes = pyramid(cut, angle_deg, facets, "out")
     corners, chosen = polygon(planes, cut), most_probable(planes, cut)

@@ -1,4 +1,4 @@
-"""The burns over time and their angle to the Sun line."""
+"""Draw the burns over time and their angle to the Sun line."""
 
 from __future__ import annotations
 

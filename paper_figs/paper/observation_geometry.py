@@ -1,4 +1,4 @@
-"""The observation constraints at mid-window, to scale."""
+"""Draw the observation constraints at mid-window, to scale."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Sight:
     """The geometry at one time, in the plane of the site's normal and the line of sight.
 
     Attributes:
-        time_s: when.
+        time_s: the time.
         distance_m: from the site to the spacecraft.
         emission, phase, incidence: deg.
         craft_at, sun_at: azimuths in the plane, deg, 90 for the normal.
@@ -96,7 +96,7 @@ def draw(runs: Runs) -> Figure:
 
 
 def _regions(axes: Axes, mission: Mission, seen: Sight) -> None:
-    """Where the spacecraft may be by emission and distance, and the cones about the Sun line."""
+    """Shade the region allowed by emission and distance, and the cones about the Sun line."""
     limits, battery = mission.scenario.observation, mission.scenario.battery
     low, high = limits.site_distance_min_m, limits.site_distance_max_m
     start, end = 90.0 - limits.emission_max_deg, 90.0 - limits.emission_min_deg

@@ -1,4 +1,4 @@
-"""Emission, phase and site distance over time."""
+"""Draw emission, phase and site distance over time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Times for which the limits on emission and site distance are held."""
+"""Draw the distribution of the times for which emission and site distance keep their limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Observation geometry over time: of the plan, and of sampled flights."""
+"""Compute the observation geometry over time of a plan and of sampled flights."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Quantity:
         label: with its unit, for an axis.
         plan: of the planned flight, shape (n,).
         sampled: of sampled flights, shape (n, samples).
-        limits: those that it has to keep.
+        limits: its limits.
     """
 
     label: str
@@ -52,7 +52,7 @@ def observed(
 
 
 def planned_positions(mission: Mission, burns_m_s: Array, times_s: Array) -> Array:
-    """Positions when nothing errs, J2000, m, shape (n, 3)."""
+    """Positions without errors, J2000, m, shape (n, 3)."""
     nothing = {"uncertainty": Uncertainty.none()}
     certain = Mission.from_scenario(mission.scenario.model_copy(update=nothing))
     return sample_positions(certain, burns_m_s, times_s, 1, SEED)[:, 0]

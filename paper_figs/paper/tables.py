@@ -1,4 +1,4 @@
-"""The paper's tables as Markdown: the scenario's parameters, and observation times."""
+"""Write the paper's tables as Markdown: the scenario's parameters, and observation times."""
 
 from __future__ import annotations
 

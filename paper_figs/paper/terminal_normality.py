@@ -1,4 +1,4 @@
-"""Quantiles of the final state against those of a normal variable."""
+"""Draw quantiles of the final state against those of a normal variable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The flight projected on the three J2000 planes."""
+"""Draw the flight projected on the three J2000 planes."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Paths:
 
 
 def paths(runs: Runs) -> Paths:
-    """Fly what is drawn."""
+    """Fly the paths to draw."""
     mission, burns = runs.plan.mission, runs.plan.solution.burns_m_s
     times = np.linspace(0.0, mission.times_s[-1], TIMES)
     edges = np.array(mission.schedule.window_s)
@@ -96,7 +96,7 @@ def draw(runs: Runs) -> Figure:
 
 
 def limits_km(runs: Runs, flown: Paths) -> list[tuple[float, float]]:
-    """Of each coordinate: both paths, the sphere to stay out of, and room around them."""
+    """Limits of each coordinate: both paths, the keep-out sphere, and room around them."""
     safe = runs.plan.mission.scenario.safety.radius_min_m / 1000.0
     drawn = np.vstack([flown.plan, flown.reference, np.full(3, safe), np.full(3, -safe)])
     low, high = drawn.min(axis=0), drawn.max(axis=0)
@@ -122,7 +122,7 @@ def _panel(axes: Axes, runs: Runs, flown: Paths, pair: list[int]) -> None:
 
 
 def _dispersions(axes: Axes, flown: Flown, times: Array, path: Array, pair: list[int]) -> None:
-    """Ellipses of the planned covariance along the path, so many that they make a band."""
+    """Draw ellipses of the planned covariance along the path, dense enough for a band."""
     nodes, stored = flown.mission.times_s, np.array(flown.solution.nodes.covariance)
     covariance = np.empty((len(times), 2, 2))
     for i in range(2):
@@ -148,7 +148,7 @@ def _dispersions(axes: Axes, flown: Flown, times: Array, path: Array, pair: list
 
 
 def _bodies(axes: Axes, runs: Runs) -> None:
-    """A sphere through the site, and the one that the spacecraft stays out of."""
+    """Draw the sphere through the site, and the keep-out sphere."""
     mission = runs.plan.mission
     radius = float(np.linalg.norm(mission.site.position_body)) / 1000.0
     safe = mission.scenario.safety.radius_min_m / 1000.0
@@ -182,7 +182,7 @@ def _number(axes: Axes, flown: Flown, pair: list[int], arrow_km: float) -> None:
 
 
 def _arrows(flown: Flown, pair: list[int], arrow_km: float) -> tuple[Array, Array]:
-    """Where the burns are, and their arrows, km, shape (m, 2) each."""
+    """Positions of the burns and their arrows, km, shape (m, 2) each."""
     burns = flown.solution.burns_m_s
     arrows = arrow_km * burns[:, pair] / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
     starts = np.array(flown.solution.nodes.state)[flown.mission.burn_nodes][:, pair] / 1000.0

@@ -1,4 +1,4 @@
-"""Attitude, actuators and modes."""
+"""Draw attitude, actuators and modes of a simulated flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the panels cannot carry the load."""
+"""Draw the positions at which the panels cannot carry the load."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLOURS = ("k", "tab:red")
 
 
 def _calibrated(cones: list[Row]) -> list[Row]:
-    """The modes' cones with the housekeeping taken off."""
+    """The modes' cones calibrated by the housekeeping power."""
     return [cone for cone in cones if cone["calibrated"] == "true"]
 
 

@@ -1,4 +1,4 @@
-"""Shared by the figures of a simulated flight: the file they are drawn from, and its time axis."""
+"""Read the record of a simulated flight for figures, and mark its time axis."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def read(folder: Path) -> Record:
 
 
 def read_flight(file: Path, folder: Path, command: str, anew: str) -> Record:
-    """Read a flight of a folder, and hold it against the solution there, if there is one.
+    """Read a flight in a folder, and compare it with the solution there, if any.
 
-    `command` writes what is missing, `anew` what is damaged.
+    `command` writes a missing file, `anew` a damaged one.
 
     Raises:
         InputError: if a file is missing or unusable, or another plan was flown.
@@ -50,7 +50,7 @@ def read_flight(file: Path, folder: Path, command: str, anew: str) -> Record:
 
 
 def bands(values: Array, times: Array, value: int) -> Iterator[tuple[float, float]]:
-    """Start and length, h, of every stretch in which the samples have a value."""
+    """Start and length, h, of every interval in which the samples equal a value."""
     inside = np.concatenate([[False], values == value, [False]])
     edges = np.flatnonzero(inside[1:] != inside[:-1]).reshape(-1, 2)
     end = np.append(times, times[-1]) / HOUR_S
@@ -59,6 +59,6 @@ def bands(values: Array, times: Array, value: int) -> Iterator[tuple[float, floa
 
 
 def mark_burns(axes: Axes, record: Record) -> None:
-    """A line at every burn."""
+    """Draw a line at every burn."""
     for burn in record.summary.burns:
         axes.axvline(burn.t_s / HOUR_S, color="0.3", lw=0.8, ls=":")

@@ -1,4 +1,4 @@
-"""Accuracy of simulated flights of a plan."""
+"""Draw the accuracy of simulated flights of a plan."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def draw(records: list[Record]) -> Figure:
 
 
 def _distances(records: list[Record]) -> Array:
-    """From the planned mean in sigmas, shape (flights, nodes)."""
+    """Distances from the planned mean in sigmas, shape (flights, nodes)."""
     return np.array([record.arrays["node_sigma_distance"] for record in records])
 
 

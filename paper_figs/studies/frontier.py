@@ -1,4 +1,4 @@
-"""Delta-v against the required probability."""
+"""Draw delta-v against the required probability."""
 
 from __future__ import annotations
 

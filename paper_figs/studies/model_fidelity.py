@@ -1,4 +1,4 @@
-"""Errors of cruder models of the dynamics."""
+"""Draw the errors of cruder models of the dynamics."""
 
 from __future__ import annotations
 

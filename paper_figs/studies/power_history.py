@@ -1,4 +1,4 @@
-"""Power and charge of a flight."""
+"""Draw power and charge of a simulated flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Solvers compared."""
+"""Draw the comparison of solvers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def solved(row: Row) -> bool:
 
 
 def draw_times(rows: Sequence[Row]) -> Figure:
-    """Seconds of the processor from the straight line to the end of P2."""
+    """Processor time from the straight line to the end of P2."""
     chosen = [row for row in rows if row["group"] == "matrix" and row["start"] == "cold"]
     forms = list(dict.fromkeys(row["formulation"] for row in chosen))
     with page(0.55 * len(forms) + 1.6) as figure:
@@ -154,6 +154,6 @@ FIGURES: dict[str, tuple[str, Callable[[Sequence[Row]], Figure]]] = {
 
 
 def draw(rows: Sequence[Row]) -> dict[str, Figure]:
-    """The figures of those groups that the table has."""
+    """Draw the figures of the groups in the table."""
     groups = {row["group"] for row in rows}
     return {name: one(rows) for name, (group, one) in FIGURES.items() if group in groups}

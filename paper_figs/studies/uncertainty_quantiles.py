@@ -1,4 +1,4 @@
-"""Quantiles of the final position against those of a normal variable, by source of error."""
+"""Draw quantiles of the final position against a normal variable's, by source of error."""
 
 from __future__ import annotations
 

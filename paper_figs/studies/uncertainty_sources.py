@@ -1,4 +1,4 @@
-"""Dispersion by source of uncertainty."""
+"""Draw the dispersion by source of uncertainty."""
 
 from __future__ import annotations
 

@@ -317,6 +317,6 @@ def test_what_nobody_solves_is_said_and_breaks_no_claim() -> None:
     claim = exact_claims([*lost, *fine])[0]
     assert claim.holds is True
     assert "in 1 of 1 scenarios" in claim.measured
-    assert claim.measured.endswith("nobody solves: node 00")
+    assert claim.measured.endswith("none solves: node 00")
     assert "no method solves it" in to_markdown([*lost, *fine])
     assert {claim.holds for claim in exact_claims([])} == {None}

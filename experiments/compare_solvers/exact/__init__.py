@@ -1,1 +1,1 @@
-"""Exact risk against nonlinear programming on the same problem, in 50 scenarios drawn at random."""
+"""Compare exact risk with nonlinear programming on the same problem, in 50 random scenarios."""

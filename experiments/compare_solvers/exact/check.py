@@ -1,8 +1,8 @@
-"""Judge burns independently: their cost, where they lead, and the probability.
+"""Judge burns independently: their cost, final state and probability.
 
-The burns are flown in steps a quarter as long for the final state. Of a node's normal law the original
-limits are judged for many draws, without a chord or a facet, by means that no search has; of a whole
-flight's by the planner's own means, but along directions that no search has seen.
+The final state is flown in steps a quarter as long. At nodes the original limits are tested on many
+draws of the normal law, by code that no search uses; for whole flights by the planner's own estimate,
+but along directions that no search has seen.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ SEED = 71
 SETS, DRAWS, DIRECTIONS = 8, 8192, 2048
 """Independently scrambled sets, and what each has: draws at nodes, directions of flights."""
 FIRST_DRAWS = 4096
-"""With which the nodes are found that can be the worst."""
+"""Draws with which candidates for the worst node are found."""
 UNLIKE = 5.0
 """Standard errors from the worst node up to which another can be it."""
 
 
 class Checked(NamedTuple):
-    """Burns as judged.
+    """Results of the check of some burns.
 
     Attributes:
         total_dv_m_s: sum of the burns.
         violation_m: largest miss of a component of the final state or of a limit on the burns;
             velocities count as metres per unit of time.
-        probability: that was asked for, at the worst node and constraint or of whole flights.
+        probability: at the worst node and constraint, or of whole flights, as the scenario requires.
         error: its standard error, from the sets.
     """
 
@@ -111,7 +111,7 @@ def _worst_node(mission: Mission, lin: Linearisation) -> tuple[float, float]:
 def _kept(
     mission: Mission, lin: Linearisation, nodes: Indices, draws: Array
 ) -> dict[str, tuple[Indices, Array]]:
-    """Of each joint constraint the nodes, out of some, that it has, and its probability there."""
+    """For each joint constraint its nodes among the given ones, and its probability there."""
     length, times = mission.units.length_m, mission.times_s[nodes]
     factor = lin.factor[nodes, :3]
     values, axes = np.linalg.eigh(factor @ factor.swapaxes(1, 2))

@@ -65,7 +65,7 @@ CLOSINGS, CLOSED = 8, 1e-12
 
 
 class Stop(Exception):  # noqa: N818 -- no error: a search ends with its best point
-    """It gets no further, or has used its evaluations or its seconds of the processor."""
+    """The search makes no progress, or has used up its evaluations or processor time."""
 
 
 ProbabilityRows = Callable[[Linearisation], tuple[Array, Array]]
@@ -73,7 +73,7 @@ ProbabilityRows = Callable[[Linearisation], tuple[Array, Array]]
 
 
 class NodeRows:
-    """Every joint constraint at each of its nodes, by so many rays at each."""
+    """Probability of every joint constraint at each of its nodes, by a number of rays."""
 
     def __init__(self, problem: FlybyProblem, probability: float, rays: int) -> None:
         self.events, self.asked = joint_events(problem.constraints), quantile(probability)
@@ -95,7 +95,7 @@ class NodeRows:
 
 
 class FlightRow:
-    """The whole flight, by the planner's directions, `LINES` of which it ends with."""
+    """Probability of the whole flight, by the planner's directions; `LINES` of them in the end."""
 
     def __init__(self, problem: FlybyProblem, probability: float, lines: int) -> None:
         events, self.asked = joint_events(problem.constraints), quantile(probability)
@@ -126,7 +126,7 @@ def _moved(s: Sensitivity, at: np.ndarray, by_mean: Array, by_factor: Array) -> 
 
 
 def rows_of(mission: Mission) -> tuple[ProbabilityRows, ProbabilityRows]:
-    """Probability constraints of a search: coarse ones to begin with, and those of its end."""
+    """Probability constraints of a search: coarse ones for its begin, and full ones."""
     problem, risk = mission.problem, mission.scenario.risk
     few, many = (
         [NodeRows(problem, risk.p_chance, rays) for rays in (COARSE_RAYS, RAYS)]
@@ -162,11 +162,11 @@ class Point(NamedTuple):
 
 @dataclass
 class BurnsProgram:
-    """The nonlinear program; remembers the cheapest of the points that hold.
+    """The nonlinear program; keeps the cheapest feasible point.
 
-    The cost is rounded off by `rounding`, r. The next flight begins at the last one, `flown`. It stops
-    when `process_time` is past `until`, or after `patience` points in a row that promise no gain, of
-    which there have been `nowhere`.
+    The cost is rounded off by `rounding`, r. Each flight starts from the last one, `flown`. The search
+    stops when `process_time` is past `until`, or after `patience` consecutive points without gain;
+    `nowhere` counts them.
     """
 
     mission: Mission
@@ -262,12 +262,11 @@ def burn_limits(problem: FlybyProblem, burns: Array) -> tuple[Array, Array]:
 
 
 def ray_quantiles(event: Event, mean: Array, factor: Array, rays: int = RAYS) -> Quantiles:
-    """Phi^-1(P), at most `SURE`, at each node of an event, and its gradient; by means of its own.
+    """Phi^-1(P), at most `SURE`, at each node of an event, and its gradient, independently.
 
-    The planner integrates along the normal of the nearest facet, and has its gradient from where lines
-    meet the limits. Here the law is whitened, r = mu + L w, and rays go from its mean in all directions
-    of space, so that no facet is singled out. Of the part A that keeps the limits the moments of w have
-    closed forms along each ray, and are the gradient (the density's own derivatives):
+    The planner integrates along a contour. Here the law is whitened, r = mu + L w, and rays go from its
+    mean in all directions of space. On the set A that keeps the limits the moments of w have closed
+    forms along each ray, and give the gradient (by the density's derivatives):
 
         P = E[1_A],  dP/dmu = L^-T E[w 1_A],  dP/dSigma = L^-T E[(w w' - I) 1_A] L^-1 / 2.
 
@@ -330,7 +329,7 @@ def _moments(event: Event, mean: Array, covariance: Array, rays: int) -> tuple[A
 
 
 def _common(one: tuple[Array, Array], other: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Where both intervals are; an empty one ends where it starts."""
+    """Intersection of two intervals; an empty one ends where it starts."""
     low = np.maximum(one[0], other[0])
     return low, np.maximum(np.minimum(one[1], other[1]), low)
 

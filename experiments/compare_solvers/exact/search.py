@@ -1,4 +1,4 @@
-"""The references: SciPy's SLSQP, and IPOPT with a limited-memory Hessian, in the burns alone."""
+"""Search by the references in the burns alone: SciPy's SLSQP, and IPOPT with L-BFGS."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from formulations.nlp.solve import QUASI_NEWTON
 from scp_recon.mission.mission import Mission
 
 ROUNDING = (1e-3, 3e-5)
-"""Of the cost's kinks, in units of speed, first and in the end."""
+"""Rounding of the cost's kinks, in units of speed, first and in the end."""
 
 ITERATIONS = 100
 AGAIN = 2
@@ -34,9 +34,9 @@ WORST = 1e6
 
 @dataclass(frozen=True)
 class Found:
-    """The cheapest burns that hold, or where the search stopped if none did, shape (m, 3).
+    """The cheapest feasible burns, or the last ones if none were, shape (m, 3).
 
-    `ended` says from which start and how, in the solver's words; evaluations are those from all starts.
+    `ended` gives their start and the solver's message; evaluations are those from all starts.
     """
 
     burns: Array
@@ -47,7 +47,7 @@ class Found:
 
 
 class _End(NamedTuple):
-    """Where one solver run ended: its program knows the best point, if there is one."""
+    """End of one solver's run; its program holds the best point, if any."""
 
     start: str
     program: BurnsProgram
@@ -60,8 +60,8 @@ def search(
 ) -> Found:
     """Solve exact P2: from each start with few directions and a rounder cost, then in full.
 
-    What the first runs find is refined from the cheapest on, until an answer holds or `limit_s` seconds
-    of the processor are over. The solver is a key of `SOLVERS`.
+    Results of the first runs are refined, the cheapest first, until one is feasible or `limit_s`
+    seconds of processor time are over. The solver is a key of `SOLVERS`.
     """
     until = process_time() + limit_s
     few, many = rows_of(mission)
@@ -102,7 +102,7 @@ def _run(solver: str, program: BurnsProgram, start: str, burns: Array | None = N
 
 
 def slsqp(program: BurnsProgram, burns: Array) -> tuple[Array, str]:
-    """Sequential least squares programming (Kraft), begun anew while that helps."""
+    """Sequential least squares programming (Kraft), restarted while that helps."""
 
     def seen(x: Array) -> Point | None:
         try:
@@ -149,7 +149,7 @@ def slsqp(program: BurnsProgram, burns: Array) -> tuple[Array, str]:
 class _Rows(ca.Callback):
     """The constraints, and with `slope` their Jacobian as well, for IPOPT.
 
-    Once the program wants to stop they stay what they are, until `_Halt` is asked.
+    After the program has stopped, the values are constant until `_Halt` ends the run.
     """
 
     def __init__(self, program: BurnsProgram, point: Point, *, slope: bool) -> None:
