@@ -129,7 +129,7 @@ class Tally:
 
 
 def flights_needed(required: float) -> int:
-    """Number of flights that can certify a required probability.
+    """Number of flights of a round: enough failures to choose the next target.
 
     Raises:
         InputError: if it exceeds `FLIGHTS_MAX`.
@@ -166,7 +166,7 @@ def look_interval(successes: int, samples: int) -> Estimate:
 
 
 def successes_needed(required: float, samples: int) -> int:
-    """Least number of successes whose lower confidence limit is at least `required`."""
+    """Least number of successes with which a look passes: its lower limit is at least `required`."""
     low, high = int(required * samples), samples
     while low < high:
         middle = (low + high) // 2
