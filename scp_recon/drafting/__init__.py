@@ -1,1 +1,1 @@
-"""A first scenario for one's own site and body: where a flyby could go, and the file that says so."""
+"""Draft a first scenario for a site and a body: design a flyby, and write the scenario file."""

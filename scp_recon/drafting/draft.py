@@ -1,4 +1,4 @@
-"""Drafts of a scenario: from a body and a site to flybys, longest window first, and to their files."""
+"""Draft scenarios from a body and a site: flybys, longest window first, and their files."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from scp_recon.scenario.load import validate_scenario
 from scp_recon.scenario.schema import Scenario
 
 INCIDENCE_MAX_DEG, ROOM_DEG = 60.0, 10.0
-"""Limit as a rule; where the least at a site is nearer to it than the room, it is that much above."""
+"""Default limit, and the least room above a site's least incidence: the limit is raised to have it."""
 
 
 @dataclass(frozen=True)
 class GivenBody:
-    """A body that is not packaged, a sphere, by numbers at the epoch of the file.
+    """A spherical body that is not packaged, by its numbers at the file's epoch.
 
-    The pole is its right ascension and declination, J2000, the state heliocentric, J2000, the period
-    sidereal, and the meridian the angle W of the prime one.
+    The pole is right ascension and declination, J2000; the state is heliocentric, J2000; the period
+    sidereal; the meridian is the angle W.
 
     Attributes:
         gm_m3_s2: gravitational parameter.
@@ -90,10 +90,10 @@ class Draft:
     hours: tuple[float, float] = (8.0, 16.0)
     """Local solar times between which to observe."""
     window_s: Window | None = None
-    """Where it has to be written, because an earlier one is in the flight."""
+    """Window to be written in the file, because the flight contains an earlier one."""
     design: Design | None = None
     outcome: Sequence[str] = ()
-    """What planning it came to, in lines."""
+    """Outcome of planning it, in lines."""
     instead: Tables = field(default_factory=dict)
     """Tables by name that come from elsewhere, in place of the template's."""
 
@@ -104,7 +104,7 @@ DISTANCES, SAFETY = (1.7, 2.6), 1.5
 
 
 def draft_text(draft: Draft) -> str:
-    """The scenario file: every entry with its unit, its frame and where its value came from."""
+    """Write the scenario file: every entry with unit, frame and source of its value."""
     tables = _tables("scenario", _values(draft), _words(draft))
     if draft.given is not None:
         tables |= _tables("given_body", _values_given(draft.body, draft.given))
@@ -121,9 +121,9 @@ def draft_text(draft: Draft) -> str:
 def _tables(
     name: str, values: Mapping[str, object], words: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """The lines of a template's tables, by their titles; what stands above them has none.
+    """Lines of a template's tables by title; lines above the first have none.
 
-    What JSON writes of a value is TOML; a date is a string in the file, too.
+    Values as JSON are valid TOML; a date is a string in the file, too.
     """
     template = Template((TEMPLATES / f"{name}.template").read_text(encoding="utf-8"))
     written = {key: json.dumps(value) for key, value in values.items()}
@@ -133,7 +133,7 @@ def _tables(
 
 
 def _values(draft: Draft) -> dict[str, object]:
-    """What the template of a scenario leaves open."""
+    """Values for the scenario's template."""
     design, radius = draft.design, draft.radius_m
     home = np.array([HOME_RADII * radius, 0.0, 0.0, 0.0, 0.0, 0.0])
     states = (home, home) if design is None else (design.initial_state, design.final_state)
@@ -160,7 +160,7 @@ def _values(draft: Draft) -> dict[str, object]:
 
 
 def _words(draft: Draft) -> dict[str, str]:
-    """What the template's comments leave open, and the line of a window that has to be written."""
+    """Words for the template's comments, and the line of a window that must be written."""
     why, window = "recon_b's", ""
     if draft.incidence_max_deg != INCIDENCE_MAX_DEG:  # the site is never so well lit
         least = f"{draft.incidence_max_deg - ROOM_DEG:.0f}"
@@ -180,14 +180,14 @@ def _words(draft: Draft) -> dict[str, str]:
 
 
 def _values_given(name: str, body: GivenBody) -> dict[str, object]:
-    """What the template of a body that is not packaged leaves open."""
+    """Values for the template of a body that is not packaged."""
     ra, dec = body.pole_deg
     radii = 3 * [body.radius_m]
     return asdict(body) | {"body": name, "radii_m": radii, "pole_ra_deg": ra, "pole_dec_deg": dec}
 
 
 def _three(value: float) -> float:
-    """To three digits."""
+    """A number to three digits."""
     return float(f"{value:.3g}")
 
 
@@ -205,12 +205,12 @@ def scenario_of(draft: Draft) -> Scenario:
 
 
 def drafts(first: Draft) -> Iterator[Draft]:
-    """Flybys of a site, designed: the whole window first, then shorter ones about its best hour.
+    """Yield designed flybys of a site: the whole window first, then shorter ones about its best hour.
 
     The first burn is at the epoch of `first`, which has no design, or later.
 
     Raises:
-        InputError: if the site has no window, be its limit raised to what the site allows.
+        InputError: if the site has no window even with the limit raised to what the site allows.
     """
     scenario = scenario_of(first)
     period = abs(2.0 * np.pi / max(abs(Scene.of(scenario).rotation.rate), 1e-12))
@@ -235,8 +235,8 @@ def drafts(first: Draft) -> Iterator[Draft]:
 def under_limits(draft: Draft, span: Window) -> Iterator[tuple[Draft, list[Window]]]:
     """A draft under limits on the local solar time, widest first, with the site's windows under each.
 
-    The limit on the incidence is raised where the site is never in it by far. The widest limits are
-    about noon, the others about the site's best hour.
+    The limit on the incidence is raised if the site hardly ever keeps it. The widest limits are about
+    noon, the others about the site's best hour.
 
     Raises:
         InputError: if the site is dark.
@@ -261,7 +261,7 @@ def under_limits(draft: Draft, span: Window) -> Iterator[tuple[Draft, list[Windo
 
 
 def _moved(draft: Draft, shift_s: float) -> Draft:
-    """The draft with a later epoch, and what a given body has become by then."""
+    """The draft at a later epoch, with a given body's state and angles of that time."""
     epoch = draft.epoch + timedelta(seconds=shift_s)
     if (body := draft.given) is None:
         return replace(draft, epoch=epoch)

@@ -1,4 +1,4 @@
-"""A draft about a trajectory that is there: its window, its ends as boundary, legal burns between."""
+"""Draft a scenario about an existing trajectory: its window, its ends as boundary, legal burns."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ class Track:
     states: Array
     """Shape (n, 6)."""
     source: str
-    """What it was read from, for comments."""
+    """Name of its file, for comments."""
     doubts: tuple[ScenarioWarning, ...] = ()
-    """What is strange about it."""
+    """Warnings about it."""
 
     @property
     def duration_s(self) -> float:
-        """From the first state to the last."""
+        """Time from the first state to the last, s."""
         return float(self.times_s[-1])
 
 
@@ -85,7 +85,7 @@ def flown_draft(first: Draft, known: Tables, track: Track) -> Draft:
 
 
 def _legal_times(scenario: Scenario, window: Window) -> tuple[float, ...] | None:
-    """Before the window as late as is legal, after it as early, with some room; None where nowhere."""
+    """Times as late as legal before the window, as early after it, with margin; None if none are."""
     duration, rules = scenario.duration_s, scenario.schedule
     intervals = legal_burns(window, duration, BEFORE, AFTER, rules)
     if any(early > late for early, late in intervals[1:]):

@@ -1,9 +1,9 @@
-"""Boundary states of a flyby that can be flown: from the terminator past the site and back to it.
+"""Design a flyby from the terminator orbit past the site and back: its boundary states.
 
 A pass is an arc of two-body motion through a point above the site at the window's middle. Lambert arcs
-join it to circular orbits in the terminator plane. Among passes and places on the orbit the cheapest
-is taken of those that keep the limits in the window. It is a start for the planner, which moves the
-burns and knows uncertainty, J2 and sunlight.
+join it to circular orbits in the terminator plane. Of the passes and places on the orbit that keep the
+limits in the window, the cheapest is taken. The planner starts from it, and adds uncertainty, J2 and
+sunlight.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SUN_LINE_COST = 2.0
 
 @dataclass(frozen=True)
 class Design:
-    """What the scenario needs, and how good it looks before it is planned."""
+    """Boundary states and burn times of a flyby, with its delta-v and margin by two-body motion."""
 
     times_s: tuple[float, float, float, float]
     """Four burns, s."""
@@ -52,12 +52,12 @@ class Design:
 
 
 def window_opens_s(rules: ScheduleRules) -> float:
-    """When a window may open with one burn before it and some room."""
+    """Earliest opening of a window with one burn before it and some margin, s."""
     return before_burn_s(rules) + 2.0 * sun_leg_s(rules) + rules.attitude_s + 3.0 * SLACK_S
 
 
 def burn_times(window_s: Window, rules: ScheduleRules) -> tuple[float, float, float, float]:
-    """One burn before the window as late as is legal, two after it, with some room."""
+    """Times of one burn before the window, as late as legal, and two after it, with some margin, s."""
     cycle = before_burn_s(rules) + sun_leg_s(rules)
     second = window_s[0] - rules.attitude_s - sun_leg_s(rules) - SLACK_S
     third = window_s[1] + cycle + SLACK_S
@@ -65,7 +65,7 @@ def burn_times(window_s: Window, rules: ScheduleRules) -> tuple[float, float, fl
 
 
 def design_flyby(scene: Scene, window_s: Window) -> Design:
-    """Search passes and places on the home orbit; the scenario's boundary and burns do not matter."""
+    """Search passes and places on the home orbit; ignores the scenario's boundary and burns."""
     times = burn_times(window_s, scene.scenario.schedule)
     passes = _passes(scene, window_s, times)
     margins = np.array([margin for margin, _, _ in passes])
@@ -115,7 +115,7 @@ def _passes(
 def _flown(starts: Array, from_s: float, times_s: Array, gm: float, core: float) -> Array:
     """Two-body motion of many states, shape (n, 6), at times, shape (n, times, 6).
 
-    Within `core`, in m, gravity grows no more.
+    Within the radius `core`, m, gravity falls linearly to zero.
     """
 
     def rate(_: float, y: Array) -> Array:
@@ -158,7 +158,7 @@ def _joined(
     scene: Scene, times: tuple[float, float, float, float], margin: float, before: Array,
     after: Array,
 ) -> Design | None:  # fmt: skip
-    """A pass with the home orbits before and after it that cost least."""
+    """Join a pass to the cheapest places on the home orbits before and after it."""
     scenario, sun, axes = scene.scenario, scene.sun_direction(0.0), scene.axes("sun_north")
     gm, cone = scenario.body.gm_m3_s2, np.deg2rad(scenario.battery.delta_v_cone_deg + 3.0)
 

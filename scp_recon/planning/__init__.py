@@ -1,1 +1,1 @@
-"""From a mission to a plan: initial guesses, stages, SCP, IPOPT, several starts."""
+"""Plan a mission: initial guesses, stages, SCP, IPOPT, several starts."""

@@ -1,4 +1,4 @@
-"""Initial guesses: cold start, ballistic arc, turns, bent lines, given burns, a table of states."""
+"""Make initial guesses: cold start, ballistic arc, turns, bent lines, given burns, tables of states."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ move, and how far it may be from that."""
 
 
 def cold(mission: Mission) -> Iterate:
-    """States on the straight line from the initial to the final one, burns next to nothing."""
+    """The cold start: the straight line from the initial to the final state, burns nearly zero."""
     states = mission.initial_state + _fraction(mission)[:, None] * (
         mission.final_state - mission.initial_state
     )
@@ -48,7 +48,7 @@ def cold(mission: Mission) -> Iterate:
 
 
 def _fraction(mission: Mission) -> Array:
-    """Of the time from the first node to the last, shape (n,)."""
+    """Fraction of the time from the first node to the last, shape (n,)."""
     times = mission.times_s
     return (times - times[0]) / (times[-1] - times[0])
 
@@ -74,10 +74,10 @@ def ballistic(mission: Mission, entry: str = "init") -> Iterate:
 
 
 def circular(mission: Mission, way: float) -> Iterate:
-    """A steady turn from the initial to the final position, burns next to nothing.
+    """A steady turn from the initial to the final position, burns nearly zero.
 
-    It never comes nearer to the body than its ends, as a straight line may. The way is 1 for the
-    shorter one round the body, -1 for the longer.
+    Unlike a straight line it never comes nearer to the body than its ends. `way` is 1 for the shorter
+    way round the body, -1 for the longer.
     """
     ends = mission.initial_state, mission.final_state
     position = _circular_positions(mission, ends, way, _fraction(mission)).T
@@ -136,7 +136,7 @@ def _two_impulses(mission: Mission, way: float) -> Iterate | None:
 
 
 def random(mission: Mission, seed: int) -> Iterate:
-    """A path that obeys nothing: the straight line bent by three random sines, and random burns.
+    """A random path: the straight line bent by three random sines, and random burns.
 
     Amplitudes of 600 m, 300 m and 200 m and burns of 5 cm/s in every component, 1 sigma: the path may
     lead through the body, and its velocities are those of the bent line.
@@ -185,9 +185,9 @@ def nondimensional(mission: Mission, burns_m_s: Array, states: Array) -> Iterate
 
 
 def from_table(mission: Mission, path: Path, entry: str = "init") -> Iterate:
-    """A table of states: CSV with columns t, x, y, z, vx, vy, vz in SI, J2000, body-centred.
+    """A guess from a CSV of states with columns t, x, y, z, vx, vy, vz in SI, J2000, body-centred.
 
-    Burns are what the planner's arcs miss at the firing times, those of the boundary included.
+    Burns are the velocity defects of the planner's arcs at the firing times, the boundary's included.
 
     Raises:
         InputError: if the table cannot be read, is not ascending, does not cover the flight or is
@@ -198,10 +198,10 @@ def from_table(mission: Mission, path: Path, entry: str = "init") -> Iterate:
 
 
 def from_states(mission: Mission, table: Array, entry: str = "init") -> Iterate:
-    """A table of times and states as an array, t, x, y, z, vx, vy, vz: as `from_table`.
+    """A guess from an array of t, x, y, z, vx, vy, vz, shape (n, 7), as `from_table`.
 
-    In s, m and m/s, J2000 and body-centred, shape (n, 7). Two states at the same time are those before
-    and after a burn.
+    In s, m and m/s, J2000 and body-centred. Two states at the same time are those before and after a
+    burn.
 
     Raises:
         InputError: as `from_table`.
@@ -256,8 +256,8 @@ def _interpolated(pieces: Sequence[Array], times: Array) -> Array:
 def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> None:
     """Refuse a table whose magnitudes cannot be those of the flight in metres and seconds.
 
-    Its distances are held against the flight's, and its velocities against its own positions, in
-    size and in direction.
+    Its distances are compared with the flight's, and its velocities with its own positions, in size
+    and in direction.
     """
     distance = np.median(np.linalg.norm(states[:, :3], axis=1))
     ends = np.linalg.norm([mission.initial_state[:3], mission.final_state[:3]], axis=1)
@@ -289,14 +289,14 @@ def _check_units(mission: Mission, entry: str, time: Array, states: Array) -> No
 
 
 def _lengths(vectors: Array) -> Array:
-    """Of vectors of shape (n, 3)."""
+    """Lengths of vectors (n, 3), shape (n,)."""
     return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def read_table(path: Path, entry: str) -> Array:
-    """A table of states as it stands in a CSV, in the order of `COLUMNS`, shape (n, 7).
+    """Read a table of states from a CSV, in the order of `COLUMNS`, shape (n, 7).
 
-    Lines that begin with # are passed over.
+    Lines that begin with # are ignored.
 
     Raises:
         InputError: if it cannot be read, or is no table of finite numbers with these columns.

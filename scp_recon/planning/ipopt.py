@@ -1,4 +1,4 @@
-"""Planning by CasADi and IPOPT: the reference for the sequential convex programs."""
+"""Plan by CasADi and IPOPT: the reference for sequential convex programming."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ class IpoptStages:
 
     @property
     def first_stage_rows(self) -> None:
-        """There are none: its programs have all constraints from the first."""
+        """None: its programs have all constraints from the first."""
 
     def p2_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """P2's constraints on given facets, screened as the planner screens them."""
@@ -112,7 +112,7 @@ class IpoptStages:
         return ChanceRows(mission.problem, facets, included)
 
     def exact_rows(self) -> Sequence[tuple[str, Rows]]:
-        """There are none."""
+        """Refuse: IPOPT has no rows of exact risk."""
         raise InputError("risk.allocation", "'exact'", f"goes with {option('method', 'scp')} only")
 
     def solve(
@@ -120,7 +120,7 @@ class IpoptStages:
     ) -> NlpStage:
         """Solve P3 or, on the included facets of its rows, P2.
 
-        An elastic problem that stays violated is weighed once more, with SCP's second weight.
+        An elastic problem that stays violated is solved again with SCP's second weight.
         """
         begin = perf_counter()
         algorithm = SCvx()
@@ -154,7 +154,7 @@ class IpoptStages:
 
 
 def _status(outcome: NlpOutcome, *, violated: bool, elastic: bool) -> Status:
-    """IPOPT's word, but for what is violated in spite of it."""
+    """IPOPT's status, except where constraints are violated all the same."""
     if outcome in (NlpOutcome.SOLVED, NlpOutcome.ACCEPTABLE):
         if not violated:
             return Status.CONVERGED
@@ -190,7 +190,7 @@ def _records(runs: list[NlpResult]) -> tuple[Record, ...]:
 
 
 def _timing(runs: list[NlpResult], setup: float) -> Timing:
-    """Evaluations of functions and derivatives count as linearisation, the rest of IPOPT as solver."""
+    """Times in SCP's categories: evaluations count as linearisation, the rest of IPOPT as solver."""
     evaluate = sum(run.evaluate_s for run in runs)
     return Timing(
         setup=setup + sum(run.build_s for run in runs),

@@ -15,7 +15,7 @@ STARTS_MAX, WORKERS_MAX, SEED_MAX = 1_000, 256, 2**63 - 1
 
 
 class ScpMethod(NamedTuple):
-    """Sequential convex programming by names that are known; arguments of `planner.plan`."""
+    """Names of formulation, algorithm and solver, checked; arguments of `planner.plan`."""
 
     formulation: str
     algorithm: str
@@ -27,12 +27,12 @@ def scp_method(
     algorithm: str = ALGORITHM,
     solver: str = SOLVER,
 ) -> ScpMethod:
-    """Check the names; a solver's may be in small letters.
+    """Check the names; a solver's may be in lower case.
 
-    It is one that CVXPY finds; all solvers are imported to ask, but not for Clarabel.
+    A solver must be one that CVXPY finds. Asking CVXPY imports all solvers; Clarabel is not asked for.
 
     Raises:
-        InputError: if one is not known.
+        InputError: if a name is unknown.
     """
     one_of(option("formulation"), formulation, FORMULATIONS)
     one_of(option("algorithm"), algorithm, ALGORITHMS)

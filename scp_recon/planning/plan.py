@@ -1,7 +1,7 @@
 """A plan as data: its stages, how it was made, and its figures in SI.
 
-A stage is one run of the SCP or of IPOPT. What a plan records of its making (certificate, starts, the
-plan before it) is stored in the solution file as it stands here.
+A stage is one run of the SCP or of IPOPT. The records of a plan's making (certificate, starts, the plan
+before it) are stored in the solution file as they are here.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Stage:
 
     @property
     def problem(self) -> Literal["P3", "P2"]:
-        """Without uncertainty, or with it."""
+        """Problem solved: P3, without uncertainty, or P2."""
         return "P3" if isinstance(self.merit.rows, DeterministicRows) else "P2"
 
     def unit(self, constraint: str) -> Unit:
@@ -92,7 +92,7 @@ class Stage:
 
     @property
     def begun_again(self) -> bool:
-        """Whether it began elsewhere because the guess led nowhere."""
+        """Whether the stage began elsewhere because the guess did not lead to a plan."""
         return self.name[2:3] in ("b", "c", "d")
 
 
@@ -147,7 +147,7 @@ class Certificate:
     confidence: Probability
 
     def certifies(self, required: float) -> bool:
-        """Whether it stands behind a probability."""
+        """Whether it certifies a required probability."""
         return self.low >= required
 
     def __str__(self) -> str:
@@ -251,7 +251,7 @@ class Plan:
         return self._identity == other._identity
 
     def __hash__(self) -> int:
-        """Of the burns."""
+        """Hash of the burns."""
         return hash(self.final.result.lin.iterate.burns.tobytes())
 
     def __getstate__(self) -> dict[str, object]:
@@ -260,7 +260,7 @@ class Plan:
 
     @property
     def status(self) -> Status:
-        """Of the last stage."""
+        """Status of the final stage."""
         return self.final.result.status
 
     @property
@@ -302,7 +302,7 @@ class Plan:
         return found
 
     def __str__(self) -> str:
-        """Status and what may help, delta-v, burns, margins and warnings."""
+        """Status with remedy, delta-v, burns, margins and warnings."""
         scenario, outcome = self.mission.scenario, self.status.value
         problem = self.final.problem
         lines = [
@@ -332,7 +332,7 @@ class Plan:
         return f"<Plan {name}: {self.status.value.name}, {NOT_CHECKED}, {dv:.6f} m/s>"
 
     def _repr_html_(self) -> str:
-        """For a notebook."""
+        """The plan as HTML, for a notebook."""
         return f"<pre>{escape(str(self))}</pre>"
 
     @property

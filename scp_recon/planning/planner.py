@@ -1,4 +1,4 @@
-"""Planning by SCP in three stages: P3, facets at its solution, P2; more facet rounds on request."""
+"""Plan by SCP in three stages: P3, facets at its solution, P2; more facet rounds on request."""
 
 from __future__ import annotations
 
@@ -91,10 +91,10 @@ def plan(
 class Planner:
     """Plans a mission by SCP, and plans it again from other initial states.
 
-    A `RowsSolver` that keeps its subproblems: their sparsity, and what a solver or CVXPY made of it;
-    they serve any mission with the same constraints, schedule and nodes. Exact
-    constraints are held to the target probability, by default what the scenario asks. `p3_resolution`
-    is the relative reduction of the merit at which P3 stops, where P2 goes on from there.
+    A `RowsSolver` that keeps its compiled subproblems and solvers; they serve any mission with the
+    same constraints, schedule and nodes. `target` is the probability of exact constraints, by default
+    the scenario's. `p3_resolution` is the relative reduction of the merit at which P3 stops if P2
+    follows.
 
     Raises:
         InputError: if the algorithm cannot weigh a miss of the final state where that is needed.
@@ -145,10 +145,10 @@ class Planner:
     ) -> Plan:
         """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-        The guess may have defects. What does not converge begins again elsewhere, but not with `once`:
-        see `StageRunner.plan`. In each of `facet_rounds` the facets are chosen again at the solution,
-        and it is solved again; a round is kept only while it is better, so that facets cannot cycle:
-        see `standing`. Facets that leave nothing feasible are chosen again without being asked, up to
+        The guess may have defects. Unless `once`, a stage that does not converge is tried from other
+        starts: see `StageRunner.plan`. In each of `facet_rounds` the facets are chosen again at the
+        solution and P2 is solved again; a round is kept only if it is better (`standing`), so that
+        facets cannot cycle. Facets that leave nothing feasible are always chosen again, up to
         `choices` times. The observer is called after each iteration with the stage's name and the
         record.
         """
@@ -159,13 +159,13 @@ class Planner:
     def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
         """Solve P2 again for another initial state, from the last plan and with its facets.
 
-        The state is that before the first burn, J2000, SI, shape (6,), its covariance as large a
-        fraction of it as the mission says. The last plan is one of P2 by this planner; the new one's
-        `mission` is the one from that state.
+        The state is that before the first burn, J2000, SI, shape (6,); its covariance is the mission's
+        fraction of it. The last plan must be one of P2 by this planner; the new one's `mission` begins
+        at the state.
 
         Raises:
-            ValueError: if the plan is not one of P2, or of a mission that differs in more than the
-                initial state; or if the state is none outside the body.
+            ValueError: if the plan is not one of P2, its mission differs in more than the initial
+                state, or the state is not outside the body.
         """
         facets = last.final.facets
         if last.final.problem != "P2":
@@ -201,7 +201,7 @@ class Planner:
 
     @cached_property
     def first_stage_rows(self) -> DeterministicRows:
-        """P3's without the keep-out sets that part the ways past them."""
+        """P3's rows without the keep-out sets of a part of the flight."""
         return DeterministicRows(without_parting_sets(self.mission.problem), RESOLUTION)
 
     def p2_rows(
@@ -215,7 +215,7 @@ class Planner:
         return kept
 
     def subproblem(self, rows: Rows) -> Subproblem:
-        """The convex subproblem with some rows; of P3 and of P2 the one made last is kept."""
+        """The convex subproblem with some rows; the last ones of P3 and of P2 are kept."""
         kept = self._kept.get(type(rows))
         if kept is None or kept.merit.rows is not rows:
             penalty = self.algorithm.penalty
@@ -275,10 +275,10 @@ def has_final_limit(mission: Mission) -> bool:
 
 
 def require_no_final_limit(mission: Mission, needs: str) -> None:
-    """Refuse what has no rows for limits on the final covariance.
+    """Refuse limits on the final covariance for a method without rows for them.
 
     Raises:
-        InputError: if the mission has one.
+        InputError: if the mission has such a limit.
     """
     limits = {
         name: getattr(mission.scenario.boundary, name)

@@ -1,10 +1,9 @@
-"""Primer history of a plan: would one more burn help, at first order and locally?
+"""Primer history of a plan: whether one more burn would help, at first order and locally.
 
-A burn added at time t in direction u, small, changes the least total delta-v by (1 - p(t)'u) times its
-size (`formulations.program.multipliers`). Of its directions count those that the battery allows, of its
-times those at which the schedule's rules hold with all other burns kept. Where p'u is nowhere above
-one, no small burn added to the plan makes it cheaper; nothing is said of large ones, nor of other
-times for the burns that are there.
+A small burn added at time t in direction u changes the least total delta-v by (1 - p(t)'u) times its
+size (`formulations.program.multipliers`). Directions count if the battery allows them, times if the
+schedule's rules hold with all other burns kept. Where p'u is nowhere above one, no small burn added to
+the plan makes it cheaper; the primer says nothing on large burns, or on other times of present burns.
 """
 
 from __future__ import annotations
@@ -32,8 +31,7 @@ WORTH = 1e-3
 class PrimerHistory:
     """The primer at the nodes of a plan's grid: a local certificate, at first order.
 
-    Where no `allowed` at a time that is `legal` exceeds one, no small burn that is added makes the plan
-    cheaper.
+    If `allowed` exceeds one at no `legal` time, no small added burn makes the plan cheaper.
 
     Attributes:
         t_s: times of the nodes past the epoch, n of them.
@@ -60,7 +58,7 @@ class PrimerHistory:
 
 
 def primer_of(plan: Plan) -> PrimerHistory | None:
-    """The history of a plan; None where `primer_history` has none, and where nothing was optimised."""
+    """The history of a plan; None as of `primer_history`, and if nothing was optimised."""
     return None if plan.provenance.method == "none" else primer_history(plan.mission, plan.final)
 
 
@@ -94,7 +92,7 @@ def primer_history(mission: Mission, stage: Stage) -> PrimerHistory | None:
 def allowed_part(vector: Array, sun: Array, half_angle: float) -> Array:
     """Largest p'u over unit vectors u at least `half_angle` off the Sun line, either way, shape (n,).
 
-    From p and unit vectors to the Sun, each of shape (n, 3), and the double cone's half angle, rad.
+    Takes p and unit vectors to the Sun, shape (n, 3) each, and the double cone's half-angle, rad.
     """
     along = np.abs(np.einsum("ni,ni->n", vector, sun))
     across = np.linalg.norm(np.cross(vector, sun), axis=1)
@@ -103,7 +101,7 @@ def allowed_part(vector: Array, sun: Array, half_angle: float) -> Array:
 
 
 def legal_nodes(mission: Mission) -> Booleans:
-    """Nodes at which another burn may be, the others kept, shape (n,)."""
+    """Mask of nodes at which another burn is legal with the others kept, shape (n,)."""
     scenario, times = mission.scenario, mission.times_s
     legal = np.zeros(len(times), dtype=np.bool_)
     window = mission.schedule.window_s

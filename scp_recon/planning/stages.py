@@ -1,10 +1,10 @@
-"""The order of a plan's stages, whatever solves them: P3, P2, and both again from other starts.
+"""Run a plan's stages by any method: P3, P2, and both again from other starts.
 
-A keep-out set is linearised by the plane that touches it nearest to the iterate, so that an iterate is
-held to the side it is on. The path of a guess that is no flight says nothing of sides: P3 then begins
-with a first stage without the keep-out sets of a part of the flight, whose answer hardly depends on the
-guess, and goes on from there with all of them, on the side nearest to it. The answer without them costs
-at most what any plan with them does, so that where it keeps them there is nothing better near it.
+A keep-out set is linearised by the plane that touches it nearest to the iterate, so that an iterate
+stays on its side. The path of a guess that is no flight says nothing about sides. P3 then begins with a
+first stage without the keep-out sets of a part of the flight, whose answer hardly depends on the guess,
+and continues with all of them, on the side nearest to that answer. Without them an answer costs at most
+what any plan with them does, so that if it keeps them there is nothing better near it.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ Observer = Callable[[str, Record], None]
 
 
 class RowsSolver(Protocol):
-    """Solves P3 or P2 on one set of rows; nothing else distinguishes SCP's plans from IPOPT's."""
+    """Solves P3 or P2 on one set of rows: the only difference between SCP's and IPOPT's plans."""
 
     @property
     def p3_rows(self) -> DeterministicRows:
@@ -64,7 +64,7 @@ class RowsSolver(Protocol):
         """Rows that P3 begins with where its guess is no flight; None if it begins with all."""
 
     def p2_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
-        """P2's constraints on given facets, those in the program that an iterate comes near."""
+        """P2's constraints on given facets; the program includes those near an iterate."""
 
     def exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """P2's constraints with the true probabilities, one stage leading to the next, by name.
@@ -76,7 +76,7 @@ class RowsSolver(Protocol):
     def solve(
         self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
     ) -> Stage:
-        """A stage, from a start; an interrupted one says so in its status."""
+        """Solve a stage from a start; its status says if it was interrupted."""
 
 
 @dataclass
@@ -105,12 +105,11 @@ class StageRunner:
         return Plan(self.mission, provenance, tuple(self.stages), final, self.timing, seconds)
 
     def plan(self, guess: Iterate, problem: Literal["P3", "P2"], *, once: bool = False) -> Stage:
-        """P3 from a guess and P2 from there; a guess that is no flight leads to P3 by a first stage.
+        """Solve P3 from a guess, after a first stage if it is no flight, and P2 from there.
 
-        Where P3 does not converge from the guess it is tried again from other starts; and so it is
-        where P2 does not converge: P3 may have stopped at a local optimum from which there is no way.
-        Where none converges the facets are chosen again. The best of all tries counts. With `once`
-        there is no other start.
+        If P3 does not converge from the guess, it is tried from other starts, and also if P2 does not:
+        P3 may have stopped at a bad local optimum. If none converges, the facets are chosen again. The
+        best of all tries counts. With `once` there is no other start.
         """
         if problem == "P2" and self.mission.scenario.risk.allocation == "exact":
             self.solver.exact_rows()  # a method that has none says so before any work
@@ -138,8 +137,8 @@ class StageRunner:
     def choose_again(self, stage: Stage) -> Stage:
         """The best of P2 with facets chosen where the last try ended, until one converges.
 
-        Facets that leave nothing feasible say little of others; only a few choices settle it. A try
-        that ends without a verdict takes none away.
+        That some facets leave nothing feasible says little about others; a few choices settle it. A
+        try that ends without a verdict does not count.
         """
         name, tries = stage.name.partition(".")[0], [stage]
         while tries[-1].result.status is Status.INFEASIBLE and len(tries) <= self.choices:
@@ -149,7 +148,7 @@ class StageRunner:
         return max((one for one in tries if one.result.status in verdicts), key=standing)
 
     def start(self, guess: Iterate) -> Linearisation:
-        """Linearised at a guess; whatever it says, the flight starts where the problem does."""
+        """Linearise at a guess, moved to the problem's initial state."""
         problem, mean = self.mission.problem, guess.mean.copy()
         mean[0] = problem.initial_state
         if not problem.coasts:
@@ -157,7 +156,7 @@ class StageRunner:
         return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
 
     def _solve_p3(self, name: str, start: Linearisation) -> Stage:
-        """P3 from a start, by way of a first stage where that is no flight; all rows judge both."""
+        """Solve P3, after a first stage if the start is no flight; all rows judge both."""
         rows, first = self.solver.p3_rows, self.solver.first_stage_rows
         if first is not None and contradicts_itself(start):
             stage = self.solve(f"{name}{FIRST_STAGE}", first, start, rows)
@@ -165,7 +164,7 @@ class StageRunner:
         return self.solve(name, rows, start)
 
     def _solve_p2(self, name: str, start: Stage) -> Stage:
-        """P2 from where a stage ended, and again with new facets as long as that helps."""
+        """Solve P2 from the end of a stage, and again with new facets as long as that helps."""
         if self.mission.scenario.risk.allocation == "exact":
             return self.solve_exact(name, start.result.lin)
         final = self._with_facets(name, start.result.lin)
@@ -177,7 +176,7 @@ class StageRunner:
         return final
 
     def solve_exact(self, name: str, lin: Linearisation) -> Stage:
-        """P2 with the true probabilities, by way of quicker stages as long as they converge."""
+        """Solve P2 with the true probabilities, after quicker stages as long as they converge."""
         for way, rows in self.solver.exact_rows():
             stage = self.solve(name + way, rows, lin)
             if stage.result.status is not Status.CONVERGED:
@@ -186,7 +185,7 @@ class StageRunner:
         return stage
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:
-        """P2 with the facets chosen at the start; the name gets the number of the choice."""
+        """Solve P2 with facets chosen at the start; the name gets the number of the choice."""
         mission, chosen = self.mission, self._chosen
         chosen[name] = chosen.get(name, 0) + 1
         name = name if chosen[name] == 1 else f"{name}.{chosen[name]}"
@@ -194,7 +193,7 @@ class StageRunner:
         return self.restore(name, self.solver.p2_rows(facets, lin), lin)
 
     def restore(self, name: str, rows: ChanceRows, lin: Linearisation) -> Stage:
-        """P2, again with the facets that were left out of the program where they turn out missed."""
+        """Solve P2, and again with facets that were left out of the program and are violated."""
         while True:
             stage = self.solve(name, rows, lin)
             lin = stage.result.lin
@@ -206,7 +205,7 @@ class StageRunner:
     def solve(
         self, name: str, rows: Rows, start: Linearisation, judges: Rows | None = None
     ) -> Stage:
-        """One stage, judged by its own rows if by no others.
+        """Solve one stage, judged by `judges`, by default its own rows.
 
         Raises:
             KeyboardInterrupt: if it was interrupted.
@@ -239,10 +238,10 @@ def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
 
 
 def contradicts_itself(lin: Linearisation) -> bool:
-    """Whether a guess claims burns, and its path takes more delta-v between nodes than these are.
+    """Whether a guess has burns, but its path has larger velocity defects than these.
 
-    A trajectory from elsewhere, given coarsely, does not. A path without burns, as the paper's straight
-    line, claims nothing.
+    A coarse trajectory of another tool does not contradict itself, nor does a path without burns, such
+    as the paper's straight line.
     """
     kicks = float(np.linalg.norm(lin.defects[:-1, 3:], axis=1).sum())
     return NO_BURN < lin.iterate.total_dv < kicks
@@ -251,14 +250,14 @@ def contradicts_itself(lin: Linearisation) -> bool:
 def without_parting_sets(problem: FlybyProblem) -> FlybyProblem:
     """The problem without the keep-out sets of a part of the flight.
 
-    What holds throughout stays: it keeps the path away from where the dynamics are singular.
+    Sets of the whole flight stay: they keep the path away from the dynamics' singularity.
     """
     kept = [c for c in problem.constraints if c.keep == "in" or len(c.nodes) == problem.n_nodes]
     return replace(problem, constraints=tuple(kept))
 
 
 def same_optimum(one: Stage, other: Stage) -> bool:
-    """Whether two runs of P3 ended alike."""
+    """Whether two runs of P3 ended at the same optimum."""
     low, high = sorted((_merit(one), _merit(other)))
     apart = np.abs(one.result.lin.iterate.burns - other.result.lin.iterate.burns).max()
     alike = low > OTHER_OPTIMUM * high and bool(apart < OTHER_BURNS)
@@ -274,10 +273,10 @@ def _interrupted(stages: list[Stage]) -> Stage:
 
 
 def standing(stage: Stage) -> tuple[int, float]:
-    """What makes a run better than another: how it ended, then how little it costs.
+    """Rank of a run, the better the greater: by how it ended, then by cost.
 
-    It ended solved (3), at a point that violates nothing (2), without an answer of the solver (0) or
-    otherwise (1).
+    It ended solved (3), at a point that violates nothing (2), otherwise (1), or without an answer of
+    the solver (0).
     """
     rank = 0 if stage.result.status is Status.SOLVER_FAILED else 1
     if stage.result.status is Status.CONVERGED:

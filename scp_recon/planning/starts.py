@@ -1,4 +1,4 @@
-"""Several starts: flights on random sides, planned once; their local optima, the best plan kept."""
+"""Plan from several starts, flights on random sides; list their local optima, keep the best plan."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def plan_from_several(
     init: str = "given",
     seen: Callable[[int, Plan], None] | None = None,
 ) -> Plan:
-    """The best plan of several starts: the guess, as it is planned alone, and random flights.
+    """Plan from several starts, the guess and random flights, and keep the best plan.
 
-    `make_plan` is as `planner.plan`, and pickles: with `once` it plans from the given start alone.
-    Neither the plan nor the list of optima depends on the number of processes. An interrupt ends with
-    the best plan so far, marked as interrupted. `starts` counts the guess too; `seen` is called with
+    `make_plan` is like `planner.plan` and must pickle: with `once` it plans from the given start
+    alone. Neither the plan nor the list of optima depends on the number of processes. An interrupt ends
+    with the best plan so far, marked as interrupted. `starts` includes the guess; `seen` is called with
     each start's number and plan, in order.
     """
     plan_start = partial(_plan_start, mission, guess, init, make_plan, seed)
@@ -73,7 +73,7 @@ def _plan_start(
     seed: int,
     number: int,
 ) -> Plan:
-    """The plan of one of the starts, in whatever process."""
+    """Make the plan of one start, in any process."""
     if number == 0:
         return make_plan(mission, guess, once=False, init=init)
     start = random_flight(mission, seed, number)
@@ -81,7 +81,7 @@ def _plan_start(
 
 
 def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
-    """A flight from the initial to the final state that keeps no limit, on a random side of all sets.
+    """A random flight from the initial to the final state, without regard to limits.
 
     A randomly bent straight line with random burns, its defects closed by the smallest change of the
     burns that still leads to the final state. Each number has draws of its own.
@@ -101,8 +101,8 @@ def random_flight(mission: Mission, seed: int, number: int) -> Iterate:
 def local_optima(plans: list[Plan]) -> tuple[Optimum, ...]:
     """Local optima of several starts' plans, each once: P3's first, the cheapest first.
 
-    Ends that converged, or are stationary at the least violation. Those of P3 are all that a start
-    came by; of P2, whose facets are chosen where P3 ends, the one that counts.
+    These are ends that converged, or are stationary at the least violation: all of P3 that a start
+    passed, and the final one of P2, whose facets depend on P3's end.
     """
     groups: list[tuple[Stage, list[int]]] = []
     for number, plan in enumerate(plans):

@@ -1,4 +1,4 @@
-"""Plans side by side: burns, delta-v, margins, probabilities, and how far apart their paths are."""
+"""Compare plans: burns, delta-v, margins, probabilities, and the distance between their paths."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scp_recon.results.table import Cell, Column, Table
 from scp_recon.scenario.schema import Scenario
 
 DIFFERS = "differs from the first in"
-"""Row of the sections in which a scenario is not the first plan's: how far figures can be compared."""
+"""Row of the sections in which a scenario differs from the first plan's: it limits comparison."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,12 +61,12 @@ class Comparison:
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """For a notebook."""
+        """The table as HTML, for a notebook."""
         return self.table.html()
 
 
 def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
-    """Hold plans against each other, and their paths against the first one's."""
+    """Compare plans with each other, and their paths with the first one's."""
     rows: list[tuple[str, str, tuple[float | str | None, ...]]] = [
         ("scenario", "", tuple(s.scenario.name for s in solutions)),
         (DIFFERS, "", tuple(_differences(solutions[0].scenario, s.scenario) for s in solutions)),
@@ -93,7 +93,7 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
 
 
 def _differences(first: Scenario, other: Scenario) -> str | None:
-    """Sections of a scenario, the name apart, that are not the first one's."""
+    """Sections of a scenario, besides its name, that differ from the first one's."""
     names = [
         n for n in Scenario.model_fields if n != "name" and getattr(first, n) != getattr(other, n)
     ]
@@ -114,7 +114,7 @@ def _whole_flight(solution: Solution) -> Array:
 def _history(
     solutions: Sequence[Solution],
 ) -> list[tuple[str, str, tuple[float | str | None, ...]]]:
-    """Rows of plans made in flight: parent, burns flown before, miss of the final state."""
+    """Rows for plans made in flight: parent, burns flown before, miss of the final state."""
     whole = [float(np.linalg.norm(_whole_flight(s), axis=1).sum()) for s in solutions]
     missed = [s.verification.missed if s.verification else None for s in solutions]
     return [
@@ -127,7 +127,7 @@ def _history(
 
 
 def _cell(figure: float | str | None) -> Cell | str | None:
-    """Six digits, of a margin that is rounding zero."""
+    """A figure to six digits; a margin that is only rounding is zero."""
     if isinstance(figure, float):
         return Cell(f"{round(figure, 9) + 0.0:.6g}", figure)
     return figure
@@ -136,7 +136,7 @@ def _cell(figure: float | str | None) -> Cell | str | None:
 def largest_distance_m(one: Solution, other: Solution) -> float | None:
     """Largest distance of two mean paths at the nodes of either, while both last, m; None if never.
 
-    J2000, at the same time past the epoch; between its nodes a path is a cubic of its states.
+    Paths are compared in J2000 at the same time past the epoch; between nodes they are cubics.
     """
     times = np.union1d(one.nodes.t_s, other.nodes.t_s)
     first, last = (np.array([s.nodes.t_s[end] for s in (one, other)]) for end in (0, -1))
@@ -150,7 +150,7 @@ def largest_distance_m(one: Solution, other: Solution) -> float | None:
 def path_of(solution: Solution) -> Callable[[Array], Array]:
     """Mean positions of a plan at times within it, J2000, m: times (n,) to (n, 3).
 
-    Between its nodes a cubic of their states, before the burn where one falls on the node.
+    Between nodes it is a cubic through their states, at a burn through the state before it.
     """
     nodes, states = np.array(solution.nodes.t_s), np.array(solution.nodes.state)
     arriving = states[1:].copy()  # before the burn where one falls on the node

@@ -1,9 +1,8 @@
 """The facts of a plan as its file stores them; SI, J2000, body-centred.
 
 Margins, violation and totals are no facts: `figures` computes them from these. `docs/solution_file.md`
-describes every key. What planning records of its making (certificate, starts, the plan before, the
-primer) is stored as planning's own data classes. Where a field's name is not the file's key, the key
-stands as its alias.
+describes every key. Planning's records (certificate, starts, the plan before, the primer) are stored as
+its data classes. A field whose name is not the file's key has the key as its alias.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ SURE = 1e-16
 
 @dataclass(frozen=True)
 class Burn:
-    """An impulse that was planned.
+    """A planned impulse.
 
     Attributes:
         t_s: time past the epoch.
@@ -58,7 +57,7 @@ class Nodes:
     covariance: list[list[list[Number]]]
 
     def __post_init__(self) -> None:
-        """Refuse what does not fit together."""
+        """Refuse times that do not ascend, and arrays of other shapes."""
         n = len(self.t_s)
         if n < 2 or any(b <= a for a, b in itertools.pairwise(self.t_s)):
             raise ValueError("nodes.t_s must be at least two ascending times")
@@ -77,7 +76,7 @@ class FacetTable:
     Attributes:
         constraint: name of the constraint, for each facet.
         node: its node, counted from 0.
-        normal: of the half-space that is kept.
+        normal: outward normal of the half-space.
         offset_m: the facet's, along its normal.
         quantile: normal quantile of its share of the risk.
     """
@@ -110,10 +109,10 @@ class StageSummary:
     """One run of the SCP.
 
     Attributes:
-        name: `P3`, `P2`; `P2.2` with facets chosen a second time, and so on; `P3b`, `P2b` begun again
-            at the ballistic arc, `c` and `d` at a turn about the body the shorter and the longer way;
-            `P3.open` leads to P3 from a guess that is no flight, `P2.node` and `P2.coarse` to the P2 of
-            an exact plan of whole flights.
+        name: `P3`, `P2`; `P2.2` with facets chosen a second time, and so on; `P3b`, `P2b` restarted
+            from the ballistic arc, `c` and `d` from a turn about the body, the shorter and the longer
+            way; `P3.open` leads from a guess that is no flight to P3, `P2.node` and `P2.coarse` to
+            the P2 of an exact plan of whole flights.
         status: how it ended.
         total_dv_m_s: sum of its burns' sizes.
         iterations: their number.
@@ -143,7 +142,7 @@ class IterationRecord:
         merit: cost and penalties of the iterate, m/s.
         predicted: reduction of the merit by the convex model, m/s.
         actual: reduction of the merit, m/s.
-        accepted: whether the step was taken.
+        accepted: whether the step was accepted.
         trust_radius: bound on the change of a burn's component, m/s.
         max_violation: largest violation, m.
         max_defect: largest gap between arcs, m.
@@ -169,8 +168,8 @@ class PlanTiming(Timing):
     By IPOPT: building and compiling, derivatives, 0, IPOPT itself, the rest.
 
     Attributes:
-        total: all of them.
-        other: what the parts leave.
+        total: from beginning to end.
+        other: the rest of it.
     """
 
     total: float
@@ -179,14 +178,14 @@ class PlanTiming(Timing):
 
 @dataclass(frozen=True)
 class EventProbability:
-    """A joint constraint by the normal law, at its nodes; of a whole flight just one.
+    """Probabilities of a joint constraint by the normal law, at its nodes; one for a whole flight.
 
     Attributes:
         name: of the constraint, or `whole_flight`.
         t_s: times of its nodes.
-        probability: that it holds there.
-        sigma: normal quantiles of the probabilities, which differ where these are one to the last
-            digit; absent from older files.
+        probability: that the constraint holds there.
+        sigma: normal quantiles of the probabilities, which differ even where these round to one;
+            absent from older files.
     """
 
     name: Line
@@ -215,9 +214,9 @@ class Risk:
     Attributes:
         scope: whether each node or the whole flight is meant.
         required: probability required.
-        target: probability that the rows are held to.
-        certificate: what nonlinear flights reached; without one no flights stand behind the plan.
-        normal_law: what the normal law says.
+        target: probability of the plan's rows.
+        certificate: probability that nonlinear flights reached; absent if none certified the plan.
+        normal_law: probabilities by the normal law.
     """
 
     scope: Literal["node", "flight"]
@@ -246,7 +245,7 @@ class MeanMargin:
 
 @dataclass(frozen=True)
 class JointProbability:
-    """Probability of a joint constraint at the time when it is smallest, by Monte Carlo.
+    """Probability of a joint constraint at the time when it is lowest, by Monte Carlo.
 
     Attributes:
         name: of the constraint.
@@ -265,7 +264,7 @@ class JointProbability:
 
 @dataclass(frozen=True)
 class FinalMiss:
-    """By how much the final state is missed, where the burns left are too few to meet it.
+    """Miss of the final state, where too few burns are left to meet it.
 
     Attributes:
         position_m: in position.
@@ -287,7 +286,7 @@ class FinalMiss:
 
 @dataclass(frozen=True)
 class FinalSigma:
-    """A limit on the covariance after the last burn, and what nonlinear flights reach of it.
+    """A limit on the covariance after the last burn, and the value that nonlinear flights reach.
 
     Attributes:
         name: of the limit.
@@ -328,10 +327,10 @@ class Verification:
         samples: flights of the Monte Carlo simulation.
         confidence: of its Clopper-Pearson intervals.
         probabilities: each joint constraint where it is smallest.
-        failed: what fell short, a status other than converged among it.
-        missed: miss of the final state where too few burns are left to meet it; reported, not judged.
+        failed: names of failed checks, among them a status other than converged.
+        missed: miss of the final state where too few burns are left to meet it; reported, no check.
         final_sigmas: limits on the covariance after the last burn; absent from older files.
-        ok: whether nothing fell short.
+        ok: whether no check failed.
     """
 
     terminal_position_error_m: float
@@ -350,7 +349,7 @@ class Verification:
 
     @property
     def verdict(self) -> str:
-        """Whether the plan is verified, and what fell short if not, on one line."""
+        """Whether the plan is verified, or which checks failed, on one line."""
         return "verified" if self.ok else f"not verified: {', '.join(self.failed)}"
 
     def __str__(self) -> str:
@@ -371,21 +370,21 @@ class Verification:
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
-    """Everything that is stored of a plan; its file can be solved again from itself.
+    """Everything that is stored of a plan; its file is enough to solve it again.
 
     Attributes:
         status: `converged`, `infeasible`, `max_iterations`, `stalled`, `solver_failed`, `lost` (a plan
             made in flight, which misses the final state) or `interrupted`.
-        message: what that means, and what to try next.
-        problem: `P2`, or `P3` where planning ended before the uncertainty.
-        init: where planning began: `cold`, `warm`, a file.
+        message: the status in words, and what to try next.
+        problem: `P2`, or `P3` where planning ended before P2.
+        init: initial guess: `cold`, `warm`, a file.
         method: `none` where nothing was optimised; absent from older files.
         formulation: of the convex program, or variant of the nonlinear one.
-        algorithm: that solved it.
-        solver: that it used.
+        algorithm: of sequential convex programming.
+        solver: conic solver.
         tolerance: violation in units of the nondimensional problem that counts as none: 1e-6, of whole
             flights 1e-5, in a stage that leads to them 1e-3; absent from older files.
-        burns: those planned; the ones flown before stand in `scenario.in_flight.flown_m_s`.
+        burns: burns planned; earlier ones stand in `scenario.in_flight.flown_m_s`.
         nodes: mean and covariance of the flight.
         stages: one for each run of the SCP.
         facets: of P2, absent from P3 and with exact risk.
@@ -394,9 +393,9 @@ class Facts:
         parent: of a plan made in flight.
         primer: of a converged plan whose errors shrink with the burns; absent from older files.
         iterations: one for each iteration of each stage.
-        timing_s: what it took.
+        timing_s: time it took.
         verification: absent if the run was interrupted.
-        warnings: entries that were hardly meant so.
+        warnings: entries that are allowed but unlikely.
         scenario: the whole validated input, with the numbers computed from shapes, kernels and gravity
             files ([entries](scenario.md)).
     """
@@ -429,12 +428,12 @@ class Facts:
     scenario: Scenario
 
     def __post_init__(self) -> None:
-        """Refuse burns that are not the scenario's."""
+        """Refuse burns whose number is not the scenario's."""
         if len(self.burns) != len(self.scenario.burn_times_s):
             raise ValueError("there must be as many burns as the scenario has firing times to plan")
 
 
 @cache
 def adapter(kind: Any) -> TypeAdapter[Any]:
-    """The strict converter between JSON and a data class: made once, when it is first needed."""
+    """The strict converter between JSON and a data class, made once, at first use."""
     return TypeAdapter(kind)

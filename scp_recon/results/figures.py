@@ -1,4 +1,4 @@
-"""The figures of a plan, computed from its facts: total delta-v, margins by constraint, violation.
+"""Compute a plan's figures from its facts: total delta-v, margins by constraint, violation.
 
 Distances and quantiles come from the regions' centres, radii, apices, axes and angles, in SI, and share
 no code with the planner's rows. A file carries the figures for its readers; `disagreements` names those
@@ -48,15 +48,14 @@ class ConstraintResult:
     """The smallest margin of a constraint.
 
     Attributes:
-        name: of the constraint; of an exact plan one for each joint constraint, or `whole_flight`.
+        name: of the constraint; in an exact plan of a joint constraint, or `whole_flight`.
         kind: limits on the final covariance are of the kind `covariance`.
-        worst_margin: >= 0 where satisfied. In P2 what is left of the distance to the facet after the
-            quantile times the standard deviation, in P3 the mean's distance to the region. Of the kind
-            `joint` how many standard deviations the probability is above the one aimed at, on the
-            normal quantile scale.
+        worst_margin: >= 0 where satisfied. In P2 the distance to the facet less the quantile times
+            the standard deviation, in P3 the mean's distance to the region. Of the kind `joint` the
+            probability's quantile less the target's, in standard deviations.
         unit: of the margin.
         worst_t_s: its time.
-        facets: their number at that node.
+        facets: number of facets at that node.
     """
 
     name: Line
@@ -84,13 +83,13 @@ class ViolationAmount:
 
 @dataclass(frozen=True)
 class Violation:
-    """What the buffers hold above the tolerance; nothing where the plan is feasible.
+    """Violations above the tolerance; none if the plan is feasible.
 
     Attributes:
         max: the largest, m; velocities count as metres per unit of time, a standard deviation as a unit
             of length.
         total: their sum.
-        by_constraint: each constraint that is violated.
+        by_constraint: violation of each violated constraint.
     """
 
     max: Annotated[float, Field(ge=0)]
@@ -100,7 +99,7 @@ class Violation:
 
 @dataclass(frozen=True, kw_only=True)
 class Figures:
-    """The figures that a file carries beside its facts, all of them computed from these.
+    """The figures that a file carries beside its facts, all computed from them.
 
     Attributes:
         total_dv_m_s: sum of the burns' sizes.
@@ -127,7 +126,7 @@ class Rows(NamedTuple):
 
 
 def figures_of(mission: Mission, facts: Facts) -> Figures:
-    """Every figure, from the facts alone, whose nodes are those of the mission of their scenario."""
+    """Compute all figures from the facts alone; `mission` is that of their scenario."""
     rows = rows_of(mission, facts)
     return Figures(
         total_dv_m_s=total_dv(facts),
@@ -187,7 +186,7 @@ def _burn_rows(mission: Mission, facts: Facts) -> dict[str, tuple[Array, Array]]
 def _facet_rows(
     facts: Facts, facets: FacetTable, position: Array
 ) -> dict[str, tuple[Indices, Array]]:
-    """Nodes and margins of the facets by constraint: room less quantile times deviation, m."""
+    """Nodes and margins of the facets by constraint: distance less quantile times deviation, m."""
     normal, node = np.array(facets.normal).reshape(-1, 3), np.array(facets.node, dtype=np.intp)
     covariance = np.array(facts.nodes.covariance)[node, :3, :3]
     variance = np.einsum("mi,mij,mj->m", normal, covariance, normal)
@@ -215,7 +214,7 @@ FINAL_SIGMAS: tuple[tuple[str, slice, Literal["m", "m/s"]], ...] = (
 
 
 def final_sigma_limits(mission: Mission) -> dict[str, float]:
-    """Limits on the covariance after the last burn that a scenario has, m and m/s."""
+    """A scenario's limits on the covariance after the last burn, m and m/s."""
     boundary = mission.scenario.boundary
     limits = boundary.final_sigma_position_m, boundary.final_sigma_velocity_m_s
     named = zip(FINAL_SIGMAS, limits, strict=True)
@@ -223,7 +222,7 @@ def final_sigma_limits(mission: Mission) -> dict[str, float]:
 
 
 def final_sigma_rows(mission: Mission, facts: Facts) -> dict[str, Rows]:
-    """Limits less the roots of the summed variances at the last node."""
+    """Margins of these limits: limit less root of the summed variances at the last node."""
     variances, limits = np.diag(np.array(facts.nodes.covariance[-1])), final_sigma_limits(mission)
     end = np.array(facts.nodes.t_s[-1:])
     return {
@@ -239,7 +238,7 @@ def final_sigma_rows(mission: Mission, facts: Facts) -> dict[str, Rows]:
 
 
 def _result(name: str, rows: Rows, facts: Facts) -> ConstraintResult:
-    """The smallest margin, and how many facets are at its node."""
+    """The smallest margin, and the number of facets at its node."""
     worst = int(np.argmin(rows.margin))
     return ConstraintResult(
         name=name,
@@ -278,9 +277,9 @@ def _violation(mission: Mission, facts: Facts, rows: dict[str, Rows]) -> Violati
 def _amounts(
     mission: Mission, facts: Facts, rows: dict[str, Rows]
 ) -> dict[str, tuple[Unit, Array]]:
-    """Signed violations by constraint, negative where there is room, and of the final state.
+    """Signed violations by constraint, negative where there is slack, and of the final state.
 
-    Nodes that do not follow from one another count to the final state.
+    Defects between nodes count to the final state.
     """
     states, units = np.array(facts.nodes.state), mission.units
     with np.errstate(all="ignore"):
@@ -296,7 +295,7 @@ def _amounts(
 
 
 def _summed(parts: dict[str, ViolationAmount], units: Units) -> Violation:
-    """All of them in metres: velocities over a unit of time, sigmas as units of length."""
+    """The sum in metres: velocities over a unit of time, sigmas as units of length."""
     scale = scales(units)
     metres = {name: units.length_m / scale[part.unit] for name, part in parts.items()}
     most = max((part.max * metres[name] for name, part in parts.items()), default=0.0)
@@ -305,14 +304,14 @@ def _summed(parts: dict[str, ViolationAmount], units: Units) -> Violation:
 
 
 def finite(value: float) -> float:
-    """A diverged figure as the largest number there is: JSON knows no infinity."""
+    """A figure with infinity replaced by the largest number: JSON has no infinity."""
     return float(np.nan_to_num(value, nan=np.finfo(float).max))
 
 
 def strange_times(
     mission: Mission, burn_times_s: Sequence[float], node_times_s: Sequence[float]
 ) -> list[str]:
-    """Which of a plan's times, s, are not its mission's: of `burns.t_s` and `nodes.t_s`.
+    """Names of a plan's times, `burns.t_s` or `nodes.t_s`, that are not its mission's.
 
     The window's edges are found by a root search, so that nodes agree within `TIME_ERROR_S`. Burns,
     and the nodes they fall on, are at the scenario's own numbers, to the last bit.
@@ -375,7 +374,7 @@ def _is_of_scenario(risk: Risk, mission: Mission) -> bool:
 
 
 def _is_result(reported: ConstraintResult, rows: Rows, facts: Facts) -> bool:
-    """Whether kind, unit and facets are right, and the margin is the smallest, at its time."""
+    """Whether kind, unit and facets agree, and the margin is the smallest, at its time."""
     there = np.abs(rows.times - reported.worst_t_s) <= TIME_ERROR_S
     least = np.array([rows.margin.min(), rows.margin[there].min(initial=np.inf)])
     if (reported.kind, reported.unit) != (rows.kind, rows.unit):
@@ -386,7 +385,7 @@ def _is_result(reported: ConstraintResult, rows: Rows, facts: Facts) -> bool:
 
 
 def _amount_errors(units: Units, facts: Facts) -> dict[Unit, float]:
-    """Errors allowed of an amount by unit: the tolerance, and the rounding of margins."""
+    """Allowed errors of an amount by unit: the tolerance, and the rounding of margins."""
     stage = facts.tolerance is None and facts.risk is not None
     none = max(TOLERANCE, STAGE_TOLERANCE if stage else tolerance_of(facts))
     return {
@@ -395,7 +394,7 @@ def _amount_errors(units: Units, facts: Facts) -> dict[Unit, float]:
 
 
 def _is_amount(reported: ViolationAmount | None, unit: Unit, amount: Array, error: float) -> bool:
-    """Whether a carried amount is that of the rows, within an error."""
+    """Whether a carried amount agrees with the rows within an error."""
     used = np.maximum(amount, 0.0)
     if reported is None:
         return bool(used.max(initial=0.0) <= error)

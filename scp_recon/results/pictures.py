@@ -1,4 +1,4 @@
-"""Pictures for files, by Matplotlib: formats, metadata, legends; wants the extra [report].
+"""Make picture files with Matplotlib: formats, metadata, legends; needs the extra [report].
 
 The charts of commands and campaigns and the figures of `paper_figs` are drawn with it.
 """
@@ -19,17 +19,17 @@ HOUR_S = 3600.0
 
 
 def sheet(height_in: float, width_in: float = WIDTH_IN, dpi: float = 130) -> Figure:
-    """An empty figure that makes room for its own words."""
+    """An empty figure whose layout makes room for its labels."""
     return Figure(figsize=(width_in, height_in), layout="constrained", dpi=dpi)
 
 
 def plain(text: str) -> str:
-    """A name as it is, in which Matplotlib finds no formula."""
+    """A name escaped so that Matplotlib finds no formula in it."""
     return text.replace("$", r"\$")
 
 
 def legend(figure: Figure, ncols: int, loc: str = "outside upper center", **look: Any) -> None:
-    """Name what all panels show, each label once, beside the panels."""
+    """Add one legend for all panels, each label once, beside the panels."""
     named = {
         label: handle
         for axes in figure.axes
@@ -39,10 +39,10 @@ def legend(figure: Figure, ncols: int, loc: str = "outside upper center", **look
 
 
 def check_ending(ending: str, entry: str, given: str) -> None:
-    """Refuse an ending, with its dot, that is no picture's; messages name the entry.
+    """Refuse a file ending, with its dot, of no picture format; messages name the entry.
 
     Raises:
-        InputError: naming the endings that there are.
+        InputError: naming the endings allowed.
     """
     known = Figure().canvas.get_supported_filetypes()
     if ending.lower().removeprefix(".") not in known:
@@ -53,10 +53,10 @@ def check_ending(ending: str, entry: str, given: str) -> None:
 def picture(
     figure: Figure, ending: str = ".png", *, plan_hash: str | None = None, dpi: float | None = None
 ) -> bytes:
-    """A figure in the format of an ending, with its dot; the same bytes every time.
+    """A figure in the format of a file ending, with its dot; the same bytes every time.
 
-    A plan's hash is kept in the metadata of PNG, PDF and SVG. Dots per inch are the figure's or the
-    style's where none are given.
+    A plan's hash is kept in the metadata of PNG, PDF and SVG. Dots per inch are by default the
+    figure's or the style's.
     """
     ending, plan = ending.lower(), f"plan {plan_hash}" if plan_hash else None
     metadata: dict[str, dict[str, str | None]] = {

@@ -44,10 +44,10 @@ FileKind = TypeVar("FileKind", bound=File)
 
 
 def read_file(path: Path, kind: type[FileKind], schemas: Sequence[str], noun: str) -> FileKind:
-    """Read a file whose entry `schema` is one of some, the newest last; messages use the noun.
+    """Read a file whose entry `schema` is one of `schemas`, the newest last; messages use the noun.
 
     Raises:
-        InputError: if there is none, it is of another version, or it is damaged.
+        InputError: if the file is missing, damaged or of another version.
     """
     return parse_file(read_json(path, noun), kind, schemas, f"{noun} {path}")
 
@@ -62,7 +62,7 @@ def read_json(path: Path, noun: str) -> Any:
     """Parse a file of JSON; messages call it by the noun.
 
     Raises:
-        InputError: if there is none, or it is no JSON.
+        InputError: if the file is missing, or is not JSON.
     """
     text = read_text(path, f"{noun} {path}", f"{noun} file in JSON")
     try:
@@ -96,12 +96,12 @@ def read_solution(path: Path) -> Solution:
     """Read a solution file, or the one in a folder; `runs/latest` is that of the last finished run.
 
     A file whose scenario or burns were changed after it was written, or whose figures do not follow
-    from its facts, is read, but as one that is not verified, with a warning: its margins and its
-    verification are of another plan.
+    from its facts, is read as not verified, with a warning: its margins and its verification are of
+    another plan.
 
     Raises:
-        InputError: if there is none, it is of another version, it is damaged, or its parts do not
-            fit together.
+        InputError: if the file is missing, damaged, of another version, or its parts contradict
+            each other.
     """
     path = resolve_run(path)
     file = path / FILE_NAME if path.is_dir() else path
@@ -138,7 +138,7 @@ def read_solution(path: Path) -> Solution:
 
 
 def parse_solution(data: Any, named: str) -> Solution:
-    """The content of a file of this schema or an older one, its shape checked, held to no scenario.
+    """Parse the content of a file of this schema or an older one, without checks against its scenario.
 
     Keys that a later version added are ignored.
 
@@ -187,7 +187,7 @@ def _as_today(data: dict[str, Any]) -> dict[str, Any]:
 def _with_quantiles(
     event: EventProbability, target: float, reported: ConstraintResult | None
 ) -> EventProbability:
-    """An older file's event with quantiles; of probabilities that are one its margin tells more."""
+    """An older file's event with quantiles; where probabilities round to one, from its margin."""
     if event.sigma is not None:
         return event
     sigma, least = event.quantiles, min(event.probability)
@@ -209,7 +209,7 @@ def _doubted(solution: Solution, file: Path, failed: list[str], given: str, why:
 
 
 def _strange(solution: Solution) -> list[str]:
-    """Entries that contradict the scenario's grid or units, even on another machine."""
+    """Entries that contradict the scenario's grid or units by more than machines differ."""
     assert solution.carried is not None
     units, expected, facets = solution.carried.units, solution.units, solution.facets
     found = strange_times(solution.mission, [b.t_s for b in solution.burns], solution.nodes.t_s)

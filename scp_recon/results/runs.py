@@ -1,7 +1,7 @@
-"""Folders of runs: where a result goes that has no folder of its own, and which one is the latest.
+"""Folders of runs, for results without a folder of their own, and the pointer to the latest one.
 
-`runs/NAME/UTC` holds one run. `runs/latest` points to the last finished one: a symbolic link, or where
-there are none a text file with the folder's path from `runs`.
+`runs/NAME/UTC` holds one run. `runs/latest` points to the last finished one: a symbolic link, or if the
+system has none a text file with the folder's path from `runs`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NAME_MAX, POINTER_MAX = 80, 1000
 
 
 def new_run(name: str, root: Path = RUNS) -> Path:
-    """Make the folder `root/NAME/UTC`, which nobody else has; odd characters are replaced.
+    """Make a new folder `root/NAME/UTC`; odd characters are replaced.
 
     Raises:
         InputError: if it cannot be made.
@@ -49,9 +49,9 @@ def _folder_name(name: str) -> str:
 
 
 def point_to(folder: Path, root: Path = RUNS) -> None:
-    """Let `root/latest` point to a run's folder, at once or not at all.
+    """Let `root/latest` point to a run's folder, atomically.
 
-    A folder of that name, which earlier versions wrote to, is kept under another.
+    A folder of that name, which earlier versions wrote to, is renamed.
 
     Raises:
         InputError: if neither a link nor a file can be written.
@@ -74,7 +74,7 @@ def point_to(folder: Path, root: Path = RUNS) -> None:
 
 
 def resolve_run(path: Path) -> Path:
-    """The folder that a pointer leads to, or the path itself; resolve it once to stay with one run."""
+    """The folder that a pointer leads to, or the path itself; resolve once to stay with one run."""
     try:
         if path.is_symlink() and path.is_dir():
             return path.parent / path.readlink()
@@ -93,5 +93,5 @@ def folder_of(path: Path) -> Path:
 
 
 def is_pointer(path: Path) -> bool:
-    """Whether a path is `latest` and points elsewhere, so that it is no folder to write to."""
+    """Whether a path is the pointer `latest`, which is no folder to write to."""
     return path.name == LATEST and resolve_run(path) != path

@@ -1,4 +1,4 @@
-"""A plan as it is stored: its facts, the figures that follow from them, and the text of its file."""
+"""A stored plan: its facts, figures computed from them, and the text of its file."""
 
 from __future__ import annotations
 
@@ -60,9 +60,9 @@ NOT_OPTIMISED = "none"
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Solution(Facts):
-    """A stored plan: its facts, and figures as properties that are computed from them when asked for.
+    """A stored plan: its facts, and figures as properties computed from them on access.
 
-    `carried` holds what the file said in place of the figures; it is no part of the plan.
+    `carried` holds the figures that the file had; it is no part of the plan.
     """
 
     carried: Figures | None = field(default=None, compare=False)
@@ -73,7 +73,7 @@ class Solution(Facts):
         return f"<Solution {self.scenario.name}: {self.status}, {verdict}, {self.total_dv_m_s:.6f} m/s>"
 
     def __getstate__(self) -> dict[str, object]:
-        """Its fields; a copy computes the figures again."""
+        """The fields without cached figures, which a copy computes again."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
@@ -107,7 +107,7 @@ class Solution(Facts):
 
     @property
     def units(self) -> Units:
-        """Of the nondimensional problem."""
+        """Units of the nondimensional problem."""
         return self.mission.units
 
     @property
@@ -123,16 +123,16 @@ class Solution(Facts):
 
     @property
     def plan_hash(self) -> str:
-        """SHA-256 of scenario and burns, to the last bit, in hexadecimal; of nothing else."""
+        """SHA-256, hexadecimal, of scenario and burns alone, to the last bit."""
         return plan_hash(self.scenario, self.burns)
 
     def with_verification(self, verification: Verification | None) -> Solution:
-        """The same plan with a verdict; what was resolved of it stays."""
+        """The same plan with a verification; its resolved mission is kept."""
         judged = replace(self, verification=verification)
         return _resolved(judged, self.__dict__.get("mission"))
 
     def document(self) -> dict[str, Any]:
-        """The file's content but for schema and hash: figures and facts, under the file's keys."""
+        """The file's content without schema and hash: figures and facts, by the file's keys."""
         facts, figures = (
             adapter(kind).dump_python(value, mode="json", by_alias=True)
             for kind, value in ((Facts, self), (Figures, self.figures))
@@ -144,7 +144,7 @@ class Solution(Facts):
         """The file's text: one top-level key a line.
 
         Raises:
-            ValueError: if a number is not finite, which JSON does not know.
+            ValueError: if a number is not finite: JSON has none.
         """
         entries = {"schema": SCHEMA, HASH: self.plan_hash} | self.document()
         lines = [
@@ -154,7 +154,7 @@ class Solution(Facts):
         return "{\n" + ",\n".join(lines) + "\n}\n"
 
     def write(self, folder: Path, name: str = FILE_NAME) -> Path:
-        """Write it into a folder that is there; an old file stays whole until the new one is.
+        """Write the file into an existing folder, atomically.
 
         Raises:
             OSError: if the folder cannot be written.
@@ -180,10 +180,10 @@ def plan_hash(scenario: Scenario, burns: Sequence[Burn]) -> str:
 
 
 def require_whole_flight(scenario: Scenario, entry: str) -> None:
-    """Refuse a plan that begins in flight where only a whole one serves.
+    """Refuse a plan made in flight where a whole one is needed.
 
     Raises:
-        InputError: if it does.
+        InputError: if the plan begins in flight.
     """
     if scenario.in_flight is not None:
         raise InputError(
@@ -231,7 +231,7 @@ def make_solution(plan: Plan) -> Solution:
 
 
 def burns_of_plan(plan: Plan) -> list[Burn]:
-    """Its burns as the file has them."""
+    """A plan's burns as the file holds them."""
     timed = zip(plan.mission.scenario.burn_times_s, plan.burns_m_s.tolist(), strict=True)
     return [Burn(time, (x, y, z)) for time, (x, y, z) in timed]
 
@@ -309,9 +309,9 @@ def _timing(plan: Plan) -> PlanTiming:
 
 
 def evaluated(mission: Mission, burns_m_s: Array, init: str, message: str) -> Solution:
-    """Given burns, J2000, shape (m, 3), as a solution: rolled out, P3's margins, not optimised.
+    """Evaluate given burns, J2000, m/s, shape (m, 3), without optimising: a solution with P3's margins.
 
-    The file says where they come from in `init`, and the message.
+    `init` and `message` say in the file where the burns come from.
     """
     from scp_recon.planning.initial_guess import (
         from_burns,  # SciPy's integrators: readers need none

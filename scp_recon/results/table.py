@@ -1,4 +1,4 @@
-"""One table, built once and rendered for the terminal, a page, Markdown, CSV and JSON.
+"""Build a table once and render it for the terminal, a page, Markdown, CSV and JSON.
 
 A cell has a text for people and the value behind it for programs: terminal, page and Markdown show the
 texts, CSV and JSON hold the values to the last digit. The terminal's renderer is in `cli/tables.py`.
@@ -25,10 +25,10 @@ class Column:
     """A column of a table.
 
     Attributes:
-        heading: without the unit.
-        unit: of all its values; empty if they have none or each its own.
-        form: how figures that are not whole are written, as `format` takes it.
-        name: in CSV and JSON; by default made of heading and unit.
+        heading: heading without the unit.
+        unit: unit of all values; empty if they have none or each its own.
+        form: format specification of figures that are not whole numbers.
+        name: name in CSV and JSON; by default made of heading and unit.
     """
 
     heading: str
@@ -43,11 +43,11 @@ class Column:
 
     @property
     def key(self) -> str:
-        """In CSV and JSON, such as `size_m_s`."""
+        """Name in CSV and JSON, such as `size_m_s`."""
         return self.name or re.sub(r"\W+", "_", f"{self.heading} {self.unit}".lower()).strip("_")
 
     def cell(self, value: object, style: str = "") -> Cell:
-        """A value, a cell or NumPy's scalar as a cell of this column; nothing is an empty one.
+        """Make a cell of this column from a value, a NumPy scalar or a cell; None is an empty cell.
 
         Raises:
             TypeError: if it is anything else.
@@ -115,7 +115,7 @@ class Table:
         key: str = "",
         note: str = "",
     ) -> Table:
-        """A table of rows of values, or of cells where the column's form does not suit.
+        """Make a table from rows of values, or of cells where the column's form does not suit.
 
         A column that is a mere heading has neither unit nor form.
         """
@@ -130,7 +130,7 @@ class Table:
         records: Sequence[Mapping[str, Value]],
         forms: Mapping[str, str] | None = None,
     ) -> Table:
-        """A table of records, with a column for each key of any of them, and forms of figures by key.
+        """Make a table from records, with a column for each key of any, and forms of figures by key.
 
         A record that lacks a key has an empty cell.
         """
@@ -140,7 +140,7 @@ class Table:
 
     @property
     def sides(self) -> list[Literal["left", "right"]]:
-        """Where each column's cells stand: words to the left, to the right where any is a figure."""
+        """Alignment of each column: right if any cell is a figure, else left."""
         values = [[row[i] for row in self.rows if row[i].text] for i in range(len(self.columns))]
         return [
             "left" if cells and not any(cell.is_number for cell in cells) else "right"
@@ -148,7 +148,7 @@ class Table:
         ]
 
     def without(self, *headings: str) -> Table:
-        """The same without some columns."""
+        """The table without some columns."""
         kept = [i for i, column in enumerate(self.columns) if column.heading not in headings]
         return replace(
             self,
@@ -157,7 +157,7 @@ class Table:
         )
 
     def with_rows(self, rows: Iterable[Sequence[object]]) -> Table:
-        """The same with more rows at the end."""
+        """The table with more rows at the end."""
         more = Table.of(self.title, self.columns, rows)
         return replace(self, rows=self.rows + more.rows)
 
