@@ -1,4 +1,4 @@
-"""Many plans: the cases of a study, and what is done with each of them."""
+"""Run campaigns: do with each case of a study what the study says."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def run_campaign(
 
 
 def work_of(study: Study) -> StudyWork:
-    """What the cases of a study come to.
+    """Make the work of a study's cases.
 
     Raises:
         InputError: if the extra is missing that it needs.
@@ -146,9 +146,9 @@ def work_of(study: Study) -> StudyWork:
 
 @dataclass(frozen=True)
 class StudyWork:
-    """Does with each case what its campaign says: a `run.CaseWork`.
+    """Plans, designs, certifies, flies or simulates a case, as its campaign says: a `run.CaseWork`.
 
-    Cases change the base, and the files that they name are relative to the folder.
+    Cases change the base; files that they name are relative to the folder.
     """
 
     base: Scenario
@@ -156,7 +156,7 @@ class StudyWork:
     campaign: Campaign
 
     def __call__(self, case: Case, /) -> Row:
-        """Plan, verify, and what else is to be done.
+        """Plan and verify a case, and fly or simulate it if the campaign says so.
 
         Raises:
             InputError: if the case is no mission.
@@ -221,14 +221,14 @@ def designed(scenario: Scenario) -> tuple[Plan | None, dict[str, Any]]:
 
 
 def binding(stage: Stage) -> str:
-    """The limit that is broken most, in the units of the problem; the final state where none is."""
+    """The limit violated most, in the problem's units; the final state if none is violated."""
     least = {name: float(margins.margin.min()) for name, margins in stage.margins.items()}
     name = min(least, key=least.__getitem__)
     return name if least[name] < 0.0 else FINAL_STATE
 
 
 def planned_row(solution: Solution, verification: Verification) -> dict[str, Any]:
-    """What a plan is worth."""
+    """Columns of a plan and its verification."""
     lowest = min(verification.probabilities, key=lambda p: p.estimate, default=None)
     return {
         "status": solution.status,
@@ -244,7 +244,7 @@ def planned_row(solution: Solution, verification: Verification) -> dict[str, Any
 
 
 def certified_row(found: Plan) -> dict[str, Any]:
-    """What flights reached."""
+    """Columns of a certificate."""
     reached = found.certificate
     if reached is None:
         return {"aim": found.target}
@@ -257,7 +257,7 @@ def certified_row(found: Plan) -> dict[str, Any]:
 
 
 def flown_row(found: Plan, solution: Solution, samples: int, seed: int) -> dict[str, Any]:
-    """What many flights found."""
+    """Columns of many flights."""
     summary = flown_summary(Opened(found.mission, solution), FlyOptions(samples, seed=seed))
     joint = {name: found for name, found in summary.probability.items() if name != ALL}
     name, lowest = min(joint.items(), key=lambda item: item[1].estimate.value, default=(None, None))
@@ -274,7 +274,7 @@ def flown_row(found: Plan, solution: Solution, samples: int, seed: int) -> dict[
 
 
 def simulated_row(solution: Solution, seed: int) -> dict[str, Any]:
-    """How the spacecraft in the loop flew it."""
+    """Columns of a simulated flight."""
     from scp_recon.simulation.record import shortfalls as of_simulation
     from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
 

@@ -1,4 +1,4 @@
-"""Charts that commands write: lighting windows, a design's delta-v over its phases, a plan's primer."""
+"""Draw the charts of commands: lighting windows, delta-v over a design's phases, a plan's primer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole pass from a home orbit: its phases and times found, and then planned as any mission."""
+"""Design a whole pass from a home orbit: find its phases and times, and plan it as any mission."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def design(
 
 
 def design_options(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
-    """How the pass of a design is planned.
+    """Options with which the pass of a design is planned.
 
     Raises:
         InputError: if flights cannot certify it.
@@ -113,10 +113,10 @@ def find_pass(scenario: Scenario, observe: Callable[[Trial], None] = lambda _: N
 def plan_pass(
     found: Design, mission: Mission, options: PlanOptions, observe: PlanObserver | None = None
 ) -> Plan:
-    """The plan of a pass that was found, begun at its burns.
+    """Plan a designed pass, started from its burns.
 
     Args:
-        found: it.
+        found: the design.
         mission: of its scenario.
         options: see `design_options`.
         observe: is told how it goes on.

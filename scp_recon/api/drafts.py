@@ -1,4 +1,4 @@
-"""A first scenario for a site and a body, or about another tool's trajectory, planned and written."""
+"""Draft, plan and write a first scenario for a site and a body, or about another tool's trajectory."""
 
 from __future__ import annotations
 
@@ -281,7 +281,7 @@ def new(
 
 
 def _numbers(name: str, given: object) -> tuple[float, ...] | None:
-    """As many finite numbers as `LISTS` says; None of what may be left out."""
+    """Check a list of finite numbers of the length in `LISTS`; None if it may be left out and is."""
     if given is None and name in OF_A_BODY:
         return None
     try:
@@ -298,7 +298,7 @@ def _file(name: str, given: str | Path | None) -> Path | None:
 
 
 def _planned(draft: Draft, mission: Mission, guess: Iterate, init: str = "cold") -> NewScenario:
-    """The draft with its plan; on the grid that planning took, where it had to refine it."""
+    """The draft with its plan, on the grid that planning may have refined."""
     plan = plan_mission(mission, guess, PlanOptions(), init=init)
     step = plan.mission.scenario.grid.step_max_s
     if step != mission.scenario.grid.step_max_s:

@@ -1,4 +1,4 @@
-"""Scenarios and dates, however they are given."""
+"""Read the inputs that functions share: scenarios, overrides and dates."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scp_recon.scenario.schema import Scenario
 
 
 def scenario_of(given: Scenario | str | Path, overrides: Sequence[str] = ()) -> Scenario:
-    """A scenario, by itself, by name, or from its file.
+    """The scenario given as itself, by name, or by its file.
 
     Args:
         given: any of these.
@@ -41,10 +41,10 @@ def scenarios() -> dict[str, Scenario]:
 
 
 def check_overrides(given: object) -> None:
-    """Refuse what is no list of changes to a scenario.
+    """Refuse overrides that are not a list of `section.entry=value`.
 
     Raises:
-        InputError: if it is none.
+        InputError: if they are not.
     """
     if isinstance(given, list | tuple) and all(isinstance(text, str) for text in given):
         return
@@ -52,10 +52,10 @@ def check_overrides(given: object) -> None:
 
 
 def date_in_tdb(entry: str, given: datetime | str | None, *, utc: bool = False) -> datetime | None:
-    """A date in TDB, of one in UTC if asked.
+    """A date in TDB, converted from UTC if `utc`.
 
     Raises:
-        InputError: if it is none.
+        InputError: if it is no date.
     """
     if given is None:
         return None

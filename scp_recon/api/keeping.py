@@ -1,4 +1,4 @@
-"""Write a plan without losing another: what the folder of a run holds belongs to one plan.
+"""Write a plan into a run's folder, whose files all belong to one plan, without losing another.
 
 A verified plan is overwritten only by a verified one. Another is written beside it, under a name of its
 own.
@@ -25,7 +25,7 @@ OLD = "old_"
 
 @contextmanager
 def run_folder(out: Path | None, name: str) -> Iterator[Path]:
-    """The folder of a run, which no other run writes to meanwhile; an empty one of ours is removed.
+    """Yield the folder of a run, locked against other runs; a new one that stays empty is removed.
 
     Args:
         out: as the user gave it.
@@ -67,7 +67,7 @@ def point_latest(out: Path | None, folder: Path, status: int) -> None:
 
 
 def keep_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
-    """Write a plan into a folder, and set aside what is there of other plans.
+    """Write a plan into a folder, and set aside results of other plans there.
 
     Returns:
         The file, and results of other plans under the names that they have now.
@@ -83,7 +83,7 @@ def keep_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
 
 
 def write_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
-    """`keep_plan` for a command, whose --out the folder is.
+    """Write a plan by `keep_plan` into a command's --out.
 
     Raises:
         InputError: if the folder cannot be written.
@@ -95,7 +95,7 @@ def write_plan(solution: Solution, folder: Path) -> tuple[Path, list[Path]]:
 
 
 def check_holds(folder: Path, solution: Solution, entry: str) -> None:
-    """Refuse to put what is made of a plan beside another plan.
+    """Refuse to write results of a plan beside another plan.
 
     Args:
         folder: where it would go.
@@ -122,7 +122,7 @@ def _holds_verified(folder: Path) -> bool:
 
 
 def _set_aside(solution: Solution, folder: Path) -> list[Path]:
-    """Results of other plans, or of nobody knows which, under another name."""
+    """Rename results of other or unknown plans."""
     results = (folder / "montecarlo.json", folder / "simulation.npz")
     return [
         path.replace(folder / f"{OLD}{path.name}")
@@ -132,7 +132,7 @@ def _set_aside(solution: Solution, folder: Path) -> list[Path]:
 
 
 def _plan_hash(path: Path) -> str | None:
-    """Of the plan that a result says it is of; None where it cannot be read."""
+    """Hash of a result's plan; None if it cannot be read."""
     from scp_recon.monte_carlo.summary import read_summary  # not where there are no results
     from scp_recon.simulation.record import read_record
 

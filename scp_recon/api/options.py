@@ -1,4 +1,4 @@
-"""How a plan is to be made: every option of planning, with its range and what it goes with."""
+"""Options of planning, with their ranges and the rules between them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _OF_STARTS = ("seed", "workers")
 
 @dataclass(frozen=True)
 class PlanOptions:
-    """The options of planning; None where the default is to serve.
+    """The options of planning; None means the default.
 
     Attributes: those that `api.planning.plan` describes.
 
@@ -94,16 +94,16 @@ class PlanOptions:
 
     @property
     def variant(self) -> str:
-        """Of the nonlinear program."""
+        """Variant of the nonlinear program."""
         return self.formulation or VARIANT
 
     def is_certified(self, scenario: Scenario) -> bool:
-        """Whether flights have to certify the probability of a plan of a scenario."""
+        """Whether flights must certify the probability of a scenario's plan."""
         exact = scenario.risk.allocation == "exact" and self.problem == "P2"
         return exact and self.certify is not False
 
     def check(self, scenario: Scenario) -> None:
-        """Refuse what does not go with a scenario's risk and burns.
+        """Refuse options that do not suit a scenario's risk and burns.
 
         Raises:
             InputError: naming the option, what was given and what is allowed.
@@ -137,7 +137,7 @@ class PlanOptions:
             flights_needed(scenario.risk.p_chance)
 
     def _check_ipopt(self) -> None:
-        """Refuse options of sequential convex programming, and a program that is not known."""
+        """Refuse options of sequential convex programming, and an unknown variant."""
         usual = PlanOptions()
         for name in _OF_SCP:
             if (given := getattr(self, name)) != getattr(usual, name):
@@ -149,7 +149,7 @@ class PlanOptions:
             one_of(option("formulation"), self.formulation, VARIANTS)
 
     def _check_starts(self) -> None:
-        """Refuse what goes with several starts only, or not with them."""
+        """Refuse options that need several starts, or do not allow them."""
         if (self.starts or 1) == 1:
             for name in _OF_STARTS:
                 if (given := getattr(self, name)) is not None:

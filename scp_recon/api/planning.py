@@ -1,4 +1,4 @@
-"""Planning: the one place that decides by which method, from how many starts, and whether certified."""
+"""Plan by the method, the number of starts and the certification that options say; the only place."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class PlanObserver(Protocol):
 
 
 class Known(TypedDict, total=False):
-    """What is known of a mission's plan before it is made: arguments of `planner.plan`."""
+    """Arguments of `planner.plan` that are known before planning."""
 
     target: float | None
     p3_resolution: float
@@ -101,7 +101,7 @@ def _planned(
     init: str,
     known: Known,
 ) -> Plan:
-    """By the method, and from as many starts, as options say."""
+    """Plan by the method and from the number of starts that options say."""
     if options.method == "ipopt":
         from scp_recon.planning import ipopt  # CasADi takes a second to import
 
@@ -123,7 +123,7 @@ def _planned(
 
 @dataclass(frozen=True)
 class _ByScp:
-    """Planning by sequential convex programming, as options ask for it."""
+    """Plans by sequential convex programming, as options say."""
 
     options: PlanOptions
     observe: PlanObserver | None
@@ -131,7 +131,7 @@ class _ByScp:
 
     @property
     def make_plan(self) -> Callable[..., Plan]:
-        """One plan, from one start."""
+        """Make one plan from one start."""
         method = self.options.scp
         return partial(
             planner.plan,
@@ -149,14 +149,14 @@ class _ByScp:
         )
 
     def from_one(self, mission: Mission, start: Iterate, init: str) -> Plan:
-        """From one start, certified where flights have to stand behind the plan."""
+        """Plan from one start, and certify if required."""
         if not self.options.is_certified(mission.scenario):
             return self.make_plan(mission, start, init=init, observe=self.observe)
         watch = self.observe.flights if self.observe else None
         return certify(mission, start, self.aiming(init), watch)
 
     def from_several(self, mission: Mission, start: Iterate, init: str) -> Plan:
-        """The best of several starts; where flights have to stand behind it, certified from there."""
+        """Keep the best plan of several starts, and certify from there if required."""
         best = plan_from_several(
             mission,
             start,
@@ -301,14 +301,14 @@ def inputs(
 
 
 def _called(init: Plan | Solution | str | Path | Array) -> str:
-    """What the solution file calls a start."""
+    """Name of a start in the solution file."""
     if isinstance(init, np.ndarray):
         return "a table"
     return {Plan: "a plan", Solution: "a solution"}.get(type(init), str(init))
 
 
 def _start(mission: Mission, init: Plan | Solution | str | Path | Array) -> Iterate:
-    """The initial guess that a name, a plan, a file or a table of states stands for.
+    """The initial guess by a name, a plan, a file or a table of states.
 
     Args:
         mission: gives the grid and the boundary.
@@ -335,7 +335,7 @@ def _start(mission: Mission, init: Plan | Solution | str | Path | Array) -> Iter
 
 
 def is_solution(path: Path) -> bool:
-    """A folder, or a file of JSON under whatever name: a table never begins with a brace."""
+    """Whether a path is a folder, or a file of JSON by its first brace; tables have none."""
     path = resolve_run(path)
     try:
         if path.is_dir() or path.suffix == ".json":

@@ -1,4 +1,4 @@
-"""Plan what is left of a flight, from a state in it and near the plan that is flown."""
+"""Plan the rest of a flight from a state in it, near the plan that is flown."""
 
 from __future__ import annotations
 
