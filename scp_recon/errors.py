@@ -96,7 +96,7 @@ def _in_python(match: re.Match[str]) -> str:
 
 
 def printable(text: str) -> str:
-    """What a file holds, or is called, goes to the terminal as text and not as a control sequence."""
+    """Escape control characters of a text, so that the terminal shows them and does not obey."""
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
 
 
@@ -124,7 +124,7 @@ class Named(dict[str, Value]):
 
 
 def unknown_name(name: object, known: Iterable[str]) -> str:
-    """What to say of a name that there is not: the nearest, and all that there are."""
+    """Message for an unknown name: the nearest known one, and all of them."""
     names = list(known)
     near = difflib.get_close_matches(str(name), names, n=1)
     meant = f"did you mean {near[0]!r}? " if near else ""
@@ -189,7 +189,7 @@ def imported(entry: str, extra: str, *modules: str) -> Any:
 
 
 def shortened(given: object) -> str:
-    """What was given, on a part of a line."""
+    """A given value, shortened to a part of a line."""
     text = repr(given)
     return text if len(text) <= 80 else f"{text[:77]}..."
 

@@ -65,7 +65,7 @@ def check_writable(folder: Path, name: str, entry: str) -> None:
 
 
 def unwritable(folder: Path, entry: str, error: OSError) -> InputError:
-    """What to say of a folder that cannot be written."""
+    """Error for a folder that cannot be written."""
     reason = (error.strerror or "unwritable").lower()
     return InputError(entry, f"{folder} ({reason})", "must be a folder to write to")
 

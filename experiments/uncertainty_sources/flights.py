@@ -127,7 +127,7 @@ def dispersion(deviation: Array) -> Estimate:
 
 @dataclass(frozen=True)
 class Normality:
-    """How normal a sample is.
+    """Tests of a sample's normality.
 
     Attributes:
         p_value: of Shapiro and Wilk's test, of the first 5000.

@@ -92,7 +92,7 @@ class Measured:
 
     @property
     def normality(self) -> dict[str, Normality]:
-        """Of the final position by axis, if there are enough flights that differ."""
+        """Normality of the final position by axis, if enough flights differ."""
         if len(self.deviation) < NORMAL_MIN or self.rms.value < ROUNDING_M:
             return {}
         return {axis: normality(self.deviation[:, i]) for i, axis in enumerate(AXES)}

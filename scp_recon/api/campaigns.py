@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 class CampaignOutput(NamedTuple):
-    """What `campaign` returns.
+    """Results of `campaign`.
 
     Attributes:
         table: a row a case, as in results.parquet.

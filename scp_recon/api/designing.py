@@ -41,7 +41,7 @@ class Design:
 
     @property
     def message(self) -> str:
-        """What was found, or how far the pass came that came furthest and what stopped it."""
+        """The pass found; or the best one without a plan, and the limit that it violates most."""
         if self.scenario is None:
             return explain_failure(self.best, len(self.trials))
         return f"a pass for {self.best.dv_m_s:.6f} m/s, in {len(self.trials)} plans"

@@ -52,7 +52,7 @@ HEAD_COLUMNS = 98
 
 @dataclass(frozen=True)
 class NewOptions:
-    """What a scenario is drafted for, and from: the arguments of `new`, dates in TDB.
+    """The arguments of `new`, checked; dates in TDB.
 
     Raises:
         InputError: if one is out of its range, one is missing, or one goes not with another.
@@ -110,7 +110,7 @@ class NewOptions:
 
     @property
     def file(self) -> Path:
-        """Of the scenario."""
+        """File of the scenario."""
         return Path(f"{self.name}.toml")
 
     def draft_at(self, epoch: datetime) -> Draft:
@@ -356,7 +356,7 @@ def _track_draft(options: NewOptions, source: str) -> tuple[Draft, Track]:
 
 
 def _outcome(found: NewScenario, options: str = "") -> list[str]:
-    """What the head of the file says of planning it."""
+    """Lines on the outcome of planning, for the head of the file."""
     lines = [f"python -m scp_recon.solve --scenario FILE{options} ended so: {found.verdict}."]
     if found.is_verified:
         return lines

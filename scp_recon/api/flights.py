@@ -41,7 +41,7 @@ from scp_recon.simulation.vehicle import load_vehicle
 
 @dataclass(frozen=True)
 class FlyOptions:
-    """How a plan is flown many times.
+    """The options of `fly`, checked.
 
     Attributes: those that `fly` describes.
 
@@ -129,7 +129,7 @@ def fly(
 
 
 def flown_summary(plan: Opened, options: FlyOptions) -> Summary:
-    """What the flights of a plan come to."""
+    """Fly a plan and summarise its flights."""
     flown = _fly(_config(plan, options), options, Watcher(), None)
     return summarise(flown, plan.solution)
 

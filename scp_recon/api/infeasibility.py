@@ -61,7 +61,7 @@ FREED: dict[str, Callable[[FlybyProblem], FlybyProblem]] = {
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Why a plan is infeasible, and what would be feasible instead.
+    """Diagnosis of an infeasible plan: the limits that bind, and a probability that is feasible.
 
     Attributes:
         without_uncertainty: how P3 ended, at best.

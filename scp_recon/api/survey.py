@@ -1,4 +1,4 @@
-"""When a site is lit, and where burns may be then: the windows of a span, as a table and a chart."""
+"""Find the lighting windows of a span and the legal burn times of each, as a table and a chart."""
 
 from __future__ import annotations
 

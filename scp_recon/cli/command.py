@@ -63,7 +63,7 @@ WIDE = 200
 
 
 class Answer(NamedTuple):
-    """How a command ends: its exit status, and what --json says of it, in SI with units in the keys."""
+    """End of a command: its exit status, and the values for --json, in SI with units in the keys."""
 
     status: int
     document: Mapping[str, Any]
@@ -71,7 +71,7 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class Command:
-    """What `scp-recon NAME` does.
+    """A command, `scp-recon NAME`.
 
     Attributes:
         name: of the command.
@@ -163,7 +163,7 @@ def add_output_options(p: argparse.ArgumentParser) -> None:
 
 
 def flags_of(p: argparse.ArgumentParser) -> dict[str, str]:
-    """What a command's options are called, by the names of the parameters that they stand for."""
+    """Flags of a command's options by the names of their parameters."""
     return {
         action.dest: action.option_strings[-1]
         if action.option_strings
@@ -264,7 +264,7 @@ def _print_document(prog: str, status: int, document: Mapping[str, Any]) -> None
 
 
 def _finite(value: Any) -> Any:
-    """What JSON has no number for becomes null."""
+    """Values with null for figures that are not finite."""
     if isinstance(value, Mapping):
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

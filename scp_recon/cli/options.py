@@ -299,6 +299,6 @@ def _goes_on(name: str, value: str | None, argument: str) -> bool:
 
 
 def _count(text: str) -> int | None:
-    """How many numbers a text is; None if it is anything else."""
+    """Number of numbers in a text; None if it holds anything else."""
     found = [number(part) for part in text.replace(",", " ").split()]
     return len(found) if all(isinstance(x, float) for x in found) else None

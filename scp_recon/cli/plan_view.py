@@ -131,7 +131,7 @@ def show_solution(console: Console, solution: Solution) -> None:
 
 
 def frame_and_time(scenario: Scenario) -> str:
-    """What the components and the times of a plan's tables count along and from."""
+    """Frame of the components and epoch of the times in a plan's tables, in words."""
     epoch = scenario.epoch.tdb
     said = f"x, y, z along J2000; times from {epoch.isoformat(timespec='milliseconds')} TDB"
     with suppress(InputError):  # there is no UTC before 1972

@@ -67,7 +67,7 @@ Tables = Mapping[str, Sequence[Entry]]
 
 @dataclass(frozen=True)
 class Draft:
-    """What a scenario file is written from.
+    """The data of a drafted scenario file.
 
     Attributes:
         name: of the scenario.

@@ -153,7 +153,7 @@ class Session:
             ) from None
 
     def room(self) -> int:
-        """How many more jobs may be sent."""
+        """Number of jobs that may still be sent."""
         if self._cluster.ahead is not None:
             return max(0, self._cluster.ahead - len(self.out))
         if monotonic() - self._looked > LOOK_S:

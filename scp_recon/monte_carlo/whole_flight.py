@@ -190,7 +190,7 @@ class _Arcs:
 
 
 def may_dip(times: Array, margin: Array) -> Array:
-    """By how much margins may dip below, or rise above, the line between two looks, (n - 1, ...).
+    """Bound on how far margins dip below, or rise above, the line between two looks, (n - 1, ...).
 
     From the looks' times (n,) and margins (n, ...), by second differences about both: see `BENDS`.
     """

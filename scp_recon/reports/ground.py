@@ -1,4 +1,4 @@
-"""Where the spacecraft passes over the ground, and what its camera sees of it. Body-fixed, m."""
+"""Compute the ground track and the camera's footprints. Body-fixed, m."""
 
 from __future__ import annotations
 

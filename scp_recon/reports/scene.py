@@ -90,7 +90,7 @@ def frame_of(plans: Sequence[Shown]) -> Frame:
 
 
 def arrows_of(frame: Frame, subject: Subject) -> tuple[Array, Array]:
-    """Where the burns' arrows start and end, shape (m, 3) each."""
+    """Starts and ends of the burns' arrows, shape (m, 3) each."""
     solution = subject.solution
     sizes = np.linalg.norm(solution.burns_m_s, axis=1)
     scale = frame.arrow_m / max(float(sizes.max()), 1e-12)

@@ -16,7 +16,7 @@ class Outcome(NamedTuple):
 
 
 class Status(Enum):
-    """How a stage or a plan ended; each member is its own message."""
+    """Ways in which a stage or a plan ends; each member is its own message."""
 
     CONVERGED = Outcome(
         "converged",

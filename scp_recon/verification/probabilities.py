@@ -81,7 +81,7 @@ def _bears_out(required: float, risk: Risk, probabilities: list[JointProbability
 
 
 def joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability]:
-    """By Monte Carlo at the window's nodes and between them, and for safety at every node.
+    """Estimate joint probabilities by Monte Carlo, in the window at nodes and between, safety at nodes.
 
     And of whole flights, where they are what was asked.
     """
@@ -104,7 +104,7 @@ def joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability
 def held(
     mission: Mission, times: Array, positions: Array, seen: Indices
 ) -> dict[str, tuple[Array, Booleans]]:
-    """Which flights hold safety, at all times, and each joint constraint, at those that are `seen`.
+    """Flights that keep the safety distance at all times, and each joint constraint at times `seen`.
 
     By name: times, s, shape (n,), and flights, shape (n, flights); of positions (times, flights, 3).
     """
@@ -117,7 +117,7 @@ def held(
 
 
 def holds(margin: Array, unit: str) -> Booleans:
-    """Which flights hold a constraint, margins (times, flights).
+    """Mask of the flights that keep a constraint, from margins (times, flights).
 
     Where they spread by less than a binding mean may dip between nodes they are judged as the mean is:
     without uncertainty every flight is the mean.

@@ -121,7 +121,7 @@ def limits_of(mission: Mission) -> dict[str, float]:
 
 
 def final_miss(mission: Mission, miss: Array) -> FinalMiss:
-    """By how much the final state is missed, J2000, m and m/s, shape (6,), and what that weighs."""
+    """Miss of the final state, from J2000, m and m/s, shape (6,), with its weighed charge."""
     weighed = MISS_WEIGHT * np.abs(miss / mission.units.state).sum() * mission.units.speed_m_s
     return FinalMiss(
         position_m=_finite(np.linalg.norm(miss[:3])),
@@ -229,7 +229,7 @@ def relative_error(given: Array, exact: Array) -> float:
 
 
 def _mean_margins(mission: Mission, flown: _Flown) -> list[MeanMargin]:
-    """Of every original constraint, between the nodes too."""
+    """Margins of every original constraint, between the nodes too."""
     first, last = mission.observed_s or (np.inf, np.inf)
     window = (flown.times >= first) & (flown.times <= last)
     times = flown.times[window]
@@ -279,7 +279,7 @@ class Spread:
 
     @classmethod
     def before_burns(cls, mission: Mission) -> Spread:
-        """Of the initial state."""
+        """Spread of the initial state."""
         return cls(mission.initial_factor @ mission.initial_factor.T, np.zeros(6))
 
     def after_burn(self, mission: Mission, burn: Array) -> Spread:

@@ -1,4 +1,4 @@
-"""What to do next about a check that failed: one table for the terminal, reports and drafts."""
+"""Remedies for failed checks: one table for the terminal, reports and drafts."""
 
 from __future__ import annotations
 

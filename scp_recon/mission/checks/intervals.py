@@ -152,7 +152,7 @@ def _solar_escape_km_s(scene: Scene, _: str) -> float:
 
 
 def _off_the_equator_deg(scene: Scene, _: str) -> float:
-    """How much farther the orbit's plane is off Earth's equator than off the ecliptic.
+    """Angle of the orbit's plane off Earth's equator less its angle off the ecliptic.
 
     Components along the axes of the ecliptic, which many tables have, make the inclination the angle
     off the equator. Below 11.7 deg, half the obliquity, this warns, and never of a correct orbit.
