@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,6 +22,8 @@ from scp_recon.scenario.schema import Scenario
 
 BYTES_MAX = 1_000_000
 """Three hundred times the packaged scenario; TOML of many keys takes its time to read."""
+SHORT = re.compile(r"[+-]?(?:\d+\.|\.\d+)(?:[eE][+-]?\d+)?")
+"""Numbers that begin or end with their point."""
 DOTS_MAX = 200
 """In a line: a list of 64 firing times has a third, and what has more nests without end."""
 PARTS_MAX = 3
@@ -211,7 +214,8 @@ def _parse_override(text: str) -> tuple[str, Any]:
     try:
         value = tomllib.loads(f"value = {given}")["value"]
     except tomllib.TOMLDecodeError:
-        value = given  # a bare word is a string: boundary.frame=j2000
+        # A bare word is a string, boundary.frame=j2000, but for numbers that TOML has not, as .8.
+        value = float(given) if SHORT.fullmatch(given.strip()) else given
     except (ValueError, RecursionError) as error:
         raise InputError(option("overrides"), repr(text)[:80], str(error)[:120]) from None
     return ".".join(keys), value

@@ -43,13 +43,17 @@ def windows(options: argparse.Namespace, console: Console) -> Answer:
     return Answer(0, {**survey_document(scenario, found), "files": [str(p) for p in written]})
 
 
+HINT = (
+    "design takes those from a home orbit, solve the others, windows all of them; so does base in a "
+    "scenario file"
+)
+
+
 def scenarios(options: argparse.Namespace, console: Console) -> Answer:  # noqa: ARG001 -- has none
     """Show the packaged scenarios."""
     found = packaged_scenarios()
     console.print(terminal(_scenarios_table(found)))
-    console.print(
-        "solve and windows take their names; so does base in a scenario file", style="dim"
-    )
+    console.print(HINT, style="dim")
     return Answer(0, {"scenarios": list(found)})
 
 

@@ -132,6 +132,11 @@ def test_whole_numbers_may_be_written_as_powers_of_ten(
         assert f"--samples: got '{text}'; must be a whole number" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("text", [".8", "0.8", "8e-1", ".08e1"])
+def test_a_probability_may_be_written_without_its_zero(text: str) -> None:
+    assert sr.load_scenario("recon_b", [f"risk.p_chance={text}"]).risk.p_chance == 0.8
+
+
 def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"scp-recon {sr.__version__}\n"
