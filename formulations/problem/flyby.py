@@ -148,6 +148,9 @@ class FlybyProblem:
             meet it; without it the final state is a condition.
         final_spread: limits on the root of the summed variances of the position and of the velocity
             after the last burn, None where there is none.
+        held: burns that keep the value that they have in an iterate.
+        raised: burns of at least `dv_min`, as they are in an iterate.
+        dv_min: smallest size of a burn that is raised.
     """
 
     n_nodes: int
@@ -162,6 +165,9 @@ class FlybyProblem:
     constraints: tuple[StateConstraint, ...]
     miss_weight: float | None = None
     final_spread: tuple[float | None, float | None] = (None, None)
+    held: tuple[int, ...] = ()
+    raised: tuple[int, ...] = ()
+    dv_min: float = 0.0
 
     @property
     def n_burns(self) -> int:

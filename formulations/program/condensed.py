@@ -65,10 +65,14 @@ class ConeSize(NamedTuple):
 
 @lru_cache(maxsize=64)
 def compile_condensed(
-    n_burns: int, penalty: Penalty, sizes: tuple[ConeSize, ...]
+    n_burns: int, penalty: Penalty, sizes: tuple[ConeSize, ...], floor: bool = False
 ) -> CompiledProgram:
-    """Compile the program for a number of burns and sizes of cones, once per process."""
-    return CompiledProgram(write_model(n_burns, penalty, lambda burns: write_states(burns, sizes)))
+    """Compile the program for a number of burns and sizes of cones, once per process.
+
+    With a floor, for burns of which some are raised.
+    """
+    model = write_model(n_burns, penalty, lambda burns: write_states(burns, sizes), floor)
+    return CompiledProgram(model)
 
 
 def write_states(burns: cp.Variable, sizes: Sequence[ConeSize]) -> StateModel:
@@ -173,7 +177,9 @@ class CondensedSubproblem(ConvexSubproblem):
             states |= {f"values_{block}": values.ravel(), f"constants_{block}": constants}
             sizes.append(size)
             buffers.append(np.r_[cones.rows[chosen], np.full(slots - n, -1)])
-        compiled = compile_condensed(self.problem.n_burns, self._penalty, tuple(sizes))
+        compiled = compile_condensed(
+            self.problem.n_burns, self._penalty, tuple(sizes), self._has_floor
+        )
         return self._solve(compiled, radius, charge, planes, states, np.concatenate(buffers))
 
     def _slack(self, burns: Array) -> Array:

@@ -29,6 +29,10 @@ SMALL_BURN = 1e-2
 INSIDE = 1e-9
 """Depth in a cone that is ignored: the conic solver's own tolerance."""
 
+HELD = 1e-7
+"""Trust radius of a burn that is held: a set with an interior, as conic solvers want it, and below what
+counts as feasible."""
+
 
 class ConvexSubproblem(Subproblem):
     """A subproblem whose program is a `CompiledProgram`, convexified by `update`.
@@ -42,6 +46,7 @@ class ConvexSubproblem(Subproblem):
         self.merit, self.problem, self.rows = MeritFunction(problem, rows), problem, rows
         self._penalty, self._solver = penalty, solver
         self._at: Linearisation
+        self._had_floor = False
 
     def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
         """See `Subproblem.solve`.
@@ -86,6 +91,19 @@ class ConvexSubproblem(Subproblem):
         across = toward.across(burns)
         return np.stack([cone.facets(across, cone.half_angle).normal for cone in (toward, away)])
 
+    @property
+    def _has_floor(self) -> bool:
+        """Whether some burns are raised."""
+        return bool(self._at.problem.raised)
+
+    def _floor(self, burns: Array) -> Values:
+        """Planes that keep raised burns at their least size or above, at the burns' own directions."""
+        normals, floor = np.zeros(burns.shape), np.full(len(burns), -1.0)
+        for i in self._at.problem.raised:
+            normals[i] = burns[i] / np.linalg.norm(burns[i])
+            floor[i] = self._at.problem.dv_min
+        return {"floor_normals": normals, "floor": floor}
+
     def _solve(
         self,
         compiled: CompiledProgram,
@@ -97,12 +115,19 @@ class ConvexSubproblem(Subproblem):
     ) -> Step:
         """Solve with an iteration's numbers; `buffers` holds the row of each buffer, -1 for none."""
         start, burns = perf_counter(), self._at.iterate.burns
+        if self._has_floor != self._had_floor:  # the kept solver has another sparsity
+            self._solver.forget()
+            self._had_floor = self._has_floor
+        bounds, held = np.full(burns.shape, radius), list(self._at.problem.held)
+        bounds[held] = min(radius, HELD)
         own = {
             "centre": burns.ravel(),
-            "radius": np.array(radius),
+            "radius": bounds.ravel(),
             "dv_max": np.array(self.problem.dv_max),
             "cone_normals": planes.reshape(-1, 3),
         }
+        if self._has_floor:
+            own |= self._floor(burns)
         weight = self.problem.miss_weight
         prices = penalty_values(self._penalty, charge, len(burns), buffers, weight)
         program = compiled.evaluate(own | prices | states)
@@ -111,6 +136,7 @@ class ConvexSubproblem(Subproblem):
         except ValueError as error:
             raise SubproblemError(str(error)) from error
         moved, merit = compiled.burns(answer.x), float(program.cost @ answer.x)
+        moved[held] = burns[held]
         if self._penalty == "proximal":
             merit -= 0.5 * charge.prox * float(((moved - burns) ** 2).sum())
         spent = perf_counter() - start

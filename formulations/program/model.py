@@ -5,6 +5,7 @@
           -radius <= z - centre <= radius                trust region
           t <= dv_max + v_size                           largest burn
           n'z_i + v_cone >= 0                            planes that keep burns off the battery's cones
+          d'z_i >= dv_min                                smallest burn, of those that are raised
           |miss| <= a  or  miss = a                      virtual control of the final state
           y_0 + v_row >= ||(y_1, ...)||                  state constraints, P3's or P2's
           v >= 0
@@ -60,8 +61,10 @@ class Model:
     parameters: Mapping[str, cp.Parameter]
 
 
-def write_model(n_burns: int, penalty: Penalty, write_states: StateModelWriter) -> Model:
-    """Write the program with one formulation's states and one penalty."""
+def write_model(
+    n_burns: int, penalty: Penalty, write_states: StateModelWriter, floor: bool = False
+) -> Model:
+    """Write the program with one formulation's states and one penalty; with a floor of burns or not."""
     m = n_burns
     z, size, squares = cp.Variable(3 * m), cp.Variable(m), cp.Variable()
     states = write_states(z)
@@ -70,7 +73,7 @@ def write_model(n_burns: int, penalty: Penalty, write_states: StateModelWriter) 
     charged = cp.hstack([excess, violation])
     own = {
         "centre": cp.Parameter(3 * m),
-        "radius": cp.Parameter(),
+        "radius": cp.Parameter(3 * m),
         "dv_max": cp.Parameter(),
         "cone_normals": cp.Parameter((2 * m, 3)),
         "prices": cp.Parameter(6 + 3 * m + n_rows),
@@ -88,6 +91,10 @@ def write_model(n_burns: int, penalty: Penalty, write_states: StateModelWriter) 
         >= 0,
         violation >= 0,
     ]
+    if floor:
+        own |= {"floor_normals": cp.Parameter((m, 3)), "floor": cp.Parameter(m)}
+        along = cp.sum(cp.multiply(own["floor_normals"], burns), axis=1)
+        constraints.append(along >= own["floor"])
     first = 3 * m
     for y in states.rows:
         buffer = violation[first : first + y.shape[0]]

@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Booleans
 from formulations.linearisation.linearisation import (
     Linearisation,
     condense,
@@ -47,12 +47,12 @@ def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
 
     Non-negative multipliers, except for the miss, that make grad(total delta-v) + J'm least at a
     solution; J are the derivatives of the excess without inactive constraints. Shape
-    (6 + 3 m + rows,). A vanished burn is left out, as its size has no derivative there. Nocedal &
-    Wright, Numerical Optimization, 2006, eq. (12.34).
+    (6 + 3 m + rows,). A burn that is held, raised or vanished, where its size has no
+    derivative, is left out. Nocedal & Wright, Numerical Optimization, 2006, eq. (12.34).
     """
     burns = lin.iterate.burns
     sizes = np.linalg.norm(burns, axis=1)
-    there = np.repeat(sizes > VANISHED, 3)
+    there = _free(lin, sizes)
     directions = burns / np.maximum(sizes, VANISHED)[:, None]
     jacobian, room = _excess_slopes(problem, rows, lin, directions)
     counts = np.concatenate([np.full(6, True), room < BINDING])
@@ -71,7 +71,13 @@ def slope_left(problem: FlybyProblem, rows: Rows, lin: Linearisation, prices: Ar
     directions = burns / np.maximum(sizes, VANISHED)[:, None]
     jacobian, _ = _excess_slopes(problem, rows, lin, directions)
     left = np.abs(directions.ravel() + jacobian.T @ prices)
-    return float(left[np.repeat(sizes > VANISHED, 3)].max(initial=0.0))
+    return float(left[_free(lin, sizes)].max(initial=0.0))
+
+
+def _free(lin: Linearisation, sizes: Array) -> Booleans:
+    """Burn components along which the cost has a derivative that vanishes at an optimum, (3 m,)."""
+    held = np.isin(np.arange(len(sizes)), (*lin.problem.held, *lin.problem.raised))
+    return np.repeat((sizes > VANISHED) & ~held, 3)
 
 
 def _excess_slopes(

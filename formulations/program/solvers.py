@@ -203,6 +203,10 @@ class FallbackSolver:
         settings = self._settings.get(name, {})
         return SOLVERS[name](settings) if name in SOLVERS else ByCvxpy(name, settings)
 
+    def forget(self) -> None:
+        """Build it anew, for a program of another sparsity."""
+        self._kept = self._built(self._name)
+
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`. An inaccurate answer counts if no solver has a better one."""
         failures: dict[str, str] = {}

@@ -84,10 +84,11 @@ class MeritFunction:
         return np.concatenate([lin.defects[-1], *signed.values()])
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """Margins of the burn limits and of the state constraints by name."""
-        burns = self.problem.burn_margins(lin.iterate.burns)
-        by_burn = {name: Margins(self.problem.burn_nodes, m) for name, m in burns.items()}
-        return by_burn | self.rows.margins(lin)
+        """Margins of the burn limits and of the state constraints by name; a burn of zero has none."""
+        fired = lin.iterate.burns.any(axis=1)
+        burns, nodes = self.problem.burn_margins(lin.iterate.burns), self.problem.burn_nodes
+        by_burn = {name: Margins(nodes[fired], m[fired]) for name, m in burns.items()}
+        return (by_burn if fired.any() else {}) | self.rows.margins(lin)
 
     def violations(self, lin: Linearisation) -> dict[str, Array]:
         """Violations >= 0 by constraint, in the order of the buffers; the defects are `dynamics`."""

@@ -30,7 +30,7 @@ def oem_text(export: Export) -> str:
 
 
 def opm_text(export: Export) -> str:
-    """The state before the first burn, its covariance, the spacecraft and every burn."""
+    """The state before the first burn, its covariance, the spacecraft and every burn but of zero."""
     craft, before = export.mission.scenario.spacecraft, export.path.coasts[0]
     epoch = iso_tdb(export.instant(0.0))
     lines = [
@@ -52,7 +52,7 @@ def opm_text(export: Export) -> str:
             f"C{name}_{other} = {x:.15e} [{_unit(name, other)}]"
             for other, x in zip(AXES[: row + 1], entries, strict=True)
         ]
-    for number, burn in enumerate(export.solution.burns, start=1 + export.burns_flown):
+    for number, burn in export.solution.executed:
         lines += [
             f"COMMENT burn {number}; the mass is not modelled",
             f"MAN_EPOCH_IGNITION = {iso_tdb(export.instant(burn.t_s))}",

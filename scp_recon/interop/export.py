@@ -113,6 +113,8 @@ def burn_line(export: Export, number: int) -> str:
     when = export.instant(burn.t_s)
     x, y, z = burn.dv_m_s
     named = f"burn {export.burns_flown + number}"
+    if not any(burn.dv_m_s):
+        return f"{named}: none, as it would be too small to execute"
     return (
         f"{named}: t_s = {burn.t_s:g}, {iso_tdb(when)} TDB, {iso_utc(when)} UTC, "
         f"{x:+.9f} {y:+.9f} {z:+.9f} m/s along J2000 x, y, z"

@@ -50,13 +50,14 @@ class Dynamics:
         """Make a step of the linear model dynamically exact.
 
         Multiple-shooting Newton from the node means that the model at `lin` predicts: every
-        iteration closes the defects of all arcs at once, and corrects all burns by the least change
-        that keeps the final state at the model's. Without the correction the final state's
+        iteration closes the defects of all arcs at once, and corrects all burns that are not held
+        by the least change that keeps the final state at the model's. Without it the final state's
         curvature, weighed by the penalty, rejects good steps (the Maratos effect; Nocedal & Wright,
         Numerical Optimization, section 15.5). Where Newton's method does not converge the burns,
         shape (m, 3), are rolled out as they are.
         """
         problem = lin.problem
+        free = np.repeat(~np.isin(np.arange(problem.n_burns), problem.held), 3)
         iterate = Iterate(burns, step_mean(lin, burns))
         goal = iterate.mean[-1]
         # What the conic solver leaves of a miss is its tolerance, not the model's promise.
@@ -72,7 +73,7 @@ class Dynamics:
                 break
             constant, jacobian = final_state_map(trial)
             miss = goal - constant - jacobian @ iterate.burns.ravel()
-            correction = np.linalg.lstsq(jacobian, miss)[0].reshape(-1, 3)
+            correction = (np.linalg.lstsq(jacobian * free, miss)[0] * free).reshape(-1, 3)
             corrected = iterate.burns + correction
             before, iterate = iterate, Iterate(corrected, step_mean(trial, corrected))
             if defect < NEWTON_LAST:

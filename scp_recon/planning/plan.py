@@ -32,6 +32,7 @@ Unit = Literal["m", "m/s", "sigma"]
 
 NOT_CHECKED = "not checked"
 """What is said of a plan that was not verified yet."""
+NO_BURN = f" {'0':>10}"
 BURN_LIMITS = ("dv_max", "dv_battery")
 
 
@@ -47,7 +48,8 @@ class Stage:
     Attributes:
         name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
             that began again at the ballistic arc, c and d at a turn about the body; "P3.open" leads to
-            P3 from a guess that is no flight, "P2.node" and "P2.coarse" to a P2 of whole flights.
+            P3 from a guess that is no flight, "P2.node" and "P2.coarse" to a P2 of whole flights;
+            "P2.held" holds burns that would be too small to execute.
         result: how it ended and where.
         merit: what it minimised; it knows the constraints' margins.
         facets: of P2 with polytopes, else None.
@@ -313,8 +315,9 @@ class Plan:
         for number, (time, burn) in enumerate(
             zip(scenario.burn_times_s, self.burns_m_s, strict=True), start=1 + scenario.burns_flown
         ):
-            cells = "".join(f" {component:+10.6f}" for component in burn)
-            lines.append(f"{number:4} {time:8g}{cells} {np.linalg.norm(burn):10.6f}")
+            cells = "".join(f" {component:+z10.6f}" for component in burn)
+            cells += f" {np.linalg.norm(burn):10.6f}"
+            lines.append(f"{number:4} {time:8g}{cells if burn.any() else 4 * NO_BURN}")
         lines.append(f"{'constraint':20} worst margin")
         lines += [
             f"{name:20} {round(margin, 4) + 0.0:+12.4f} {unit}"

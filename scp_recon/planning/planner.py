@@ -149,11 +149,15 @@ class Planner:
         starts: see `StageRunner.plan`. In each of `facet_rounds` the facets are chosen again at the
         solution and P2 is solved again; a round is kept only if it is better (`standing`), so that
         facets cannot cycle. Facets that leave nothing feasible are always chosen again, up to
-        `choices` times. The observer is called after each iteration with the stage's name and the
-        record.
+        `choices` times. Burns too small to execute are left out or raised
+        (`StageRunner.executable`). The observer is called after each iteration with the stage's
+        name and the record.
         """
         runner = StageRunner(self.mission, self, observe, facet_rounds, choices)
-        plan = runner.run(lambda: runner.plan(guess, problem, once=once), self._provenance(init))
+        plan = runner.run(
+            lambda: runner.executable(runner.plan(guess, problem, once=once)),
+            self._provenance(init),
+        )
         return replace(plan, target=self._target)
 
     def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
@@ -185,7 +189,10 @@ class Planner:
             start = runner.start(last.final.result.lin.iterate)
             return runner.choose_again(runner.restore("P2", rows, start))
 
-        return replace(runner.run(again, self._provenance("plan")), target=self._target)
+        return replace(
+            runner.run(lambda: runner.executable(again()), self._provenance("plan")),
+            target=self._target,
+        )
 
     @property
     def _target(self) -> float | None:

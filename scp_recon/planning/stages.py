@@ -16,6 +16,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from formulations.arrays import Array, Booleans
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate
@@ -27,6 +28,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning.initial_guess import ballistic, circular
 from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Timing
 from scp_recon.scp.status import Status
@@ -39,6 +41,12 @@ OTHER_BURNS = 1e-2
 
 FIRST_STAGE = ".open"
 """Suffix of the stage that leads to a P3 whose guess is no flight."""
+
+HELD_STAGE = ".held"
+"""Suffix of a stage in which burns are held that would be too small to execute."""
+
+TINY = 1e-300
+"""Stands for zero in a quotient."""
 
 RESOLUTION = 1e-3
 """Relative reduction of the merit at which the first stage stops: P3 goes on from there."""
@@ -146,6 +154,63 @@ class StageRunner:
             tries.append(self._with_facets(name, last.result.lin))
         verdicts = (Status.CONVERGED, stage.result.status)
         return max((one for one in tries if one.result.status in verdicts), key=standing)
+
+    def executable(self, stage: Stage) -> Stage:
+        """The stage solved again without burns too small to execute, or with them raised.
+
+        Burns between zero and `burns.dv_min_m_s` are held at zero while the others are planned again;
+        and, where they are more than half of it or there is no plan without them, kept at that size or
+        above. The cheaper plan counts. Where neither is one they stay, with a warning.
+        """
+        least = self.mission.scenario.burns.dv_min_m_s / self.mission.units.speed_m_s
+        while stage.result.status is Status.CONVERGED:
+            at, burns = stage.result.lin.problem, stage.result.lin.iterate.burns
+            sizes = np.linalg.norm(burns, axis=1)
+            small = (sizes > 0.0) & (sizes < least)
+            small[list(at.raised)] = False
+            if not small.any():
+                break
+            tries = [self._with_burns(stage, np.where(small[:, None], 0.0, burns), at.raised)]
+            failed = tries[0].result.status is not Status.CONVERGED
+            raised = small & (failed | (sizes > 0.5 * least))
+            if raised.any():
+                scale = np.where(raised, least / np.maximum(sizes, TINY), ~small)
+                which = (*at.raised, *np.flatnonzero(raised).tolist())
+                tries.append(self._with_burns(stage, scale[:, None] * burns, which))
+            solved = [one for one in tries if one.result.status is Status.CONVERGED]
+            if not solved:
+                self._warn_of(small, sizes)
+                break
+            stage = max(solved, key=standing)
+        return stage
+
+    def _with_burns(self, stage: Stage, burns: Array, raised: tuple[int, ...]) -> Stage:
+        """A stage again from given burns: those of zero are held, and the raised ones kept so large."""
+        dynamics, at = self.mission.dynamics, stage.result.lin.problem
+        problem = replace(
+            at,
+            held=tuple(np.flatnonzero(~burns.any(axis=1)).tolist()),
+            raised=raised,
+            dv_min=self.mission.scenario.burns.dv_min_m_s / self.mission.units.speed_m_s,
+        )
+        flown = Iterate(burns, dynamics.rollout(at.initial_state, burns))
+        start = dynamics.linearise(problem, flown)
+        name, rows = f"{stage.name.removesuffix(HELD_STAGE)}{HELD_STAGE}", stage.merit.rows
+        if isinstance(rows, ChanceRows):
+            return self.restore(name, rows, start)
+        return self.solve(name, rows, start)
+
+    def _warn_of(self, small: Booleans, sizes: Array) -> None:
+        """Say which burns are smaller than the smallest that is executed, and stay."""
+        mission = self.mission
+        first, speed = 1 + mission.scenario.burns_flown, mission.units.speed_m_s
+        said = (f"burn {first + i} of {speed * sizes[i]:.1e} m/s" for i in np.flatnonzero(small))
+        word = ScenarioWarning.of(
+            "burns.dv_min_m_s",
+            ", ".join(said),
+            f"expected none or {mission.scenario.burns.dv_min_m_s:g} m/s, and neither is a plan",
+        )
+        self.mission = replace(mission, warnings=(*mission.warnings, word))
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearise at a guess, moved to the problem's initial state."""

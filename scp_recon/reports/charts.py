@@ -200,12 +200,12 @@ def timeline_chart(subjects: Sequence[Subject]) -> dict[str, Any]:
 
 def _burn_marks(subject: Subject, row: int) -> list[dict[str, Any]]:
     """Burns as triangles, where each may be moved as lines below, and their numbers and sizes."""
-    burns, sizes = subject.solution.burns, np.linalg.norm(subject.solution.burns_m_s, axis=1)
-    end, first = float(subject.nodes_s[-1]), 1 + subject.solution.scenario.burns_flown
+    executed, end = subject.solution.executed, float(subject.nodes_s[-1])
+    sizes = {number: 1000.0 * float(np.linalg.norm(burn.dv_m_s)) for number, burn in executed}
     reach: list[float | None] = []
     for low, high in subject.mission.schedule.firing_intervals_s:
         reach += [low, min(high, end), None]
-    times = [burn.t_s for burn in burns]
+    times = [burn.t_s for _, burn in executed]
     moves = {
         "type": "scatter",
         "mode": "lines",
@@ -218,7 +218,7 @@ def _burn_marks(subject: Subject, row: int) -> list[dict[str, Any]]:
         "hoverinfo": "skip",
     }
     triangle = {"symbol": "triangle-down", "size": 13, "color": BURN}
-    marks = points(times, [row + 0.3] * len(burns), "burn", **triangle) | {
+    marks = points(times, [row + 0.3] * len(executed), "burn", **triangle) | {
         "legendgroup": "burn",
         "showlegend": row == 0,
         "hovertemplate": "burn at %{x:.0f} s<extra></extra>",
@@ -230,8 +230,8 @@ def _burn_marks(subject: Subject, row: int) -> list[dict[str, Any]]:
         "hoverinfo": "skip",
         "x": times,
         # Neighbours stand at different heights, so that on a phone too none lies on another.
-        "y": [row + 0.42 + 0.15 * (i % LEVELS) for i in range(len(burns))],
-        "text": [f"{i}: {1000.0 * size:.1f} mm/s" for i, size in enumerate(sizes, start=first)],
+        "y": [row + 0.42 + 0.15 * (i % LEVELS) for i in range(len(executed))],
+        "text": [f"{number}: {size:.1f} mm/s" for number, size in sizes.items()],
         "textposition": [
             "middle right" if t < 0.1 * end else "middle left" if t > 0.9 * end else "middle center"
             for t in times

@@ -84,18 +84,19 @@ def frame_of(plans: Sequence[Shown]) -> Frame:
     edge = float((high - low).max())
     bare = Frame(axes, low, high, ARROW * edge)
     tips = np.vstack([arrows_of(bare, one.subject)[1] for one in plans])
-    low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+    low = np.minimum(low, tips.min(axis=0, initial=np.inf))
+    high = np.maximum(high, tips.max(axis=0, initial=-np.inf))
     low, high = np.floor(low - ROOM * edge), np.ceil(high + ROOM * edge)
     return replace(bare, low_m=low, high_m=high)
 
 
 def arrows_of(frame: Frame, subject: Subject) -> tuple[Array, Array]:
-    """Starts and ends of the burns' arrows, shape (m, 3) each."""
-    solution = subject.solution
-    sizes = np.linalg.norm(solution.burns_m_s, axis=1)
-    scale = frame.arrow_m / max(float(sizes.max()), 1e-12)
-    starts = frame.seen(subject.positions(np.array([burn.t_s for burn in solution.burns])))
-    return starts, starts + scale * frame.seen(solution.burns_m_s)
+    """Starts and ends of the arrows of the burns that are executed, shape (m, 3) each."""
+    executed = [burn for _, burn in subject.solution.executed]
+    burns = np.array([burn.dv_m_s for burn in executed]).reshape(-1, 3)
+    scale = frame.arrow_m / max(float(np.linalg.norm(burns, axis=1).max(initial=0.0)), 1e-12)
+    starts = frame.seen(subject.positions(np.array([burn.t_s for burn in executed])))
+    return starts, starts + scale * frame.seen(burns)
 
 
 def scene(plans: Sequence[Shown], shape: Shape) -> dict[str, Any]:
@@ -216,8 +217,8 @@ def keep_sets(frame: Frame, subject: Subject) -> list[Trace]:
 
 def _burn_cones(frame: Frame, subject: Subject) -> Trace:
     """The double cone about the Sun line that every burn keeps out of."""
-    mission, burns = subject.mission, subject.solution.burns
-    times = np.array([burn.t_s for burn in burns])
+    mission = subject.mission
+    times = np.array([burn.t_s for _, burn in subject.solution.executed])
     angle = float(np.deg2rad(mission.scenario.battery.delta_v_cone_deg))
     places, suns = subject.positions(times), mission.sun_direction(times)
     parts = [
@@ -324,10 +325,10 @@ def _words(frame: Frame, subject: Subject, shape: Shape) -> list[dict[str, Any]]
         (SUN_TO * shape.size_m * frame.seen(mission.sun_direction(0.0)), "Sun"),
         (1.5 * shape.size_m * frame.seen(mission.rotation.pole), "N"),
     ]
-    sizes = 1000.0 * np.linalg.norm(subject.solution.burns_m_s, axis=1)
-    burns = zip(arrows_of(frame, subject)[1], sizes, strict=True)
-    first = 1 + mission.scenario.burns_flown
-    named += [(at, f"{number}: {size:.1f} mm/s") for number, (at, size) in enumerate(burns, first)]
+    for at, (number, burn) in zip(
+        arrows_of(frame, subject)[1], subject.solution.executed, strict=True
+    ):
+        named.append((at, f"{number}: {1000.0 * np.linalg.norm(burn.dv_m_s):.1f} mm/s"))
     found = []
     for at, text in named:
         where = dict(zip("xyz", compact(np.array(at), 1), strict=True))

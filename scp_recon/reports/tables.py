@@ -6,6 +6,7 @@ of the files to the last digit.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -37,6 +38,8 @@ ITERATION_COLUMNS = (
     Column("defect", "m", ".1e"),
     Column("solver", "s", ".3f"),
 )
+NO_BURN = Cell("0", 0.0)
+"""In place of each component of a burn that is not executed."""
 STARTS_NAMED = 6
 """Starts of a local optimum that are listed by number."""
 
@@ -50,7 +53,7 @@ def burns_table(solution: Solution) -> Table:
             "burn",
             Column("time", "s"),
             "UTC",
-            *(Column(axis, "m/s", "+.6f") for axis in "xyz"),
+            *(Column(axis, "m/s", "+z.6f") for axis in "xyz"),
             Column("size", "m/s", ".6f"),
         ),
         (
@@ -58,8 +61,7 @@ def burns_table(solution: Solution) -> Table:
                 str(number),
                 burn.t_s,
                 shown_utc(instant(start, burn.t_s)),
-                *burn.dv_m_s,
-                float(np.linalg.norm(burn.dv_m_s)),
+                *([*burn.dv_m_s, math.hypot(*burn.dv_m_s)] if any(burn.dv_m_s) else 4 * [NO_BURN]),
             ]
             for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown)
         ),

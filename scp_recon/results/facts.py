@@ -35,7 +35,7 @@ class Burn:
 
     Attributes:
         t_s: time past the epoch.
-        dv_m_s: velocity that it adds.
+        dv_m_s: velocity that it adds; three zeros where it would be too small to execute.
     """
 
     t_s: float
@@ -112,7 +112,8 @@ class StageSummary:
         name: `P3`, `P2`; `P2.2` with facets chosen a second time, and so on; `P3b`, `P2b` restarted
             from the ballistic arc, `c` and `d` from a turn about the body, the shorter and the longer
             way; `P3.open` leads from a guess that is no flight to P3, `P2.node` and `P2.coarse` to
-            the P2 of an exact plan of whole flights.
+            the P2 of an exact plan of whole flights; `P2.held` holds burns that would be too small to
+            execute.
         status: how it ended.
         total_dv_m_s: sum of its burns' sizes.
         iterations: their number.

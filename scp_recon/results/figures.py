@@ -173,11 +173,14 @@ def rows_of(mission: Mission, facts: Facts) -> dict[str, Rows]:
 
 
 def _burn_rows(mission: Mission, facts: Facts) -> dict[str, tuple[Array, Array]]:
-    """Times and margins of the limits on the burns, m/s."""
+    """Times and margins of the limits on the burns, m/s; a burn of zero has none."""
     burns, problem = burns_of(facts), mission.problem
-    times = np.array([burn.t_s for burn in facts.burns])
-    along = np.abs(np.einsum("bi,bi->b", burns, problem.sun))
-    across = np.linalg.norm(np.cross(burns, problem.sun), axis=1)
+    fired = burns.any(axis=1)
+    if not fired.any():
+        return {}
+    times, burns = np.array([burn.t_s for burn in facts.burns])[fired], burns[fired]
+    along = np.abs(np.einsum("bi,bi->b", burns, problem.sun[fired]))
+    across = np.linalg.norm(np.cross(burns, problem.sun[fired]), axis=1)
     battery = np.cos(problem.dv_cone) * across - np.sin(problem.dv_cone) * along
     size = mission.scenario.burns.dv_max_m_s - np.linalg.norm(burns, axis=1)
     return {"dv_max": (times, size), "dv_battery": (times, battery)}

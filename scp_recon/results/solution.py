@@ -116,6 +116,12 @@ class Solution(Facts):
         return burns_of(self)
 
     @property
+    def executed(self) -> list[tuple[int, Burn]]:
+        """Burns that are not zero, each with its number in the flight."""
+        numbered = enumerate(self.burns, start=1 + self.scenario.burns_flown)
+        return [(number, burn) for number, burn in numbered if any(burn.dv_m_s)]
+
+    @property
     def flown_m_s(self) -> Array:
         """Burns flown before the plan begins, shape (k, 3)."""
         flight = self.scenario.in_flight

@@ -52,6 +52,9 @@ class Burns(Section):
     """Firing times in s after the epoch, the first at 0."""
     dv_max_m_s: Annotated[float, Field(ge=1e-9, le=1e6)]
     """Largest size of a burn in m/s."""
+    dv_min_m_s: Annotated[float, Field(ge=0, le=1e6)] = 1e-4
+    """Smallest burn that is executed in m/s; 0 for any. The default is an assumption: a tenth of the
+    1 mm/s to which small manoeuvres of OSIRIS-REx were precise (Williams et al., SSR 214:69, 2018)."""
 
     @field_validator("times_s")
     @classmethod

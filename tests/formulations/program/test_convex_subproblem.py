@@ -15,6 +15,7 @@ from formulations.linearisation.linearisation import (
 from formulations.program.condensed import CondensedSubproblem
 from formulations.program.convex_subproblem import SMALL_BURN
 from formulations.program.subproblem import PenaltyParameters, Step
+from formulations.registry import make_subproblem
 from formulations.rows.uniform import DeterministicRows
 
 from .support import linearised
@@ -138,3 +139,24 @@ def test_a_small_burn_that_turns_into_a_cone_is_asked_again_both_ways(better: in
     assert not free[:, 0].any()
     assert np.array_equal(toward, subproblem.burn_planes(turned))
     assert np.array_equal(back, subproblem.burn_planes(burns))
+
+
+@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+def test_held_burns_stay_and_raised_ones_are_no_smaller(formulation: str) -> None:
+    """At a weight that makes every burn shrink; before and after the kept program is as it was."""
+    lin = linearised(np.random.default_rng(4))
+    burns, problem = lin.iterate.burns, replace(lin.problem, dv_max=9.0)
+    sizes = np.linalg.norm(burns, axis=1)
+    fixed = replace(problem, held=(1,), raised=(2,), dv_min=float(sizes[2]))
+    rows = DeterministicRows(problem)
+    subproblem = make_subproblem(problem, rows, formulation, "CLARABEL", "exact")
+    steps = []
+    for one in (problem, fixed, problem):
+        subproblem.update(Linearisation(one, lin.iterate, lin.arcs))
+        steps.append(subproblem.solve(0.5 * float(sizes.min()), 1e-3).burns)
+    shrunk, step, again = steps
+    assert np.allclose(shrunk, again, atol=1e-6)
+    assert (np.linalg.norm(shrunk, axis=1) < 0.99 * sizes).all()
+    assert np.array_equal(step[1], burns[1])
+    assert step[2] @ burns[2] / sizes[2] == pytest.approx(sizes[2], abs=1e-6)
+    assert (np.linalg.norm(step, axis=1) < 0.99 * sizes)[[0, 3]].all()

@@ -104,6 +104,7 @@ WARNED = [
             (END, [-1128.7, 19.9, -140.9], SHADOW),
             (BEGIN, [-1096.3, 70.2, 200.0], SHADOW),
             ("burns.dv_max_m_s", 200.0, "200 m/s"),
+            ("burns.dv_min_m_s", 0.15, "(0.5 times burns.dv_max_m_s)"),
             ("uncertainty.execution_error", 0.0008, "0.0008 of a burn"),
             ("uncertainty.execution_error", 0.8, "not in per cent"),
             ("battery.delta_v_cone_deg", 0.4067, "0.4067 deg"),

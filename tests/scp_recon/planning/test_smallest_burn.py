@@ -1,0 +1,135 @@
+"""Burns that no thruster can fire are left out or raised, and nothing speaks of those left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scp_recon as sr
+from scp_recon.interop.ccsds import opm_text
+from scp_recon.interop.export import SPACECRAFT_ID, Export, Ids
+from scp_recon.interop.path import fly_path
+from scp_recon.planning.plan import Plan
+from scp_recon.reports.charts import _burn_marks
+from scp_recon.reports.scene import Frame, arrows_of
+from scp_recon.reports.subject import Subject
+from scp_recon.reports.tables import burns_table
+from scp_recon.results.facts import Burn
+from scp_recon.results.read import read_solution
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import verify
+
+EXACT = ('risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.8")
+
+
+def sizes_of(plan: Plan) -> list[float]:
+    return np.linalg.norm(plan.burns_m_s, axis=1).tolist()
+
+
+@pytest.fixture(scope="module")
+def exact() -> Plan:
+    """Its third burn has vanished, to 1e-11 m/s where burns may be as small as they like."""
+    return sr.plan(certify=False, overrides=EXACT)
+
+
+@pytest.fixture(scope="module")
+def stored(exact: Plan) -> Solution:
+    return make_solution(exact)
+
+
+def without_uncertainty(least: float, **options: str) -> Plan:
+    return sr.plan(problem="P3", overrides=[f"burns.dv_min_m_s={least}"], **options)  # type: ignore[arg-type]
+
+
+def test_a_burn_below_the_smallest_is_none_and_costs_nothing() -> None:
+    any_size, least = without_uncertainty(0.0), without_uncertainty(1e-4)
+    assert 0.0 < sizes_of(any_size)[2] < 1e-7
+    assert sizes_of(least)[2] == 0.0
+    assert min(size for i, size in enumerate(sizes_of(least)) if i != 2) > 0.02
+    assert least.status is Status.CONVERGED
+    assert least.total_dv_m_s == pytest.approx(any_size.total_dv_m_s, abs=1e-8)
+    assert [stage.name for stage in least.stages] == ["P3", "P3.held"]
+
+
+@pytest.mark.parametrize("options", [{}, {"algorithm": "ptr"}])
+def test_it_is_raised_where_that_is_cheaper(options: dict[str, str]) -> None:
+    """Burn 2 of 22.5 mm/s; without it the plan would cost 7 mm/s more."""
+    raised = without_uncertainty(0.025, **options)
+    assert raised.status is Status.CONVERGED
+    assert sizes_of(raised)[1] == pytest.approx(0.025, abs=1e-8)
+    assert sizes_of(raised)[2] == 0.0
+    first, without, with_it = (s.result.lin.iterate.total_dv for s in raised.stages)
+    assert first < with_it < without
+    assert raised.final is raised.stages[-1]
+
+
+def test_where_neither_is_a_plan_it_stays_with_a_warning(default_plan: Plan) -> None:
+    """Two burns leave no choice: the final state says what they are."""
+    at, state = default_plan.times_s[80], default_plan.states[80]
+    left = sr.replan(default_plan, at, state, overrides=["burns.dv_min_m_s=0.025"])
+    assert left.status is Status.CONVERGED
+    assert sizes_of(left)[0] == pytest.approx(0.02365, abs=1e-4)
+    (warning,) = [w for w in left.mission.warnings if w.entry == "burns.dv_min_m_s"]
+    assert warning.given == "burn 3 of 2.4e-02 m/s"
+
+
+def test_a_plan_of_whole_flights_has_none_of_next_to_nothing(exact: Plan) -> None:
+    assert exact.status is Status.CONVERGED
+    assert exact.burns_m_s[2].tolist() == [0.0, 0.0, 0.0]
+    assert exact.total_dv_m_s == pytest.approx(0.109080, abs=1e-6)
+    row = str(exact).splitlines()[5].split()
+    assert row == ["3", "25000", "0", "0", "0", "0"]
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_a_file_with_a_burn_of_zero_is_verified_and_held(stored: Solution, tmp_path: Path) -> None:
+    checked = stored.with_verification(verify(stored.mission, stored))
+    assert checked.verification is not None
+    assert checked.verification.ok
+    checked.write(tmp_path)
+    read = read_solution(tmp_path)
+    assert read.burns[2].dv_m_s == (0.0, 0.0, 0.0)
+    assert verify(read.mission, read).ok
+    fired = Burn(read.burns[2].t_s, (1e-3, 0.0, 0.0))
+    other = replace(read, burns=[*read.burns[:2], fired, read.burns[3]])
+    assert "max_defect" in verify(other.mission, other).failed
+
+
+def test_no_limit_judges_it(exact: Plan, stored: Solution) -> None:
+    """Of a burn of zero the battery's cone would have no room at all."""
+    (battery,) = [c for c in stored.constraints if c.name == "dv_battery"]
+    assert battery.worst_margin > 0.01
+    assert battery.worst_t_s != 25_000.0
+    assert exact.worst_margins["dv_battery"][0] == pytest.approx(battery.worst_margin, abs=1e-6)
+
+
+def test_it_is_no_manoeuvre_and_the_others_keep_their_numbers(stored: Solution) -> None:
+    path = fly_path(stored.mission, stored)
+    text = opm_text(Export(stored, stored.mission, path, Ids(SPACECRAFT_ID, 2101955)))
+    numbers = [line for line in text.splitlines() if line.startswith("COMMENT burn ")]
+    assert [line.split()[2].rstrip(":;") for line in numbers if "mass" in line] == ["1", "2", "4"]
+    assert text.count("MAN_EPOCH_IGNITION") == 3
+    assert any("burn 3: none" in line for line in numbers)
+
+
+def test_it_is_not_drawn(stored: Solution) -> None:
+    subject = Subject("plan", stored)
+    frame = Frame(np.eye(3), np.zeros(3), np.ones(3), 100.0)
+    starts, ends = arrows_of(frame, subject)
+    assert len(starts) == 3
+    assert np.linalg.norm(ends - starts, axis=1).min() > 1.0
+    words = _burn_marks(subject, 0)[-1]
+    assert [text.partition(":")[0] for text in words["text"]] == ["1", "2", "4"]
+
+
+def test_it_is_shown_as_zero_and_never_as_minus_zero(stored: Solution) -> None:
+    first = replace(stored.burns[0], dv_m_s=(-1e-9, 0.02, 1e-9))
+    table = burns_table(replace(stored, burns=[first, *stored.burns[1:]]))
+    shown = [[cell.text for cell in row] for row in table.rows]
+    assert shown[0][3:] == ["+0.000000", "+0.020000", "+0.000000", "0.020000"]
+    assert shown[2][3:] == ["0", "0", "0", "0"]
+    assert [cell.value for cell in table.rows[2][3:]] == [0.0, 0.0, 0.0, 0.0]
