@@ -6,7 +6,7 @@ of the files to the last digit.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.physics.time_scales import instant, shown_utc
 from scp_recon.planning.plan import Starts
-from scp_recon.results.facts import IterationRecord, Verification
+from scp_recon.results.facts import Burn, IterationRecord, Verification
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Cell, Column, Table
 from scp_recon.verification.reintegration import FIGURES, limits_of
@@ -61,12 +61,19 @@ def burns_table(solution: Solution) -> Table:
                 str(number),
                 burn.t_s,
                 shown_utc(instant(start, burn.t_s)),
-                *([*burn.dv_m_s, math.hypot(*burn.dv_m_s)] if any(burn.dv_m_s) else 4 * [NO_BURN]),
+                *_components(burn),
             ]
             for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown)
         ),
         key="burns",
     )
+
+
+def _components(burn: Burn) -> Sequence[object]:
+    """Its three and its size."""
+    if not any(burn.dv_m_s):
+        return 4 * [NO_BURN]
+    return [*burn.dv_m_s, float(np.linalg.norm(burn.dv_m_s))]
 
 
 def constraints_table(solution: Solution) -> Table:
