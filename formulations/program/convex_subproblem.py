@@ -29,9 +29,9 @@ SMALL_BURN = 1e-2
 INSIDE = 1e-9
 """Depth in a cone that is ignored: the conic solver's own tolerance."""
 
-HELD = 1e-7
-"""Trust radius of a burn that is held: a set with an interior, as conic solvers want it, and below what
-counts as feasible."""
+HELD = 1e-9
+"""Trust radius of a burn that is held: a set with an interior, as conic solvers want it, in which no
+model can promise anything. With 1e-7 PTR stalled where with this it converges."""
 
 
 class ConvexSubproblem(Subproblem):

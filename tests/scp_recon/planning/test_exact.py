@@ -55,7 +55,7 @@ def found(scope: str, p: float, algorithm: str = "scvx") -> Plan:
 def test_the_default_scenario_from_a_cold_start(scope: str, p: float, goal: float) -> None:
     of = found(scope, p)
     assert of.status is Status.CONVERGED
-    assert of.final.name == "P2"
+    assert of.final.name in ("P2", "P2.held")
     assert of.final.facets is None
     assert of.total_dv_m_s <= goal
     assert min(margin for margin, _ in of.worst_margins.values()) > -1e-5
@@ -189,7 +189,7 @@ def test_an_exact_plan_can_be_planned_again(scope: str) -> None:
     state = mission.initial_state + 0.5 * mission.initial_sigma * np.array([1, -1, 1, -1, 1, 0.5])
     moved = planner.replan(first, state)
     assert moved.status is Status.CONVERGED
-    assert moved.final.name == "P2"
+    assert moved.final.name in ("P2", "P2.held")
     assert moved.final.merit.worst_violation(moved.final.result.lin) <= moved.final.tolerance
     if scope == "node":
         anew = Planner(moved.mission).plan(initial_guess.cold(moved.mission))

@@ -60,7 +60,7 @@ def test_it_is_raised_where_that_is_cheaper(options: dict[str, str]) -> None:
     """Burn 2 of 22.5 mm/s; without it the plan would cost 7 mm/s more."""
     raised = without_uncertainty(0.025, **options)
     assert raised.status is Status.CONVERGED
-    assert sizes_of(raised)[1] == pytest.approx(0.025, abs=1e-8)
+    assert sizes_of(raised)[1] == pytest.approx(0.025, abs=1e-7)
     assert sizes_of(raised)[2] == 0.0
     first, without, with_it = (s.result.lin.iterate.total_dv for s in raised.stages)
     assert first < with_it < without
