@@ -9,7 +9,7 @@ BY_FILE := -n 2 --dist loadfile
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test extras nightly coverage mutation lint format types check reference bench figures clean
+.PHONY: help solve test fast extras nightly coverage mutation lint format types check reference bench figures clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -18,6 +18,9 @@ solve: $(VENV)/.solve  ## set up and plan Reconnaissance B from a cold start
 
 test: $(VENV)/.test  ## set up and run the tests on two processes
 	$(BIN)/python -m pytest $(BY_FILE)
+
+fast: $(VENV)/.test  ## run, in a minute, the tests that an edit most likely breaks
+	$(BIN)/python -m pytest $(BY_FILE) --fast
 
 extras: $(VENV)/.extras  ## set up all that the commands can need: reports, campaigns, kernels, the spacecraft
 

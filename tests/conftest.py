@@ -1,4 +1,4 @@
-"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; and the reliability table.
+"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; the tests of `make fast`; the reliability table.
 
 `default` draws other examples in every run, `nightly` more of them; `ci` draws the same ones every
 time, so that a change is judged by what it changes.
@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import os
 import signal
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import Phase, settings
 
-from tests import reliability
+from tests import fast, reliability
 
 # A run in the background has it ignored, and so would have the processes that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -38,12 +38,27 @@ settings.load_profile(PROFILE)
 COUNT = "count"
 TOTALS: Counter[str] = Counter()
 PASSED: set[str] = set()
+SECONDS: defaultdict[str, float] = defaultdict(float)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--reliability", metavar="FILE", type=Path, help="write the table of reliability figures"
     )
+    parser.addoption("--fast", action="store_true", help="leave out what tests/slow.txt names")
+    parser.addoption(
+        "--write-slow", action="store_true", help="write tests/slow.txt by what this run took"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the slow tests of a fast run."""
+    if not config.getoption("fast"):
+        return
+    slow = fast.named_slow()
+    left_out = [item for item in items if fast.function_of(item.nodeid) in slow]
+    items[:] = [item for item in items if fast.function_of(item.nodeid) not in slow]
+    config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -63,6 +78,7 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    SECONDS[fast.function_of(report.nodeid)] += report.duration
     if report.when == "call":
         for key, pair in report.user_properties:
             if key == COUNT:
@@ -77,6 +93,8 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    if terminalreporter.config.getoption("write_slow"):
+        fast.SLOW.write_text("\n".join(fast.slow_functions(SECONDS)) + "\n", encoding="utf-8")
     path = terminalreporter.config.getoption("reliability")
     if path:
         outcome = [

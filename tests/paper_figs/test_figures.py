@@ -326,11 +326,14 @@ def test_a_figure_on_a_full_disk_leaves_the_old_one(
 def test_a_figure_is_the_same_file_every_time_and_names_its_plan_where_it_can(
     runs: Runs, tmp_path: Path, ending: str
 ) -> None:
-    figure = Figure((1.0, 1.0))
-    figure.subplots().plot([0.0, 1.0])
+    def saved(name: str, plan: str | None) -> bytes:
+        figure = Figure((1.0, 1.0))  # a figure that is drawn once more need not be the same
+        figure.subplots().plot([0.0, 1.0])
+        return save(figure, tmp_path / f"{name}{ending}", DPI, plan).read_bytes()
+
     plan = plan_hash_of(runs)
-    one, other = (save(figure, tmp_path / f"{n}{ending}", DPI, plan).read_bytes() for n in (1, 2))
+    one, other = saved("1", plan), saved("2", plan)
     assert plan is not None
     assert (plan.encode() in one) == (ending.lower() in (".pdf", ".png", ".svg"))
     assert one == other or ending == ".eps"
-    assert plan.encode() not in save(figure, tmp_path / f"3{ending}", DPI).read_bytes()
+    assert plan.encode() not in saved("3", None)

@@ -1,0 +1,35 @@
+"""Choose the tests of `make fast`: the cheapest first, as many as fit into its time.
+
+`slow.txt` names the test functions that do not fit, by their seconds in a whole run on an idle machine;
+`pytest --write-slow` writes it. A function counts with all its parameters and with the fixtures that it
+was the first to ask for. A test that it does not name is fast, and so is every new one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+SLOW = Path(__file__).with_name("slow.txt")
+BUDGET_S = 70.0
+"""Of both processes together; collecting and importing take the rest of a minute."""
+
+
+def function_of(nodeid: str) -> str:
+    """A test's function, without its parameters."""
+    return nodeid.split("[")[0]
+
+
+def slow_functions(seconds: Mapping[str, float], budget_s: float = BUDGET_S) -> list[str]:
+    """Functions that do not fit into the budget when the cheapest go first, sorted."""
+    spent, slow = 0.0, []
+    for name in sorted(seconds, key=seconds.__getitem__):
+        spent += seconds[name]
+        if spent > budget_s:
+            slow.append(name)
+    return sorted(slow)
+
+
+def named_slow() -> frozenset[str]:
+    """Functions that `make fast` leaves out."""
+    return frozenset(SLOW.read_text(encoding="utf-8").split())

@@ -1,0 +1,20 @@
+"""What `make fast` runs: the cheapest tests, and every new one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.fast import function_of, named_slow, slow_functions
+
+
+def test_the_cheapest_go_first() -> None:
+    seconds = {"a::dear": 5.0, "b::cheap": 1.0, "c::middling": 2.0}
+    assert slow_functions(seconds, budget_s=3.0) == ["a::dear"]
+    assert slow_functions(seconds, budget_s=8.0) == []
+
+
+def test_a_slow_function_is_one_that_is_there() -> None:
+    root = Path(__file__).parents[1]
+    for name in named_slow():
+        path, function = function_of(name).rsplit("::", 1)
+        assert f"def {function}(" in (root / path.split("::")[0]).read_text(encoding="utf-8"), name
