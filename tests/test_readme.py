@@ -162,6 +162,7 @@ QUICK = {
     f"{SOLVE} --scenario mine.toml --set risk.p_chance=0.8 --out runs/mine": PLAIN,
     f"{SOLVE} --starts 8 --seed 0 --workers 2": Quick("--starts 2 --problem P3"),
     f"{SOLVE} --method ipopt": P3,
+    f"{SOLVE} --formulation lifted": P3,
     f"{SOLVE} --set 'boundary.frame=\"j2000\"'": P3,
     f"{SOLVE} --out DIR": Quick(IN_P3),
     f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": Quick("--certify no"),
@@ -334,9 +335,9 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
             write_kernel(folder / "flight.bsp", mission, np.array(plan.nodes.state))
         for form in forms:
             assert export.main([str(runs / "mine"), "--format", form]) == 0
-        for pattern, name in (("*.csv", "start.csv"), ("*.tm", "all.tm")):
-            for path in (runs / "mine" / "export").glob(pattern):
-                shutil.copy(path, folder / name)
+        names = {".csv": "start.csv", ".tm": "all.tm"}
+        for path in (runs / "mine" / "export").iterdir():
+            shutil.copy(path, folder / names.get(path.suffix, path.name))
         yield Workspace(folder)
 
 

@@ -35,7 +35,7 @@ from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Provenance
 from scp_recon.planning.planner import CLEARANCE_M, Planner, screened
-from scp_recon.planning.stages import RowsSolver, StageRunner
+from scp_recon.planning.stages import HELD_STAGE, RowsSolver, StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State, Timing, record_of, trial_step
@@ -225,7 +225,8 @@ def _of_plan(cell: Cell, done: Plan, cpu_s: float) -> Row:
 def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     """Solve P2 from SCP's P3 solution with its facets, restoring facets found violated."""
     start = start_of(mission, cell)
-    p3 = plan_mission(mission, start, PlanOptions(problem="P3")).final.result.lin
+    stages = plan_mission(mission, start, PlanOptions(problem="P3")).stages
+    p3 = [one for one in stages if not one.name.endswith(HELD_STAGE)][-1].result.lin
     problem = mission.problem
     facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
     clearance_m = np.inf if cell.method == EVERY_NODE else CLEARANCE_M

@@ -6,7 +6,7 @@ Needs the extra [spice]. Kernels that the user has loaded are loaded again after
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -134,10 +134,22 @@ def _kernels(entry: str, paths: Sequence[Path]) -> Iterator[Any]:
             raise InputError(entry, str(path), "must be a readable kernel")
     with spiceypy.KernelPool([]):
         try:
-            spiceypy.furnsh([str(path) for path in paths])
+            for path in paths:
+                _load(spiceypy, path)
         except spiceypy.SpiceyError as error:
             raise _no_kernel(entry, paths, error) from None
         yield spiceypy
+
+
+def _load(spiceypy: Any, path: Path) -> None:
+    """Load a kernel; a list of kernels also from its own folder, as an exported one names them."""
+    try:
+        spiceypy.furnsh(str(path))
+    except spiceypy.SpiceyError:
+        if path.suffix.lower() != ".tm":
+            raise
+        with chdir(path.parent):
+            spiceypy.furnsh(path.name)
 
 
 def _no_kernel(entry: str, paths: Sequence[Path], error: Any) -> InputError:

@@ -83,6 +83,16 @@ def test_a_dsk_of_another_body_or_of_several_shapes_is_refused(tmp_path: Path, s
         read_dsk(write_dsk(tmp_path / "two.bds", mesh, spice, segments=2), ROCK_ID)
 
 
+@pytest.mark.usefixtures("spice")
+def test_a_list_of_kernels_is_read_from_its_own_folder_too(tmp_path: Path) -> None:
+    """As an export writes it, from wherever the program runs."""
+    file = write_pck(tmp_path / "rock.tpc")
+    words = "PATH_VALUES=('.')\nPATH_SYMBOLS=('HERE')\nKERNELS_TO_LOAD=('$HERE/rock.tpc')\n"
+    listed = tmp_path / "all.tm"
+    listed.write_text(f"KPL/MK\n\\begindata\n{words}", "utf-8")
+    assert read_pck(listed, ROCK_ID, DAYS) == read_pck(file, ROCK_ID, DAYS)
+
+
 def test_the_rotation_of_a_pck_is_spices(tmp_path: Path, spice: Any) -> None:
     file = write_pck(tmp_path / "rock.tpc")
     found = read_pck(file, ROCK_ID, DAYS)

@@ -83,7 +83,9 @@ def test_what_does_not_pickle_is_a_message() -> None:
     odd, dead, whole = in_order(
         Processes(1, LIMITS), Naughty(ways=((0, "raise oddly"), (1, "die"))), some_jobs(3)
     )
-    with pytest.raises(InputError, match="job 0, failed: OddError: 1 and 2; every job must be"):
+    with pytest.raises(
+        InputError, match="job 0, failed: OddError: 1 and 2; every job must end with a result"
+    ):
         odd.result()
     with pytest.raises(
         InputError, match="flights: got block 1, died: ended its process in each of 3"

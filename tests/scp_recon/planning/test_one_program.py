@@ -88,9 +88,10 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Watched:
 def assert_cvxpys_own(seen: Watched) -> None:
     """Every iteration is solved with exactly the numbers that CVXPY's compiled form gives."""
     assert all(after > before for before, after in zip([0, *seen.after], seen.after, strict=False))
-    # The burns are read from Clarabel's answers, and from nothing else.
-    assert len(seen.read) == len(seen.answers)
-    assert all(x is answer for x, answer in zip(seen.read, seen.answers, strict=True))
+    # The burns are read from Clarabel's answers in turn, and from nothing else: all but of failures.
+    answers = iter(seen.answers)
+    assert len(seen.read) >= len(seen.after)
+    assert all(any(x is answer for answer in answers) for x in seen.read)
     # Clarabel got what it was asked, once each, and nothing besides.
     assert len(seen.given) == len(seen.asked) >= len(seen.after)
     for program, (q, data, b) in zip(seen.asked, seen.given, strict=True):
