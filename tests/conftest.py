@@ -38,7 +38,8 @@ settings.load_profile(PROFILE)
 COUNT = "count"
 TOTALS: Counter[str] = Counter()
 PASSED: set[str] = set()
-SECONDS: defaultdict[str, float] = defaultdict(float)
+CALLS: defaultdict[str, float] = defaultdict(float)
+FIXTURES: defaultdict[str, float] = defaultdict(float)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -78,7 +79,10 @@ def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    SECONDS[fast.function_of(report.nodeid)] += report.duration
+    if report.when == "call":
+        CALLS[fast.function_of(report.nodeid)] += report.duration
+    else:
+        FIXTURES[report.nodeid.partition("::")[0]] += report.duration
     if report.when == "call":
         for key, pair in report.user_properties:
             if key == COUNT:
@@ -94,7 +98,9 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     if terminalreporter.config.getoption("write_slow"):
-        fast.SLOW.write_text("\n".join(fast.slow_functions(SECONDS)) + "\n", encoding="utf-8")
+        fast.SLOW.write_text(
+            "\n".join(fast.slow_functions(CALLS, FIXTURES)) + "\n", encoding="utf-8"
+        )
     path = terminalreporter.config.getoption("reliability")
     if path:
         outcome = [

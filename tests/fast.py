@@ -1,18 +1,19 @@
 """Choose the tests of `make fast`: the cheapest first, as many as fit into its time.
 
 `slow.txt` names the test functions that do not fit, by their seconds in a whole run on an idle machine;
-`pytest --write-slow` writes it. A function counts with all its parameters and with the fixtures that it
-was the first to ask for. A test that it does not name is fast, and so is every new one.
+`pytest --write-slow` writes it. A function counts with all its parameters; what a file's fixtures take
+counts for its functions in equal parts. A function that is not named is fast, and so is every new one.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
 SLOW = Path(__file__).with_name("slow.txt")
-BUDGET_S = 36.0
-"""Of both processes together; imports, collecting and fixtures left to others take the rest of a minute."""
+BUDGET_S = 30.0
+"""Of both processes together; imports, collecting and first calls take the rest of a minute."""
 
 
 def function_of(nodeid: str) -> str:
@@ -20,8 +21,21 @@ def function_of(nodeid: str) -> str:
     return nodeid.split("[")[0]
 
 
-def slow_functions(seconds: Mapping[str, float], budget_s: float = BUDGET_S) -> list[str]:
-    """Functions that do not fit into the budget when the cheapest go first, sorted."""
+def slow_functions(
+    calls: Mapping[str, float], fixtures: Mapping[str, float], budget_s: float = BUDGET_S
+) -> list[str]:
+    """Functions that do not fit into the budget when the cheapest go first, sorted.
+
+    Args:
+        calls: seconds of each function, without fixtures.
+        fixtures: seconds that the fixtures of each file took.
+        budget_s: seconds that there are.
+    """
+    functions = Counter(name.partition("::")[0] for name in calls)
+    seconds = {}
+    for name, taken in calls.items():
+        file = name.partition("::")[0]
+        seconds[name] = taken + fixtures.get(file, 0.0) / functions[file]
     spent, slow = 0.0, []
     for name in sorted(seconds, key=seconds.__getitem__):
         spent += seconds[name]
