@@ -202,7 +202,8 @@ class StageRunner:
             stage = self.solve(name, rows, start)
         # The last correction of a flight moves its mean and leaves its factor, too far for SCvx*.
         final = dynamics.linearise(problem, stage.result.lin.iterate)
-        return replace(stage, result=replace(stage.result, lin=final))
+        self.stages[-1] = replace(stage, result=replace(stage.result, lin=final))
+        return self.stages[-1]
 
     def _warn_of(self, small: Booleans, sizes: Array) -> None:
         """Say which burns are smaller than the smallest that is executed, and stay."""
