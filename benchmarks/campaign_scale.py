@@ -36,7 +36,7 @@ from scp_recon.campaigns.cases import Cases
 from scp_recon.campaigns.run import CaseWork, run_study
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.options import int_between
-from scp_recon.errors import needing
+from scp_recon.errors import imported
 from scp_recon.jobs.cluster import Cluster, run_in_child
 from scp_recon.jobs.job import Executor, Job, here
 from scp_recon.jobs.processes import Limits, Processes
@@ -69,9 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _measure(options: argparse.Namespace, console: Console) -> int:
-    with needing("cluster", "cluster"):
-        import distributed  # noqa: F401 -- whether it is there
-        import psutil  # noqa: F401 -- whether it is there
+    imported("cluster", "cluster", "distributed", "psutil")
     study = Study.validated(
         {
             "axis": [

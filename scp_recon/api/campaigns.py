@@ -17,7 +17,7 @@ from scp_recon.campaigns.checks import check_do
 from scp_recon.campaigns.results import read_results
 from scp_recon.campaigns.run import WORKERS_MAX, Observer, executor_of, run_study
 from scp_recon.campaigns.study import Campaign, Study, study_of
-from scp_recon.errors import InputError, needing, option, path_of, whole_number
+from scp_recon.errors import InputError, imported, option, path_of, whole_number
 from scp_recon.jobs.store import Row
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
@@ -139,8 +139,7 @@ def work_of(study: Study) -> StudyWork:
         InputError: if the extra is missing that it needs.
     """
     if study.campaign.do == "simulate":
-        with needing("campaign.do", "sim", "Basilisk"):
-            import scp_recon.simulation.basilisk.simulation  # noqa: F401 -- whether it is there
+        imported("campaign.do", "sim", "Basilisk")
     return StudyWork(study.base, study.folder.absolute(), study.campaign)
 
 

@@ -15,10 +15,10 @@ from formulations.problem.flyby import Iterate
 from scp_recon.api.inputs import scenario_of
 from scp_recon.api.options import PlanOptions
 from scp_recon.certification.certify import certify
+from scp_recon.certification.flights import Watch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.errors import InputError, option, shortened
 from scp_recon.mission.mission import Mission
-from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan
@@ -39,16 +39,9 @@ class PlanObserver(Protocol):
     def __call__(self, stage: str, record: Record, /) -> None:
         """An iteration of a stage is done."""
 
-    def flights(
-        self,
-        step: str,
-        plan: Plan,
-        samples: int,
-        flown: int = 0,
-        reached: Estimate | None = None,
-        /,
-    ) -> None:
-        """Of the flights that certify a plan so many are flown: see `certification.flights.Watch`."""
+    @property
+    def flights(self) -> Watch:
+        """Is told how the flights that certify a plan go on."""
 
 
 class Known(TypedDict, total=False):

@@ -162,7 +162,7 @@ class StageRunner:
         and, where they are more than half of it or there is no plan without them, kept at that size or
         above. The cheaper plan counts. Where neither is one they stay, with a warning.
         """
-        least = self.mission.scenario.burns.dv_min_m_s / self.mission.units.speed_m_s
+        least = self._dv_min
         while stage.result.status is Status.CONVERGED:
             at, burns = stage.result.lin.problem, stage.result.lin.iterate.burns
             sizes = np.linalg.norm(burns, axis=1)
@@ -184,6 +184,11 @@ class StageRunner:
             stage = max(solved, key=standing)
         return stage
 
+    @property
+    def _dv_min(self) -> float:
+        """The smallest burn that is executed, in the mission's units."""
+        return self.mission.scenario.burns.dv_min_m_s / self.mission.units.speed_m_s
+
     def _with_burns(self, stage: Stage, burns: Array, raised: tuple[int, ...]) -> Stage:
         """A stage again from given burns: those of zero are held, and the raised ones kept so large."""
         dynamics, at = self.mission.dynamics, stage.result.lin.problem
@@ -191,7 +196,7 @@ class StageRunner:
             at,
             held=tuple(np.flatnonzero(~burns.any(axis=1)).tolist()),
             raised=raised,
-            dv_min=self.mission.scenario.burns.dv_min_m_s / self.mission.units.speed_m_s,
+            dv_min=self._dv_min,
         )
         flown = Iterate(burns, dynamics.rollout(at.initial_state, burns))
         start = dynamics.linearise(problem, flown)

@@ -26,7 +26,7 @@ from scp_recon.cli.command import (
     show_written,
 )
 from scp_recon.cli.rendering import show_verdict, show_warnings, terminal
-from scp_recon.errors import needing, option, whole_number
+from scp_recon.errors import imported, option, whole_number
 from scp_recon.files import check_writable, only_run_in, unwritable
 from scp_recon.monte_carlo.flights import SEED_MAX
 from scp_recon.monte_carlo.summary import (
@@ -94,8 +94,7 @@ def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
 
 def simulate(options: argparse.Namespace, console: Console) -> Answer:
     """Fly once, show and write."""
-    with needing("scp-recon simulate", "sim", "Basilisk"):
-        import scp_recon.simulation.basilisk.simulation  # noqa: F401 -- whether it is there
+    imported("scp-recon simulate", "sim", "Basilisk")
     home = resolve_run(options.plan)
     whole_number(option("seed"), options.seed, 0, SEED_MAX)  # before a bar is shown
     mission, solution = open_plan(home)
