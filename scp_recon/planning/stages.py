@@ -202,13 +202,8 @@ class StageRunner:
         start = dynamics.linearise(problem, flown)
         name, rows = f"{stage.name.removesuffix(HELD_STAGE)}{HELD_STAGE}", stage.merit.rows
         if isinstance(rows, ChanceRows):
-            stage = self.restore(name, rows, start)
-        else:
-            stage = self.solve(name, rows, start)
-        # The last correction of a flight moves its mean and leaves its factor, too far for SCvx*.
-        final = dynamics.linearise(problem, stage.result.lin.iterate)
-        self.stages[-1] = replace(stage, result=replace(stage.result, lin=final))
-        return self.stages[-1]
+            return self.restore(name, rows, start)
+        return self.solve(name, rows, start)
 
     def _warn_of(self, small: Booleans, sizes: Array) -> None:
         """Say which burns are smaller than the smallest that is executed, and stay."""

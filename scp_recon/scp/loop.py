@@ -183,7 +183,16 @@ def run(
                 break
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
-    return Result(status, state.lin, tuple(records), timing)
+    lin = state.lin if state.lin is start else _linearised(dynamics, state.lin, timing)
+    return Result(status, lin, tuple(records), timing)
+
+
+def _linearised(dynamics: Dynamics, lin: Linearisation, timing: Timing) -> Linearisation:
+    """An iterate with its own derivatives: the last correction of a flight keeps those before it."""
+    start = perf_counter()
+    lin = dynamics.linearise(lin.problem, lin.iterate)
+    timing.linearise += perf_counter() - start
+    return lin
 
 
 class Trial(NamedTuple):
