@@ -11,6 +11,7 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.problem.execution_errors import ExecutionErrors
+from formulations.problem.feedback import Feedback
 from formulations.problem.regions import Cone, Region
 
 
@@ -151,6 +152,7 @@ class FlybyProblem:
         held: burns that keep the value that they have in an iterate.
         raised: burns of at least `dv_min`, as they are in an iterate.
         dv_min: smallest size of a burn that is raised.
+        feedback: what corrected burns know; None where all burns are fixed before departure.
     """
 
     n_nodes: int
@@ -168,6 +170,7 @@ class FlybyProblem:
     held: tuple[int, ...] = ()
     raised: tuple[int, ...] = ()
     dv_min: float = 0.0
+    feedback: Feedback | None = None
 
     @property
     def n_burns(self) -> int:
