@@ -222,7 +222,7 @@ def _first_of_table(entry: Schema) -> str:
 
 def _default(entry: Schema) -> str:
     default = entry.get("default")
-    return "" if default is None else f"`{default}`"
+    return "" if default is None or isinstance(default, dict) else f"`{default}`"
 
 
 def _summary(thing: object) -> str:

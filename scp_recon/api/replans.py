@@ -42,7 +42,7 @@ def replan(
 ) -> Plan:
     """Plan what is left of a flight from a state in it.
 
-    Burns at or before that time are flown. The next one keeps the scenario's decision lead time; what
+    Burns at or before that time are flown. The next one keeps the scenario's lead time; what
     is left of the observation window counts. With fewer than two burns left the final state is met as
     nearly as they can: `verify` says how much is missed. Beyond three sigma of the final dispersion
     that the flown plan predicts, the status is lost.

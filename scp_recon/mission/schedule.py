@@ -168,14 +168,14 @@ def check_in_flight(scenario: Scenario) -> None:
     """Refuse a state that leaves nothing to plan, or no time for it.
 
     Raises:
-        InputError: if no burn is left, the next one is nearer than the decision lead time, or the
+        InputError: if no burn is left, the next one is nearer than the lead time, or the
             number of burns given is not that of the burns flown.
     """
     flight = scenario.in_flight
     if flight is None:
         return
     entry, at, times = "in_flight.at_s", flight.at_s, scenario.burns.times_s
-    lead = scenario.schedule.decision_lead_s
+    lead = scenario.navigation.lead_s
     latest = f"{times[-1] - lead:g} s"
     if not scenario.burn_times_s:
         raise InputError(
@@ -190,8 +190,8 @@ def check_in_flight(scenario: Scenario) -> None:
         raise InputError(
             entry,
             f"{at:g} s, {following - at:g} s before burn {number} at {following:g} s",
-            f"must leave the decision lead time, schedule.decision_lead_s = {lead:g} s, before the "
-            f"next burn: at most {following - lead:g} s{later}",
+            f"must leave the lead time, navigation.lead_s = {lead:g} s, before the next burn: "
+            f"at most {following - lead:g} s{later}",
         )
     if len(flight.flown_m_s) != scenario.burns_flown:
         raise InputError(
@@ -206,7 +206,7 @@ def what_is_left(schedule: Schedule, scenario: Scenario) -> Schedule:
     if scenario.in_flight is None:
         return schedule
     at, flown = scenario.start_s, scenario.burns_flown
-    earliest = at + scenario.schedule.decision_lead_s
+    earliest = at + scenario.navigation.lead_s
     return Schedule(
         schedule.window_s,
         tuple(

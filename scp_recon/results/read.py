@@ -27,7 +27,13 @@ from scp_recon.results.figures import (
     strange_times,
 )
 from scp_recon.results.runs import resolve_run
-from scp_recon.results.solution import FILE_NAME, HASH, SCHEMA, Solution
+from scp_recon.results.solution import FILE_NAME, HASH, SCHEMA, Solution, hash_of
+from scp_recon.scenario.dependencies import (
+    OLDER_LEAD,
+    OLDER_LEAD_S,
+    older_lead,
+    with_todays_lead,
+)
 from scp_recon.scenario.fields import ScenarioWarning, Section
 from scp_recon.scp.status import Status
 
@@ -122,7 +128,8 @@ def read_solution(path: Path) -> Solution:
         raise InputError(
             f"solution {file}: {strange[0]}", "what contradicts its scenario", "must be of one plan"
         )
-    if data.get(HASH, solution.plan_hash) != solution.plan_hash:  # older files have none
+    written = _hash_as_written(data, solution)
+    if data.get(HASH, written) != written:  # older files have none
         return _doubted(
             solution,
             file,
@@ -147,6 +154,8 @@ def parse_solution(data: Any, named: str) -> Solution:
     """
     _check_schema(data, READABLE, named)
     data = _as_today(data) if data["schema"] != SCHEMA else dict(data)
+    if isinstance(data.get("scenario"), dict):
+        data["scenario"] = with_todays_lead(data["scenario"])
     carried = {each.name: data.pop(each.name) for each in fields(Figures) if each.name in data}
     known = {each.name: data[each.name] for each in fields(Facts) if each.name in data}
     figures = _validated(adapter(Figures), carried, named)
@@ -182,6 +191,18 @@ def _as_today(data: dict[str, Any]) -> dict[str, Any]:
         case {"risk": {"certificate": dict(certificate)}}:
             certificate |= {"looks": 0, "confidence": 0.95}
     return data
+
+
+def _hash_as_written(data: dict[str, Any], solution: Solution) -> str:
+    """Hash of the solution that a file has, by the keys that it has."""
+    lead = older_lead(data["scenario"])
+    if lead is None:
+        return solution.plan_hash
+    tables = solution.scenario.model_dump(mode="json", exclude_defaults=True)
+    tables.pop("navigation", None)
+    if lead != OLDER_LEAD_S:
+        tables["schedule"][OLDER_LEAD] = lead
+    return hash_of(tables, solution.burns)
 
 
 def _with_quantiles(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -177,8 +177,13 @@ def _resolved(solution: Solution, mission: Mission | None) -> Solution:
 
 def plan_hash(scenario: Scenario, burns: Sequence[Burn]) -> str:
     """See `Solution.plan_hash`."""
+    return hash_of(scenario.model_dump(mode="json", exclude_defaults=True), burns)
+
+
+def hash_of(tables: Mapping[str, Any], burns: Sequence[Burn]) -> str:
+    """SHA-256 of burns and of a scenario's tables without its defaults."""
     plan = {
-        "scenario": scenario.model_dump(mode="json", exclude_defaults=True),
+        "scenario": tables,
         "burns": [{"t_s": burn.t_s, "dv_m_s": burn.dv_m_s} for burn in burns],
     }
     canonical = json.dumps(plan, sort_keys=True, allow_nan=False)

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
-from scp_recon.scenario.uncertainty import without_other_ways
+from scp_recon.scenario.uncertainty import Navigation, OneWay, Uncertainty
 
 Tables = dict[str, Any]
 
@@ -61,6 +61,8 @@ GRAPH = (
     Edge(("body.shape_file", "body.shape_unit", "body.radii_m"), PLACE, COORDINATES[0]),
 )
 """All that follows from something else."""
+IN_ONE_WAY: dict[str, type[OneWay]] = {"uncertainty": Uncertainty, "navigation": Navigation}
+"""Tables whose quantities are each given in one of several ways."""
 
 
 def keys(entries: Sequence[str]) -> tuple[str, ...]:
@@ -88,9 +90,10 @@ def _table(entry: str) -> str:
 def inherit(base: Mapping[str, Any], changes: Mapping[str, Any]) -> Tables:
     """Nested tables of a base with changes applied; stale entries are dropped."""
     kept: Tables = {k: dict(v) if isinstance(v, Mapping) else v for k, v in base.items()}
-    given = changes.get("uncertainty")
-    if isinstance(given, Mapping) and isinstance(kept.get("uncertainty"), dict):
-        kept["uncertainty"] = without_other_ways(kept["uncertainty"], given)
+    for name, schema in IN_ONE_WAY.items():
+        given = changes.get(name)
+        if isinstance(given, Mapping) and isinstance(kept.get(name), dict):
+            kept[name] = schema.without_other_ways(kept[name], given)
     changed = {entry for entry in entries(changes) if differs(base, changes, entry)}
     stale = [
         edge.followers
@@ -159,3 +162,26 @@ def _date(value: object) -> object:
         return datetime.fromisoformat(str(value))
     except ValueError:
         return value
+
+
+OLDER_LEAD, OLDER_LEAD_S = "decision_lead_s", 1800.0
+"""What once was in `[schedule]` and is `navigation.lead_s` today, and its default of then."""
+
+
+def older_lead(stored: Mapping[str, Any]) -> Any:
+    """The lead of a stored scenario from before there was `[navigation]`; None of a later one."""
+    return None if "navigation" in stored else found(stored, f"schedule.{OLDER_LEAD}")
+
+
+def with_todays_lead(stored: Mapping[str, Any]) -> Tables:
+    """A stored scenario with its lead where it is today.
+
+    The default of then gives way to today's where only later decisions depend on it: in a whole flight.
+    """
+    tables, lead = dict(stored), older_lead(stored)
+    if lead is not None:
+        rules = tables["schedule"]
+        tables["schedule"] = {key: rules[key] for key in rules if key != OLDER_LEAD}
+        if lead != OLDER_LEAD_S or tables.get("in_flight") is not None:
+            tables["navigation"] = {"lead_s": lead}
+    return tables

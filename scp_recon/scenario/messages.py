@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from scp_recon.errors import InputError, shortened
-from scp_recon.scenario.dependencies import computed_from
+from scp_recon.scenario.dependencies import OLDER_LEAD, computed_from
 
 MAX_PROBLEMS_SHOWN = 5
 INTEGER_BRANCHES = ("int", "constrained-int")
@@ -201,10 +201,16 @@ def _fixed_length(location: list[str | int], schema: type[BaseModel]) -> int | N
     return None
 
 
+REPLACED = {f"schedule.{OLDER_LEAD}": "navigation.lead_s"}
+"""Entries that there were once, and what says the same today."""
+
+
 def _suggestion(location: list[str | int], schema: type[BaseModel]) -> str:
     """Suggest the entry meant by an unknown one, else list the entries of its table."""
     paths = list(_entries(schema))
     written = ".".join(str(part) for part in location)
+    if written in REPLACED:
+        return f"must be given as {REPLACED[written]}, which has replaced it"
     by_key = {path.rsplit(".", 1)[1]: path for path in paths}
     near = difflib.get_close_matches(written, paths, n=1, cutoff=0.7)
     near = near or difflib.get_close_matches(str(location[-1]), by_key, n=1, cutoff=0.6)

@@ -8,7 +8,14 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 
 from scp_recon.errors import InputError
 from scp_recon.scenario.body import Body, SiteSection, Sun
@@ -17,7 +24,7 @@ from scp_recon.scenario.dependencies import inherit, layer_of
 from scp_recon.scenario.fields import ConeAngle, FlightTime, Name, NonNegative, Positive, Section
 from scp_recon.scenario.messages import input_error
 from scp_recon.scenario.resolve import resolve
-from scp_recon.scenario.uncertainty import InFlight, Uncertainty
+from scp_recon.scenario.uncertainty import InFlight, Navigation, Policy, Uncertainty
 
 
 class Epoch(Section):
@@ -116,7 +123,7 @@ class Battery(Section):
 
 
 class ScheduleRules(Section):
-    """Worst-case durations of slew, heating and recharge, and how late a decision may be."""
+    """Worst-case durations of slew, heating and recharge."""
 
     attitude_s: FlightTime
     """Slew until steady in s."""
@@ -124,8 +131,6 @@ class ScheduleRules(Section):
     """Heating of the thruster before a burn in s."""
     recharge_s: FlightTime
     """Recharge of the battery from empty in s."""
-    decision_lead_s: FlightTime = 1800.0
-    """Least time in s from a state in flight to the next burn that can still be planned anew."""
 
 
 class Risk(Section):
@@ -185,6 +190,8 @@ class Scenario(Section):
     battery: Battery
     schedule: ScheduleRules
     uncertainty: Uncertainty
+    navigation: Navigation = Navigation()
+    policy: Policy = Policy()
     risk: Risk
     polytopes: PolytopeSection
     grid: Grid
@@ -192,6 +199,16 @@ class Scenario(Section):
     """State after the burns flown, of a flight that is under way; the whole flight if left out."""
     design: Design | None = None
     """Choices of a design; planning itself takes burns and phases as they are."""
+
+    @model_serializer(mode="wrap")
+    def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out tables that say nothing, so that older scenarios are written as before."""
+        said = handler(self)
+        for table in (Navigation(), Policy()):
+            name = type(table).__name__.casefold()
+            if getattr(self, name) == table:
+                said.pop(name, None)
+        return said
 
     def __repr__(self) -> str:
         """One line; `print` shows every entry."""

@@ -1,9 +1,12 @@
-"""The tables `[uncertainty]` and `[in_flight]`: how well states and burns are known."""
+"""How well states and burns are known, and what is done about it in flight.
+
+The tables `[uncertainty]`, `[navigation]`, `[policy]` and `[in_flight]`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import (
@@ -14,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from formulations.problem.feedback import Cost
 from scp_recon.scenario.fields import (
     Component,
     FlightTime,
@@ -94,13 +98,75 @@ class Gates(Section):
     """Error along the burns over their size that all have in common, 1 sigma."""
 
 
-class Uncertainty(Section):
+Way = tuple[str, ...]
+"""Keys that say a quantity together."""
+
+
+class OneWay(Section):
+    """A table that says each of its quantities in one of several ways, and leaves the others out."""
+
+    WAYS: ClassVar[Mapping[str, tuple[Way, ...]]] = {}
+    """Ways to give each quantity."""
+    REQUIRED: ClassVar[bool] = True
+    """Whether each quantity has to be given."""
+
+    @model_validator(mode="after")
+    def _each_in_one_way(self) -> Self:
+        for what, ways in self.WAYS.items():
+            given = [
+                w for w in ways if any(getattr(self, key) is not None for key in _own(w, ways))
+            ]
+            if len(given) > 1 or (self.REQUIRED and not given):
+                either = ", or ".join(" with ".join(way) for way in ways)
+                found = " and ".join(" with ".join(way) for way in given) or "nothing"
+                raise ValueError(f"must give the {what} in one way, {either}; not {found}")
+            missing = [key for way in given for key in way if getattr(self, key) is None]
+            if missing:
+                raise ValueError(
+                    f"must have {', '.join(missing)} beside what it gives of the {what}"
+                )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out the ways not taken, so that older scenarios are written and hashed as before."""
+        return {key: value for key, value in handler(self).items() if value is not None}
+
+    @classmethod
+    def without_other_ways(
+        cls, base: Mapping[str, Any], changes: Mapping[str, Any]
+    ) -> dict[str, Any]:
+        """Such a table of a base without the ways that the changes to it replace."""
+        kept = dict(base)
+        for ways in cls.WAYS.values():
+            taken = [way for way in ways if _own(way, ways) & changes.keys()]
+            if taken and any(_own(w, ways) & kept.keys() for w in ways if w not in taken):
+                for key in {key for way in ways for key in way}:
+                    kept.pop(key, None)
+        return kept
+
+
+def _own(way: Way, ways: tuple[Way, ...]) -> set[str]:
+    """Keys that belong to this way alone."""
+    return set(way) - {key for other in ways if other != way for key in other}
+
+
+class Uncertainty(OneWay):
     """1-sigma errors of the initial state, in one of three ways, and of the burns, in one of two.
 
     The initial state: as a fraction of each J2000 component; or absolute, by component of a frame; or
     as a covariance in a frame, m and m/s. Velocities are relative to J2000 in every frame; only their
     axes are the frame's. A burn: as a fraction of each J2000 component, or by Gates' model.
     """
+
+    WAYS: ClassVar[Mapping[str, tuple[Way, ...]]] = {
+        "initial state's uncertainty": (
+            ("initial_sigma_fraction",),
+            ("initial_sigma_position_m", "initial_sigma_velocity_m_s", "initial_frame"),
+            ("initial_covariance", "initial_frame"),
+        ),
+        "execution errors": (("execution_error",), ("gates",)),
+    }
 
     initial_sigma_fraction: Share | None = None
     """1 sigma of each J2000 component of the initial state over its size."""
@@ -118,26 +184,10 @@ class Uncertainty(Section):
     """Execution errors by Gates' model, in the place of execution_error."""
 
     @model_validator(mode="after")
-    def _each_in_one_way(self) -> Self:
-        for what, ways in WAYS.items():
-            given = [w for w in ways if any(getattr(self, key) is not None for key in _own(w))]
-            if len(given) != 1:
-                either = ", or ".join(" with ".join(way) for way in ways)
-                found = " and ".join(" with ".join(way) for way in given) or "nothing"
-                raise ValueError(f"must give the {what} in one way, {either}; not {found}")
-            missing = [key for key in given[0] if getattr(self, key) is None]
-            if missing:
-                raise ValueError(
-                    f"must have {', '.join(missing)} beside what it gives of the {what}"
-                )
+    def _fractions_have_axes(self) -> Self:
         if self.initial_frame is not None and self.initial_sigma_fraction is not None:
             raise ValueError("must have no initial_frame: a fraction is of the J2000 components")
         return self
-
-    @model_serializer(mode="wrap")
-    def _what_is_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out the ways not taken, so that older scenarios are written and hashed as before."""
-        return {key: value for key, value in handler(self).items() if value is not None}
 
     @classmethod
     def none(cls) -> Self:
@@ -163,31 +213,47 @@ class Uncertainty(Section):
         )
 
 
-WAYS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "initial state's uncertainty": (
-        ("initial_sigma_fraction",),
-        ("initial_sigma_position_m", "initial_sigma_velocity_m_s", "initial_frame"),
-        ("initial_covariance", "initial_frame"),
-    ),
-    "execution errors": (("execution_error",), ("gates",)),
-}
-"""Quantities that are given in exactly one of several ways, and the keys of each."""
+class Navigation(OneWay):
+    """Measurement of the state before each burn, at a cut-off, with errors independent of all others.
+
+    The errors are 1-sigma figures, the same along every axis; or a covariance in a frame, m and m/s.
+    Without them nothing is measured: the lead alone counts, of plans that are made again in flight.
+    """
+
+    WAYS: ClassVar[Mapping[str, tuple[Way, ...]]] = {
+        "measurement's errors": (
+            ("sigma_position_m", "sigma_velocity_m_s"),
+            ("covariance", "frame"),
+        ),
+    }
+    REQUIRED: ClassVar[bool] = False
+
+    lead_s: FlightTime = 3600.0
+    """From the cut-off to its burn in s, which is the least time that a decision takes in flight."""
+    sigma_position_m: Sigma | None = None
+    """1 sigma of the measured position along each axis in m."""
+    sigma_velocity_m_s: Sigma | None = None
+    """1 sigma of the measured velocity along each axis in m/s."""
+    covariance: Matrix | None = None
+    """Covariance of the measured state, six by six, position first, in m and m/s along frame."""
+    frame: Literal["j2000", "rtn"] | None = None
+    """Axes of the covariance: rtn are radial, transverse and normal of the plan at the cut-off."""
+
+    @property
+    def measures(self) -> bool:
+        """Whether anything is measured."""
+        return self.sigma_position_m is not None or self.covariance is not None
 
 
-def without_other_ways(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table `[uncertainty]` without the ways that the changes to it replace."""
-    kept = dict(base)
-    for ways in WAYS.values():
-        taken = [way for way in ways if _own(way) & changes.keys()]
-        if taken and any(_own(way) & kept.keys() for way in ways if way not in taken):
-            for key in {key for way in ways for key in way}:
-                kept.pop(key, None)
-    return kept
+class Policy(Section):
+    """Whether burns act on what is learnt in flight, and what a plan that does so makes least."""
 
-
-def _own(way: tuple[str, ...]) -> set[str]:
-    """Keys that belong to this way alone."""
-    return set(way) - {"initial_frame"}
+    kind: Literal["open", "feedback"] = "open"
+    """With "open" all burns are fixed before departure. With "feedback" each that has a cut-off in the
+    flight is its nominal value and gains times the deviation estimated there."""
+    cost: Cost = "dv99"
+    """Of the burns' sizes summed, with feedback: that of the plan itself, the mean, or the 99 %
+    quantile."""
 
 
 class InFlight(Section):

@@ -60,7 +60,7 @@ replan = Command(
     {
         "overrides": {
             "help": "override one entry of the scenario for what is left, e.g. "
-            "schedule.decision_lead_s=900; may be repeated"
+            "navigation.lead_s=900; may be repeated"
         },
         "out": _out("solution.json"),
     },

@@ -401,8 +401,8 @@ INTERVALS = (
     # 1361 and what was once measured of it.
     Interval("sun.solar_constant_w_m2", unit="W/m^2", warn=(1300.0, 1420.0), hint=" at 1 au"),
     Interval(
-        _entries("schedule", ScheduleRules, "_s"), unit="s", warn=(60.0, INF), hint="; seconds?",
-        or_zero=True,
+        f"{_entries('schedule', ScheduleRules, '_s')} navigation.lead_s", unit="s",
+        warn=(60.0, INF), hint="; seconds?", or_zero=True,
     ),
     # Beyond it a per cent was meant, or there is nothing to plan with.
     Interval(

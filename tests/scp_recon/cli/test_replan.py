@@ -189,11 +189,10 @@ def test_files_of_before_there_were_replans_are_read(plan_folder: Path, tmp_path
     new = json.loads((plan_folder / "solution.json").read_text("utf-8"))
     plan_hash = read_solution(plan_folder).plan_hash
     del new["parent"], new["verification"]["missed"]
-    del new["scenario"]["in_flight"], new["scenario"]["schedule"]["decision_lead_s"]
+    del new["scenario"]["in_flight"]
     old = tmp_path / "solution.json"
     old.write_text(json.dumps(new), "utf-8")
     assert read_solution(old).plan_hash == plan_hash
-    assert read_solution(old).scenario.schedule.decision_lead_s == 1800.0
 
 
 BAD: dict[str, tuple[list[str], str]] = {

@@ -46,8 +46,8 @@ def test_a_state_on_the_planned_path_raises_no_question(default_plan: Plan, stat
     [
         (34_842.0, "at or after the last burn"),
         (1e6, "at or after the last burn"),
-        (24_000.0, "decision lead time.*at most 23200 s, or 25000 s and more"),
-        (34_000.0, "decision lead time.*at most 33042 s$"),
+        (24_000.0, "lead time.*at most 21400 s, or 25000 s and more"),
+        (34_000.0, "lead time.*at most 31242 s$"),
         (-1.0, "must not be before 0 s"),
         (float("nan"), "must be a time"),
         ("17000", "must be a time"),

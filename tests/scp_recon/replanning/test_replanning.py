@@ -63,10 +63,10 @@ def drawn(flown: FlownPlan, at_s: float, seed: int = 0) -> Array:
     ("at_s", "left", "observed"),
     [
         (0.0, 3, True),
-        (5_000.0, 3, True),
+        (4_000.0, 3, True),
         (17_000.0, 2, False),
         (25_000.0, 1, False),
-        (33_042.0, 1, False),
+        (31_242.0, 1, False),
     ],
 )
 def test_from_every_leg_what_is_left_is_planned_and_verified(
@@ -248,7 +248,7 @@ def test_a_plan_without_uncertainty_is_replanned_without(mission: Mission) -> No
 
 def test_where_p3_stops_before_its_end_p2_ends_at_the_same(flown: FlownPlan) -> None:
     state = predict(flown, 5_000.0, {}).state + drawn(flown, 5_000.0, 3)
-    mission = mission_left(flown, Delivery(5_000.0, state))
+    mission = mission_left(flown, Delivery(5_000.0, state), ["navigation.lead_s=1800"])
     whole = Planner(mission).plan(path_planned(flown, mission))
     quick = plan_left(flown, mission)
     p3, p3_whole = quick.stages[0].result, whole.stages[0].result
@@ -296,11 +296,11 @@ def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown: FlownPla
 
 @pytest.mark.usefixtures("few_flights")
 def test_a_burn_too_near_is_moved_on_request(flown: FlownPlan) -> None:
-    state = predict(flown, 24_000.0, {}).state + OFF
-    with pytest.raises(InputError, match=r"^at_s: .*decision lead time"):
-        mission_left(flown, Delivery(24_000.0, state))
+    state = predict(flown, 22_000.0, {}).state + OFF
+    with pytest.raises(InputError, match=r"^at_s: .*lead time"):
+        mission_left(flown, Delivery(22_000.0, state))
     later = "burns.times_s=[0.0, 8000.0, 25800.0, 34842.0]"
-    plan = plan_left(flown, mission_left(flown, Delivery(24_000.0, state), [later]))
+    plan = plan_left(flown, mission_left(flown, Delivery(22_000.0, state), [later]))
     assert plan.status is Status.CONVERGED
     assert plan.mission.scenario.burn_times_s == (25_800.0, 34_842.0)
     assert verify(plan.mission, make_solution(plan)).ok
@@ -380,7 +380,6 @@ def test_a_scenario_in_flight_can_be_written_by_hand_or_left_out(scenario: Scena
     assert plan.times_s[0] == 17_000.0
     tables = scenario.model_dump(mode="json", exclude_none=True)
     assert "in_flight" not in tables
-    assert tables["schedule"].pop("decision_lead_s") == 1800.0
     assert Scenario.validated(tables) == scenario
 
 

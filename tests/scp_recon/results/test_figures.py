@@ -99,7 +99,7 @@ def test_an_older_file_is_verified_as_it_was(older: Data, tmp_path: Path) -> Non
 
 def test_written_again_it_is_a_file_of_today(older: Data, written: Data, tmp_path: Path) -> None:
     assert written["schema"] == SCHEMA
-    assert keys_of(older) <= keys_of(written)
+    assert keys_of(older) - {".scenario.schedule.decision_lead_s"} <= keys_of(written)
     assert read(written, tmp_path) == parsed(older)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -149,6 +150,36 @@ def test_a_file_from_before_it_held_its_hash_is_believed(data: Data, tmp_path: P
     assert read.verification is not None
     assert read.verification.ok
     assert not read.warnings
+
+
+OLDER = Path(__file__).parent / "older" / "exact.json"
+
+
+@pytest.mark.parametrize(
+    ("lead_s", "today_s"), [(1800.0, 3600.0), (3600.0, 3600.0), (900.0, 900.0)]
+)
+def test_an_older_lead_is_that_of_navigation_and_the_files_hash_its_own(
+    lead_s: float, today_s: float, tmp_path: Path
+) -> None:
+    """The default of then gives way to today's, and an edited lead is another plan's."""
+    data = json.loads(OLDER.read_text("utf-8"))
+    tables = read_solution(OLDER).scenario.model_dump(mode="json", exclude_defaults=True)
+    assert not {"navigation", "decision_lead_s"} & {*tables, *tables["schedule"]}
+    if lead_s != 1800.0:
+        tables["schedule"]["decision_lead_s"] = lead_s
+    plan = {"scenario": tables, "burns": data["burns"]}
+    written = hashlib.sha256(json.dumps(plan, sort_keys=True).encode()).hexdigest()
+    assert (written == data["plan_hash"]) == (lead_s == 1800.0)
+    data["plan_hash"], data["scenario"]["schedule"]["decision_lead_s"] = written, lead_s
+    file = tmp_path / "solution.json"
+    file.write_text(json.dumps(data), "utf-8")
+    read = read_solution(file)
+    assert not read.warnings
+    assert read.scenario.navigation.lead_s == today_s
+    assert read_solution(read.write(tmp_path)).plan_hash == read.plan_hash
+    data["scenario"]["schedule"]["decision_lead_s"] = 901.0
+    file.write_text(json.dumps(data), "utf-8")
+    assert "changed after it was written" in str(read_solution(file).warnings[-1])
 
 
 def other(value: object) -> object:
