@@ -55,7 +55,7 @@ bench: $(VENV)/.dev  ## time everything, and renew docs/performance.md
 
 check: lint types test  ## everything that a change has to pass
 
-figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and that of docs/paper.md
+figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and that of docs/validation/paper.md
 	$(BIN)/python -m paper_figs --all
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png
 

@@ -37,7 +37,7 @@ from tests.scp_recon.support import fly_few, mission_of
 PROJECT = Path(__file__).parents[1]
 PAGES = [
     *(PROJECT / name for name in ("README.md", "CONTRIBUTING.md")),
-    *sorted((PROJECT / "docs").glob("*.md")),
+    *sorted(p for p in (PROJECT / "docs").rglob("*.md") if p.parent.name != "reference"),
 ]
 
 # --- what is shown --------------------------------------------------------------------------------

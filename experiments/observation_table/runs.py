@@ -7,14 +7,28 @@ from pathlib import Path
 import numpy as np
 
 from experiments.harness import Record
-from experiments.observation_table.rows import PRINTED_CLOSEST_M, PRINTED_WINDOW_S, Row
+from experiments.observation_table.rows import (
+    AS_FLOWN,
+    KERNEL,
+    PRINTED_CLOSEST_M,
+    PRINTED_WINDOW_S,
+    Printed,
+    Row,
+)
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import Estimate
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
+from scp_recon.monte_carlo.observation_time import (
+    ALL,
+    SCIENCE,
+    joint_margins,
+    measured,
+    time_held,
+)
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.monte_carlo.summary import FILE_NAME, ONE_SIGMA, Summary, read_summary_as, summarise
+from scp_recon.physics import geometry
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import FILE_NAME as SOLUTION_FILE
 from scp_recon.results.solution import NOT_OPTIMISED, Solution
@@ -23,6 +37,9 @@ from scp_recon.verification.reintegration import verify
 
 UNIFORM_STEP_S = 232.0
 """The paper's time step, on a grid that need not contain the window's edges."""
+
+LITTLE_S = 1000.0
+"""What the paper says a flight seldom loses more of, where emission is beyond its limits."""
 
 COUNTED_MAX = 10_000
 """Flights counted there; more would not fit memory and the difference is clear from these."""
@@ -53,6 +70,7 @@ def run_row(
     Returns:
         A row of the CSV, SI, and whether nothing had to be computed for it.
     """
+    mission = row.mission(mission)
     folder.mkdir(parents=True, exist_ok=True)
     if fresh:  # a row that then fails leaves nothing that looks like its result
         for name in (SOLUTION_FILE, FILE_NAME):
@@ -74,7 +92,14 @@ def run_row(
 
 def failed(row: Row, reason: str) -> Record:
     """A row of the CSV without figures, with the reason of the failure."""
-    return _about(row, f"failed: {reason}") | _printed(row)
+    return _about(row.key, row.label, row.role, f"failed: {reason}") | _printed(row.printed)
+
+
+def not_flown() -> Record:
+    """The real flight's row without its kernel: which it is, in the place of figures."""
+    key, label, role, printed = AS_FLOWN
+    status = f"not computed: give --as-flown the file {KERNEL} of NAIF's archive"
+    return _about(key, label, role, status) | _printed(printed)
 
 
 def _record(row: Row, mission: Mission, solution: Solution, summary: RowSummary) -> Record:
@@ -84,7 +109,7 @@ def _record(row: Row, mission: Mission, solution: Solution, summary: RowSummary)
     lowest = min(joint, key=lambda name: joint[name].value)
     throughout = held.throughout.estimate
     return {
-        **_about(row, _status(solution)),
+        **_about(row.key, row.label, row.role, _status(solution)),
         "samples": summary.samples,
         "window_s": last - first,
         "without_uncertainty_s": _nominal_time(mission, solution),
@@ -99,25 +124,86 @@ def _record(row: Row, mission: Mission, solution: Solution, summary: RowSummary)
         **_ends("lowest_probability_all_at_once", summary.probability[ALL].estimate),
         "mean_on_uniform_grid_s": counted.mean_s,
         "worst_1_sigma_on_uniform_grid_s": counted.worst_1_sigma_s,
-        **_printed(row),
+        **_printed(row.printed),
         "paper_closest_m": PRINTED_CLOSEST_M if row.role == "planned" else "",
         "throughout": throughout.value,
-        "remark": solution.message if row.anew else "",
+        "remark": solution.message if row.anew else row.caveat,
         "burns_m_s": " ".join(f"{x:.9g}" for x in solution.burns_m_s.ravel()),
+        **_losses(summary, last - first),
+        **{k: v for name in SCIENCE for k, v in _ends(f"{name}_lowest", joint[name]).items()},
+        **_without_errors(mission, solution),
+        "violation_m": solution.violation.max,
+        "facet_missed_m": middle_beyond_facet_m(solution),
     }
 
 
-def _about(row: Row, status: str) -> Record:
-    return {"row": row.key, "label": row.label, "role": row.role, "status": status}
+def _about(key: str, label: str, role: str, status: str) -> Record:
+    return {"row": key, "label": label, "role": role, "status": status}
 
 
-def _printed(row: Row) -> Record:
+def _printed(printed: Printed) -> Record:
     return {
-        "paper_row": row.printed.name,
+        "paper_row": printed.name,
         "paper_without_uncertainty_s": PRINTED_WINDOW_S,
-        "paper_mean_s": row.printed.mean_s,
-        "paper_worst_1_sigma_s": row.printed.worst_1_sigma_s,
+        "paper_mean_s": printed.mean_s,
+        "paper_worst_1_sigma_s": printed.worst_1_sigma_s,
     }
+
+
+def _losses(summary: RowSummary, window_s: float) -> Record:
+    """How often each constraint breaks, and what that costs: shares of flights, and of those broken."""
+    found: Record = {}
+    for name in SCIENCE:
+        held = summary.held_s[name]
+        kept, bins = held.throughout.estimate, held.histogram
+        ends = Estimate(1.0 - kept.value, 1.0 - kept.high, 1.0 - kept.low)
+        found |= _ends(f"{name}_broken", ends)
+        start, count = np.array(bins.start), np.array(bins.count)
+        lost, broken = window_s - start - 0.5 * bins.bin, start + bins.bin < window_s
+        flights = max(int(count[broken].sum()), 1)
+        found |= {
+            f"{name}_lost_s": float(lost[broken] @ count[broken]) / flights,
+            f"{name}_lost_little": float(count[broken & (lost <= LITTLE_S)].sum()) / flights,
+            f"{name}_lost_all": float(count[broken & (start < bins.bin)].sum()) / flights,
+        }
+    return found
+
+
+def _without_errors(mission: Mission, solution: Solution) -> Record:
+    """The planned flight: burns, and the mean against limits that the other columns do not have."""
+    burns, state = solution.burns_m_s, np.array(solution.nodes.state)
+    fired = burns.any(axis=1)
+    sun = mission.sun_direction(mission.times_s[mission.burn_nodes])
+    angle = np.rad2deg(geometry.angle(burns[fired], sun[fired]))
+    sizes, closing = np.linalg.norm(burns, axis=1), mission.window_nodes[-1:]
+    emission = measured(mission, mission.times_s[closing], state[closing, :3])["emission"]
+    return {
+        "inner_burns": float(sizes[1:-1].sum() / sizes.sum()),
+        "largest_inner_over_least_outer": float(sizes[1:-1].max() / min(sizes[0], sizes[-1])),
+        "largest_burn_m_s": float(sizes.max()),
+        "nearest_sun_line_deg": float(np.minimum(angle, 180.0 - angle).min()),
+        "nominal_closest_m": float(np.linalg.norm(state[:, :3], axis=1).min()),
+        "nominal_emission_at_close_deg": float(np.rad2deg(emission[0])),
+    }
+
+
+def middle_beyond_facet_m(solution: Solution) -> float | str:
+    """How far the middle of two points that keep P2's tightest facet lies beyond it, m; "" without P2.
+
+    One point is the plan's mean and covariance; the other the mean on the facet without covariance.
+    A constraint that were convex in both would be kept in the middle.
+    """
+    if solution.facets is None:
+        return ""
+    table, state = solution.facets, np.array(solution.nodes.state)[:, :3]
+    node, normal = np.array(table.node, dtype=np.intp), np.array(table.normal)
+    covariance = np.array(solution.nodes.covariance)[node, :3, :3]
+    variance = np.einsum("mi,mij,mj->m", normal, covariance, normal)
+    room = np.array(table.offset_m) - np.einsum("mi,mi->m", normal, state[node])
+    quantile = np.array(table.quantile)
+    tight = int(np.argmin(room - quantile * np.sqrt(variance)))
+    beyond = quantile[tight] * np.sqrt(0.5 * variance[tight]) - 0.5 * room[tight]
+    return float(beyond)
 
 
 def _ends(name: str, e: Estimate) -> Record:

@@ -1,9 +1,10 @@
 """Compute the paper's table of observation times.
 
 Every row's burns are designed and flown many times; solution.json and montecarlo.json are written to
-OUT/<row>/, the table to OUT/observation_table.csv and .md. A second run keeps existing results. With
---as-flown FILE there is a row for the real flight, and the warm rows start from it, as the paper's do;
-without it they start from the ballistic arc.
+OUT/<row>/, the table to OUT/observation_table.csv and .md, and the paper's statements about P2 and its
+plan, each tested, to OUT/statements.csv. A second run keeps existing results. With --as-flown FILE
+there is a row for the real flight, and the warm rows start from it, as the paper's do; without it they
+start from the ballistic arc.
 """
 
 from __future__ import annotations
@@ -14,23 +15,39 @@ from time import perf_counter
 
 import numpy as np
 
-from experiments.harness import FRESH, Claim, Findings, Record, Session, Study, option, records
+from experiments.harness import FRESH, Findings, Record, Session, Study, option, records
 from experiments.observation_table.rows import (
     COLD,
+    FRAME_CAVEAT,
+    KERNEL,
     OSIRIS_REX,
     PRINTED_CLOSEST_M,
     PRINTED_WINDOW_S,
     WARM,
-    Printed,
     Row,
     read_states,
     rows,
+    variants,
 )
-from experiments.observation_table.runs import failed, run_row
+from experiments.observation_table.runs import failed, not_flown, run_row
+from experiments.observation_table.statements import (
+    CLOSEST,
+    COLUMNS,
+    MEAN,
+    ONE,
+    SAME_BURNS_M_S,
+    Rows,
+    burns_apart,
+    computed,
+    of_role,
+    shown,
+    standing_for,
+    statements,
+    statements_table,
+)
 from scp_recon.cli.options import int_between
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE
-from scp_recon.monte_carlo.summary import ONE_SIGMA
 from scp_recon.results.table import Column, Table, Value
 from scp_recon.scenario.load import load_scenario
 
@@ -39,29 +56,9 @@ ROW_FAILED = 4
 
 TWO_RUNS = np.sqrt(2.0)
 """The paper's figures come from as many samples as ours: its interval adds to ours."""
-SAME_BURNS_M_S = 1e-4
-"""Largest difference of a component with which two designs count as one."""
-
-MEAN, ONE, CLOSEST = "mean", "worst 1 sigma", "closest"
-COLUMNS = {MEAN: "mean_s", ONE: "worst_1_sigma_s", CLOSEST: "closest_0_3_percent_m"}
-"""Of the CSV; the tables for people are views of its rows."""
-
-Rows = Sequence[Record]
 
 
 # --- the tables -----------------------------------------------------------------------------------
-
-
-def computed(entries: Rows) -> list[Record]:
-    """Rows with figures, without the failed ones."""
-    return [row for row in entries if "mean_s" in row]
-
-
-def shown(row: Record, name: str, digits: int) -> str:
-    """Text of a value, with its interval if it has one."""
-    value, low, high = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
-    interval = "" if "" in (low, high) else f" ({low:.{digits}f} to {high:.{digits}f})"
-    return f"{value:.{digits}f}{interval}"
 
 
 def observation_times(entries: Rows) -> Table:
@@ -137,6 +134,30 @@ def differences(measured: Rows) -> Table:
     return Table.of("Each row against the paper", columns, lines)
 
 
+def other_choices(measured: Rows) -> Table:
+    """Table of P3, the default plan and its variants."""
+    columns = (
+        "case",
+        Column("total delta-v", "m/s", ".6f"),
+        "lowest joint probability per node",
+        Column("mean", "s", ".0f"),
+        "design",
+    )
+    lines = [
+        (
+            row["label"],
+            row["total_dv_m_s"],
+            f"{row['lowest_joint_probability']:.3f}, "
+            f"{row['lowest_joint_constraint'].replace('_', ' ')}",
+            row["mean_s"],
+            row["status"],
+        )
+        for row in measured
+        if row["role"] == "variant" or row["row"] in ("p3", "scp_cold")
+    ]
+    return Table.of("Other readings and choices, SCP from the cold start", columns, lines)
+
+
 # --- the paper's numbers --------------------------------------------------------------------------
 
 
@@ -148,9 +169,10 @@ def numbers(measured: Rows) -> Table:
     reason = (
         "the forces, the errors and the firing times are those of the scenario, not the flight's"
         if "as_flown" in by_key
-        else "neither surrogate is the flown trajectory, whose public kernel was not at hand"
+        else f"neither surrogate is the flown trajectory, whose kernel {KERNEL} was not at hand"
     )
-    warm, cold = (_standing_for(printed, measured) for printed in (WARM, COLD))
+    reason = "; ".join([reason, *(f"{r['row']}: {r['remark']}" for r in flights if _chosen(r))])
+    warm, cold = (standing_for(printed, measured) for printed in (WARM, COLD))
     for printed, chosen, why in (
         (OSIRIS_REX, flights, reason),
         (WARM, warm, _same_optimum(by_key)),
@@ -170,10 +192,6 @@ def numbers(measured: Rows) -> Table:
     )
     columns = ("number", Column("printed", form="g"), "ours", "reproduced", "why not")
     return Table.of("The paper's numbers", columns, lines, note=note)
-
-
-def _standing_for(printed: Printed, measured: Rows) -> list[Record]:
-    return [row for row in measured if row["paper_row"] == printed.name]
 
 
 def _samples(measured: Rows) -> str:
@@ -201,12 +219,19 @@ def _certain_numbers(measured: Rows) -> list[Sequence[Value]]:
 def _number(name: str, printed: float, chosen: Rows, what: str, why: str) -> Sequence[Value]:
     """A line of `numbers`."""
     unit = "m" if what == CLOSEST else "s"
-    agree = [row["row"] for row in chosen if _agrees(row, COLUMNS[what], printed)]
+    agree = [r["row"] for r in chosen if _agrees(r, COLUMNS[what], printed) and not _chosen(r)]
+    fitted = [r["row"] for r in chosen if _agrees(r, COLUMNS[what], printed) and _chosen(r)]
     ours = ", ".join(f"{row['row']} {row[COLUMNS[what]]:.{unit == 'm':d}f}" for row in chosen)
     every = bool(chosen) and len(agree) == len(chosen)
     some = f"by {', '.join(agree)} alone" if agree else "no"
+    some += f"; {', '.join(fitted)} agrees, as it was chosen to" if fitted else ""
     reason = "" if every else why if chosen else "no row was computed for it"
     return f"{name}, {what}, {unit}", printed, ours, "yes" if every else some, reason
+
+
+def _chosen(row: Record) -> bool:
+    """Whether a reading was chosen for this row to agree with the printed one."""
+    return row["remark"] == FRAME_CAVEAT
 
 
 def _agrees(row: Record, name: str, printed: float) -> bool:
@@ -220,10 +245,9 @@ def _same_optimum(by_key: dict[str, Record]) -> str:
     """Sentence on the difference between the designs of the two starts."""
     apart = {}
     for solver in ("scp", "ipopt"):
-        pair = [by_key.get(f"{solver}_{start}") for start in ("warm", "cold")]
-        burns = [np.array(row["burns_m_s"].split(), dtype=float) for row in pair if row]
-        if len(burns) == len(pair):
-            apart[solver] = np.abs(burns[0] - burns[1]).max()
+        warm, cold = (by_key.get(f"{solver}_{start}") for start in ("warm", "cold"))
+        if warm and cold:
+            apart[solver] = burns_apart(warm, cold)
     if not apart:
         return "no pair of starts was computed to compare"
     words = ", ".join(f"{1e3 * d:.3f} mm/s ({solver})" for solver, d in apart.items())
@@ -248,36 +272,6 @@ def _open_readings(rows: Rows) -> str:
         f"counting nodes of the paper's uniform grid would move our mean by {moved} of the "
         f"{gap} between them; not printed, and therefore ours, are how the polytopes are turned, the "
         "site's position, the gravity field and the spacecraft's reflectivity"
-    )
-
-
-def claims(entries: Rows) -> list[Claim]:
-    """Claims that planned rows exceed the OSIRIS-REx rows, and on the window at worst 1 sigma."""
-    measured = computed(entries)
-    planned, reference = (
-        [row for row in measured if row["role"] == role] for role in ("planned", "reference")
-    )
-    found = [_order(what, planned, reference) for what in (MEAN, ONE) if planned and reference]
-    threshold = f"{100 * (1.0 - ONE_SIGMA):.1f} % of flights observe throughout"
-    for row in _standing_for(COLD, planned):
-        words = f"{row['label']}: full window at worst 1 sigma"
-        share, holds = f"{100 * row['throughout']:.1f} %", row["full_window_at_worst_1_sigma"]
-        found.append(Claim(words, threshold, share, holds))
-    return found
-
-
-def _order(what: str, planned: Rows, reference: Rows) -> Claim:
-    name = COLUMNS[what]
-    least = min(planned, key=lambda row: row[name])
-    most = max(reference, key=lambda row: row[name])
-    low, high = least[name], most[name]
-    # Every row flies the same draws, so that the values are surer of their order than the intervals.
-    apart = "apart" if least[f"{name}_low"] > most[f"{name}_high"] else "overlapping"
-    return Claim(
-        f"{what} of every planned row above every OSIRIS-REx row",
-        f"highest OSIRIS-REx row {most['row']} with {high:.0f} s",
-        f"lowest planned {least['row']} with {low:.0f} s, intervals {apart}",
-        bool(low > high),
     )
 
 
@@ -318,16 +312,18 @@ def report(entries: Rows) -> list[str | Table]:
     """The report: the table in the paper's layout, further figures, and the comparison."""
     measured = computed(entries)
     samples = _samples(measured)
+    table = of_role(measured, "reference", "planned")
     return [
         f"{samples} flights a row with errors of the burns by component and the planner's dynamics; "
         f"in brackets the {100 * CONFIDENCE:.0f} % confidence interval. Observation time is the time "
         "in the window during which site distance, emission and phase are all within their limits, "
         'crossings bisected to 0.02 s and tallied in bins of 0.5 s. "Worst 1 sigma" is '
         "reached by all but 15.9 % of the flights.",
-        observation_times(entries),
-        other_figures(measured),
-        differences(measured),
-        numbers(measured),
+        observation_times(of_role(entries, "reference", "planned")),
+        other_figures(table),
+        differences(table),
+        numbers(table),
+        other_choices(measured),
     ]
 
 
@@ -339,9 +335,10 @@ def run(session: Session) -> Findings:
         read_states(mission, kernel)  # before the work, not after it
     out.mkdir(parents=True, exist_ok=True)
     flown = (kernel, out / "as_flown" / "states.csv") if kernel else None
+    others = () if options.quick else variants(mission.scenario)
     entries = measure(
         mission,
-        rows(ipopt=not options.skip_ipopt, as_flown=flown),
+        (*rows(ipopt=not options.skip_ipopt, as_flown=flown), *others),
         out,
         samples=options.samples or (QUICK_SAMPLES if options.quick else SAMPLES),
         check=not options.quick,
@@ -349,8 +346,10 @@ def run(session: Session) -> Findings:
         tell=session.say,
     )
     status = 0 if len(computed(entries)) == len(entries) else ROW_FAILED
-    files = {"observation_table.csv": records(entries)}
-    return Findings(report(entries), files, claims(entries), status)
+    entries += [] if kernel else [not_flown()]
+    found = statements(entries)
+    files = {"observation_table.csv": records(entries), "statements.csv": statements_table(found)}
+    return Findings(report(entries), files, [each.claim for each in found], status)
 
 
 STUDY = Study(
@@ -367,7 +366,7 @@ STUDY = Study(
         option(
             "--quick",
             action="store_true",
-            help="fewer flights, and plans are not verified again",
+            help="fewer flights, plans are not verified again, no other readings and choices",
         ),
         option(
             "--as-flown",

@@ -177,7 +177,9 @@ def test_the_table_shows_failed_rows_as_such(runs: Runs) -> None:
         "paper_mean_s": "1",
         "paper_worst_1_sigma_s": "2",
     }
-    text = tables.observation_table(Runs(runs.plan, runs.reference, [*runs.table, lost]))
+    other = runs.table[0] | {"label": "other choices", "role": "variant"}
+    text = tables.observation_table(Runs(runs.plan, runs.reference, [*runs.table, lost, other]))
+    assert other["label"] not in text
     assert text.startswith("# Observation times")
     assert "| lost | failed: no |  |  |  | 1 | 2 |" in text
     assert "| SCP, cold start | 3397 | 3397 | " in text
