@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Literal, Protocol, TypedDict, Unpack
+from typing import Any, Literal, Protocol, TypedDict, Unpack
 
 import numpy as np
 
@@ -64,8 +64,8 @@ def plan_mission(
 ) -> Plan:
     """Plan a mission from a start: every plan of commands, scripts, campaigns and studies.
 
-    Where its steps are too long for right covariances it is planned again on a finer grid, from where
-    it ended; the new plan's mission has that grid, and a warning.
+    Where its steps are too long for right covariances it is planned again on a finer grid
+    (`_on_right_grid`), before any flight certifies it.
 
     Args:
         mission: to plan.
@@ -79,39 +79,31 @@ def plan_mission(
         InputError: if an option does not go with the scenario, or the delta-v budget has no plan.
     """
     options.check(mission.scenario)
-    found = _planned(mission, start, options, observe, init, known)
-    finer = refined(found)
-    if finer is None:
-        return found
-    return _planned(finer, from_burns(finer, found.burns_m_s), options, observe, init, known)
-
-
-def _planned(
-    mission: Mission,
-    start: Iterate,
-    options: PlanOptions,
-    observe: PlanObserver | None,
-    init: str,
-    known: Known,
-) -> Plan:
-    """Plan by the method and from the number of starts that options say."""
     if options.method == "ipopt":
         from scp_recon.planning import ipopt  # CasADi takes a second to import
 
-        return ipopt.plan(
-            mission,
-            start,
-            problem=options.problem,
-            variant=options.variant,
-            init=init,
-            observe=observe,
-        )
+        make = partial(ipopt.plan, problem=options.problem, variant=options.variant)
+        return _on_right_grid(make, mission, start, init=init, observe=observe)
     work = _ByScp(options, observe, known)
     if options.objective == "probability":
         return work.largest(mission, start, init)
     if (options.starts or 1) > 1:
         return work.from_several(mission, start, init)
     return work.from_one(mission, start, init)
+
+
+def _on_right_grid(
+    make_plan: Callable[..., Plan], mission: Mission, start: Iterate, **how: Any
+) -> Plan:
+    """Make a plan, and where its steps were too long make it again with shorter ones, from its burns.
+
+    Its mission then has that grid, and a warning that says so.
+    """
+    found = make_plan(mission, start, **how)
+    finer = refined(found)
+    if finer is None:
+        return found
+    return make_plan(finer, from_burns(finer, found.burns_m_s), **how)
 
 
 @dataclass(frozen=True)
@@ -127,6 +119,7 @@ class _ByScp:
         """Make one plan from one start."""
         method = self.options.scp
         return partial(
+            _on_right_grid,
             planner.plan,
             problem=self.options.problem,
             **method._asdict(),
@@ -162,7 +155,7 @@ class _ByScp:
         )
         if not self.options.is_certified(mission.scenario) or best.status is not Status.CONVERGED:
             return best
-        start = from_burns(mission, best.burns_m_s)
+        mission, start = best.mission, from_burns(best.mission, best.burns_m_s)
         return replace(self.from_one(mission, start, best.provenance.init), starts=best.starts)
 
     def largest(self, mission: Mission, start: Iterate, init: str) -> Plan:

@@ -53,8 +53,8 @@ def certify(
 ) -> Plan:
     """Plan so that flights of which planning knows nothing reach the required probability.
 
-    The mission's allocation is exact. Plans after the first start at the last one's burns. Ctrl-C
-    ends with the best plan so far, marked as interrupted.
+    The mission's allocation is exact. Plans after the first start at the last one's burns, on the grid
+    that it was made on. Ctrl-C ends with the best plan so far, marked as interrupted.
 
     Returns:
         The plan that passed a look, with its certificate; where none did the one that came nearest,
@@ -112,7 +112,7 @@ class _Certification:
         if plan.status is Status.INTERRUPTED and self.made is not None:
             raise KeyboardInterrupt
         if plan.status is Status.CONVERGED:
-            self.made = plan
+            self.made, self.mission = plan, plan.mission
         return plan
 
     def _aims_well(self, plan: Plan) -> bool:

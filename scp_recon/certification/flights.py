@@ -123,7 +123,7 @@ def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
     arcs = np.searchsorted(mission.times_s, times_s)
     new = {float(round(float(np.median(times_s[arcs == arc])))) for arc in np.unique(arcs)}
     nodes = sorted({*mission.scenario.grid.nodes_s} | (new - set(mission.times_s.tolist())))
-    return Mission.from_scenario(mission.scenario.replace({"grid.nodes_s": nodes}))
+    return mission.changed({"grid.nodes_s": nodes})
 
 
 def _fly(plan: Plan, samples: int, seed: int, step: str, watch: Watch | None) -> tuple[Kept, Array]:

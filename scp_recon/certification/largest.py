@@ -62,7 +62,8 @@ class Search:
 
         def attempt(best: Plan, target: float) -> Plan:
             """From the first start too, where the best burns lead to no verdict."""
-            found = self.make_plan(mission, from_burns(mission, best.burns_m_s), target)
+            at = best.mission
+            found = self.make_plan(at, from_burns(at, best.burns_m_s), target)
             if found.status not in ANSWERS:
                 again = self.make_plan(mission, start, target)
                 found = again if again.status in ANSWERS else found
@@ -159,7 +160,7 @@ def largest_promise(
             return as_interrupted(best)
         if kept.are_close(kept.reached):
             break
-        mission = with_nodes_at(mission, touched_s)
+        mission = with_nodes_at(best.mission, touched_s)
         start = from_burns(mission, best.burns_m_s)
     assert found is not None
     return _promised(found, number, watch)
@@ -180,8 +181,4 @@ def _promised(found: Plan, rounds: int, watch: Watch | None) -> Plan:
 
 def promising(plan: Plan, probability: float) -> Plan:
     """The plan of a scenario that asks so much."""
-    scenario = plan.mission.scenario.replace({"risk.p_chance": rounded_down(probability)})
-    warnings = plan.mission.warnings
-    mission = Mission.from_scenario(scenario)
-    told = tuple(dict.fromkeys((*mission.warnings, *warnings)))
-    return replace(plan, mission=replace(mission, warnings=told))
+    return replace(plan, mission=plan.mission.changed({"risk.p_chance": rounded_down(probability)}))

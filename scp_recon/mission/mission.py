@@ -5,6 +5,7 @@ The border of `formulations`: SI and J2000 on this side, nondimensional on the o
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -115,6 +116,16 @@ class Mission:
             units=Units.of_orbit(initial, scenario.body.gm_m3_s2),
             warnings=warnings,
         )
+
+    def changed(self, entries: Mapping[str, object], *words: ScenarioWarning) -> Mission:
+        """The mission with other values of some entries; warnings stay, and further words come.
+
+        Raises:
+            InputError: as `from_scenario`.
+        """
+        made = Mission.from_scenario(self.scenario.replace(entries))
+        told = dict.fromkeys((*made.warnings, *self.warnings, *words))
+        return replace(made, warnings=tuple(told))
 
     @cached_property
     def scene(self) -> Scene:

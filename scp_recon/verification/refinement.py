@@ -63,10 +63,9 @@ def refined(plan: Plan) -> Mission | None:
     step, before = finer_step_s(mission, error / limit), mission.scenario.grid.step_max_s
     if mission.scenario.duration_s / step > NODES_MAX or step >= before:
         return None
-    finer = Mission.from_scenario(mission.scenario.replace({"grid.step_max_s": step}))
     word = ScenarioWarning.of(
         "grid.step_max_s",
         f"{before:g} s, with which covariances err by {error:.1e}",
         f"expected at most {limit:g}: planned again with {step:g} s",
     )
-    return replace(finer, warnings=(*mission.warnings, word))
+    return mission.changed({"grid.step_max_s": step}, word)

@@ -8,9 +8,13 @@ from datetime import datetime
 import pytest
 
 import scp_recon as sr
+from formulations.arrays import Array
 from scp_recon.api import drafts
+from scp_recon.certification import flights
 from scp_recon.drafting import draft as drafting
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo import estimates
+from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.results.facts import Verification
@@ -52,6 +56,30 @@ def test_a_plan_whose_covariances_alone_are_wrong_is_made_again_on_a_finer_grid(
     checked = sr.verify(plan)
     assert checked.ok
     assert 0.3 * TIGHT < checked.covariance_error < 0.7 * TIGHT
+
+
+@pytest.mark.usefixtures("_tight")
+def test_no_flights_certify_a_plan_whose_covariances_are_wrong(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(estimates, "FLIGHTS_MIN", 1_000)
+    monkeypatch.setattr(estimates, "FAILURES", 50)
+    flown: list[tuple[int, float]] = []
+
+    def fly(mission: Mission, burns: Array, samples: int, seed: int, *_: object) -> KeptFlights:
+        flown.append((seed, mission.scenario.grid.step_max_s))
+        return kept_flights(mission, burns, samples, seed)
+
+    monkeypatch.setattr(flights, "kept_flights", fly)
+    overrides = ('risk.allocation="exact"', 'risk.scope="node"', "risk.p_chance=0.6")
+    plan = sr.plan(overrides=overrides)
+    assert plan.certificate is not None
+    assert plan.certificate.certifies(0.6)
+    seeds, steps = zip(*flown, strict=True)
+    assert len(seeds) == len(set(seeds)) == plan.certificate.rounds + plan.certificate.looks
+    assert set(steps) == {plan.mission.scenario.grid.step_max_s}
+    assert steps[0] < 232.0
+    assert [word.entry for word in plan.mission.warnings] == ["grid.step_max_s"]
 
 
 @pytest.mark.usefixtures("_tight")
