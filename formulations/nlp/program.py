@@ -202,16 +202,19 @@ def total_dv(burns: ca.MX) -> ca.MX:
 
 
 def burn_blocks(problem: FlybyProblem, burns: ca.MX, *, printed: bool) -> list[NlpRows]:
-    """Size and battery cone of burns (3, m).
+    """Size and battery cone of burns (3, m); those held are zero, and those raised are large enough.
 
     `printed` writes angles by the paper's ratios, not as in `FlybyProblem.burn_margins`.
     """
+    held, raised = burns[:, list(problem.held)], burns[:, list(problem.raised)]
     nappes = [
         -_inside_cone(burns, cone.axis, cone.half_angle, printed) for cone in problem.burn_cones
     ]
     return [
         NlpRows("dv_max", (problem.dv_max - _norm(burns)).T),
         NlpRows("dv_battery", ca.horzcat(*nappes).T),
+        NlpRows("dv_held", ca.vec(held), weight=0.0, equality=True),
+        NlpRows("dv_min", (_norm(raised) - problem.dv_min).T, weight=0.0),
     ]
 
 

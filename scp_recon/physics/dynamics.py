@@ -50,14 +50,14 @@ class Dynamics:
         """Make a step of the linear model dynamically exact.
 
         Multiple-shooting Newton from the node means that the model at `lin` predicts: every
-        iteration closes the defects of all arcs at once, and corrects all burns that are not held
-        by the least change that keeps the final state at the model's. Without it the final state's
-        curvature, weighed by the penalty, rejects good steps (the Maratos effect; Nocedal & Wright,
-        Numerical Optimization, section 15.5). Where Newton's method does not converge the burns,
-        shape (m, 3), are rolled out as they are.
+        iteration closes the defects of all arcs at once, and corrects the burns, as far as
+        `_may_change` lets it, by the least change that keeps the final state at the model's. Without
+        it the final state's curvature, weighed by the penalty, rejects good steps (the Maratos effect;
+        Nocedal & Wright, Numerical Optimization, section 15.5). Where Newton's method does not
+        converge the burns, shape (m, 3), are rolled out as they are.
         """
         problem = lin.problem
-        free = np.repeat(~np.isin(np.arange(problem.n_burns), problem.held), 3)
+        free = _may_change(problem, burns)
         iterate = Iterate(burns, step_mean(lin, burns))
         goal = iterate.mean[-1]
         # What the conic solver leaves of a miss is its tolerance, not the model's promise.
@@ -73,7 +73,7 @@ class Dynamics:
                 break
             constant, jacobian = final_state_map(trial)
             miss = goal - constant - jacobian @ iterate.burns.ravel()
-            correction = (np.linalg.lstsq(jacobian * free, miss)[0] * free).reshape(-1, 3)
+            correction = (free @ np.linalg.lstsq(jacobian @ free, miss)[0]).reshape(-1, 3)
             corrected = iterate.burns + correction
             before, iterate = iterate, Iterate(corrected, step_mean(trial, corrected))
             if defect < NEWTON_LAST:
@@ -82,6 +82,17 @@ class Dynamics:
         return self.linearise(problem, Iterate(burns, self.rollout(problem.initial_state, burns)))
 
 
+def _may_change(problem: FlybyProblem, burns: Array) -> Array:
+    """Projection (3 m, 3 m) on changes that leave held burns, and make no raised burn smaller."""
+    free = np.eye(burns.size)
+    for burn in (*problem.held, *problem.raised):
+        at = slice(3 * burn, 3 * burn + 3)
+        along = burns[burn] / max(float(np.linalg.norm(burns[burn])), TINY)
+        free[at, at] = np.eye(3) - np.outer(along, along) if burn in problem.raised else 0.0
+    return free
+
+
+TINY = 1e-300
 SOLVER_MISS = 1e-6
 NEWTON_MAX, NEWTON_TOLERANCE, NEWTON_DIVERGED = 12, 1e-12, 1e3
 NEWTON_LAST = 1e-8

@@ -80,7 +80,7 @@ def plan(
     runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
     algorithm = "interior point, elastic" if elastic else "interior point"
     provenance = Provenance(variant, algorithm, "IPOPT", init, "ipopt")
-    return runner.run(lambda: runner.plan(guess, problem), provenance)
+    return runner.run(lambda: runner.executable(runner.plan(guess, problem)), provenance)
 
 
 @dataclass(frozen=True)
@@ -145,11 +145,12 @@ class IpoptStages:
     def _run(
         self, rows: Rows, lin: Linearisation, dynamics: Dynamics, penalty: float | None
     ) -> tuple[Linearisation, NlpResult]:
-        problem, start = self.mission.problem, Start(lin.iterate, lin.factor)
+        problem, start = lin.problem, Start(lin.iterate, lin.factor)
         facets = rows.carried if isinstance(rows, ChanceRows) else None
         run = solve_nlp(problem, self.arcs, facets, start, self.variant, penalty)
         if not (np.isfinite(run.iterate.burns).all() and np.isfinite(run.iterate.mean).all()):
             return lin, replace(run, outcome=NlpOutcome.FAILED)
+        run.iterate.burns[list(problem.held)] = 0.0  # which IPOPT's tolerances leave nearly so
         return dynamics.linearise(problem, run.iterate), run
 
 

@@ -45,6 +45,12 @@ FIRST_STAGE = ".open"
 HELD_STAGE = ".held"
 """Suffix of a stage in which burns are held that would be too small to execute."""
 
+RESOLVED = 1e-6
+"""Relative difference of two merits that stages leave open."""
+
+NEITHER = "and neither is a plan"
+"""End of the warning of burns that stay too small."""
+
 TINY = 1e-300
 """Stands for zero in a quotient."""
 
@@ -156,32 +162,35 @@ class StageRunner:
         return max((one for one in tries if one.result.status in verdicts), key=standing)
 
     def executable(self, stage: Stage) -> Stage:
-        """The stage solved again without burns too small to execute, or with them raised.
+        """The stage solved again without burns too small to execute, or with some of them raised.
 
-        Burns between zero and `burns.dv_min_m_s` are held at zero while the others are planned again;
-        and, where they are more than half of it or there is no plan without them, kept at that size or
-        above. The cheaper plan counts. Where neither is one they stay, with a warning.
+        Burns between zero and `burns.dv_min_m_s` are held at zero while the others are planned again.
+        No choice can cost less than the stage itself. Where that one costs more, each burn in turn, the
+        largest first, is kept at that size or above, if that is better; where that leads to no plan,
+        all are. Where nothing is a plan they stay, with a warning.
         """
-        least = self._dv_min
+        self.mission = _without_words_on_burns(self.mission)
         while stage.result.status is Status.CONVERGED:
-            at, burns = stage.result.lin.problem, stage.result.lin.iterate.burns
-            sizes = np.linalg.norm(burns, axis=1)
-            small = (sizes > 0.0) & (sizes < least)
-            small[list(at.raised)] = False
+            sizes = np.linalg.norm(stage.result.lin.iterate.burns, axis=1)
+            small = (sizes > 0.0) & (sizes < self._dv_min)
+            small[list(stage.result.lin.problem.raised)] = False
             if not small.any():
                 break
-            tries = [self._with_burns(stage, np.where(small[:, None], 0.0, burns), at.raised)]
-            failed = tries[0].result.status is not Status.CONVERGED
-            raised = small & (failed | (sizes > 0.5 * least))
-            if raised.any():
-                scale = np.where(raised, least / np.maximum(sizes, TINY), ~small)
-                which = (*at.raised, *np.flatnonzero(raised).tolist())
-                tries.append(self._with_burns(stage, scale[:, None] * burns, which))
-            solved = [one for one in tries if one.result.status is Status.CONVERGED]
-            if not solved:
+            raised = np.zeros_like(small)
+            best = self._with_burns(stage, small, raised)
+            for burn in sorted(np.flatnonzero(small), key=lambda i: -sizes[i]):
+                if not _clearly_better(stage, best):
+                    break
+                raised[burn] = True
+                other = self._with_burns(stage, small, raised)
+                raised[burn] = _clearly_better(other, best)
+                best = other if raised[burn] else best
+            if best.result.status is not Status.CONVERGED and not raised[small].all():
+                best = self._with_burns(stage, small, small)
+            if best.result.status is not Status.CONVERGED:
                 self._warn_of(small, sizes)
                 break
-            stage = max(solved, key=standing)
+            stage = best
         return stage
 
     @property
@@ -189,14 +198,18 @@ class StageRunner:
         """The smallest burn that is executed, in the mission's units."""
         return self.mission.scenario.burns.dv_min_m_s / self.mission.units.speed_m_s
 
-    def _with_burns(self, stage: Stage, burns: Array, raised: tuple[int, ...]) -> Stage:
-        """A stage again from given burns: those of zero are held, and the raised ones kept so large."""
+    def _with_burns(self, stage: Stage, small: Booleans, raised: Booleans) -> Stage:
+        """A stage again, its small burns held at zero, but for those that are raised."""
         dynamics, at = self.mission.dynamics, stage.result.lin.problem
+        burns, least = stage.result.lin.iterate.burns, self._dv_min
+        sizes = np.linalg.norm(burns, axis=1, keepdims=True)
+        scale = np.where(raised[:, None], least / np.maximum(sizes, TINY), ~small[:, None])
+        burns = scale * burns
         problem = replace(
             at,
             held=tuple(np.flatnonzero(~burns.any(axis=1)).tolist()),
-            raised=raised,
-            dv_min=self._dv_min,
+            raised=(*at.raised, *np.flatnonzero(raised).tolist()),
+            dv_min=least,
         )
         flown = Iterate(burns, dynamics.rollout(at.initial_state, burns))
         start = dynamics.linearise(problem, flown)
@@ -213,7 +226,7 @@ class StageRunner:
         word = ScenarioWarning.of(
             "burns.dv_min_m_s",
             ", ".join(said),
-            f"expected none or {mission.scenario.burns.dv_min_m_s:g} m/s, and neither is a plan",
+            f"expected none or {mission.scenario.burns.dv_min_m_s:g} m/s, {NEITHER}",
         )
         self.mission = replace(mission, warnings=(*mission.warnings, word))
 
@@ -291,6 +304,12 @@ class StageRunner:
         return stage
 
 
+def _without_words_on_burns(mission: Mission) -> Mission:
+    """The mission without warnings that an earlier plan's burns stayed too small."""
+    kept = tuple(word for word in mission.warnings if not word.expected.endswith(NEITHER))
+    return replace(mission, warnings=kept)
+
+
 def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
     """The guess, the ballistic arc if there is one, and a turn about the body either way.
 
@@ -354,6 +373,12 @@ def standing(stage: Stage) -> tuple[int, float]:
     elif stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
         rank = 2
     return rank, -_merit(stage)
+
+
+def _clearly_better(one: Stage, other: Stage) -> bool:
+    """Whether a run ranks above another by more than stages leave open."""
+    rank, merit = standing(one)
+    return (rank, merit * (1.0 + RESOLVED)) > standing(other)
 
 
 def _merit(stage: Stage) -> float:

@@ -22,6 +22,7 @@ from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
+from tests.scenarios import COARSE
 
 EXACT = ('risk.allocation="exact"', 'risk.scope="flight"', "risk.p_chance=0.8")
 
@@ -62,9 +63,33 @@ def test_it_is_raised_where_that_is_cheaper(options: dict[str, str]) -> None:
     assert raised.status is Status.CONVERGED
     assert sizes_of(raised)[1] == pytest.approx(0.025, abs=1e-7)
     assert sizes_of(raised)[2] == 0.0
-    first, without, with_it = (s.result.lin.iterate.total_dv for s in raised.stages)
-    assert first < with_it < without
-    assert raised.final is raised.stages[-1]
+    first, without, with_it, both = (s.result.lin.iterate.total_dv for s in raised.stages)
+    assert first < with_it < without < both
+    assert raised.final is raised.stages[2]
+
+
+def test_ipopt_decides_as_scp_does() -> None:
+    how = {"problem": "P3", "overrides": [COARSE, "burns.dv_min_m_s=0.025"]}
+    found, expected = sr.plan(method="ipopt", **how), sr.plan(**how)  # type: ignore[arg-type]
+    assert found.status is Status.CONVERGED
+    assert sizes_of(found)[2] == 0.0
+    assert sizes_of(found) == pytest.approx(sizes_of(expected), abs=1e-7)
+    assert found.final.result.lin.is_dynamically_feasible
+
+
+def test_each_small_burn_has_a_choice_of_its_own() -> None:
+    """Of three the last is needed; with all three raised the plan would cost 0.16 m/s at least."""
+    plan = without_uncertainty(0.04)
+    assert plan.status is Status.CONVERGED
+    assert sizes_of(plan) == pytest.approx([0.070969, 0.0, 0.0, 0.044315], abs=2e-6)
+
+
+def test_no_correction_of_a_flight_makes_a_raised_burn_smaller() -> None:
+    """The floor is hard: an iterate below it would leave the next program without a worse answer."""
+    plan = sr.plan(overrides=["burns.dv_min_m_s=0.027"])
+    assert plan.status is Status.CONVERGED
+    assert sizes_of(plan)[1:3] == pytest.approx([0.027, 0.027], abs=1e-7)
+    assert plan.mission.warnings == ()
 
 
 def test_where_neither_is_a_plan_it_stays_with_a_warning(default_plan: Plan) -> None:
