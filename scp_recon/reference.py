@@ -143,7 +143,8 @@ def _fields(kind: Any) -> list[str]:
 def warnings_page() -> str:
     """Every check that refuses or warns about what a scenario says."""
     rows = (_row(row) for row in (*PLANNER_INTERVALS, *INTERVALS, *STATE_INTERVALS))
-    functions = [check for check in checks.CHECKS if inspect.isfunction(check)]
+    every = (*checks.CHECKS, *checks.STATE_CHECKS)
+    functions = [check for check in every if inspect.isfunction(check)]
     parts = [
         "# What is refused, and what is warned about",
         _summary(checks).partition(". ")[2],

@@ -14,12 +14,14 @@ import numpy.typing as npt
 
 from formulations.arrays import Array, Indices
 from formulations.problem.facets import Polytopes
+from formulations.problem.feedback import Feedback
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.polytopes import ball, paper_ball
 from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.checks import check_plausible, check_scene, check_state, check_window
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
+from scp_recon.mission.feedback import check_feedback, cut_offs_s
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import Scene, execution_errors, truth_field
 from scp_recon.mission.schedule import (
@@ -37,6 +39,7 @@ from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation
 from scp_recon.physics.harmonics import HarmonicField
+from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 
@@ -91,6 +94,7 @@ class Mission:
         scene = Scene.of(scenario)
         check_plausible(scene)
         check_in_flight(scenario)
+        check_feedback(scenario)
         if known is not None and known.scenario.same_but_in_flight(scenario):
             window, warnings = known.schedule.window_s, known.warnings
         else:
@@ -102,7 +106,8 @@ class Mission:
         execution_errors(scenario)
         warnings += check_state(scene)
         initial, start = scene.initial_state, scenario.start_s
-        fixed = start, *scenario.burn_times_s, *window, *scenario.grid.nodes_s
+        burns_s = *scenario.burn_times_s, *cut_offs_s(scenario).values()
+        fixed = start, *burns_s, *window, *scenario.grid.nodes_s
         return cls(
             scenario=scenario,
             rotation=scene.rotation,
@@ -193,6 +198,41 @@ class Mission:
         """
         return truth_field(self.scenario)
 
+    @cached_property
+    def feedback(self) -> Feedback | None:
+        """What corrected burns know, nondimensional; None where there are none."""
+        cut_offs = cut_offs_s(self.scenario)
+        if not cut_offs:
+            return None
+        nodes = np.searchsorted(self.times_s, list(cut_offs.values()))
+        return Feedback(
+            burns=np.array(list(cut_offs)),
+            cut_offs=nodes,
+            measurement=self.measurement(self._transfer[nodes]),
+            cost=self.scenario.policy.cost,
+            probability=self.scenario.risk.p_chance,
+        )
+
+    def measurement(self, mean: Array) -> Array:
+        """Factors N of the covariances N N' of states measured at means (k, 6); shape (k, 6, 6).
+
+        All nondimensional. The means turn a covariance in the frame "rtn", and count for no other.
+        """
+        return self.scene.measurement_factors(mean * self.units.state) / self.units.state[:, None]
+
+    @cached_property
+    def _transfer(self) -> Array:
+        """States (n, 6) near which a plan goes before there is one, nondimensional.
+
+        The flight from the initial position with the velocity of Lambert's arc of less than half a
+        revolution to the final one; with its own velocity where there is no such arc.
+        """
+        state, time = self.initial_state.copy(), float(self.times_s[-1] - self.times_s[0])
+        arc = lambert(state[:3], self.final_state[:3], time, self.scenario.body.gm_m3_s2)
+        if arc is not None:
+            state[3:] = arc[0]
+        return self.dynamics.rollout(state / self.units.state, np.zeros((len(self.burn_nodes), 3)))
+
     @property
     def initial_sigma(self) -> Array:
         """1-sigma of each component of the initial state, shape (6,)."""
@@ -259,6 +299,7 @@ class Mission:
                 position and position / units.length_m,
                 speed and speed / units.speed_m_s,
             ),
+            feedback=self.feedback,
         )
 
     @cached_property

@@ -149,6 +149,24 @@ class Scene:
         axes = _rtn_to_j2000(state, frame_entry) if frame == "rtn" else self.axes(frame)
         return np.vstack([axes @ root[:3], axes @ root[3:]])
 
+    def measurement_factors(self, states: Array) -> Array:
+        """Factors N of the covariances N N' of states measured in flight, m and m/s, shape (k, 6, 6).
+
+        Radial, transverse and normal axes are those of the states measured, shape (k, 6).
+
+        Raises:
+            InputError: if a state has no plane to be normal to.
+        """
+        given = self.scenario.navigation
+        if given.covariance is None:
+            root = np.diag(np.repeat([given.sigma_position_m, given.sigma_velocity_m_s], 3))
+            return np.tile(root, (len(states), 1, 1))
+        root = _root(np.array(given.covariance))
+        if given.frame == "j2000":
+            return np.tile(root, (len(states), 1, 1))
+        axes = [np.kron(np.eye(2), _rtn_to_j2000(x, "navigation.frame")) for x in states]
+        return np.array(axes) @ root
+
     def sizes(self, state: Array) -> tuple[tuple[float, str], tuple[float, str]]:
         """Scales of a state's position (m) and velocity (m/s) for its sigmas, each with its name."""
         distance = float(np.linalg.norm(state[:3]))
@@ -174,7 +192,7 @@ def _rtn_to_j2000(state: Array, entry: str) -> Array:
         raise InputError(
             entry,
             "rtn",
-            "must be another frame: the initial velocity points along the position or is zero",
+            "must be another frame: the velocity points along the position or is zero",
         )
     normal = unit(momentum)
     return np.stack([radial, np.cross(normal, radial), normal], axis=1)

@@ -152,6 +152,9 @@ def _between(early: float, late: float) -> str:
     return f"between {early:g} s and {late:g} s" if late < np.inf else f"from {early:g} s on"
 
 
+SAME_S = 1e-6
+"""Times that are differences of others are the same within it."""
+
 BURNS_TO_MEET = 2
 """Burns that meet a final state: it has six components, and a burn three."""
 
@@ -184,7 +187,7 @@ def check_in_flight(scenario: Scenario) -> None:
             f"must leave a burn to plan: at most {latest}",
         )
     following = scenario.burn_times_s[0]
-    if following - at < lead:
+    if following - at < lead - SAME_S:
         number = scenario.burns_flown + 1
         later = "" if number == len(times) else f", or {following:g} s and more, once it is flown"
         raise InputError(

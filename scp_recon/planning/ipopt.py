@@ -23,7 +23,12 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import acceleration
 from scp_recon.planning.plan import Plan, Provenance, Stage
-from scp_recon.planning.planner import CLEARANCE_M, require_no_final_limit, screened
+from scp_recon.planning.planner import (
+    CLEARANCE_M,
+    require_no_final_limit,
+    require_open_loop,
+    screened,
+)
 from scp_recon.planning.stages import Observer, StageRunner
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
@@ -76,6 +81,7 @@ def plan(
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
     require_no_final_limit(mission, f"{option('method', 'scp')} only")
+    require_open_loop(mission, f"{option('method', 'scp')} only")
     arcs = casadi_arcs(mission.dynamics)
     runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
     algorithm = "interior point, elastic" if elastic else "interior point"

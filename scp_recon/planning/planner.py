@@ -127,6 +127,10 @@ class Planner:
         if formulation not in FULL:
             needs = f"the formulations {' and '.join(FULL)}, not with {formulation}"
             require_no_final_limit(mission, needs)
+            require_open_loop(mission, needs)
+        if mission.scenario.policy.kind == "feedback":  # until subproblems carry gains
+            allowed = "must be 'open': plans with feedback cannot be made yet"
+            raise InputError("policy.kind", "'feedback'", allowed)
         self._formulation = formulation
         self._p2_rows: ChanceRows | None = None
         self._exact_rows: Sequence[tuple[str, Rows]] = ()
@@ -294,3 +298,13 @@ def require_no_final_limit(mission: Mission, needs: str) -> None:
     for name, limit in limits.items():
         if limit is not None:
             raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")
+
+
+def require_open_loop(mission: Mission, needs: str) -> None:
+    """Refuse feedback for a method that has no gains.
+
+    Raises:
+        InputError: if the mission's policy is feedback.
+    """
+    if mission.scenario.policy.kind == "feedback":
+        raise InputError("policy.kind", "'feedback'", f"goes with {needs}")

@@ -237,7 +237,8 @@ class Navigation(OneWay):
     covariance: Matrix | None = None
     """Covariance of the measured state, six by six, position first, in m and m/s along frame."""
     frame: Literal["j2000", "rtn"] | None = None
-    """Axes of the covariance: rtn are radial, transverse and normal of the plan at the cut-off."""
+    """Axes of the covariance: rtn are radial, transverse and normal, at the cut-off on the transfer of
+    less than half a revolution from the initial to the final position."""
 
     @property
     def measures(self) -> bool:

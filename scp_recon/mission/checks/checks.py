@@ -20,6 +20,7 @@ import numpy as np
 from scp_recon.errors import InputError
 from scp_recon.mission.checks import known
 from scp_recon.mission.checks.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
+from scp_recon.mission.feedback import uncorrected_burns
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.windows import SCAN_STEP_S, Window
 from scp_recon.scenario.fields import ScenarioWarning
@@ -37,6 +38,8 @@ CHECKS: tuple[Check, ...] = (
     known.known_orbit,
 )
 """Checks before the window is known, in the order of checking."""
+STATE_CHECKS: tuple[Check, ...] = (*(row.check for row in STATE_INTERVALS), uncorrected_burns)
+"""Checks of the state where planning begins, and of the burns that are left."""
 WINDOW_SLACK = 0.05
 """Slack of the lighting limits, deg or h: room for a window given to the nearest second."""
 
@@ -61,8 +64,8 @@ def check_scene(scene: Scene) -> tuple[ScenarioWarning, ...]:
 
 
 def check_state(scene: Scene) -> tuple[ScenarioWarning, ...]:
-    """Check the state where planning begins, and its sigmas, against `STATE_INTERVALS`."""
-    return tuple(found for row in STATE_INTERVALS for found in row.check(scene))
+    """Run every check of `STATE_CHECKS` on the state where planning begins, and what is left."""
+    return tuple(found for check in STATE_CHECKS for found in check(scene))
 
 
 def check_window(scene: Scene, window: Window) -> tuple[ScenarioWarning, ...]:

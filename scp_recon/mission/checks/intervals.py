@@ -213,7 +213,11 @@ def _risk_of_flights(scene: Scene, _: str) -> float | None:
 
 
 def _sigma(scene: Scene, entry: str, part: int) -> float | None:
-    """The largest 1-sigma error where planning begins, m or m/s, if this entry says it."""
+    """The largest 1-sigma error, m or m/s, where planning begins or measured, if this entry says it."""
+    if entry.startswith("navigation."):
+        measured = _given(scene, entry)
+        matrix = np.ndim(measured) == 2
+        return float(np.sqrt(np.diag(measured))[3 * part :][:3].max()) if matrix else measured
     given, flight = scene.scenario.uncertainty, scene.scenario.in_flight
     said = f"uncertainty.initial_sigma_{('position_m', 'velocity_m_s')[part]}"
     if flight is not None and flight.covariance is not None:
@@ -236,7 +240,10 @@ RUBBLE_RADIUS_M = 150.0
 """Above it a body without strength breaks up where it turns too fast: Pravec & Harris 2000."""
 RADIAN_DEG = 0.5 * math.pi
 """Bound on every angle of a cone in radians; below it degrees were hardly meant."""
-SPREADS = "in_flight.covariance uncertainty.initial_sigma_fraction uncertainty.initial_covariance"
+SPREADS = (
+    "in_flight.covariance uncertainty.initial_sigma_fraction uncertainty.initial_covariance "
+    "navigation.covariance"
+)
 SPREAD = (1e-4, 0.0999)
 """1 sigma over distance or speed: 0.1 m at 1 km is the best that is flown. The ends are less than a
 factor of 1000 apart, so that nothing between them is there in kilometres, or millimetres, too."""
@@ -428,13 +435,13 @@ STATE_INTERVALS = (
         "in_flight.velocity_m_s", unit="m/s", warn=(0.01, 20.0), or_zero=True, scale=ESCAPE
     ),
     Interval(
-        f"{SPREADS} uncertainty.initial_sigma_position_m", "1 sigma",
+        f"{SPREADS} uncertainty.initial_sigma_position_m navigation.sigma_position_m", "1 sigma",
         lambda s, entry: _sigma(s, entry, 0), "m", warn=SPREAD, hint="; metres and seconds?",
         or_zero=True,
         scale=(lambda s, _: s.sizes(s.initial_state)[0][0], "times the distance from the centre"),
     ),
     Interval(
-        f"{SPREADS} uncertainty.initial_sigma_velocity_m_s", "1 sigma",
+        f"{SPREADS} uncertainty.initial_sigma_velocity_m_s navigation.sigma_velocity_m_s", "1 sigma",
         lambda s, entry: _sigma(s, entry, 1), "m/s", warn=SPREAD, hint="; metres and seconds?",
         or_zero=True,
         scale=(

@@ -1,0 +1,87 @@
+"""Which burns a policy of feedback corrects, and when the states are measured that they act on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from scp_recon.errors import InputError
+from scp_recon.mission.scene import Scene
+from scp_recon.mission.schedule import SAME_S
+from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.scenario.schema import Scenario
+
+
+def cut_offs_s(scenario: Scenario) -> dict[int, float]:
+    """Cut-off of each corrected burn, s, by its number from 0 among the burns to be planned.
+
+    Corrected are the burns whose cut-off is where planning begins or later, but for the first of the
+    whole flight, and for the last where `boundary.final_sigma_velocity_m_s` does not limit what it
+    leaves: nothing else feels its correction. None with the policy "open".
+    """
+    start, lead = scenario.start_s, scenario.navigation.lead_s
+    return {
+        burn: max(time - lead, start)
+        for burn, time in _correctable(scenario).items()
+        if time - lead >= start - SAME_S
+    }
+
+
+def _correctable(scenario: Scenario) -> dict[int, float]:
+    """Times of the burns that a correction may serve, s, by number, whatever the lead."""
+    if scenario.policy.kind == "open":
+        return {}
+    times = dict(enumerate(scenario.burn_times_s))
+    if scenario.in_flight is None:
+        times.pop(0)
+    if scenario.boundary.final_sigma_velocity_m_s is None:
+        times.pop(len(scenario.burn_times_s) - 1, None)
+    return times
+
+
+def check_feedback(scenario: Scenario) -> None:
+    """Refuse feedback that measures nothing, or can correct no burn of a whole flight.
+
+    In flight there may be no burn left to correct.
+
+    Raises:
+        InputError: naming the entry, what was given and what is allowed.
+    """
+    if scenario.policy.kind == "open":
+        return
+    if not scenario.navigation.measures:
+        raise InputError(
+            "policy.kind",
+            "'feedback' without a measurement",
+            "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, or "
+            "covariance with frame",
+        )
+    if scenario.in_flight is not None:
+        return
+    correctable = _correctable(scenario)
+    if not correctable:
+        raise InputError(
+            "policy.kind",
+            "'feedback' with no burn between the first and the last",
+            "must be 'open', or boundary.final_sigma_velocity_m_s must limit what the last burn leaves",
+        )
+    if not cut_offs_s(scenario):
+        latest = max(correctable)
+        raise InputError(
+            "navigation.lead_s",
+            f"{scenario.navigation.lead_s:g} s, with which every cut-off precedes departure",
+            f"must be at most {correctable[latest]:g} s, for burn {latest + 1} to be corrected",
+        )
+
+
+def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of burns that feedback would correct if their cut-off did not precede departure."""
+    scenario = scene.scenario
+    corrected = cut_offs_s(scenario)
+    for burn, time in _correctable(scenario).items():
+        if burn not in corrected:
+            yield ScenarioWarning.of(
+                "navigation.lead_s",
+                f"{scenario.navigation.lead_s:g} s, so that burn {burn + 1} at {time:g} s is not "
+                "corrected: its cut-off precedes departure",
+                f"expected at most {time - scenario.start_s:g} s",
+            )

@@ -1,0 +1,191 @@
+"""Burns that feedback corrects, their cut-offs among the nodes, and what is measured there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.physics.frames import unit
+from scp_recon.planning import initial_guess
+from scp_recon.planning.ipopt import plan as plan_by_ipopt
+from scp_recon.planning.planner import plan
+from scp_recon.scenario.schema import Scenario
+from tests.scp_recon.support import mission_of
+
+SIGMAS = "navigation.sigma_position_m=10", "navigation.sigma_velocity_m_s=5e-4"
+FEEDBACK = (*SIGMAS, "policy.kind=feedback")
+LAST = "boundary.final_sigma_velocity_m_s=0.01"
+VARIANCES = [100.0, 400.0, 900.0, 1e-6, 4e-6, 9e-6]
+
+
+def in_frame(frame: str) -> Mission:
+    matrix = np.diag(VARIANCES)
+    matrix[0, 4] = matrix[4, 0] = 0.5 * np.sqrt(matrix[0, 0] * matrix[4, 4])
+    given = f"navigation.covariance={matrix.tolist()}", f"navigation.frame={frame}"
+    return mission_of("policy.kind=feedback", *given)
+
+
+@pytest.fixture(scope="module")
+def corrected() -> Mission:
+    return mission_of(*FEEDBACK)
+
+
+def test_without_feedback_nothing_changes(mission: Mission) -> None:
+    measured = mission_of(*SIGMAS, "navigation.lead_s=7000")
+    np.testing.assert_array_equal(measured.times_s, mission.times_s)
+    assert measured.problem.feedback is mission.problem.feedback is None
+
+
+@pytest.mark.parametrize(
+    ("overrides", "burns", "cut_offs"),
+    [
+        ((), [1, 2], [4400.0, 21_400.0]),
+        (("navigation.lead_s=0",), [1, 2], [8000.0, 25_000.0]),
+        (("navigation.lead_s=8000",), [1, 2], [0.0, 17_000.0]),
+        (("navigation.lead_s=8000.5",), [2], [16_999.5]),
+        ((LAST,), [1, 2, 3], [4400.0, 21_400.0, 31_242.0]),
+        (("boundary.final_sigma_position_m=400",), [1, 2], [4400.0, 21_400.0]),
+    ],
+)
+def test_cut_offs_are_nodes_a_lead_before_the_burns_between(
+    overrides: tuple[str, ...], burns: list[int], cut_offs: list[float]
+) -> None:
+    found = mission_of(*FEEDBACK, *overrides)
+    feedback = found.problem.feedback
+    assert feedback is not None
+    assert feedback.burns.tolist() == burns
+    assert found.times_s[feedback.cut_offs].tolist() == cut_offs
+
+
+def test_cost_and_probability_are_the_scenarios() -> None:
+    feedback = mission_of(*FEEDBACK, "policy.cost=expected", "risk.p_chance=0.9").problem.feedback
+    assert feedback is not None
+    assert (feedback.cost, feedback.probability) == ("expected", 0.9)
+
+
+def in_flight(scenario: Scenario, at_s: float, *, flown: int) -> Mission:
+    flight = {
+        "at_s": at_s,
+        "position_m": [-122.6, 419.9, -556.2],
+        "velocity_m_s": [0.00695, 0.07949, 0.06553],
+        "flown_m_s": [[0.0, 0.0, 0.0]] * flown,
+    }
+    return Mission.from_scenario(scenario.replace({"in_flight": flight}))
+
+
+def test_in_flight_the_next_burn_is_corrected_too(corrected: Mission) -> None:
+    """Even with its cut-off where planning begins, to the last bit of a difference of times."""
+    for lead_s, at_s in ((3600.0, 17_000.0), (3600.0, 21_400.0), (3600.1, 21_399.9)):
+        scenario = corrected.scenario.replace({"navigation.lead_s": lead_s})
+        left = in_flight(scenario, at_s, flown=2)
+        feedback = left.problem.feedback
+        assert feedback is not None
+        assert feedback.burns.tolist() == [0]
+        cut_off = left.times_s[feedback.cut_offs[0]]
+        assert cut_off == max(at_s, 25_000.0 - lead_s)
+        assert np.diff(left.times_s).min() > 1.0
+
+
+def test_in_flight_there_may_be_nothing_left_to_correct(corrected: Mission) -> None:
+    assert in_flight(corrected.scenario, 26_000.0, flown=3).problem.feedback is None
+    last = corrected.scenario.replace({"boundary.final_sigma_velocity_m_s": 0.01})
+    feedback = in_flight(last, 26_000.0, flown=3).problem.feedback
+    assert feedback is not None
+    assert feedback.burns.tolist() == [0]
+
+
+def covariances(mission: Mission) -> np.ndarray:
+    """Of what is measured at each cut-off, SI."""
+    feedback = mission.problem.feedback
+    assert feedback is not None
+    factors = mission.units.state[:, None] * feedback.measurement
+    return factors @ np.swapaxes(factors, 1, 2)
+
+
+def test_measurements_are_the_scenarios_in_units(corrected: Mission) -> None:
+    expected = np.diag([100.0] * 3 + [2.5e-7] * 3)
+    np.testing.assert_allclose(covariances(corrected), [expected] * 2, rtol=1e-12)
+    fixed = in_frame("j2000")
+    given = np.array(fixed.scenario.navigation.covariance)
+    np.testing.assert_allclose(covariances(fixed), [given] * 2, rtol=1e-9, atol=1e-12)
+
+
+def test_a_covariance_in_rtn_turns_with_the_path() -> None:
+    """By the directions themselves: along the position, across in the plane, and normal to it."""
+    mission = in_frame("rtn")
+    path = initial_guess.ballistic(mission).mean
+    feedback = mission.problem.feedback
+    assert feedback is not None
+    factors = mission.units.state[:, None] * mission.measurement(path[feedback.cut_offs])
+    found = factors @ np.swapaxes(factors, 1, 2)
+    given = np.array(mission.scenario.navigation.covariance)
+    for covariance, state in zip(found, path[feedback.cut_offs], strict=True):
+        radial, normal = unit(state[:3]), unit(np.cross(state[:3], state[3:]))
+        axes = np.array([radial, np.cross(normal, radial), normal])
+        assert axes[1] @ state[3:] > 0.0
+        for part in (slice(0, 3), slice(3, 6)):
+            turned = axes @ covariance[part, part] @ axes.T
+            np.testing.assert_allclose(turned, given[part, part], rtol=1e-9, atol=1e-12)
+        assert axes[0] @ covariance[:3, 3:] @ axes[1] == pytest.approx(given[0, 4])
+    assert not np.allclose(found[0], found[1])
+
+
+def test_before_there_is_a_plan_rtn_is_that_of_a_transfer() -> None:
+    """Lambert's arc is near the two-impulse flight, which is solved with the planner's forces."""
+    mission = in_frame("rtn")
+    path = initial_guess.ballistic(mission).mean
+    feedback = mission.problem.feedback
+    assert feedback is not None
+    near = mission.measurement(path[feedback.cut_offs])
+    off = np.linalg.norm(feedback.measurement - near) / np.linalg.norm(near)
+    assert off < 0.02
+
+
+@pytest.mark.parametrize(
+    ("overrides", "entry", "words"),
+    [
+        (("policy.kind=feedback",), "policy.kind", "sigma_position_m with sigma_velocity_m_s"),
+        ((*FEEDBACK, "navigation.lead_s=25001"), "navigation.lead_s", "most 25000 s, for burn 3"),
+        ((*FEEDBACK, LAST, "navigation.lead_s=40000"), "navigation.lead_s", "34842 s, for burn 4"),
+    ],
+)
+def test_feedback_that_can_correct_nothing_is_refused(
+    overrides: tuple[str, ...], entry: str, words: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        mission_of(*overrides)
+    assert caught.value.entry == entry
+    assert words in caught.value.allowed
+
+
+def test_a_burn_whose_cut_off_precedes_departure_is_named(corrected: Mission) -> None:
+    assert not corrected.warnings
+    (warning,) = mission_of(*FEEDBACK, "navigation.lead_s=9000").warnings
+    assert str(warning) == (
+        "navigation.lead_s: got 9000 s, so that burn 2 at 8000 s is not corrected: its cut-off "
+        "precedes departure; expected at most 8000 s"
+    )
+
+
+@pytest.mark.parametrize(
+    ("override", "entry"),
+    [
+        ("navigation.sigma_position_m=0.01", "navigation.sigma_position_m"),
+        ("navigation.sigma_velocity_m_s=0.5", "navigation.sigma_velocity_m_s"),
+    ],
+)
+def test_errors_in_other_units_are_warned_about(override: str, entry: str) -> None:
+    (warning,) = mission_of(*SIGMAS, override).warnings
+    assert warning.entry == entry
+
+
+def test_a_method_without_gains_refuses_feedback(corrected: Mission) -> None:
+    guess = initial_guess.cold(corrected)
+    with pytest.raises(InputError, match=r"^policy\.kind: .*condensed and lifted"):
+        plan(corrected, guess, formulation="frozen-stm")
+    with pytest.raises(InputError, match=r"^policy\.kind: .*'scp' only"):
+        plan_by_ipopt(corrected, guess)
+    with pytest.raises(InputError, match=r"^policy\.kind: .*must be 'open'"):
+        plan(corrected, guess)
