@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
 from html import unescape
@@ -15,6 +17,7 @@ from rich.console import Console
 from scp_recon.campaigns.figures import figures
 from scp_recon.campaigns.outcome import CampaignResults, axes_of, label, read_campaign, remarks
 from scp_recon.campaigns.page import charts_of, render
+from scp_recon.campaigns.run import FILE_NAME
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import report
 from scp_recon.cli.commands.campaigns import show_campaign
@@ -35,6 +38,17 @@ def errors(tmp_path_factory: pytest.TempPathFactory) -> CampaignResults:
     folder = tmp_path_factory.mktemp("errors")
     campaign_of(ERRORS, folder)
     return read_campaign(folder)
+
+
+def test_a_campaign_from_before_there_was_navigation_is_read(
+    mapped: tuple[Study, CampaignResults], tmp_path: Path
+) -> None:
+    _, results = mapped
+    folder = shutil.copytree(results.folder, tmp_path / "older")
+    data = json.loads((folder / FILE_NAME).read_text("utf-8"))
+    data["base"]["schedule"]["decision_lead_s"] = 1800.0
+    (folder / FILE_NAME).write_text(json.dumps(data), "utf-8")
+    assert read_campaign(folder).base == results.base
 
 
 def test_every_case_has_its_end(mapped: tuple[Study, CampaignResults]) -> None:
