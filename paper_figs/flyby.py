@@ -55,7 +55,7 @@ def draw(solution: Solution) -> Figure:
         figure.suptitle(
             f"{plain(mission.scenario.site.name)} on {plain(mission.scenario.body.name)}: "
             f"{solution.problem}, "
-            f"{solution.total_dv_m_s:.4f} m/s in {len(solution.burns)} burns",
+            f"{solution.total_dv_m_s:.4f} m/s in {len(solution.executed)} burns",
             fontweight="bold",
         )
         _name_burns(path, mission, solution)
@@ -69,20 +69,20 @@ def seen_from_sun(mission: Mission, vectors: Array) -> Array:
 
 
 def _arrows(mission: Mission, solution: Solution) -> tuple[Array, Array]:
-    """Positions of the burns and their arrows, km, shape (m, 2) each."""
-    states = np.array(solution.nodes.state)[:, :3]
-    burns = seen_from_sun(mission, solution.burns_m_s)
+    """Positions of the burns that are not zero and their arrows, km, shape (m, 2) each."""
+    states, fired = np.array(solution.nodes.state)[:, :3], solution.burns_m_s.any(axis=1)
+    burns = seen_from_sun(mission, solution.burns_m_s[fired])
     extent = float(np.ptp(states, axis=0).max()) / 1000.0
     arrows = ARROW * extent * burns / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
-    return seen_from_sun(mission, states[mission.burn_nodes]), arrows
+    return seen_from_sun(mission, states[mission.burn_nodes[fired]]), arrows
 
 
 def _name_burns(axes: Axes, mission: Mission, solution: Solution) -> None:
     """Write number and size beside each burn."""
     starts, arrows = _arrows(mission, solution)
     path = seen_from_sun(mission, np.array(solution.nodes.state)[:, :3])
-    sizes = 1000.0 * np.linalg.norm(solution.burns_m_s, axis=1)
-    words = [f"{i}: {size:.0f} mm/s" for i, size in enumerate(sizes, start=1)]
+    sizes = {number: 1000.0 * np.linalg.norm(burn.dv_m_s) for number, burn in solution.executed}
+    words = [f"{number}: {size:.0f} mm/s" for number, size in sizes.items()]
     along = (starts + np.linspace(0.0, 1.0, 9)[:, None, None] * arrows).reshape(-1, 2)
     place_labels(axes, starts, words, np.vstack([path, along]), color=BURN)
 

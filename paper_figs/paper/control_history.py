@@ -15,8 +15,9 @@ from scp_recon.physics import geometry
 
 def draw(runs: Runs) -> Figure:
     """Burn sizes with their limit above, angles to the Sun with the keep-out band below."""
-    mission, burns = runs.plan.mission, runs.plan.solution.burns_m_s
-    times = np.array(mission.scenario.burns.times_s)
+    mission, fired = runs.plan.mission, [burn for _, burn in runs.plan.solution.executed]
+    times = np.array([burn.t_s for burn in fired])
+    burns = np.array([burn.dv_m_s for burn in fired])
     sizes = 1000.0 * np.linalg.norm(burns, axis=1)
     angles = np.rad2deg(geometry.angle(burns, mission.sun_direction(times)))
     cone = mission.scenario.battery.delta_v_cone_deg
@@ -66,7 +67,7 @@ def caption(runs: Runs) -> str:
     first, last = runs.plan.mission.schedule.window_s
     return (
         f"Control history of the plan ({solution.problem}, {solution.init} start, "
-        f"{solution.total_dv_m_s:.5f} m/s in {len(solution.burns)} burns). Above: size of each "
+        f"{solution.total_dv_m_s:.5f} m/s in {len(solution.executed)} burns). Above: size of each "
         f"impulse, and the limit of {1000 * scenario.burns.dv_max_m_s:g} mm/s. Below: angle between "
         f"each impulse and the direction from {scenario.body.name} to the Sun; hatched are the two "
         f"cones of {scenario.battery.delta_v_cone_deg:g} deg about the Sun line that the battery keeps "

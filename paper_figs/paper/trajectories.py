@@ -169,30 +169,36 @@ def _burns(axes: Axes, flown: Flown, pair: list[int], arrow_km: float) -> None:
     """Numbered dots and arrows in proportion to the impulses."""
     starts, arrows = _arrows(flown, pair, arrow_km)
     draw_burns(axes, starts, arrows, SHORT * arrow_km)
-    label = f"burns 1 to {len(starts)}, arrows to scale"
+    label = f"burns {', '.join(_numbers(flown))}, arrows to scale"
     axes.plot(*starts.T, "o", color=BURN, ms=4.5, zorder=7, label=label)
 
 
 def _number(axes: Axes, flown: Flown, pair: list[int], arrow_km: float) -> None:
     """The burns' numbers at their arrows' tips."""
     starts, arrows = _arrows(flown, pair, arrow_km)
-    numbers = [str(number) for number in range(1, len(starts) + 1)]
+    numbers = _numbers(flown)
     look = {"color": BURN, "fontweight": "bold", "path_effects": HALO, "zorder": 7}
     place_labels(axes, starts + arrows, numbers, np.vstack([starts, starts + arrows]), **look)
 
 
+def _numbers(flown: Flown) -> list[str]:
+    """Of the burns that are not zero."""
+    return [str(number) for number, _ in flown.solution.executed]
+
+
 def _arrows(flown: Flown, pair: list[int], arrow_km: float) -> tuple[Array, Array]:
-    """Positions of the burns and their arrows, km, shape (m, 2) each."""
+    """Positions of the burns that are not zero and their arrows, km, shape (m, 2) each."""
     burns = flown.solution.burns_m_s
-    arrows = arrow_km * burns[:, pair] / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
-    starts = np.array(flown.solution.nodes.state)[flown.mission.burn_nodes][:, pair] / 1000.0
-    return starts, arrows
+    fired = burns.any(axis=1)
+    arrows = arrow_km * burns[fired][:, pair] / max(np.linalg.norm(burns, axis=1).max(), 1e-12)
+    nodes = flown.mission.burn_nodes[fired]
+    return np.array(flown.solution.nodes.state)[nodes][:, pair] / 1000.0, arrows
 
 
 def caption(runs: Runs) -> str:
     """Describe the figure."""
     solution, mission = runs.plan.solution, runs.plan.mission
-    sizes = 1000.0 * np.linalg.norm(solution.burns_m_s, axis=1)
+    sizes = [1000.0 * float(np.linalg.norm(burn.dv_m_s)) for _, burn in solution.executed]
     listed = ", ".join(f"{size:.1f}" for size in sizes)
     return (
         "The plan (solid) and the "

@@ -59,6 +59,6 @@ def bands(values: Array, times: Array, value: int) -> Iterator[tuple[float, floa
 
 
 def mark_burns(axes: Axes, record: Record) -> None:
-    """Draw a line at every burn."""
-    for burn in record.summary.burns:
+    """Draw a line at every burn that is not zero."""
+    for burn in (one for one in record.summary.burns if any(one.planned_m_s)):
         axes.axvline(burn.t_s / HOUR_S, color="0.3", lw=0.8, ls=":")

@@ -86,7 +86,6 @@ def maker() -> str:
 def heading(export: Export) -> list[str]:
     """Lines of the heading, in ASCII, short enough for a CCSDS message."""
     scenario, solution, path = export.mission.scenario, export.solution, export.path
-    end = solution.burns[-1].t_s
     lines = [
         f"scenario {scenario.name}, {solution.problem}, by {maker()}",
         f"plan {solution.plan_hash}",
@@ -99,8 +98,7 @@ def heading(export: Export) -> list[str]:
         "and after the last is not part of the plan",
         f"a straight line between neighbouring states is within {path.linear_error_m:.1e} m of the "
         f"flight (required: {WITHIN_M:g}), a cubic of both states within {path.cubic_error_m:.1e} m",
-        f"{len(solution.burns)} burns, impulses; {solution.total_dv_m_s:.6f} m/s in all, the last at "
-        f"t_s = {end:g}:",
+        f"{len(solution.executed)} burns, impulses; {solution.total_dv_m_s:.6f} m/s in all:",
         *(burn_line(export, number) for number in range(1, len(solution.burns) + 1)),
     ]
     plain = [printable(line).encode("ascii", "replace").decode() for line in lines]

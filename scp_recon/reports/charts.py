@@ -203,8 +203,9 @@ def _burn_marks(subject: Subject, row: int) -> list[dict[str, Any]]:
     executed, end = subject.solution.executed, float(subject.nodes_s[-1])
     sizes = {number: 1000.0 * float(np.linalg.norm(burn.dv_m_s)) for number, burn in executed}
     reach: list[float | None] = []
-    for low, high in subject.mission.schedule.firing_intervals_s:
-        reach += [low, min(high, end), None]
+    intervals = subject.mission.schedule.firing_intervals_s
+    for burn, (low, high) in zip(subject.solution.burns, intervals, strict=True):
+        reach += [low, min(high, end), None] if any(burn.dv_m_s) else []
     times = [burn.t_s for _, burn in executed]
     moves = {
         "type": "scatter",

@@ -17,6 +17,7 @@ from scp_recon.physics.frames import unit
 from scp_recon.reports.ground import Camera, GroundTrack, ground_track
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import Shape
+from scp_recon.reports.tables import or_none
 from scp_recon.results.table import Column, Table
 from scp_recon.verification.probabilities import SAMPLES, SEED, held
 
@@ -276,7 +277,10 @@ def budget_of(subject: Subject, flown: Flown) -> Budget:
 def budget_table(budget: Budget) -> Table:
     """Sizes of each burn and of the whole flight."""
     each = zip(budget.planned_m_s, budget.mean_m_s, budget.high_m_s, strict=True)
-    rows = [[str(i), *map(float, sizes)] for i, sizes in enumerate(each, start=budget.first)]
+    rows = [
+        [str(i), *or_none(sizes[0] > 0.0, *map(float, sizes))]
+        for i, sizes in enumerate(each, start=budget.first)
+    ]
     rows.append([
         *("whole flight", float(budget.planned_m_s.sum())),
         *(budget.total_mean_m_s, budget.total_high_m_s),

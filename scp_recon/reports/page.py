@@ -72,7 +72,7 @@ def verdict_of(plan: Shown) -> Verdict:
         word,
         _required(subject),
         _achieved(plan),
-        f"{solution.total_dv_m_s:.6f} m/s in {len(solution.burns)} burns; 99 % of the flights stay "
+        f"{solution.total_dv_m_s:.6f} m/s in {len(solution.executed)} burns; 99 % of the flights stay "
         f"below {plan.budget.total_high_m_s:.6f} m/s",
         _remarks(subject, status),
     )

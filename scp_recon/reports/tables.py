@@ -71,9 +71,12 @@ def burns_table(solution: Solution) -> Table:
 
 def _components(burn: Burn) -> Sequence[object]:
     """Its three and its size."""
-    if not any(burn.dv_m_s):
-        return 4 * [NO_BURN]
-    return [*burn.dv_m_s, float(np.linalg.norm(burn.dv_m_s))]
+    return or_none(any(burn.dv_m_s), *burn.dv_m_s, float(np.linalg.norm(burn.dv_m_s)))
+
+
+def or_none(fired: object, *figures: float) -> Sequence[object]:
+    """A burn's figures as they are, or as those of no burn."""
+    return figures if fired else len(figures) * [NO_BURN]
 
 
 def constraints_table(solution: Solution) -> Table:
@@ -253,9 +256,12 @@ def simulated_burns_table(summary: FlightSummary) -> Table:
             [
                 str(number),
                 burn.t_s,
-                *(float(np.linalg.norm(dv)) for dv in (burn.planned_m_s, burn.executed_m_s)),
-                burn.pointing_deg,
-                burn.executed_pointing_deg,
+                *or_none(
+                    any(burn.planned_m_s),
+                    *(float(np.linalg.norm(dv)) for dv in (burn.planned_m_s, burn.executed_m_s)),
+                    burn.pointing_deg,
+                    burn.executed_pointing_deg,
+                ),
             ]
             for number, burn in enumerate(summary.burns, start=1)
         ),

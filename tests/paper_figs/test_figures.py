@@ -14,17 +14,24 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from experiments.harness import records
 from experiments.observation_table.rows import rows
 from experiments.observation_table.study import measure
 from paper_figs import __main__ as command_line
-from paper_figs import inputs
+from paper_figs import flyby, inputs
 from paper_figs.__main__ import PICTURES, main, make_all, plan_hash_of
 from paper_figs.drawing import save
 from paper_figs.inputs import COMMAND, PLAN, SURROGATE, TABLE, Runs, read_runs
 from paper_figs.labels import place_labels
-from paper_figs.paper import cone_polytopes, observation_geometry, tables
+from paper_figs.paper import (
+    cone_polytopes,
+    control_history,
+    observation_geometry,
+    tables,
+    trajectories,
+)
 from paper_figs.paper.observation_times import rebinned
 from paper_figs.registry import EVERYTHING, FIGURES, TABLES, Item
 from scp_recon.errors import InputError
@@ -33,6 +40,7 @@ from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
+from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of
 
 SAMPLES = 400
@@ -103,6 +111,31 @@ def test_a_plan_of_one_s_own_is_drawn_without_the_paper_s_table(
 
 
 # --- what they say ------------------------------------------------------------------------------
+
+
+def words_of(figure: Figure) -> set[str]:
+    """All that is written in a figure, legends too."""
+    return {text.get_text() for text in figure.findobj(Text)}
+
+
+def test_a_burn_of_zero_is_in_no_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """P3 leaves out the third."""
+    coarse = mission_of(COARSE)
+    make_solution(plan(coarse, initial_guess.cold(coarse), problem="P3")).write(tmp_path)
+    monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
+    runs = read_runs(tmp_path)
+    numbers = [number for number, _ in runs.plan.solution.executed]
+    assert numbers == [1, 2, 4]
+    history = control_history.draw(runs)
+    assert [len(axes.lines[0].get_xdata()) for axes in history.axes] == [3, 3]
+    assert "in 3 burns" in control_history.caption(runs)
+    drawn = words_of(trajectories.draw(runs))
+    assert "burns 1, 2, 4, arrows to scale" in drawn
+    assert "3" not in drawn
+    assert trajectories.caption(runs).count(" 0.0") == 0
+    drawn = words_of(flyby.draw(runs.plan.solution))
+    assert [one for one in sorted(drawn) if "mm/s" in one][2].startswith("4: ")
+    assert any("in 3 burns" in one for one in drawn)
 
 
 def test_labels_lie_neither_on_each_other_nor_off_the_page() -> None:

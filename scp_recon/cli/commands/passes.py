@@ -97,7 +97,11 @@ def _keep_primer(folder: Path, console: Console) -> None:
     if solution.primer is not None and _can_draw():
         from scp_recon.api.charts import draw_primer
 
-        _keep(folder, PRIMER, draw_primer(solution.primer, [burn.t_s for burn in solution.burns]))
+        _keep(
+            folder,
+            PRIMER,
+            draw_primer(solution.primer, [burn.t_s for _, burn in solution.executed]),
+        )
 
 
 def _can_draw() -> bool:
