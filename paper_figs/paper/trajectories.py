@@ -20,9 +20,9 @@ from scp_recon.monte_carlo.sampling import sample_positions
 
 PATHS, TIMES = 60, 600
 SIGMAS = ((2.0, "0.87", "2 sigma"), (1.0, "0.7", "1 sigma"))
-ARROW, SHORT, MARGIN, TICKS = 0.12, 0.01, 0.15, 7
+ARROW, SHORT, MARGIN, TICKS = 0.12, 0.01, 0.06, 7
 """The largest burn's arrow over the longest side, what part of it is no arrow, what is left free around
-the paths, and ticks at most."""
+all that is drawn, and ticks at most."""
 AXES = ("x", "y", "z")
 PLANES = ((1, 2), (0, 2), (1, 0))
 """Horizontal and vertical axis of each panel, placed so that neighbours share one."""
@@ -96,9 +96,18 @@ def draw(runs: Runs) -> Figure:
 
 
 def limits_km(runs: Runs, flown: Paths) -> list[tuple[float, float]]:
-    """Limits of each coordinate: both paths, the keep-out sphere, and room around them."""
+    """Limits of each coordinate: paths, flights, the widest band, the keep-out sphere, and room."""
     safe = runs.plan.mission.scenario.safety.radius_min_m / 1000.0
-    drawn = np.vstack([flown.plan, flown.reference, np.full(3, safe), np.full(3, -safe)])
+    nodes = runs.plan.solution.nodes
+    variance = np.diagonal(np.array(nodes.covariance), axis1=1, axis2=2)[:, :3]
+    band = max(sigmas for sigmas, *_ in SIGMAS) * np.sqrt(variance) / 1000.0
+    mean = np.array(nodes.state)[:, :3] / 1000.0
+    drawn = np.vstack(
+        [
+            *(flown.plan, flown.reference, flown.sampled.reshape(-1, 3)),
+            *(mean - band, mean + band, np.full(3, safe), np.full(3, -safe)),
+        ]
+    )
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     room = MARGIN * float((high - low).max())
     return list(zip((low - room).tolist(), (high + room).tolist(), strict=True))
