@@ -55,6 +55,10 @@ bench: $(VENV)/.dev  ## time everything, and renew docs/performance.md
 
 check: lint types test  ## everything that a change has to pass
 
+drawings: $(VENV)/.test  ## make the pictures of the pages that no study feeds
+	for name in frames planner polytopes lifting; do \
+	$(BIN)/python -m paper_figs $$name --out docs/$$name.png || exit 1; done
+
 figures: $(VENV)/.test  ## make all figures, the studies that are missing first, and that of docs/validation/paper.md
 	$(BIN)/python -m paper_figs --all
 	$(BIN)/python -m paper_figs flyby --runs runs/paper/scp_cold --out docs/flyby.png

@@ -9,9 +9,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from paper_figs import flyby, frames
+from paper_figs import concepts, flyby, frames
 from paper_figs.inputs import COMMAND, Source, read_runs
 from paper_figs.paper import (
+    ball_polytopes,
     cone_polytopes,
     control_history,
     observation_geometry,
@@ -67,11 +68,17 @@ def _study(module: Any) -> Item:
     return Item(module.draw, module.caption, source, getattr(module, "read", read))
 
 
+def _without_input(draw: Callable[[], Figure]) -> Item:
+    """A drawing for a page."""
+    return Item(lambda _: draw(), read=lambda _: None, dpi=120)
+
+
 FIGURES: dict[str, Item] = {
     module.__name__.rpartition(".")[2]: Item(module.draw, module.caption)
     for module in (
         observation_geometry,
         cone_polytopes,
+        ball_polytopes,
         trajectories,
         control_history,
         observation_histories,
@@ -104,7 +111,10 @@ STUDIES: dict[str, Item] = {
 
 ALONE = {
     "flyby": Item(flyby.draw, read=flyby.read, dpi=140),
-    "frames": Item(lambda _: frames.draw(), read=lambda _: None, dpi=120),
+    "frames": _without_input(frames.draw),
+    "planner": _without_input(concepts.planner),
+    "polytopes": _without_input(concepts.polytopes),
+    "lifting": _without_input(concepts.lifting),
     "solver_comparison": Item(
         solver_comparison.draw, source=solver_comparison.SOURCE, read=solver_comparison.SOURCE.rows
     ),

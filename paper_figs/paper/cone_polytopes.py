@@ -42,11 +42,16 @@ class Section:
     frame: Array
 
 
+def binding_node(flown: Flown, name: str) -> int:
+    """The node where a constraint is closest to binding; with exact risk its joint constraint."""
+    found = (c.worst_t_s for c in flown.solution.constraints if name.startswith(c.name))
+    return int(np.argmin(np.abs(flown.mission.times_s - next(found))))
+
+
 def section(flown: Flown) -> Section:
     """The plane at the node where the upper emission limit is closest to binding."""
     mission, nodes = flown.mission, flown.solution.nodes
-    worst = next(c.worst_t_s for c in flown.solution.constraints if c.name == "emission_max")
-    node = int(np.argmin(np.abs(mission.times_s - worst)))
+    node = binding_node(flown, "emission_max")
     track = geometry.track(mission.site, mission.rotation, mission.times_s[[node]])
     normal, site = track.normal[0], track.position[0]
     line = np.array(nodes.state[node][:3]) - site
@@ -85,12 +90,13 @@ def pyramid(cut: Section, angle_deg: float, facets: int, keep: str) -> list[Half
     return place(cone, Polytopes(None, facets), point[None])
 
 
-def most_probable(planes: list[Halfspaces], cut: Section) -> int:
-    """The facet beyond which the spacecraft is with the largest probability."""
-    point = cut.origin_m + cut.frame[:, :2] @ cut.point_m
-    beyond = np.array([plane.normal[0] @ point - plane.offset[0] for plane in planes])
-    normals = np.stack([plane.normal[0] for plane in planes]) @ cut.frame
-    deviation = np.sqrt(np.einsum("mi,ij,mj->m", normals, cut.covariance_m2, normals))
+def most_probable(normals: Array, offsets: Array, point: Array, covariance: Array) -> int:
+    """The facet beyond which a normal point is with the largest probability.
+
+    Normals have shape (m, 3), offsets (m,); mean and covariance are along the same axes.
+    """
+    beyond = normals @ point - offsets
+    deviation = np.sqrt(np.einsum("mi,ij,mj->m", normals, covariance, normals))
     return int(np.argmax(beyond / deviation))
 
 
@@ -136,7 +142,7 @@ def _keep_in(axes: Axes, cut: Section, angle_deg: float, facets: int) -> None:
         )
     )  # fmt: skip
     axes.add_patch(Circle((0, 0), radius, fill=False, lw=1.0, edgecolor="0.45", label="cone"))
-    _spacecraft(axes, cut)
+    spacecraft(axes, cut.point_m, cut.covariance_m2[:2, :2])
     axes.set_title(f"keep in: emission at most {angle_deg:g} deg")
     axes.set(xlim=(-1.1 * radius, 1.1 * radius), ylim=(-1.1 * radius, 1.1 * radius))
 
@@ -145,7 +151,13 @@ def _keep_out(axes: Axes, cut: Section, angle_deg: float, facets: int) -> None:
     """Draw the pyramid whose facets touch the cone: the most probable one must hold."""
     radius = cut.height_m * np.tan(np.deg2rad(angle_deg))
     planes = pyramid(cut, angle_deg, facets, "out")
-    corners, chosen = polygon(planes, cut), most_probable(planes, cut)
+    normals = np.concatenate([plane.normal for plane in planes]) @ cut.frame
+    offsets = np.concatenate([plane.offset for plane in planes]) - normals @ (
+        cut.frame.T @ cut.origin_m
+    )
+    point = np.array([*cut.point_m, 0.0])
+    corners = polygon(planes, cut)
+    chosen = most_probable(normals, offsets, point, cut.covariance_m2)
     # Facet i ends at corner i and starts at the one before.
     ends = np.stack([corners[chosen - 1], corners[chosen]])
     along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
@@ -164,7 +176,7 @@ def _keep_out(axes: Axes, cut: Section, angle_deg: float, facets: int) -> None:
         Polygon(corners, fill=False, edgecolor="0.6", lw=1.4, label=f"outside, {facets} facets")
     )
     axes.add_patch(Circle((0, 0), radius, fill=False, lw=1.0, edgecolor="0.45", label="cone"))
-    _spacecraft(axes, cut)
+    spacecraft(axes, cut.point_m, cut.covariance_m2[:2, :2])
     axes.set_title(f"keep out: emission at least {angle_deg:g} deg")
     reach = 1.3 * float(cut.point_m[0])
     low = -1.6 * radius
@@ -173,19 +185,19 @@ def _keep_out(axes: Axes, cut: Section, angle_deg: float, facets: int) -> None:
     )
 
 
-def _spacecraft(axes: Axes, cut: Section) -> None:
-    """The mean and its one and two standard deviations in the plane."""
-    variance, direction = np.linalg.eigh(cut.covariance_m2[:2, :2])
+def spacecraft(axes: Axes, point_m: Array, covariance_m2: Array) -> None:
+    """The mean in a plane and its one and two standard deviations, shape (2,) and (2, 2)."""
+    variance, direction = np.linalg.eigh(covariance_m2)
     angle = float(np.rad2deg(np.arctan2(direction[1, 1], direction[0, 1])))
     for sigmas, line in ((1.0, "-"), (2.0, ":")):
         width, height = 2.0 * sigmas * np.sqrt(variance[1]), 2.0 * sigmas * np.sqrt(variance[0])
         axes.add_patch(
             Ellipse(
-                tuple(cut.point_m), width, height, angle=angle, fill=False, ls=line, lw=1.2,
+                tuple(point_m), width, height, angle=angle, fill=False, ls=line, lw=1.2,
                 label=f"{sigmas:g} sigma",
             )
         )  # fmt: skip
-    axes.plot(*cut.point_m, "ko", ms=4, label="spacecraft")
+    axes.plot(*point_m, "ko", ms=4, label="spacecraft")
 
 
 def _in_space(

@@ -7,8 +7,10 @@ import itertools
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,12 +22,13 @@ from experiments.harness import records
 from experiments.observation_table.rows import rows
 from experiments.observation_table.study import measure
 from paper_figs import __main__ as command_line
-from paper_figs import flyby, inputs
+from paper_figs import concepts, flyby, inputs
 from paper_figs.__main__ import PICTURES, main, make_all, plan_hash_of
 from paper_figs.drawing import save
 from paper_figs.inputs import COMMAND, PLAN, SURROGATE, TABLE, Runs, read_runs
 from paper_figs.labels import place_labels
 from paper_figs.paper import (
+    ball_polytopes,
     cone_polytopes,
     control_history,
     observation_geometry,
@@ -192,6 +195,41 @@ def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs: Runs) -> None:
         assert np.abs(middles - [radius, 0.0]).max(axis=1).min() < 1e-6 * radius
 
 
+def test_drawn_ball_polytopes_enclose_the_sphere_or_are_enclosed(runs: Runs) -> None:
+    """Of the paper's 14 corners one faces the spacecraft, and outside one of the facets."""
+    seen = ball_polytopes.sphere(runs.plan)
+    inside, outside = (ball_polytopes.facets(runs, seen, 740.0, keep) for keep in ("in", "out"))
+    corners = ball_polytopes.corners(inside)
+    assert corners.shape == (14, 3)
+    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), 740.0)
+    np.testing.assert_allclose(corners[np.argmax(corners[:, 0])], [740.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(outside.offset, 740.0)
+    assert ball_polytopes.polygon(inside).shape[1] == 2
+    chosen = cone_polytopes.most_probable(
+        outside.normal, outside.offset, seen.point_m, seen.covariance_m2
+    )
+    np.testing.assert_allclose(outside.normal[chosen], [1.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_with_exact_risk_the_joint_constraint_says_where_it_binds(runs: Runs) -> None:
+    names = ("site_distance", "emission", "phase")
+    found = [SimpleNamespace(name=name, worst_t_s=t) for t, name in enumerate(names, start=14_000)]
+    mission: Any = SimpleNamespace(times_s=np.arange(13_998.0, 14_004.0))
+    flown = replace(runs.plan, mission=mission, solution=SimpleNamespace(constraints=found))
+    assert cone_polytopes.binding_node(flown, "emission_max") == 3
+    assert cone_polytopes.binding_node(flown, "site_distance_max") == 2
+
+
+def test_no_flight_and_no_band_is_cut_off(runs: Runs) -> None:
+    flown = trajectories.paths(runs)
+    low, high = np.array(trajectories.limits_km(runs, flown)).T
+    nodes = runs.plan.solution.nodes
+    spread = np.sqrt(np.diagonal(np.array(nodes.covariance), axis1=1, axis2=2)[:, :3]) / 1000.0
+    mean = np.array(nodes.state)[:, :3] / 1000.0
+    for drawn in (flown.sampled, mean - 2.0 * spread, mean + 2.0 * spread):
+        assert ((drawn > low) & (drawn < high)).all()
+
+
 def test_sight_at_mid_window_keeps_the_angles(runs: Runs) -> None:
     seen = observation_geometry.sight(runs.plan.mission, runs.plan.solution.burns_m_s, 14_838.8)
     assert 90.0 - seen.craft_at == pytest.approx(seen.emission)
@@ -276,6 +314,22 @@ def test_a_bad_command_line_is_a_document(capsys: pytest.CaptureFixture[str]) ->
     error = json.loads(capsys.readouterr().out)["error"]
     assert error["given"] == "'no_such_figure'"
     assert "solver_comparison" in error["allowed"]
+
+
+@pytest.mark.parametrize("draw", [concepts.planner, concepts.polytopes, concepts.lifting])
+def test_words_of_a_drawing_lie_neither_on_each_other_nor_off_the_page(
+    draw: Callable[[], Figure],
+) -> None:
+    figure = draw()
+    figure.draw_without_rendering()
+    texts = [t for axes in figure.axes for t in (*axes.texts, axes.title) if t.get_text()]
+    boxes = [Text.get_window_extent(t) for t in texts]
+    for one, other in itertools.combinations(range(len(boxes)), 2):
+        both = texts[one].get_text(), texts[other].get_text()
+        assert not boxes[one].overlaps(boxes[other]), both
+    for box in boxes:
+        assert figure.bbox.contains(box.x0, box.y0)
+        assert figure.bbox.contains(box.x1, box.y1)
 
 
 def test_the_frames_are_drawn_to_the_file_named_which_is_in_the_document(
