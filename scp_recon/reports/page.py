@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -16,7 +17,6 @@ from scp_recon.planning.plan import NOT_CHECKED
 from scp_recon.reports.flights import SO_FAR, Shown
 from scp_recon.reports.marks import BODY, Trace, script
 from scp_recon.reports.subject import Subject
-from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
 from scp_recon.scp.status import Status
 from scp_recon.verification.remedies import what_next
@@ -116,7 +116,7 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     ]
     if solution.verification is not None:
         lines = what_next(subject.mission, solution, solution.verification)
-        said += [f"next: {line}" for line in (*lines, *_surplus(solution))]
+        said += [f"next: {line}" for line in (*lines, *solution.advice, *_surplus(subject))]
     risk = solution.risk
     if risk is not None and risk.certificate is None:
         said.append("not certified by flights: the normal law alone promises the probability")
@@ -127,18 +127,22 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     return (*said, *subject.passed_over)
 
 
-def _surplus(solution: Solution) -> list[str]:
+def _surplus(subject: Subject) -> list[str]:
     """What to do about flights that surely reach more than required, as of a uniform split."""
+    solution = subject.solution
     checked, risk = solution.verification, solution.scenario.risk
     if checked is None or not checked.ok or solution.problem == "P3" or risk.allocation == "exact":
         return []
     low = min((p.low for p in checked.probabilities), default=0.0)
     if low <= risk.p_chance:
         return []
+    options = "--set 'risk.allocation=\"exact\"'"
+    if subject.path is not None and solution.scenario.in_flight is None:
+        options = f"scp-recon solve --init {shlex.quote(str(subject.path))} {options}"
     return [
         f"flights reach at least {low:.4f} where {risk.p_chance:g} is required, as the risk is split "
-        'evenly: risk.allocation="exact" computes the probability itself, and as a rule costs less'
-        " delta-v"
+        "evenly; a plan by the probability itself, which as a rule costs less delta-v, with: "
+        f"{options}"
     ]
 
 

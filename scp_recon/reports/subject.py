@@ -32,7 +32,8 @@ PARTS_PER_ARC = 3
 class Subject:
     """A plan with the flights and the simulation of this very plan, if they lie beside it.
 
-    Files beside it that are of another plan are `passed_over`: their names, and why.
+    Files beside it that are of another plan are `passed_over`: their names, and why. `path` is where
+    the plan was read, if from a file.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Subject:
     summary: Summary | None = None
     record: Record | None = None
     passed_over: tuple[str, ...] = ()
+    path: Path | None = None
 
     @cached_property
     def mission(self) -> Mission:
@@ -133,4 +135,4 @@ def _read(path: Path, name: str) -> Subject:
         if record.plan_hash != solution.plan_hash:
             passed_over.append(f"{folder / record_file.FILE_NAME}: a simulation of another plan")
             record = None
-    return Subject(name, solution, summary, record, tuple(passed_over))
+    return Subject(name, solution, summary, record, tuple(passed_over), path)

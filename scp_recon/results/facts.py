@@ -397,6 +397,8 @@ class Facts:
         timing_s: time it took.
         verification: absent if the run was interrupted.
         warnings: entries that are allowed but unlikely.
+        advice: what binds an infeasible plan, and options with which there would be one, as the command
+            line said it.
         scenario: the whole validated input, with the numbers computed from shapes, kernels and gravity
             files ([entries](scenario.md)).
     """
@@ -426,6 +428,7 @@ class Facts:
     timing_s: PlanTiming
     verification: Verification | None
     warnings: tuple[ScenarioWarning, ...] = ()
+    advice: tuple[Line, ...] = ()
     scenario: Scenario
 
     def __post_init__(self) -> None:

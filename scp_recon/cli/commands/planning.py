@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -158,7 +158,11 @@ def plan_into(
         show_line(console, f"kept, as it is verified: {folder / FILE_NAME}")
     show_written(console, path)
     if status is Status.INFEASIBLE:
-        show_what_would_do(console, result, start, instead)
+        advice = advice_on(result, start, instead)
+        for line in advice:
+            show_line(console, line)
+        checked = replace(checked, advice=advice)
+        write_plan(checked, folder)
     code = status.value.exit_code or (0 if verification.ok else NOT_VERIFIED)
     return Answer(code, plan_document(checked, [path]))
 
@@ -166,20 +170,18 @@ def plan_into(
 SEVERAL = "; relaxing any one of them suffices"
 
 
-def show_what_would_do(
-    console: Console, failed: Plan, start: Iterate | None = None, more: Sequence[str] = ()
-) -> None:
-    """Say what binds, and the options of a plan that is feasible.
+def advice_on(
+    failed: Plan, start: Iterate | None = None, more: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """What binds, and the options of a plan that is feasible, in lines.
 
     Args:
-        console: where to.
         failed: the infeasible plan.
         start: where it began.
         more: options that undo what the command's own ones say against exact risk.
     """
     found = diagnose(failed, start)
-    for line in (what_binds(found), *what_would_do(found, failed, more)):
-        show_line(console, line)
+    return what_binds(found), *what_would_do(found, failed, more)
 
 
 def undoing(options: argparse.Namespace) -> list[str]:

@@ -29,6 +29,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Certificate
 from scp_recon.planning.planner import Plan, plan
+from scp_recon.reports.page import _remarks
+from scp_recon.reports.subject import Subject
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
@@ -82,6 +84,13 @@ def test_the_very_line_ends_verified(refused: CommandLine, tmp_path: Path) -> No
     assert solution.verification.ok
     assert solution.scenario.risk.p_chance == 0.98
     assert f"feasible, for {solution.total_dv_m_s:.4f} m/s, with: " in said(refused)
+
+
+def test_the_report_says_the_same(refused: CommandLine) -> None:
+    solution = read_solution(refused.folder)
+    assert solution.advice == tuple(said(refused).splitlines())
+    remarks = _remarks(Subject("plan", solution), Status.INFEASIBLE)
+    assert [f"next: {line}" for line in solution.advice] == list(remarks[-len(solution.advice) :])
 
 
 @pytest.mark.parametrize(

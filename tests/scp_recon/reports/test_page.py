@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+import shlex
 from dataclasses import replace
 from datetime import timedelta
 from decimal import Decimal
@@ -17,7 +18,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from scp_recon.cli.commands import report
+from scp_recon.cli.commands import report, solve
 from scp_recon.errors import InputError
 from scp_recon.reports import flights
 from scp_recon.reports.flights import fly
@@ -29,6 +30,7 @@ from scp_recon.reports.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.reports.write import page_of
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
+from scp_recon.scenario.load import load_scenario
 
 from .conftest import MADE
 
@@ -147,13 +149,17 @@ def test_names_of_limits_do_not_overprint(page: Page) -> None:
 
 
 def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified: Solution) -> None:
-    (line,) = _surplus(verified)
+    (line,) = _surplus(Subject("plan", verified, path=Path("my runs/one")))
     assert re.match(r"flights reach at least 0\.\d{4} where 0\.7 is required", line)
-    assert 'risk.allocation="exact"' in line
+    program, *words = shlex.split(line.rpartition("with: ")[2])
+    assert program == "scp-recon"
+    options = solve.parser().parse_args(words[1:])
+    assert (words[0], options.init) == ("solve", "my runs/one")
+    assert load_scenario(None, options.overrides).risk.allocation == "exact"
     exact = verified.scenario.replace({"risk.allocation": "exact"})
     sure = verified.scenario.replace({"risk.p_chance": 0.999})
     for other in (exact, sure):
-        assert _surplus(replace(verified, scenario=other)) == []
+        assert _surplus(Subject("plan", replace(verified, scenario=other))) == []
 
 
 def test_limits_are_in_the_histories_and_every_band_around_its_mean(page: Page) -> None:
