@@ -154,14 +154,15 @@ def _in_space(
     )
     axes.plot_surface(*ball, color="0.75", alpha=0.25, linewidth=0, shade=False)
     points = corners(planes)
+    triangles = ConvexHull(points).simplices
     axes.plot_trisurf(
-        *points.T, triangles=ConvexHull(points).simplices, color=(1, 1, 1, 0.12), edgecolor="0.25",
+        *points.T, triangles=triangles, color=(1, 1, 1, 0.12), edgecolor="0.25",
         linewidth=0.8, shade=False,
     )  # fmt: skip
     if chosen is not None:
         on = np.abs(points @ planes.normal[chosen] - planes.offset[chosen]) < 1e-6 * radius_m
-        one = [np.flatnonzero(on)[:3]]
-        axes.plot_trisurf(*points.T, triangles=one, color="0.3", edgecolor="k", shade=False)
+        mine = triangles[on[triangles].all(axis=1)]
+        axes.plot_trisurf(*points.T, triangles=mine, color="0.3", edgecolor="k", shade=False)
     axes.plot(*points.T, "o", color="0.25", ms=2.5)
     axes.plot(*([0.0, x] for x in seen.point_m), color="k", lw=1.0, ls=":")
     axes.plot(*([x] for x in seen.point_m), "ko", ms=4)

@@ -119,6 +119,20 @@ def _between(first: Rotation, second: Rotation) -> Array:
     return np.asarray((first.inv() * second).magnitude())
 
 
+def wheel_torque(flight: Flight) -> Array:
+    """Torque of the wheels' motors on the body in each control period, N m, its frame, shape (n, 3)."""
+    wheels, speeds = flight.plan.vehicle.wheels, flight.wheel_speeds_rad_s
+    change = np.diff(speeds, axis=0, append=speeds[-1:])
+    return -wheels.inertia_kg_m2 / CONTROL_PERIOD_S * change @ unit(wheels.axes)
+
+
+def thruster_torque(flight: Flight) -> Array:
+    """Mean torque of the micro-thrusters on the body, at nominal thrust; as `wheel_torque`."""
+    micro = flight.plan.vehicle.micro_thrusters
+    each = np.cross(micro.offsets_m, micro.thrust_n * unit(micro.directions))
+    return flight.micro_on_s / CONTROL_PERIOD_S @ each
+
+
 def settling_time(error: Array, limit: float) -> float:
     """Time in s from which the errors, one a control period, stay below a limit; inf if never."""
     rough = np.flatnonzero(error >= limit)

@@ -38,6 +38,8 @@ from scp_recon.simulation.flight import (
     settling_time,
     sigma_distance,
     state_of_charge,
+    thruster_torque,
+    wheel_torque,
 )
 from scp_recon.simulation.guidance import CONTROL_PERIOD_S
 from scp_recon.simulation.vehicle import Vehicle
@@ -226,6 +228,13 @@ def _modes(flight: Flight) -> npt.NDArray[np.int8]:
     return mode[EVERY]
 
 
+def _means(values: Array) -> Array:
+    """Mean over the control periods of each sample, shape (samples, ...)."""
+    starts = np.arange(0, len(values), EVERY.step)
+    lengths = np.diff(starts, append=len(values))
+    return np.add.reduceat(values, starts) / lengths[:, None]
+
+
 ARRAYS: dict[str, tuple[Shape, Of]] = {
     "t_s": (("samples",), lambda f, _: f.times_s[EVERY]),
     "state": (("samples", 6), lambda f, _: f.states[EVERY]),
@@ -236,6 +245,8 @@ ARRAYS: dict[str, tuple[Shape, Of]] = {
     "mode": (("samples",), lambda f, _: _modes(f)),
     "actuators": (("samples",), lambda f, _: f.in_use[EVERY]),
     "wheel_speed_rad_s": (("samples", "wheels"), lambda f, _: f.wheel_speeds_rad_s[EVERY]),
+    "wheel_torque_n_m": (("samples", 3), lambda f, _: _means(wheel_torque(f))),
+    "thruster_torque_n_m": (("samples", 3), lambda f, _: _means(thruster_torque(f))),
     "panel_w": (("samples", "panels"), lambda f, _: f.panels_w[EVERY]),
     "panel_peak_w": (("panels",), lambda f, _: f.plan.panels.peak_w),
     "consumed_w": (("samples",), lambda f, _: f.consumed_w[EVERY]),
@@ -244,7 +255,9 @@ ARRAYS: dict[str, tuple[Shape, Of]] = {
     "node_state": (("nodes", 6), node_states),
     "node_sigma_distance": (("nodes",), sigma_distance),
 }
-"""Arrays of every file of this schema: the shape of each, and a function of a flight."""
+"""Arrays of a file of this schema: the shape of each, and a function of a flight."""
+ADDED = ("wheel_torque_n_m", "thruster_torque_n_m")
+"""Arrays that older files do not have."""
 
 
 @dataclass(frozen=True)
@@ -411,10 +424,12 @@ def read_record(path: Path) -> Record:
 
 
 def _strange(arrays: Arrays) -> str | None:
-    """Name of an array that is missing, not of finite numbers, or of a wrong shape; None if none is."""
+    """Name of an array that is missing, not finite, or of a wrong shape; None if none is."""
     lengths: dict[str | int, int] = {}
     for name, (shape, _) in ARRAYS.items():
         array = arrays.get(name)
+        if array is None and name in ADDED:
+            continue
         if array is None or array.dtype.kind not in "fiu" or array.ndim != len(shape):
             return name
         for side, length in zip(shape, array.shape, strict=True):

@@ -40,7 +40,7 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.results.solution import Solution, ballistic_arc
 from scp_recon.scenario.load import load_scenario
-from scp_recon.simulation.record import Record, write_record
+from scp_recon.simulation.record import ADDED, Record, write_record
 from scp_recon.simulation.vehicle import load_vehicle
 from tests.scp_recon.simulation import made_up
 
@@ -283,6 +283,16 @@ def test_a_flight_of_another_plan_than_the_one_beside_it_is_refused(
     write_flight(same, 4, solution.plan_hash)
     solution.write(same)
     assert power_history.read(same).plan_hash == solution.plan_hash
+
+
+def test_a_flight_of_before_torques_is_to_be_flown_again(tmp_path: Path) -> None:
+    write_flight(tmp_path / "flight")
+    record = power_history.read(tmp_path / "flight")
+    kept = {name: a for name, a in record.arrays.items() if name not in ADDED}
+    write_record(Record(kept, record.summary), tmp_path / "flight")
+    assert power_history.read(tmp_path / "flight").plan_hash == PLAN
+    with pytest.raises(InputError, match="python -m scp_recon simulate"):
+        attitude_and_actuators.read(tmp_path / "flight")
 
 
 def test_flights_of_different_plans_make_no_figure(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from scp_recon.cli.commands import simulate as command
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
+from scp_recon.physics.frames import unit
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk import simulation
 from scp_recon.simulation.basilisk.power import distribute, mode_loads
@@ -37,6 +38,8 @@ from scp_recon.simulation.flight import (
     pointing,
     settling_time,
     sigma_distance,
+    thruster_torque,
+    wheel_torque,
 )
 from scp_recon.simulation.guidance import FlightPlan
 from scp_recon.simulation.record import (
@@ -306,6 +309,28 @@ def test_pulses_that_err_move_the_end(
     np.testing.assert_allclose(ends[0], perfect.states[399], rtol=0.0, atol=1e-9)
     assert np.linalg.norm((ends[1] - ends[0])[:3]) > 1e-3
     assert np.linalg.norm((ends[1] - ends[0])[3:]) > 1e-5
+
+
+def test_torques_are_those_that_turn_the_body(perfect: Flight, short_solution: Solution) -> None:
+    """The thrusters' is the change of all momentum in J2000, but for burns, light and gravity."""
+    plan, wheels = perfect.plan, perfect.plan.vehicle.wheels
+    spin = wheels.inertia_kg_m2 * perfect.wheel_speeds_rad_s @ unit(wheels.axes)
+    body = perfect.rates_rad_s * plan.vehicle.mass.inertia_kg_m2
+    momentum = perfect.attitudes.apply(spin + body)
+    gained = perfect.attitudes.apply(thruster_torque(perfect))[:-1]
+    burning = [
+        (perfect.times_s >= f.start_s - 1.0) & (perfect.times_s <= f.end_s + 1.0)
+        for f in plan.firings
+    ]
+    off = np.linalg.norm(np.diff(momentum, axis=0) - gained, axis=1)
+    off = off[~np.logical_or.reduce(burning)[:-1]]
+    assert off.max() < 0.15 * np.linalg.norm(gained, axis=1).max()  # it turns within the second
+    arrays = make_record(perfect, short_solution, 0).arrays
+    for name, torque in (("thruster", thruster_torque(perfect)), ("wheel", wheel_torque(perfect))):
+        whole = len(torque) // 10 * 10
+        kept = arrays[f"{name}_torque_n_m"][: whole // 10]
+        np.testing.assert_allclose(kept, torque[:whole].reshape(-1, 10, 3).mean(axis=1), atol=1e-15)
+    np.testing.assert_allclose(np.diff(spin, axis=0), -wheel_torque(perfect)[:-1], atol=1e-12)
 
 
 def test_a_record_is_read_as_it_was_written(

@@ -14,6 +14,7 @@ import pytest
 from scp_recon.errors import InputError
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.record import (
+    ADDED,
     ARRAYS,
     FILE_NAME,
     SCHEMA,
@@ -70,10 +71,23 @@ def test_numbers_are_neither_true_nor_words_nor_infinite(
 def test_arrays_are_finite_numbers_that_fit_together(tmp_path: Path, name: str) -> None:
     whole = arrays()
     array = whole.pop(name)
-    for strange in (None, array > 0.0, array.astype(str), array[None], array[:0], array + np.nan):
+    missing = [] if name in ADDED else [None]  # of older files
+    for strange in (
+        *missing,
+        array > 0.0,
+        array.astype(str),
+        array[None],
+        array[:0],
+        array + np.nan,
+    ):
         save(tmp_path, entries(), whole if strange is None else whole | {name: strange})
         with pytest.raises(InputError, match=r"simulation\.npz: .*must be finite numbers of shape"):
             read_record(tmp_path)
+
+
+def test_a_file_of_before_torques_is_read(tmp_path: Path) -> None:
+    save(tmp_path, entries(), {name: a for name, a in arrays().items() if name not in ADDED})
+    assert read_record(tmp_path).arrays.keys() == ARRAYS.keys() - {*ADDED}
 
 
 @pytest.mark.parametrize("content", [[1], entries(schema="other"), {"schema": SCHEMA}])
