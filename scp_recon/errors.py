@@ -142,15 +142,32 @@ def path_of(entry: str, given: object) -> Path:
     return Path(given)
 
 
+EXACT = 2.0**53
+"""Above it a float such as 1e4 need not be the whole number that was meant."""
+
+
 def whole_number(entry: str, given: object, low: int, high: int) -> int:
-    """A whole number within bounds.
+    """A whole number within bounds, 1e4 too.
 
     Raises:
         InputError: if it is none, or beyond them.
     """
-    if isinstance(given, Integral) and not isinstance(given, bool) and low <= int(given) <= high:
-        return int(given)
+    is_whole = isinstance(given, Integral) and not isinstance(given, bool)
+    if isinstance(given, float):
+        is_whole = abs(given) < EXACT and given % 1 == 0
+    if is_whole and low <= int(given) <= high:  # type: ignore[call-overload]
+        return int(given)  # type: ignore[call-overload]
     raise InputError(entry, shortened(given), f"must be a whole number from {low} to {high}")
+
+
+def make_whole(options: object, name: str, low: int, high: int) -> None:
+    """Check an option of a frozen data class by `whole_number`, and keep it as an int.
+
+    Raises:
+        InputError: as that.
+    """
+    found = whole_number(option(name), getattr(options, name), low, high)
+    object.__setattr__(options, name, found)
 
 
 @contextmanager

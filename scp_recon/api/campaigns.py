@@ -124,7 +124,7 @@ def run_campaign(
         InputError: naming the argument, what was given and what is allowed.
     """
     if workers is not None:
-        whole_number(option("workers"), workers, 0, WORKERS_MAX)
+        workers = whole_number(option("workers"), workers, 0, WORKERS_MAX)
         if scheduler is not None:
             allowed = f"must be left out with {option('scheduler')}"
             raise InputError(option("workers"), str(workers), allowed)

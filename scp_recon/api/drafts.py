@@ -19,7 +19,7 @@ from scp_recon.bodies.catalogue import DAY_S, J2000_TDB, body_names, packaged_bo
 from scp_recon.drafting.draft import Draft, GivenBody, Tables, draft_text, drafts
 from scp_recon.drafting.draft import scenario_of as drafted
 from scp_recon.drafting.flown import Track, flown_draft, start_csv, start_table
-from scp_recon.errors import InputError, number_between, option, path_of, shortened, whole_number
+from scp_recon.errors import InputError, make_whole, number_between, option, path_of, shortened
 from scp_recon.files import check_writable, unwritable, write_atomically
 from scp_recon.interop.tracks import (
     csv_track,
@@ -46,6 +46,10 @@ OF_A_BODY = ("gm", "radius", "period", "pole", "orbit")
 SOURCES = ("from_spice", "from_oem", "from_csv")
 NEEDS = {"from_spice": ("spacecraft", "begin", "end"), "from_csv": ("epoch",)}
 """What a trajectory needs besides."""
+GOES_WITH = {"spacecraft": SOURCES[:1], "begin": SOURCES, "end": SOURCES} | dict.fromkeys(
+    OF_A_BODY, (None, *SOURCES[1:])
+)
+"""With which trajectory, or none, an option goes; the kernels have the body."""
 HEAD_COLUMNS = 98
 """Of the head of a scenario's file."""
 
@@ -83,7 +87,7 @@ class NewOptions:
             allowed = "must be within 90 deg of latitude and 360 of longitude"
             raise InputError(option("site"), f"{latitude:g},{longitude:g}", allowed)
         if self.spacecraft is not None:
-            whole_number(option("spacecraft"), self.spacecraft, -(2**31) + 1, 2**31 - 1)
+            make_whole(self, "spacecraft", -(2**31) + 1, 2**31 - 1)
         self._check_source()
 
     def _check_source(self) -> None:
@@ -99,6 +103,14 @@ class NewOptions:
         if not given and self.epoch is None:
             allowed = "must be given, or a trajectory to start from"
             raise InputError(option("epoch"), "nothing", allowed)
+        source = given[0] if given else None
+        idle = [
+            n for n, ok in GOES_WITH.items() if getattr(self, n) is not None and source not in ok
+        ]
+        if idle:
+            said = f"{flags} has the body" if source else "goes with a trajectory of another tool"
+            values = ", ".join(shortened(getattr(self, name)) for name in idle)
+            raise InputError(", ".join(map(option, idle)), values, f"must be left out: {said}")
         if given and given[0] != "from_csv" and self.epoch is not None:
             allowed = f"must be left out: {flags} has it"
             raise InputError(option("epoch"), self.epoch.isoformat(), allowed)

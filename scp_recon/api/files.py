@@ -261,7 +261,7 @@ def export(
         InputError: naming the argument, what was given and what is allowed.
     """
     one_of(option("format"), format, FORMATS)
-    whole_number(option("spacecraft"), spacecraft, SPACECRAFT_MIN, -1)
+    spacecraft = whole_number(option("spacecraft"), spacecraft, SPACECRAFT_MIN, -1)
     require(format)
     mission, solution = open_plan(plan)
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))

@@ -11,6 +11,7 @@ from scp_recon.api.files import AnyPlan, Opened, open_plan, solution_of
 from scp_recon.api.keeping import check_holds
 from scp_recon.errors import (
     InputError,
+    make_whole,
     needing,
     number_between,
     one_of,
@@ -58,8 +59,8 @@ class FlyOptions:
     scheduler: str | None = None
 
     def __post_init__(self) -> None:
-        whole_number(option("samples"), self.samples, SAMPLES_MIN, SAMPLES_MAX)
-        whole_number(option("seed"), self.seed, 0, SEED_MAX)
+        make_whole(self, "samples", SAMPLES_MIN, SAMPLES_MAX)
+        make_whole(self, "seed", 0, SEED_MAX)
         if (
             self.until is not None
             and not 0.0 < number_between(option("until"), self.until, 0, 1) < 1
@@ -69,7 +70,7 @@ class FlyOptions:
         if self.errors is not None:
             one_of(option("errors"), self.errors, get_args(ErrorModel))
         if self.workers is not None:
-            whole_number(option("workers"), self.workers, 1, WORKERS_MAX)
+            make_whole(self, "workers", 1, WORKERS_MAX)
             if self.scheduler is not None:
                 allowed = f"must be left out with {option('scheduler')}"
                 raise InputError(option("workers"), str(self.workers), allowed)
@@ -227,7 +228,7 @@ def simulate(
     """
     with needing("simulate", "sim", "Basilisk"):
         from scp_recon.simulation.basilisk import simulation
-    whole_number(option("seed"), seed, 0, SEED_MAX)
+    seed = whole_number(option("seed"), seed, 0, SEED_MAX)
     solution = solution_of(plan)
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
     require_whole_flight(solution.scenario, "plan")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from formulations.registry import FULL
-from scp_recon.errors import InputError, number_between, one_of, option, shortened, whole_number
+from scp_recon.errors import InputError, make_whole, number_between, one_of, option, shortened
 from scp_recon.monte_carlo.estimates import flights_needed
 from scp_recon.planning.method import (
     ALGORITHM,
@@ -59,14 +59,14 @@ class PlanOptions:
         one_of(option("problem"), self.problem, PROBLEMS)
         one_of(option("method"), self.method, METHODS)
         one_of(option("objective"), self.objective, OBJECTIVES)
-        whole_number(option("facet_rounds"), self.facet_rounds, 0, FACET_ROUNDS_MAX)
+        make_whole(self, "facet_rounds", 0, FACET_ROUNDS_MAX)
         for name, low, high in (
             ("starts", 1, STARTS_MAX),
             ("seed", 0, SEED_MAX),
             ("workers", 1, WORKERS_MAX),
         ):
-            if (given := getattr(self, name)) is not None:
-                whole_number(option(name), given, low, high)
+            if getattr(self, name) is not None:
+                make_whole(self, name, low, high)
         if self.dv_budget_m_s is not None:
             number_between(
                 option("dv_budget_m_s"), self.dv_budget_m_s, BUDGET_MIN_M_S, BUDGET_MAX_M_S

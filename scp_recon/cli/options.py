@@ -13,22 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from scp_recon.errors import InputError, whole_number
+
 WHOLE = re.compile(r"[+-]?[0-9]{1,20}")
 """Longer ones are beyond every bound, and slow to read."""
 
 
-EXACT = 2.0**53
-"""Above it a float such as 1e4 need not be the whole number that was meant."""
-
-
-def whole(text: str) -> int | str:
+def whole(text: str) -> float | str:
     """A type of option: a whole number, 1e4 too; what is none goes on and is refused later."""
-    if WHOLE.fullmatch(text):
-        return int(text)
-    found = number(text)
-    return (
-        int(found) if isinstance(found, float) and abs(found) < EXACT and found % 1 == 0 else text
-    )
+    return int(text) if WHOLE.fullmatch(text) else number(text)
 
 
 def number(text: str) -> float | str:
@@ -50,11 +43,12 @@ def int_between(low: int, high: int, words: str = "") -> Callable[[str], int]:
     """A type of option: whole numbers within bounds, named in `words` if these are shorter."""
 
     def parse(text: str) -> int:
-        found = whole(text)
-        if isinstance(found, str) or not low <= found <= high:
+        try:
+            return whole_number("", whole(text), low, high)
+        except InputError:
             allowed = words or f"{low} to {high}"
-            raise argparse.ArgumentTypeError(f"got {text!r}; must be a whole number from {allowed}")
-        return found
+            said = f"got {text!r}; must be a whole number from {allowed}"
+            raise argparse.ArgumentTypeError(said) from None
 
     return parse
 

@@ -61,7 +61,7 @@ class FlightConfig:
 
     def __post_init__(self) -> None:
         """Refuse inputs with which flights would fail, and another body's gravity."""
-        whole_number("seed", self.seed, 0, SEED_MAX)
+        object.__setattr__(self, "seed", whole_number("seed", self.seed, 0, SEED_MAX))
         one_of("truth", self.truth, get_args(TruthModel))
         if self.errors is not None:
             one_of("errors", self.errors, get_args(ErrorModel))
@@ -236,8 +236,8 @@ def fly_many(
         InputError: if samples, until or workers are out of bounds, before any flight; or if a block
             could not be flown.
     """
-    whole_number("samples", samples, SAMPLES_MIN, SAMPLES_MAX)
-    whole_number("workers", workers, 1, WORKERS_MAX)
+    samples = whole_number("samples", samples, SAMPLES_MIN, SAMPLES_MAX)
+    workers = whole_number("workers", workers, 1, WORKERS_MAX)
     if until is not None and not 0.0 < until < 1.0:
         raise InputError("until", repr(until), "must be a width between 0 and 1")
     flown = FlightTally(config) if begun is None else begun

@@ -109,7 +109,10 @@ class Delivery:
             frame=one_of(option("frame"), frame, FRAMES),
             covariance=matrix,
             covariance_frame=one_of(option("covariance_frame"), axes, (*FRAMES, "rtn")),
-            measured={n: numbers(MEASURED, burn, (3,)) for n, burn in burns.items()},
+            measured={
+                whole_number(MEASURED, n, 1, 64): numbers(MEASURED, burn, (3,))
+                for n, burn in burns.items()
+            },
         )
 
     def burns_flown(self, scenario: Scenario, planned: Array) -> list[list[float]]:
@@ -122,7 +125,7 @@ class Delivery:
         ahead = zip(scenario.burn_times_s, planned.tolist(), strict=True)
         flown = [*before, *(burn for time, burn in ahead if time <= self.at_s)]
         for number, burn in self.measured.items():
-            if not 1 <= whole_number(MEASURED, number, 1, 64) <= len(flown):
+            if number > len(flown):
                 allowed = f"must be one of those flown by {self.at_s:g} s, 1 to {len(flown)}"
                 raise InputError(MEASURED, f"burn {number}", allowed)
             flown[number - 1] = burn.tolist()

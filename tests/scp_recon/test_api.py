@@ -21,6 +21,7 @@ import pytest
 
 import scp_recon as sr
 from scp_recon.api import files, flights, planning
+from scp_recon.api.options import PlanOptions
 from scp_recon.cli.commands import compare
 from scp_recon.errors import InputError
 from scp_recon.planning.plan import Certificate, Parent, Plan, as_interrupted
@@ -246,6 +247,17 @@ BAD_CALLS: dict[str, tuple[str, Callable[[Plan, Path], object]]] = {
     "none beside a plan": ("plan", lambda plan, _: door.compare(plan, None)),
 }
 """The entry that the message names, and the call."""
+
+
+def test_whole_numbers_may_be_written_as_floats(default_plan: Plan) -> None:
+    """As on the command line."""
+    flown = sr.fly(default_plan, samples=2e1, seed=1.0)  # type: ignore[arg-type]
+    assert flown == sr.fly(default_plan, samples=20, seed=1)
+    options = PlanOptions(starts=4.0, facet_rounds=np.float64(2))  # type: ignore[arg-type]
+    assert repr(options) == repr(PlanOptions(starts=4, facet_rounds=2))
+    for given in (1e4 + 0.5, float("nan"), float("inf"), 1e300):
+        with pytest.raises(InputError, match="whole number"):
+            sr.fly(default_plan, samples=given)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", BAD_CALLS)

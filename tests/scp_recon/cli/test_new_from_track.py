@@ -222,6 +222,12 @@ def test_another_frame_centre_or_scale_is_refused(
         (("--from-spice", "META", "--spacecraft=x"), "--spacecraft"),
         (("--from-oem", "x", "--from", "yesterday"), "UTC"),
         (("--from-oem", "x", "--from", "1960-01-01"), "1972"),
+        (
+            ("--from-spice", "META", "--spacecraft=-64", *SPAN, "--gm", "3"),
+            "--gm: got 3.0; must be",
+        ),
+        (("--from-oem", "x", "--spacecraft=-64"), "--spacecraft: got -64; must be left out"),
+        (("--epoch", FROM, "--from", FROM), "--from: got "),
     ],
 )
 def test_bad_input_ends_in_one_message(
