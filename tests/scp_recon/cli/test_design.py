@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +11,9 @@ import pytest
 
 from scp_recon.api import charts
 from scp_recon.cli.commands import design, solve
-from scp_recon.cli.commands.passes import primer_says
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult
 from scp_recon.passes.design import Trial
-from scp_recon.planning.primer import PrimerHistory
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario, scenario_text
 from tests.scp_recon.passes.support import home_scenario
@@ -112,13 +109,3 @@ def test_certifying_what_no_flights_certify_is_refused(
     assert design.main([free, "--certify", "yes", "--out", str(out)]) == 2
     assert "--certify: got yes; goes with risk.allocation = exact" in capsys.readouterr().err
     assert not out.exists()
-
-
-def test_a_primer_without_a_legal_time_says_that_it_tells_nothing() -> None:
-    vectors = [(2.0, 0.0, 0.0)] * 2
-    none = PrimerHistory(
-        t_s=[0.0, 1.0], vector=vectors, residual=0.0, allowed=[2.0, 2.0], legal=[False, False]
-    )
-    assert "no time is legal for another burn" in primer_says(none)
-    some = replace(none, allowed=[2.0, 0.5], legal=[False, True])
-    assert "at most 0.500 at legal times (at 1 s)" in primer_says(some)

@@ -34,7 +34,6 @@ from scp_recon.cli.commands import montecarlo, planning, plans, simulate, solve,
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, planner
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.results import solution as solution_module
 from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
@@ -250,17 +249,6 @@ def test_a_wrong_status_is_found_out(liar: type[Liar], monkeypatch: pytest.Monke
     assert_honest(mission, found)
 
 
-def test_a_failing_solver_ends_the_command_with_a_status(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    inject(monkeypatch, FAULTS["panic"], lambda: True, others=False)
-    run = run_solve(tmp_path, "--set", COARSE)
-    assert run.exit_code == 4
-    assert read_solution(tmp_path).status == "solver_failed"
-    assert "Traceback" not in run.output + run.errors
-    reliability.count(reliability.FAULTS)
-
-
 @pytest.mark.parametrize("formulation", ["condensed", "lifted"])
 def test_a_solver_behind_cvxpy_that_raises_ends_in_a_status(
     formulation: str, monkeypatch: pytest.MonkeyPatch
@@ -365,27 +353,6 @@ def test_a_target_that_cannot_be_written_is_found_out_before_the_work(
     given = [] if command is solve else [str(tmp_path)]
     assert command.main([*given, *([] if out == tmp_path else ["--out", str(out)])]) == 2
     assert capsys.readouterr().err.count("error: ") == 1
-    reliability.count(reliability.FAULTS)
-
-
-@pytest.mark.usefixtures("instant")
-@pytest.mark.parametrize("place", ["/proc/nowhere", "/dev/null", "/dev/null/below"])
-def test_a_place_that_holds_no_files_is_refused(place: str) -> None:
-    if not Path(place).parent.exists():
-        pytest.skip(f"{place} is of another system")
-    run = run_solve(Path(place))
-    assert run.exit_code == 2
-    assert run.errors.count("error: ") == 1
-    reliability.count(reliability.FAULTS)
-
-
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root writes anywhere")
-@pytest.mark.usefixtures("instant")
-def test_a_folder_without_permission_is_refused(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    run = run_solve(tmp_path / "below")
-    tmp_path.chmod(0o700)
-    assert run.exit_code == 2
     reliability.count(reliability.FAULTS)
 
 
@@ -522,11 +489,3 @@ def test_killed_at_any_moment_of_writing_the_file_is_the_old_or_the_new_one(
     for point in ("before writing", "half written", "before flushing", "before replacing"):
         assert seen[point][1] == "the old one"
     assert seen["after replacing"][1] == "the new one"
-
-
-def test_the_folder_of_a_killed_run_can_be_used_again(tmp_path: Path, solution: Solution) -> None:
-    """What a kill leaves behind is a hidden file beside the result, in nobody's way."""
-    solution.write(tmp_path)
-    (tmp_path / f".{solution_module.FILE_NAME}.left").write_text("{", "utf-8")
-    assert read_solution(tmp_path) == solution
-    assert read_solution(solution.write(tmp_path)) == solution

@@ -114,12 +114,6 @@ def test_the_line_goes_with_every_method(own: tuple[str, ...]) -> None:
     plan_options(after).check(scenario)
 
 
-def test_the_line_does_without_the_largest_probability() -> None:
-    options = solve.parser().parse_args(["--objective", "probability"])
-    assert undoing(options) == ["--objective", "delta-v"]
-    assert undoing(solve.parser().parse_args([])) == []
-
-
 def test_the_line_is_taken_after_a_budget() -> None:
     words = ["--objective", "probability", "--dv-budget", "0.2"]
     undone = undoing(solve.parser().parse_args(words))
@@ -270,15 +264,3 @@ def test_what_has_not_ended_shows_nothing_of_lower_probabilities() -> None:
     words = "\n".join([what_binds(unknown), *what_would_do(unknown, found, ())])
     assert "no lower probability helps" not in words
     assert "max_iterations" in words
-
-
-def test_a_probability_next_to_one_is_printed_with_its_digits(
-    small_burns: tuple[Plan, Diagnosis],
-) -> None:
-    """A line that asks for 1 would be refused."""
-    found, out = small_burns
-    assert out.verified is not None
-    scenario = out.verified.mission.scenario.replace({"risk.p_chance": 0.99999999})
-    near = dataclasses.replace(out.verified, mission=Mission.from_scenario(scenario))
-    words = "\n".join(what_would_do(dataclasses.replace(out, verified=near), found, ()))
-    assert "--set risk.p_chance=0.99999999 --certify" in words

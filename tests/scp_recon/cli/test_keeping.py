@@ -13,7 +13,6 @@ from scp_recon.cli.commands import compare, montecarlo, solve, verify
 from scp_recon.errors import InputError
 from scp_recon.files import only_run_in
 from scp_recon.monte_carlo.summary import FILE_NAME, read_summary
-from scp_recon.planning import planner
 from scp_recon.results.facts import Verification
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
@@ -98,19 +97,6 @@ def test_without_a_folder_a_run_has_one_of_its_own(
     assert capsys.readouterr().err == ""
     assert solve.main(["--out", "runs/latest"]) == 2
     assert "points to the last finished run" in capsys.readouterr().err
-
-
-def test_an_interrupted_run_is_not_the_latest_and_leaves_no_empty_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def ctrl_c(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(planner, "plan", ctrl_c)
-    assert solve.main([]) == 130
-    assert not (tmp_path / "runs" / "latest").exists()
-    assert list((tmp_path / "runs" / "recon_b").iterdir()) == []
 
 
 def test_a_folder_of_the_user_is_not_removed(tmp_path: Path) -> None:

@@ -11,7 +11,6 @@ import scp_recon as sr
 from scp_recon.__main__ import main
 from scp_recon.errors import InputError
 from scp_recon.interop.tracks import oem_track
-from scp_recon.results.facts import StageSummary
 from scp_recon.scenario.load import base_names
 
 CHAIN = {
@@ -53,16 +52,6 @@ def test_an_error_of_a_scenario_names_the_file_that_holds_it(
     with pytest.raises(InputError, match=said) as caught:
         sr.plan("c.toml")
     assert caught.value.file == file
-
-
-def test_every_line_names_its_own_file(chain: Path) -> None:
-    (chain / "c.toml").write_text('base = "a.toml"\nfoo = 3\n', "utf-8")
-    (chain / "a.toml").write_text('base = "recon_b"\n[risk]\np = 0.7\n', "utf-8")
-    with pytest.raises(InputError) as caught:
-        sr.load_scenario("c.toml")
-    first, second = str(caught.value).splitlines()
-    assert first.startswith("a.toml: risk.p: got")
-    assert second.startswith("c.toml: foo: got")
 
 
 def test_what_stands_in_no_file_names_none(chain: Path) -> None:
@@ -132,11 +121,6 @@ def test_whole_numbers_may_be_written_as_powers_of_ten(
         assert f"--samples: got '{text}'; must be a whole number" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("text", [".8", "0.8", "8e-1", ".08e1"])
-def test_a_probability_may_be_written_without_its_zero(text: str) -> None:
-    assert sr.load_scenario("recon_b", [f"risk.p_chance={text}"]).risk.p_chance == 0.8
-
-
 def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"scp-recon {sr.__version__}\n"
@@ -150,17 +134,3 @@ def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path: Path) ->
     )
     with pytest.raises(InputError, match=r"flight\.oem, line 4: got 1 2 NaN 3; must be finite"):
         oem_track(file, "BENNU")
-
-
-def test_names_of_stages_are_said_in_words() -> None:
-    said = {
-        "P3": "",
-        "P2": "",
-        "P2.2": "facets chosen for the 2. time",
-        "P3c": "begun again at a turn about the body, the shorter way",
-        "P2b.3": "begun again at the ballistic arc; facets chosen for the 3. time",
-        "P3.open": "leads to P3 from a guess that is no flight",
-        "P2.coarse": "whole flights by few sampled directions, which leads to all of them",
-    }
-    found = {name: StageSummary(name, "converged", 0.1, 3).meaning for name in said}
-    assert found == said

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -79,19 +78,6 @@ def test_json_is_one_document_and_quiet_is_silent(
     assert all(Path(file).is_file() for file in document.get("files", ()))
 
 
-@pytest.mark.parametrize("command", ["compare", "windows"])
-def test_what_people_read_goes_to_standard_error(
-    command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = words_of(command, folder, tmp_path)
-    assert every.main([command, *words]) == 0
-    plain = capsys.readouterr().out
-    assert every.main([command, *words, "--json"]) == 0
-    said = capsys.readouterr()
-    assert said.err == plain != ""
-    assert json.loads(said.out)["status"] == 0
-
-
 @pytest.mark.parametrize("command", sorted({*every.COMMANDS} - {"scenarios"}))  # has no input
 def test_bad_input_is_a_document_too(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -123,17 +109,53 @@ def test_a_command_line_that_cannot_be_read_is_a_document_too(
     assert json.loads(capsys.readouterr().out)["status"] == 2
 
 
-def test_json_has_the_plans_figures_to_the_last_digit(
+@pytest.mark.parametrize(
+    ("module", "words", "extra"),
+    [
+        ("Basilisk", "simulate PLAN", "sim"),
+        ("spiceypy", "export PLAN --format spk", "spice"),
+        ("spiceypy", "export PLAN --format ck", "spice"),
+        ("pyarrow", "export PLAN --format parquet", ""),
+        ("matplotlib", "windows recon_b --chart w.png", "report"),
+        ("oem", "new mine --from-oem plan.oem --body Bennu --site 20,150", "oem"),
+        ("jinja2", "solve --report", "report"),
+    ],
+)
+def test_an_extra_that_is_missing_is_named_before_any_work(
+    module: str,
+    words: str,
+    extra: str,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plan.oem").touch()
+    for name in [name for name in sys.modules if module.lower() in name.lower()]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delitem(sys.modules, "scp_recon.api.charts", raising=False)
+    monkeypatch.setitem(sys.modules, module, None)
+    before = sorted(folder.rglob("*"))
+    assert every.main(words.replace("PLAN", str(folder)).split()) == 2
+    assert f"scp_recon[{extra}" in capsys.readouterr().err
+    assert sorted(folder.rglob("*")) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.oem"]
+
+
+def test_json_has_the_plans_figures_to_the_last_digit_and_the_text_its_frame(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert every.main(["verify", str(folder), "--json", "--quiet"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    solution = read_solution(folder)
+    assert every.main(["verify", str(folder), "--json"]) == 0
+    said = capsys.readouterr()
+    document, solution = json.loads(said.out), read_solution(folder)
     assert document["frame"] == "J2000, body-centred"
     burns = np.array([burn["dv_m_s"] for burn in document["plan"]["burns"]])
     np.testing.assert_array_equal(burns, solution.burns_m_s)
     assert document["plan_hash"] == solution.plan_hash
     assert document["plan"]["verification"]["ok"] is True
+    epoch = "times from 2020-01-21T20:33:17.184 TDB, 2020-01-21T20:32:07.999 UTC"
+    assert f"x, y, z along J2000; {epoch}" in said.err
 
 
 def piped(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -164,54 +186,16 @@ def test_tables_keep_their_lines_in_a_pipe(folder: Path, tmp_path: Path) -> None
     assert max(map(len, run.stdout.splitlines())) <= WIDE
 
 
-def test_frame_and_epoch_stand_by_the_burns(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+def test_help_names_every_command_and_so_does_what_is_none(
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert every.main(["verify", str(folder)]) == 0
-    assert (
-        "x, y, z along J2000; times from 2020-01-21T20:33:17.184 TDB, 2020-01-21T20:32:07.999 UTC"
-        in capsys.readouterr().out
-    )
-
-
-def test_boundary_states_are_told_without_axes(default_run: CommandLine) -> None:
-    """In the Sun-North frame X leads to the Sun."""
-    boundary = read_solution(default_run.folder).scenario.boundary
-    position, velocity = np.array(boundary.initial_position_m), boundary.initial_velocity_m_s
-    distance = np.linalg.norm(position)
-    off_sun = np.rad2deg(np.arccos(position[0] / distance))
-    assert (
-        f"boundary  at 0 s {distance:.0f} m from the centre, {off_sun:.1f} deg off the Sun, "
-        f"{np.linalg.norm(velocity):.4f} m/s of which {position @ velocity / distance:+.4f} upwards; "
-        "at 34842 s 1138 m"
-    ) in default_run.output
-
-
-@pytest.mark.parametrize("words", [[], ["fly"], ["--verse"]])
-def test_a_command_that_there_is_not_is_named(
-    words: Sequence[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert every.main(words) == 2
-    assert all(command in capsys.readouterr().err for command in ("solve",))
-
-
-def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in ([], ["fly"], ["--verse"]):
+        assert every.main(words) == 2
+        assert "solve" in capsys.readouterr().err
     assert every.main(["--help"]) == 0
     said = capsys.readouterr().out
+    assert all(f"  {command} " in said for command in every.COMMANDS)
     for command in every.COMMANDS:
-        assert f"  {command} " in said
         with pytest.raises(SystemExit) as end:
             every.main([command, "--help"])
         assert end.value.code == 0
-
-
-def test_the_console_script_is_declared_and_calls_itself_so(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    declared = (PROJECT / "pyproject.toml").read_text("utf-8")
-    assert 'scp-recon = "scp_recon.__main__:script"' in declared
-    monkeypatch.setattr(sys, "argv", ["/usr/bin/scp-recon", "verify", "--help"])
-    with pytest.raises(SystemExit) as end:
-        every.main()
-    assert end.value.code == 0
-    assert capsys.readouterr().out.startswith("usage: scp-recon verify ")

@@ -7,15 +7,8 @@ import inspect
 import pytest
 
 import scp_recon as sr
-from formulations.nlp.solve import VARIANTS
-from formulations.registry import FORMULATIONS
-from scp_recon.bodies.catalogue import body_names
 from scp_recon.cli.commands import COMMANDS
 from scp_recon.cli.options import parameters
-from scp_recon.interop.export import SPACECRAFT_ID
-from scp_recon.reports.ground import Camera
-from scp_recon.scenario.load import base_names
-from scp_recon.scp.algorithms import ALGORITHMS
 
 FUNCTIONS = {name: command.function for name, command in COMMANDS.items() if command.function}
 OWN = {
@@ -58,17 +51,3 @@ def test_options_are_those_of_the_function(name: str) -> None:
     assert all(action.help for action in actions.values())
     own = actions.keys() - known.keys() - {"help"}
     assert own == OWN.get(name, set())
-
-
-def test_help_names_what_there_is_to_choose_from() -> None:
-    said = {one.name: one.said for one in parameters("api.planning.plan")}
-    assert all(name in said["formulation"] for name in [*FORMULATIONS, *VARIANTS])
-    assert all(name in said["algorithm"] for name in ALGORITHMS)
-    assert all(name in said["scenario"] for name in base_names())
-    said = {one.name: one.said for one in parameters("api.drafts.new")}
-    assert all(name in said["body"] for name in body_names())
-    camera = {one.name: one.said for one in parameters("api.files.report")}
-    assert f"{Camera().field_deg:g}" in camera["field_deg"]
-    assert str(Camera().pixels) in camera["pixels"]
-    (spacecraft,) = (one for one in parameters("api.files.export") if one.name == "spacecraft")
-    assert spacecraft.default == SPACECRAFT_ID

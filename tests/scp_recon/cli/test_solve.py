@@ -10,27 +10,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from scp_recon.cli.commands import planning, solve, verify
+from scp_recon.cli.commands import planning, verify
 from scp_recon.planning import planner, stages
 from scp_recon.results.read import read_solution
-from scp_recon.results.solution import Solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State
-from tests import reference, reliability
+from tests import reliability
+from tests.scenarios import COARSE
 from tests.scp_recon.support import CommandLine, run_solve
 
 pytestmark = pytest.mark.usefixtures("few_flights")
 
 PROJECT = Path(__file__).parents[3]
-
-
-@pytest.fixture(scope="module")
-def infeasible_run(tmp_path_factory: pytest.TempPathFactory) -> CommandLine:
-    folder = tmp_path_factory.mktemp("infeasible")
-    return run_solve(folder, "--init", "cold", "--set", "burns.dv_max_m_s=0.02")
 
 
 def run_module(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -53,9 +46,9 @@ def flat(text: str) -> str:
 # --- the main job -------------------------------------------------------------------------------
 
 
-def test_default_ends_with_zero_and_a_verified_solution(default_run: CommandLine) -> None:
-    assert default_run.exit_code == 0
-    assert default_run.errors == ""
+def test_default_ends_with_zero_and_a_verified_solution_alone(default_run: CommandLine) -> None:
+    assert (default_run.exit_code, default_run.errors) == (0, "")
+    assert [path.name for path in default_run.folder.iterdir()] == ["solution.json"]
     solution = read_solution(default_run.folder)
     assert solution.status == "converged"
     assert (solution.problem, solution.init, solution.formulation) == ("P2", "cold", "condensed")
@@ -63,17 +56,6 @@ def test_default_ends_with_zero_and_a_verified_solution(default_run: CommandLine
     assert solution.verification is not None
     assert solution.verification.ok
     assert min(p.estimate for p in solution.verification.probabilities) >= 0.70
-
-
-def test_default_leaves_only_finished_files(default_run: CommandLine) -> None:
-    assert [path.name for path in default_run.folder.iterdir()] == ["solution.json"]
-
-
-def test_it_shows_the_case(default_run: CommandLine) -> None:
-    shown = flat(default_run.output)
-    for piece in ("recon_b", "Nightingale", "13140.2 to 16537.5 s", "154 nodes", "sun-pointing"):
-        assert piece in shown
-    assert "11340" in shown  # the observation mode's slew
 
 
 def test_it_shows_every_iteration_of_every_stage(default_run: CommandLine) -> None:
@@ -86,17 +68,15 @@ def test_it_shows_every_iteration_of_every_stage(default_run: CommandLine) -> No
     assert shown == [(i.stage, str(i.k)) for i in solution.iterations]
 
 
-def test_it_shows_the_verdict_the_burns_and_every_constraint(default_run: CommandLine) -> None:
+def test_it_shows_case_verdict_burns_and_every_constraint(default_run: CommandLine) -> None:
     shown, solution = flat(default_run.output), read_solution(default_run.folder)
-    assert "Converged" in shown
+    for piece in ("recon_b", "Nightingale", "13140.2 to 16537.5 s", "154 nodes", "Converged"):
+        assert piece in shown
     assert f"{solution.total_dv_m_s:.6f} m/s" in shown
     for burn in solution.burns:
-        assert f"{burn.t_s:g}" in shown
         for component in burn.dv_m_s:
             assert f"{component:+.6f}" in shown
-        assert f"{np.linalg.norm(burn.dv_m_s):.6f}" in shown
-    for constraint in solution.constraints:
-        assert constraint.name in shown
+    assert all(constraint.name in shown for constraint in solution.constraints)
     assert solution.verification is not None
     for p in solution.verification.probabilities:
         assert f"{p.estimate:.4f} {p.low:.4f} {p.high:.4f}" in shown
@@ -109,15 +89,6 @@ def test_it_runs_as_a_module_and_so_does_verify(tmp_path: Path) -> None:
     assert read_solution(tmp_path).problem == "P3"
     again = run_module("scp_recon", "verify", str(tmp_path))
     assert (again.returncode, again.stderr) == (0, "")
-
-
-def test_files_go_to_runs_latest_by_default(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert solve.main(["--problem", "P3"]) == 0
-    assert (tmp_path / "runs" / "latest" / "solution.json").exists()
-    assert capsys.readouterr().err == ""
 
 
 # --- starts -------------------------------------------------------------------------------------
@@ -164,12 +135,6 @@ def test_a_users_own_files_in_the_folder_are_left_alone(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 4
 
 
-def test_warm_start(tmp_path: Path) -> None:
-    run = run_solve(tmp_path, "--init", "warm", "--problem", "P3")
-    assert run.exit_code == 0
-    assert read_solution(tmp_path).total_dv_m_s == pytest.approx(0.1078, rel=0.01)
-
-
 def test_the_largest_probability_is_told_beside_its_budget(tmp_path: Path) -> None:
     words = ("--set", 'risk.allocation="exact"', "--set", "grid.step_max_s=3000.0")
     budget = ("--objective", "probability", "--dv-budget", "0.115", "--certify", "no")
@@ -182,56 +147,23 @@ def test_the_largest_probability_is_told_beside_its_budget(tmp_path: Path) -> No
     assert 0.114 < found.total_dv_m_s <= 0.115
 
 
-def test_a_table_of_states_is_a_start(tmp_path: Path) -> None:
-    table = reference.write_arc(tmp_path / "arc.csv")
-    run = run_solve(tmp_path, "--init", str(table), "--problem", "P3")
-    assert run.exit_code == 0, run.output + run.errors
-    assert read_solution(tmp_path).total_dv_m_s == pytest.approx(0.1078, rel=0.01)
-
-
-def test_a_scenario_file_and_its_overrides(tmp_path: Path) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text('base = "recon_b"\nname = "tight"\n[risk]\np_chance = 0.8\n', "utf-8")
-    run = run_solve(
-        tmp_path / "out",
-        *("--scenario", str(file), "--problem", "P3", "--set", "grid.step_max_s=300"),
-    )
-    assert run.exit_code == 0
-    scenario = read_solution(tmp_path / "out").scenario
-    assert (scenario.name, scenario.risk.p_chance, scenario.grid.step_max_s) == ("tight", 0.8, 300)
-
-
 # --- infeasible ---------------------------------------------------------------------------------
 
 
-def test_infeasible_ends_with_three_and_files_all_the_same(infeasible_run: CommandLine) -> None:
-    assert infeasible_run.exit_code == 3
-    assert infeasible_run.errors == ""
-    solution = read_solution(infeasible_run.folder)
+def test_infeasible_ends_with_three_and_names_what_is_violated(tmp_path: Path) -> None:
+    run = run_solve(tmp_path, "--set", "burns.dv_max_m_s=0.02", "--set", COARSE)
+    assert (run.exit_code, run.errors) == (3, "")
+    solution = read_solution(tmp_path)
     assert solution.status == "infeasible"
     assert solution.verification is not None
-
-
-def test_infeasible_names_each_violated_constraint_with_its_amount(
-    infeasible_run: CommandLine,
-) -> None:
-    solution = read_solution(infeasible_run.folder)
-    violated = solution.violation.by_constraint
-    assert "dv_max" in violated
-    lines = infeasible_run.output.splitlines()
-    for name, amount in violated.items():
+    assert not solution.verification.ok
+    lines = run.output.splitlines()
+    assert "verified" not in [line.strip() for line in lines]
+    assert "dv_max" in solution.violation.by_constraint
+    for name, amount in solution.violation.by_constraint.items():
         assert any({name, f"{amount.max:.6g}", amount.unit} <= {*line.split()} for line in lines), (
             name
         )
-
-
-def test_infeasible_never_claims_success(infeasible_run: CommandLine) -> None:
-    solution = read_solution(infeasible_run.folder)
-    assert solution.verification is not None
-    assert not solution.verification.ok
-    verdicts = [line.strip() for line in infeasible_run.output.splitlines()]
-    assert "verified" not in verdicts
-    assert not any(line.startswith("P2: Converged") for line in verdicts)
 
 
 # --- bad input ----------------------------------------------------------------------------------
@@ -243,9 +175,6 @@ def bad_files(tmp_path: Path) -> Path:
     folder = tmp_path / "bad"
     folder.mkdir()
     (folder / "words.toml").write_text("not a scenario at all", "utf-8")
-    (folder / "binary.toml").write_bytes(b"\x00\xff\x80\x81")
-    (folder / "empty.toml").write_text("", "utf-8")
-    (folder / "base.toml").write_text('base = "recon_z"', "utf-8")
     (folder / "words.json").write_text("not a solution", "utf-8")
     (folder / "other.json").write_text('{"schema": "something/1"}', "utf-8")
     (folder / "other.txt").write_text(' {"schema": "something/1"}', "utf-8")
@@ -257,25 +186,13 @@ def bad_files(tmp_path: Path) -> Path:
 BAD_INPUT = [
     # arguments, what the message must name
     (["--set", "risk.p_chanse=0.8"], ["risk.p_chanse", "p_chance"]),
-    (["--set", "burns.dv_max_mm_s=200"], ["burns.dv_max_mm_s", "dv_max_m_s"]),
-    (["--set", "burns.dv_max_m_s=fast"], ["burns.dv_max_m_s", "'fast'", "number"]),
-    (["--set", "burns.dv_max_m_s=true"], ["burns.dv_max_m_s", "True", "number"]),
-    (["--set", "burns.dv_max_m_s=nan"], ["burns.dv_max_m_s", "nan", "finite"]),
-    (["--set", "schedule.attitude_s=-60"], ["schedule.attitude_s", "-60", "0"]),
     (["--set", "observation.window_s=[30000, 40000]"], ["window_s", "40000", "34842"]),
-    (["--set", "risk.p_chance=0.5"], ["risk.p_chance", "0.5"]),
-    (["--set", "risk.p_chance=1"], ["risk.p_chance", "1"]),
     (["--set", "risk.p_chance=1.2"], ["risk.p_chance", "1.2", "1"]),
     (["--set", "risk.p_chance"], ["--set", "risk.p_chance", "="]),
     (["--set", "observation.incidence_max_deg=5"], ["observation", "5 deg", "window"]),
     (["--set", "burns.times_s=[0, 12000, 25000, 34842]"], ["burns.times_s.1", "12000", "rule"]),
-    (["--set", "burns.times_s=[0, 9000, 8000]"], ["times_s", "ascending"]),
-    (["--set", "burns.dv_max_m_s=" + "1" * 5000], ["burns.dv_max_m_s"]),
     (["--scenario", "{bad}/none.toml"], ["none.toml", "no such file"]),
     (["--scenario", "{bad}/words.toml"], ["words.toml", "TOML"]),
-    (["--scenario", "{bad}/binary.toml"], ["binary.toml", "TOML"]),
-    (["--scenario", "{bad}/empty.toml"], ["base"]),
-    (["--scenario", "{bad}/base.toml"], ["base", "recon_z", "recon_b"]),
     (["--scenario", "{bad}"], ["directory"]),
     (["--init", "{bad}/none.json"], ["none.json", "no such file"]),
     (["--init", "{bad}/words.json"], ["words.json", "JSON"]),
@@ -284,7 +201,6 @@ BAD_INPUT = [
     (["--init", "{bad}/none.csv"], ["none.csv", "no such file"]),
     (["--init", "{bad}/words.csv"], ["words.csv", "t_s"]),
     (["--init", "lukewarm"], ["lukewarm", "no such file"]),
-    (["--scenario", "/dev/zero"], ["/dev/zero", "megabytes"]),
     (["--init", "{bad}/other.txt"], ["other.txt", "something/1"]),
     (["--out", "{bad}/words.csv"], ["--out", "words.csv"]),
     (["--out", "{bad}/words.csv/below"], ["--out", "words.csv"]),
@@ -318,50 +234,6 @@ def run_with_own_out(given: list[str]) -> CommandLine:
     return run_solve(Path(given[at + 1]), *given[:at], *given[at + 2 :])
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--problem", "P4"],
-        ["--formulation", "folded"],
-        ["--facet-rounds", "-1"],
-        ["--facet-rounds", "many"],
-        ["--facet-rounds", "1000000"],
-        ["--unknown"],
-        ["--init"],
-        ["--init", ""],
-        ["--out", ""],
-        ["superfluous"],
-    ],
-)
-def test_bad_options_end_with_two(arguments: list[str], tmp_path: Path) -> None:
-    run = run_solve(tmp_path / "out", *arguments)
-    assert run.exit_code == 2
-    assert run.output == ""
-    assert "Traceback" not in run.errors
-    reliability.count(reliability.BAD_INPUTS)
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_old_solution_survives_bad_input(default_run: CommandLine, tmp_path: Path) -> None:
-    file = tmp_path / "solution.json"
-    file.write_bytes((default_run.folder / "solution.json").read_bytes())
-    before = file.read_bytes()
-    assert run_solve(tmp_path, "--set", "risk.p_chance=2").exit_code == 2
-    assert file.read_bytes() == before
-
-
-def test_as_many_burns_as_the_solution_had_are_needed(
-    default_run: CommandLine, tmp_path: Path
-) -> None:
-    run = run_solve(
-        tmp_path / "out",
-        *("--init", str(default_run.folder), "--set", "burns.times_s=[0, 8000, 34842]"),
-    )
-    assert run.exit_code == 2
-    assert "4 burns" in run.errors
-    assert "3" in run.errors
-
-
 # --- Ctrl-C -------------------------------------------------------------------------------------
 
 
@@ -378,8 +250,10 @@ def ctrl_c_in_the_fourth_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SCvx, "step", step)
 
 
-@pytest.mark.usefixtures("ctrl_c_in_the_fourth_iteration")
-def test_ctrl_c_leaves_the_best_iterate_marked_as_such(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_the_best_iterate_marked_as_such_which_goes_on(
+    tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request.getfixturevalue("ctrl_c_in_the_fourth_iteration")
     run = run_solve(tmp_path, "--init", "cold")
     assert run.exit_code == 130
     assert "Traceback" not in run.errors
@@ -391,56 +265,36 @@ def test_ctrl_c_leaves_the_best_iterate_marked_as_such(tmp_path: Path) -> None:
     assert solution.stages[-1].total_dv_m_s == pytest.approx(solution.total_dv_m_s)
     assert "Interrupted" in run.output
     assert "solution.json" in run.output.replace("\n", "")
-
-
-def test_going_on_from_an_interrupted_solution(
-    tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    request.getfixturevalue("ctrl_c_in_the_fourth_iteration")
-    assert run_solve(tmp_path, "--init", "cold").exit_code == 130
     monkeypatch.undo()
-    again = run_solve(tmp_path, "--init", str(tmp_path / "solution.json"))
-    assert again.exit_code == 0
+    assert run_solve(tmp_path, "--init", str(tmp_path / "solution.json")).exit_code == 0
     assert read_solution(tmp_path).status == "converged"
 
 
-def test_ctrl_c_between_p3_and_p2_keeps_p3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def ctrl_c(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(stages, "choose_facets", ctrl_c)
-    run = run_solve(tmp_path, "--init", "cold")
-    assert run.exit_code == 130
-    solution = read_solution(tmp_path)
-    assert solution.status == "interrupted"
-    assert solution.total_dv_m_s == pytest.approx(0.1078, rel=0.01)
-
-
-def test_ctrl_c_during_the_verification_keeps_the_solution(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("module", "name", "left"),
+    [
+        (stages, "choose_facets", "interrupted"),
+        (planning, "verify", "converged"),
+        (planner, "plan", None),
+    ],
+)
+def test_ctrl_c_between_the_steps_keeps_what_was_done(
+    module: object, name: str, left: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Between P3 and P2, in the verification, and before anything."""
+
     def ctrl_c(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(planning, "verify", ctrl_c)
-    run = run_solve(tmp_path, "--init", "cold", "--problem", "P3")
-    assert run.exit_code == 130
-    solution = read_solution(tmp_path)
-    assert solution.status == "converged"
-    assert solution.verification is None
-
-
-def test_ctrl_c_before_anything_leaves_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def ctrl_c(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(planner, "plan", ctrl_c)
-    run = run_solve(tmp_path, "--init", "cold")
+    monkeypatch.setattr(module, name, ctrl_c)
+    run = run_solve(tmp_path, "--set", COARSE)
     assert run.exit_code == 130
     assert "Traceback" not in run.errors
-    assert list(tmp_path.iterdir()) == []
+    if left is None:
+        assert list(tmp_path.iterdir()) == []
+        return
+    solution = read_solution(tmp_path)
+    assert (solution.status, solution.verification) == (left, None)
 
 
 # --- verify -------------------------------------------------------------------------------------
@@ -481,38 +335,3 @@ def test_verify_refuses_what_is_no_solution(
         run = run_verify(capsys, bad_files / name)
         assert run.exit_code == 2
         assert run.errors.count("error: ") == 1
-
-
-@pytest.mark.parametrize(
-    ("part", "value"),
-    [
-        ("nodes", {"t_s": [0.0], "state": [], "covariance": []}),
-        ("nodes", {"t_s": [], "state": [], "covariance": []}),
-        ("burns", []),
-    ],
-    ids=["nodes that do not fit", "no nodes", "no burns"],
-)
-def test_verify_refuses_a_damaged_solution(
-    default_run: CommandLine,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    part: str,
-    value: object,
-) -> None:
-    data = json.loads((default_run.folder / "solution.json").read_text("utf-8"))
-    (tmp_path / "solution.json").write_text(json.dumps({**data, part: value}), "utf-8")
-    run = run_verify(capsys, tmp_path)
-    assert run.exit_code == 2
-    assert run.errors.count("error: ") == 1
-
-
-def test_verify_repeats_what_the_solution_holds(
-    default_run: CommandLine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from scp_recon.mission.mission import Mission
-    from scp_recon.verification.reintegration import verify as check
-
-    monkeypatch.undo()  # with as many flights as it had
-    solution: Solution = read_solution(default_run.folder)
-    again = check(Mission.from_scenario(solution.scenario), solution)
-    assert again == solution.verification
