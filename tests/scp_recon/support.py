@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -126,3 +127,29 @@ def run_solve(folder: Path, *arguments: str) -> CommandLine:
         except SystemExit as end:  # argparse ends this way
             code = int(end.code or 0)
     return CommandLine(code, output.getvalue(), errors.getvalue(), folder)
+
+
+Place = tuple[str | int, ...]
+
+
+def numbers(data: Any, path: Place = ()) -> Iterator[Place]:
+    """Where numbers stand in nested tables and lists, of long lists the first."""
+    items = data.items() if isinstance(data, dict) else list(enumerate(data))[:1]
+    for key, value in items:
+        if isinstance(value, dict | list):
+            yield from numbers(value, (*path, key))
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            yield (*path, key)
+
+
+def with_value(data: Any, path: Place, value: object) -> Any:
+    """A copy with another value at a place, or without it for an ellipsis."""
+    changed = copy.deepcopy(data)
+    inside = changed
+    for key in path[:-1]:
+        inside = inside[key]
+    if value is ...:
+        del inside[path[-1]]
+    else:
+        inside[path[-1]] = value
+    return changed

@@ -11,8 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
@@ -25,14 +23,13 @@ from scp_recon.monte_carlo.summary import (
     SCHEMA,
     Summary,
     read_summary,
-    read_summary_as,
     required_probability,
     shortfalls,
     summarise,
 )
 from scp_recon.results.solution import Solution
 from tests import reliability
-from tests.scp_recon.support import file_of, mission_of
+from tests.scp_recon.support import file_of, mission_of, numbers, with_value
 
 Data = dict[str, Any]
 
@@ -63,27 +60,6 @@ def refused(path: Path, content: str) -> InputError:
     assert str(path) in caught.value.entry
     reliability.count(reliability.BAD_INPUTS)
     return caught.value
-
-
-def numbers(data: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Where numbers stand in nested tables and lists, the first of each list."""
-    items = data.items() if isinstance(data, dict) else list(enumerate(data))[:1]
-    found: list[tuple[Any, ...]] = []
-    for key, value in items:
-        if isinstance(value, dict | list):
-            found += numbers(value, (*path, key))
-        elif isinstance(value, int | float):
-            found.append((*path, key))
-    return found
-
-
-def with_value(data: Data, path: tuple[Any, ...], value: object) -> str:
-    changed = copy.deepcopy(data)
-    inside: Any = changed
-    for key in path[:-1]:
-        inside = inside[key]
-    inside[path[-1]] = value
-    return json.dumps(changed)
 
 
 # --- what is in it ------------------------------------------------------------------------------
@@ -159,17 +135,13 @@ def test_round_trip_through_file_and_folder(summary: Summary, tmp_path: Path) ->
     assert read_summary(tmp_path).write(tmp_path).read_bytes() == before
 
 
-def test_a_summary_knows_its_plan(summary: Summary, solution: Solution) -> None:
-    assert summary.is_of(solution)
-    burn = solution.burns[0]
-    moved = replace(burn, dv_m_s=(math.nextafter(burn.dv_m_s[0], 1.0), 0.0, 0.0))
-    other = replace(solution, burns=[moved, *solution.burns[1:]])
-    assert not summary.is_of(other)
-
-
-def test_an_older_file_is_of_an_unknown_plan(
-    data: Data, solution: Solution, tmp_path: Path
+def test_a_summary_knows_its_plan_unless_its_file_is_older(
+    summary: Summary, data: Data, solution: Solution, tmp_path: Path
 ) -> None:
+    assert summary.is_of(solution)
+    first, *others = solution.burns
+    moved = replace(first, dv_m_s=(math.nextafter(first.dv_m_s[0], 1.0), 0.0, 0.0))
+    assert not summary.is_of(replace(solution, burns=[moved, *others]))
     older = {key: value for key, value in data.items() if key != "plan_hash"}
     (tmp_path / FILE_NAME).write_text(json.dumps(older), "utf-8")
     read = read_summary(tmp_path)
@@ -177,40 +149,15 @@ def test_an_older_file_is_of_an_unknown_plan(
     assert not read.is_of(solution)
 
 
-def test_a_study_adds_entries_that_others_pass_over(summary: Summary, tmp_path: Path) -> None:
-    class More(Summary):
-        note: str
-
-    More(**dict(summary), note="added").write(tmp_path)
-    assert read_summary_as(More, tmp_path).note == "added"
-    assert read_summary(tmp_path) == summary
-    summary.write(tmp_path)
-    with pytest.raises(InputError, match="note: got nothing"):
-        read_summary_as(More, tmp_path)
-
-
 # --- damaged files ------------------------------------------------------------------------------
 
 
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    for path in (tmp_path / "none.json", tmp_path):
-        with pytest.raises(InputError, match="no such file"):
-            read_summary(path)
-
-
-@pytest.mark.parametrize(
-    "content", ["", "{", "[]", "5", "{}", '{"schema": "scp_recon.solution/1"}', '{"schema": 1}']
-)
-def test_what_is_no_summary_is_refused(tmp_path: Path, content: str) -> None:
-    refused(tmp_path / FILE_NAME, content)
-
-
 def test_every_number_is_a_number(tmp_path: Path, data: Data) -> None:
-    places = numbers(data)
+    places = list(numbers(data))
     assert len(places) > 100
     for where, value in zip(places, cycle([True, False, "1", [1.0], True]), strict=False):
-        named = refused(tmp_path / FILE_NAME, with_value(data, where, value)).entry
-        assert str(where[0]) in named
+        wrong = json.dumps(with_value(data, where, value))
+        assert str(where[0]) in refused(tmp_path / FILE_NAME, wrong).entry
 
 
 @pytest.mark.parametrize(
@@ -230,26 +177,8 @@ def test_every_number_is_a_number(tmp_path: Path, data: Data) -> None:
 def test_parts_that_do_not_fit_together_are_refused(
     tmp_path: Path, data: Data, path: tuple[str, ...], value: object
 ) -> None:
-    assert path[0] in str(refused(tmp_path / FILE_NAME, with_value(data, path, value)))
-
-
-anything = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5)
-
-
-@settings(suppress_health_check=[HealthCheck.too_slow])
-@given(draw=st.data())
-def test_a_damaged_summary_is_read_or_refused(
-    data: Data, tmp_path_factory: pytest.TempPathFactory, draw: st.DataObject
-) -> None:
-    where = draw.draw(st.sampled_from(numbers(data)))
-    path = tmp_path_factory.getbasetemp() / "damaged.json"
-    path.write_text(with_value(data, where, draw.draw(anything)), "utf-8")
-    try:
-        read = read_summary(path)
-    except InputError:
-        reliability.count(reliability.BAD_INPUTS)
-    else:
-        assert isinstance(read, Summary)
+    wrong = json.dumps(with_value(data, path, value))
+    assert path[0] in str(refused(tmp_path / FILE_NAME, wrong))
 
 
 @pytest.fixture(scope="module")
@@ -284,17 +213,6 @@ def test_what_is_not_met_stands_beside_what_is_required(many: Summary, solution:
     assert shortfalls(many, certain) == []
     infeasible = replace(solution, status="infeasible")
     assert shortfalls(many, infeasible) == ["the plan is infeasible, required converged"]
-
-
-def test_the_command_ends_with_four_and_says_why(
-    solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    infeasible = replace(requiring(solution, 0.99), status="infeasible")
-    infeasible.write(tmp_path)
-    assert montecarlo.main([str(tmp_path), "--samples", "200"]) == 4
-    said = " ".join(capsys.readouterr().out.split())
-    assert "not as required: the plan is infeasible, required converged, site_distance 0." in said
-    assert "required 0.99" in said
 
 
 @pytest.mark.parametrize(

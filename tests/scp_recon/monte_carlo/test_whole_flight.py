@@ -118,11 +118,3 @@ def test_nodes_there_close_the_gap(sparse: tuple[Mission, Array, KeptFlights]) -
     ]
     assert lost[0] > 100
     assert lost[1] <= 0.3 * lost[0]
-
-
-def test_where_no_second_is_less_likely_nothing_is_touched(solution: Solution) -> None:
-    """The default plan is least likely at the window's end, which is a node."""
-    mission = Mission.from_scenario(solution.scenario)
-    kept = kept_flights(mission, solution.burns_m_s, FLIGHTS, SEED)
-    least = min(int(counts.min()) for counts in kept.at_nodes.values())
-    assert (len(kept.touched_s) == 0) == (min(kept.throughout.values()) >= least)

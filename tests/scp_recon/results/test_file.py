@@ -8,9 +8,11 @@ import math
 import os
 from dataclasses import replace
 from datetime import datetime, timedelta
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from scp_recon.errors import InputError
@@ -24,7 +26,7 @@ from scp_recon.scenario.load import validate_scenario
 from scp_recon.verification.reintegration import verify
 from tests import reliability
 from tests.scenarios import COARSE
-from tests.scp_recon.support import mission_of
+from tests.scp_recon.support import mission_of, numbers, with_value
 
 Data = dict[str, Any]
 
@@ -62,10 +64,6 @@ def test_it_is_plain_json_with_the_schema_first(verified: Solution, tmp_path: Pa
     parsed = json.loads(text, parse_constant=no_constant)
     assert next(iter(parsed)) == "schema"
     assert parsed["schema"] == SCHEMA
-
-
-def test_its_scenario_is_the_whole_validated_input(data: Data, solution: Solution) -> None:
-    assert validate_scenario(data["scenario"]) == solution.scenario
 
 
 # --- reading back -------------------------------------------------------------------------------
@@ -111,32 +109,12 @@ def test_the_plans_hash_is_that_of_scenario_and_burns_alone(
     assert {s.plan_hash for s in (verified, same, read)} == {solution.plan_hash}
 
 
-@pytest.mark.parametrize("burn", range(2))
-@pytest.mark.parametrize("axis", range(3))
-def test_the_plans_hash_knows_the_last_bit_of_every_burn(
-    solution: Solution, burn: int, axis: int
-) -> None:
-    dv = list(solution.burns[burn].dv_m_s)
-    dv[axis] = math.nextafter(dv[axis], math.inf)
-    burns = list(solution.burns)
-    burns[burn] = replace(burns[burn], dv_m_s=tuple(dv))
-    assert replace(solution, burns=burns).plan_hash != solution.plan_hash
-
-
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("burns.0.dv_m_s.0", 0.012),
-        ("scenario.risk.p_chance", 0.95),
-        ("scenario.uncertainty.execution_error", 0.02),
-        ("scenario.observation.emission_max_deg", 44.0),
-    ],
-)
+@pytest.mark.parametrize("path", ["burns.0.dv_m_s.0", "scenario.risk.p_chance"])
 def test_a_file_that_was_edited_by_hand_is_not_verified_and_says_why(
-    data: Data, tmp_path: Path, path: str, value: object
+    data: Data, tmp_path: Path, path: str
 ) -> None:
     assert data["verification"]["ok"]
-    (tmp_path / "solution.json").write_text(edited(data, path, value), "utf-8")
+    (tmp_path / "solution.json").write_text(edited(data, path, 0.6), "utf-8")
     read = read_solution(tmp_path)
     assert read.verification is not None
     assert not read.verification.ok
@@ -204,7 +182,9 @@ def other(value: object) -> object:
     raise TypeError(value)
 
 
-def test_the_plans_hash_knows_every_entry_of_the_scenario(solution: Solution) -> None:
+def test_the_plans_hash_knows_every_entry_of_the_scenario_and_the_last_bit_of_every_burn(
+    solution: Solution,
+) -> None:
     scenario, found = solution.scenario, [solution.plan_hash]
     for name, section in scenario:
         if isinstance(section, str):
@@ -217,7 +197,12 @@ def test_the_plans_hash_knows_every_entry_of_the_scenario(solution: Solution) ->
         for changed in copies:
             whole = scenario.model_copy(update={name: changed})
             found.append(replace(solution, scenario=whole).plan_hash)
-    assert len(set(found)) == len(found) > 40
+    for at, axis in np.ndindex(len(solution.burns), 3):
+        burns, dv = list(solution.burns), list(solution.burns[at].dv_m_s)
+        dv[axis] = math.nextafter(dv[axis], math.inf)
+        burns[at] = replace(burns[at], dv_m_s=tuple(dv))
+        found.append(replace(solution, burns=burns).plan_hash)
+    assert len(set(found)) == len(found) > 50
 
 
 # --- writing whole or not at all ----------------------------------------------------------------
@@ -292,12 +277,6 @@ def test_what_is_no_json_is_refused(tmp_path: Path, content: bytes) -> None:
     assert "JSON" in str(refused(tmp_path / "s.json", content))
 
 
-def test_a_file_cut_short_is_refused(tmp_path: Path, data: Data) -> None:
-    text = json.dumps(data)
-    for part in (0.1, 0.5, 0.999):
-        refused(tmp_path / "s.json", text[: int(part * len(text))])
-
-
 @pytest.mark.parametrize(
     "content",
     ["[]", "5", "null", '"text"', "{}", '{"schema": "scp_recon.solution/0"}', '{"schema": 1}'],
@@ -308,16 +287,8 @@ def test_another_schema_is_refused(tmp_path: Path, content: str) -> None:
 
 
 def edited(data: Data, path: str, value: object) -> str:
-    copy: Data = json.loads(json.dumps(data))
-    *sections, key = path.split(".")
-    inside: Any = copy
-    for section in sections:
-        inside = inside[int(section)] if section.isdigit() else inside[section]
-    if value is ...:
-        del inside[int(key) if key.isdigit() else key]
-    else:
-        inside[int(key) if key.isdigit() else key] = value
-    return json.dumps(copy)
+    where = [int(key) if key.isdigit() else key for key in path.split(".")]
+    return json.dumps(with_value(data, tuple(where), value))
 
 
 @pytest.mark.parametrize(
@@ -368,44 +339,21 @@ def test_a_missing_key_is_named(tmp_path: Path, data: Data, path: str) -> None:
         ("nodes.t_s.5", ...),
         ("nodes.t_s.5", 0.0),  # not ascending
         ("nodes", {"t_s": [], "state": [], "covariance": []}),
+        *(("burns", []), ("burns.2", ...)),  # fewer than firing times
     ],
 )
 def test_a_bad_value_is_named(tmp_path: Path, data: Data, path: str, value: object) -> None:
     error = refused(tmp_path / "s.json", edited(data, path, value))
-    assert path.split(".", maxsplit=1)[0] in error.entry
+    assert path.split(".", maxsplit=1)[0] in error.entry + error.allowed
 
 
-@pytest.mark.parametrize(("path", "value"), [("burns.2", ...), ("burns", [])])
-def test_fewer_burns_than_firing_times_are_refused(
-    tmp_path: Path, data: Data, path: str, value: object
-) -> None:
-    refused(tmp_path / "s.json", edited(data, path, value))
-
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        *("violation.max", "violation.total", "total_dv_m_s", "burns.0.dv_m_s.1", "burns.1.t_s"),
-        *("nodes.t_s.3", "nodes.state.3.2", "nodes.covariance.3.2.1", "facets.node.0"),
-        *("facets.normal.0.1", "facets.quantile.0", "stages.0.iterations", "iterations.0.merit"),
-        *("constraints.0.facets", "constraints.0.worst_t_s", "timing_s.total", "units.length_m"),
-        *("verification.samples", "verification.max_defect", "verification.probabilities.0.low"),
-        *("verification.mean_margins.0.worst_margin", "scenario.risk.p_chance"),
-        *("scenario.burns.times_s.0", "scenario.boundary.final_position_m.0"),
-        *("scenario.body.j2", "scenario.polytopes.cone"),
-    ],
-)
-@pytest.mark.parametrize("value", [True, False, "1"])
-def test_a_number_is_neither_a_boolean_nor_a_string(
-    tmp_path: Path, data: Data, path: str, value: object
-) -> None:
-    error = refused(tmp_path / "s.json", edited(data, path, value))
-    assert path.split(".", maxsplit=1)[0] in error.entry
-
-
-def test_whole_numbers_are_numbers(tmp_path: Path, data: Data) -> None:
-    (tmp_path / "s.json").write_text(edited(data, "violation.total", 0), "utf-8")
-    assert read_solution(tmp_path / "s.json").violation.total == 0.0
+def test_every_number_is_a_number(tmp_path: Path, data: Data) -> None:
+    """Neither a boolean nor a string nor a list."""
+    places = list(numbers(data))
+    assert len(places) > 80
+    for where, value in zip(places, cycle([True, "1", False, [1.0]]), strict=False):
+        error = refused(tmp_path / "s.json", json.dumps(with_value(data, where, value)))
+        assert str(where[0]) in error.entry
 
 
 # --- times --------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from scp_recon.errors import InputError
 from scp_recon.files import LOCK, only_run_in
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import folder_of, is_pointer, new_run, point_to
-from scp_recon.results.solution import FILE_NAME, Solution
+from scp_recon.results.solution import Solution
 
 NAMES = ["recon_b", "", "latest", ".", "..", "../../etc", "/", "a b\\c", "é" * 300, "con:"]
 
@@ -97,13 +97,3 @@ def test_the_lock_of_a_process_that_was_killed_is_taken_over(tmp_path: Path) -> 
     with only_run_in(tmp_path, "--out"):
         pass
     assert list(tmp_path.iterdir()) == []
-
-
-def test_what_is_no_pointer_stays_what_it_is(tmp_path: Path, solution: Solution) -> None:
-    file = solution.write(tmp_path)
-    assert folder_of(file) == tmp_path
-    assert folder_of(tmp_path) == tmp_path
-    (tmp_path / "latest").write_text("nowhere\n", "utf-8")
-    with pytest.raises(InputError):
-        read_solution(tmp_path / "latest")
-    assert file.name == FILE_NAME

@@ -10,17 +10,9 @@ import pytest
 
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import Plan, plan
-from scp_recon.results.figures import Violation
+from scp_recon.planning.planner import plan
 from scp_recon.results.solution import Solution, make_solution
 from tests.scp_recon.support import mission_of
-
-
-@pytest.fixture(scope="module")
-def infeasible() -> tuple[Mission, Plan, Solution]:
-    mission = mission_of("burns.dv_max_m_s=0.02")
-    found = plan(mission, initial_guess.cold(mission))
-    return mission, found, make_solution(found)
 
 
 @pytest.fixture(scope="module")
@@ -72,9 +64,8 @@ def test_stages_and_iterations_tell_one_story(solution: Solution) -> None:
 
 def test_timing_adds_up(solution: Solution) -> None:
     parts = asdict(solution.timing_s)
-    total = parts.pop("total")
-    assert total == pytest.approx(sum(parts.values()))
-    assert all(part >= 0.0 for part in parts.values())
+    assert parts.pop("total") == pytest.approx(sum(parts.values()))
+    assert min(parts.values()) >= 0.0
     solver = sum(i.solver_s for i in solution.iterations)
     assert parts["conic_solver"] == pytest.approx(solver)
 
@@ -133,18 +124,12 @@ def test_the_primer_is_known_at_every_node(solution: Solution) -> None:
     assert not any(primer.legal)  # four burns leave none of the default flight's gaps to a fifth
 
 
-def test_nothing_is_violated_in_a_solution(solution: Solution) -> None:
-    assert solution.status == "converged"
-    assert solution.violation == Violation(0.0, 0.0, {})
-
-
-def test_an_infeasible_case_names_each_violated_constraint_with_its_amount(
-    infeasible: tuple[Mission, Plan, Solution],
-) -> None:
-    mission, found, solution = infeasible
+def test_an_infeasible_case_names_each_violated_constraint_with_its_amount() -> None:
+    mission = mission_of("burns.dv_max_m_s=0.02")
+    found = plan(mission, initial_guess.cold(mission))
+    solution = make_solution(found)
     assert solution.status == "infeasible"
     violated = solution.violation.by_constraint
-    assert "dv_max" in violated
     assert violated["dv_max"].unit == "m/s"
     excess = np.maximum(np.linalg.norm(solution.burns_m_s, axis=1) - 0.02, 0.0)
     assert violated["dv_max"].max == pytest.approx(excess.max(), abs=1e-6)
@@ -156,9 +141,7 @@ def test_an_infeasible_case_names_each_violated_constraint_with_its_amount(
                 assert violated[c.name].max == pytest.approx(-c.worst_margin, abs=2e-3)
         elif c.name != "dv_battery":
             assert c.worst_margin >= -2e-3
-    assert solution.violation.max > 0.0
-    assert solution.violation.total >= solution.violation.max
-    assert mission.scenario.burns.dv_max_m_s == 0.02
+    assert solution.violation.total >= solution.violation.max > 0.0
     outcome = found.final.result.status.value
     assert outcome.name == solution.status
     assert outcome.message in solution.message

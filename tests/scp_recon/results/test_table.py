@@ -31,11 +31,6 @@ def test_texts_are_rounded_and_values_are_not() -> None:
     assert [row[2].text for row in MARGINS.rows] == ["4", "", "0"]
 
 
-def test_a_row_has_as_many_cells_as_there_are_columns() -> None:
-    with pytest.raises(ValueError, match="zip"):
-        Table.of("", ("a", "b"), [("x",)])
-
-
 def test_csv_holds_the_values_under_keys_with_units() -> None:
     lines = MARGINS.csv(["made by hand"]).splitlines()
     assert lines[0] == "# made by hand"
@@ -85,18 +80,3 @@ def test_the_terminal_shows_texts_as_they_are(*, narrow: bool) -> None:
     assert ("margin m/s" in said[0]) is not narrow
     plain = str(MARGINS).splitlines()
     assert plain[1].split() == said[1 + narrow].split()
-
-
-def test_columns_and_rows_are_added_and_left_out() -> None:
-    table = MARGINS.without("facets", "kept").with_rows([("total", 3.0)])
-    assert [column.key for column in table.columns] == ["constraint", "margin_m_s"]
-    assert [cell.text for cell in table.rows[-1]] == ["total", "+3.00"]
-
-
-def test_records_become_a_table() -> None:
-    table = Table.of_records("", [{"a": "x", "b": 0.12345}, {"a": "y", "c": 2}], {"b": ".2f"})
-    assert [[cell.text for cell in row] for row in table.rows] == [
-        ["x", "0.12", ""],
-        ["y", "", "2"],
-    ]
-    assert table.records()[0] == {"a": "x", "b": 0.12345, "c": None}

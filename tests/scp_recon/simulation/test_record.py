@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,46 +24,24 @@ from scp_recon.simulation.record import (
 )
 from scp_recon.simulation.vehicle import Vehicle, check_vehicle, load_vehicle
 from tests.scp_recon.simulation.made_up import arrays, entries, summary
+from tests.scp_recon.support import numbers, with_value
 
 
-@pytest.mark.parametrize("entry", [{}, {"plan_hash": None}])
-def test_an_older_file_is_of_an_unknown_plan(tmp_path: Path, entry: dict[str, Any]) -> None:
-    older = entries()
-    del older["plan_hash"]
-    save(tmp_path, older | entry, arrays())
+def test_an_older_file_is_of_an_unknown_plan_and_what_a_later_one_adds_is_passed_over(
+    tmp_path: Path,
+) -> None:
+    save(tmp_path, with_value(entries(), ("plan_hash",), ...), arrays())
     assert read_record(tmp_path).plan_hash is None
-
-
-def test_what_a_later_version_adds_is_passed_over(tmp_path: Path) -> None:
     save(tmp_path, entries(later=1), arrays() | {"later": np.zeros(7)})
     assert read_record(tmp_path).summary == summary()
 
 
-def numbers_of(content: Any) -> Iterator[tuple[str | int, ...]]:
-    """Where a number stands."""
-    items = content.items() if isinstance(content, dict) else enumerate(content)
-    for key, value in items:
-        if isinstance(value, dict | list):
-            yield from ((key, *place) for place in numbers_of(value))
-        elif isinstance(value, float | int) and not isinstance(value, bool):
-            yield (key,)
-
-
-@pytest.mark.parametrize("place", list(numbers_of(entries())), ids=str)
-def test_numbers_are_neither_true_nor_words_nor_infinite(
-    tmp_path: Path, place: tuple[str | int, ...]
-) -> None:
-    for strange in (True, "1", [1.0], None, float("nan"), float("inf")):
-        content: Any = entries()
-        part = content
-        for key in place[:-1]:
-            part = part[key]
-        if strange is None and place[-1] == "settled_s":
-            continue
-        part[place[-1]] = strange
-        save(tmp_path, content, arrays())
-        with pytest.raises(InputError, match=rf"simulation\.npz: .*{place[-1]}"):
-            read_record(tmp_path)
+def test_numbers_are_neither_true_nor_words_nor_infinite(tmp_path: Path) -> None:
+    for place in numbers(entries()):
+        for strange in (True, "1", [1.0], float("nan"), float("inf")):
+            save(tmp_path, with_value(entries(), place, strange), arrays())
+            with pytest.raises(InputError, match=rf"simulation\.npz: .*{place[-1]}"):
+                read_record(tmp_path)
 
 
 @pytest.mark.parametrize("name", ARRAYS)
@@ -90,23 +67,20 @@ def test_a_file_of_before_torques_is_read(tmp_path: Path) -> None:
     assert read_record(tmp_path).arrays.keys() == ARRAYS.keys() - {*ADDED}
 
 
-@pytest.mark.parametrize("content", [[1], entries(schema="other"), {"schema": SCHEMA}])
-def test_what_is_no_record_is_named(tmp_path: Path, content: object) -> None:
-    save(tmp_path, content, arrays())
-    with pytest.raises(InputError, match=r"simulation\.npz"):
-        read_record(tmp_path)
-
-
-def save(folder: Path, content: object, named: Arrays) -> None:
-    np.savez(folder / FILE_NAME, summary=np.array(json.dumps(content)), **named)  # type: ignore[arg-type]
-
-
-def test_a_damaged_file_is_named(tmp_path: Path) -> None:
+def test_what_is_no_record_is_named(tmp_path: Path) -> None:
+    for content in ([1], entries(schema="other"), {"schema": SCHEMA}):
+        save(tmp_path, content, arrays())
+        with pytest.raises(InputError, match=r"simulation\.npz"):
+            read_record(tmp_path)
     (tmp_path / FILE_NAME).write_bytes(b"PK not a zip")
     np.save(tmp_path / "array.npy", np.zeros(3))
     for path in (tmp_path, tmp_path / "array.npy", tmp_path / "none"):
         with pytest.raises(InputError, match="simulation"):
             read_record(path)
+
+
+def save(folder: Path, content: object, named: Arrays) -> None:
+    np.savez(folder / FILE_NAME, summary=np.array(json.dumps(content)), **named)  # type: ignore[arg-type]
 
 
 def test_the_digest_knows_every_entry_of_the_vehicle(

@@ -23,11 +23,6 @@ def test_the_packaged_vehicle_is_the_papers(vehicle: Vehicle) -> None:
     assert np.linalg.eigvalsh(vehicle.inertia).min() > 0.0
 
 
-def test_every_panel_faces_across_the_axis_of_camera_and_thruster(vehicle: Vehicle) -> None:
-    assert vehicle.sensors.camera == vehicle.chemical_thruster.direction
-    assert not (vehicle.panel_normals @ np.array(vehicle.sensors.camera)).any()
-
-
 def test_the_plates_are_closed_but_for_what_shades_itself(vehicle: Vehicle) -> None:
     """As much area looks along an axis as against it, where neither stage hides the other."""
     plates = Plates.of(vehicle)

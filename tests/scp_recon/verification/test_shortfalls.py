@@ -45,38 +45,29 @@ ENOUGH = successes_needed(ASKED, SAMPLES)
 """Successes whose lower limit is what was asked."""
 
 
-def test_a_certificate_that_reaches_what_was_asked_is_none(
-    exact: Mission, solution: Solution
+@pytest.mark.parametrize(
+    ("certified", "by_law", "successes", "named"),
+    [
+        (ENOUGH, None, ENOUGH, []),
+        # Though its estimate is more than what was asked, and other flights refute nothing.
+        (ENOUGH - 1, None, ENOUGH - 1, ["certificate"]),
+        (None, None, 8_900, [f"P({FLIGHT})"]),
+        (ENOUGH, None, 8_900, [f"P({FLIGHT})"]),
+        # Half of the flights of a plan that spends what was asked reach a little less.
+        (None, None, 8_960, []),
+        (None, 0.99, 9_100, ["risk"]),
+    ],
+)
+def test_what_flights_refute_and_no_certificate_promises_is_named(
+    exact: Mission,
+    solution: Solution,
+    certified: int | None,
+    by_law: float | None,
+    successes: int,
+    named: list[str],
 ) -> None:
-    assert shortfalls(exact, promising(solution, certified=ENOUGH), [flown(ENOUGH)]) == []
-
-
-def test_a_certificate_that_falls_one_flight_short_is_named(
-    exact: Mission, solution: Solution
-) -> None:
-    """Though its estimate is more than what was asked, and other flights refute nothing."""
-    short = promising(solution, certified=ENOUGH - 1)
-    assert shortfalls(exact, short, [flown(ENOUGH - 1)]) == ["certificate"]
-
-
-@pytest.mark.parametrize("certified", [None, ENOUGH])
-def test_flights_that_refute_it_name_the_probability(
-    exact: Mission, solution: Solution, certified: int | None
-) -> None:
-    found = shortfalls(exact, promising(solution, certified=certified), [flown(8_900)])
-    assert f"P({FLIGHT})" in found
-
-
-def test_what_flights_do_not_refute_stands_without_a_certificate(
-    exact: Mission, solution: Solution
-) -> None:
-    """Half of the flights of a plan that spends what was asked reach a little less."""
-    assert shortfalls(exact, promising(solution, certified=None), [flown(8_960)]) == []
-
-
-def test_a_law_that_is_far_from_the_flights_is_named(exact: Mission, solution: Solution) -> None:
-    told = promising(solution, certified=None, by_law=0.99)
-    assert shortfalls(exact, told, [flown(9_100)]) == ["risk"]
+    told = promising(solution, certified=certified, by_law=by_law)
+    assert shortfalls(exact, told, [flown(successes)]) == named
 
 
 def test_an_estimate_below_what_was_asked_fails_a_plan_of_uniform_risk(solution: Solution) -> None:

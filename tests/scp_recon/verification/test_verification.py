@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,11 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 
 from formulations.arrays import Array
-from scp_recon.cli.command import WIDE
-from scp_recon.cli.plan_view import show_verification
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.sampling import sample_positions
 from scp_recon.physics.forces import acceleration, gravity_gradient
@@ -30,47 +26,25 @@ from scp_recon.verification.probabilities import MARGIN_LIMIT, holds
 from scp_recon.verification.reintegration import FIGURES, limits_of, variational_rate, verify
 from tests.scp_recon.support import mission_of
 
-Change = Callable[[dict[str, Any]], None]
+Change = Callable[[dict[str, Any]], object]
 
 # --- a right solution ---------------------------------------------------------------------------
 
 
-def test_default_solution_is_confirmed(verification: Verification) -> None:
+def test_default_solution_is_confirmed(
+    mission: Mission, solution: Solution, verification: Verification
+) -> None:
+    """Every probability and every constraint is looked at, the same every time."""
     v = verification
-    assert v.ok
-    assert v.failed == []
+    assert (v.ok, v.failed) == (True, [])
     assert v.terminal_position_error_m < 1.0
     assert v.terminal_velocity_error_m_s < 1e-4
     assert v.covariance_error < 1e-6
     assert v.max_defect < 1e-2
-
-
-def test_what_is_shown_as_allowed_is_what_is_judged(
-    solution: Solution, verification: Verification
-) -> None:
-    """About a body so large that the integrators differ by more than a centimetre."""
-    mission = mission_of()
-    limits = limits_of(mission)
-    assert limits["sample_error_m"] == 0.01
-    large = replace(mission, units=replace(mission.units, length_m=50_000.0))
-    assert limits_of(large) == {**limits, "sample_error_m": pytest.approx(0.05)}
-    assert limits.keys() == FIGURES.keys()
-    shown = io.StringIO()
-    show_verification(Console(file=shown, width=WIDE), large, solution, verification)
-    row = next(line for line in shown.getvalue().splitlines() if line.startswith("sampled flights"))
-    assert row.split()[-2:] == ["5.0e-02", "m"]
-
-
-def test_every_joint_probability_reaches_what_was_asked(verification: Verification) -> None:
-    names = {p.name for p in verification.probabilities}
-    assert names == {"safety_radius", "site_distance", "emission", "phase", "battery_observation"}
-    for p in verification.probabilities:
-        assert p.low <= p.estimate <= p.high
-        assert p.estimate >= 0.70
-
-
-def test_every_original_constraint_is_looked_at(verification: Verification) -> None:
-    margins = {m.name: m for m in verification.mean_margins}
+    names = {"safety_radius", "site_distance", "emission", "phase", "battery_observation"}
+    assert {p.name for p in v.probabilities} == names
+    assert all(p.low <= p.estimate <= p.high and p.estimate >= 0.70 for p in v.probabilities)
+    margins = {m.name: m for m in v.mean_margins}
     assert set(margins) >= {
         *("safety_radius", "site_distance_min", "site_distance_max", "emission_min"),
         *("emission_max", "phase_min", "battery_observation", "dv_max", "dv_battery"),
@@ -78,6 +52,16 @@ def test_every_original_constraint_is_looked_at(verification: Verification) -> N
     assert all(m.worst_margin > 0.0 for m in margins.values())
     assert 0.0 <= margins["safety_radius"].worst_t_s <= 34_842.0
     assert 13_139.0 <= margins["emission_max"].worst_t_s <= 16_539.0
+    assert verify(mission, solution) == v
+
+
+def test_limits_grow_with_a_body_so_large_that_the_integrators_differ() -> None:
+    mission = mission_of()
+    limits = limits_of(mission)
+    assert limits["sample_error_m"] == 0.01
+    large = replace(mission, units=replace(mission.units, length_m=50_000.0))
+    assert limits_of(large) == {**limits, "sample_error_m": pytest.approx(0.05)}
+    assert limits.keys() == FIGURES.keys()
 
 
 def test_probability_is_that_of_counting(
@@ -110,20 +94,15 @@ def test_no_margin_at_the_solutions_own_nodes_is_below_the_worst(
     assert worst["emission_max"] <= np.deg2rad(45.0) - emission.max() + 1e-6
 
 
-def test_p3_is_confirmed_without_asking_for_probabilities(mission: Mission) -> None:
+def test_p3_is_confirmed_without_asking_for_probabilities_but_not_as_p2(mission: Mission) -> None:
     p3 = make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
     checked = verify(mission, p3)
     assert checked.ok
-    assert min(p.estimate for p in checked.probabilities) < 0.70  # what P2 is for
-    # An independent prototype: the lowest joint probability per node is one half.
+    # What P2 is for; an independent prototype's lowest joint probability per node is one half.
     assert min(p.estimate for p in checked.probabilities) == pytest.approx(0.50, abs=0.05)
-
-
-def test_the_same_solution_called_p2_is_not_confirmed(mission: Mission) -> None:
-    p3 = make_solution(plan(mission, initial_guess.cold(mission), problem="P3"))
-    checked = verify(mission, replace(p3, problem="P2"))
-    assert not checked.ok
-    assert all(name.startswith("P(") or name == "facets" for name in checked.failed)
+    as_p2 = verify(mission, replace(p3, problem="P2"))
+    assert not as_p2.ok
+    assert all(name.startswith("P(") or name == "facets" for name in as_p2.failed)
 
 
 # --- wrong solutions ----------------------------------------------------------------------------
@@ -135,64 +114,37 @@ def changed(solution: Solution, change: Change) -> Solution:
     return parse_solution(data, "changed")
 
 
-def burn_component(data: dict[str, Any]) -> None:
-    data["burns"][1]["dv_m_s"] = [x + 1e-3 for x in data["burns"][1]["dv_m_s"]]
+def moved(*path: str | int, by: float = 0.0, times: float = 1.0) -> Change:
+    """A number of the file, scaled and shifted."""
+
+    def change(data: Any) -> None:
+        for key in path[:-1]:
+            data = data[key]
+        data[path[-1]] = times * data[path[-1]] + by
+
+    return change
 
 
-def burn_time(data: dict[str, Any]) -> None:
-    data["burns"][1]["t_s"] += 300.0
-
-
-def total_dv(data: dict[str, Any]) -> None:
-    data["total_dv_m_s"] *= 0.5
-
-
-def node_position(data: dict[str, Any]) -> None:
-    data["nodes"]["state"][70][1] += 1.0
-
-
-def node_velocity(data: dict[str, Any]) -> None:
-    data["nodes"]["state"][70][4] += 1e-3
-
-
-def initial_node(data: dict[str, Any]) -> None:
-    data["nodes"]["state"][0][0] += 1.0
-
-
-def final_node(data: dict[str, Any]) -> None:
-    data["nodes"]["state"][-1][0] += 1.0
-
-
-def node_time(data: dict[str, Any]) -> None:
-    data["nodes"]["t_s"][70] += 20.0
-
-
-def covariance_entry(data: dict[str, Any]) -> None:
-    data["nodes"]["covariance"][70][0][0] *= 1.001
-
-
-def velocity_covariance(data: dict[str, Any]) -> None:
-    data["nodes"]["covariance"][70][5][5] *= 2.0
-
-
-def correlation(data: dict[str, Any]) -> None:
-    for i, j in ((0, 1), (1, 0)):
-        data["nodes"]["covariance"][70][i][j] *= -1.0
-
-
-def first_covariance(data: dict[str, Any]) -> None:
-    data["nodes"]["covariance"][0][0][0] *= 1.01
+FALSIFIED: dict[str, Change] = {
+    "a burn's component": moved("burns", 1, "dv_m_s", 0, by=1e-3),
+    "a burn's time": moved("burns", 1, "t_s", by=300.0),
+    "the total": moved("total_dv_m_s", times=0.5),
+    "a node's position": moved("nodes", "state", 70, 1, by=1.0),
+    "a node's velocity": moved("nodes", "state", 70, 4, by=1e-3),
+    "the first node": moved("nodes", "state", 0, 0, by=1.0),
+    "the last node": moved("nodes", "state", -1, 0, by=1.0),
+    "a node's time": moved("nodes", "t_s", 70, by=20.0),
+    "a variance": moved("nodes", "covariance", 70, 0, 0, times=1.001),
+    "a velocity's variance": moved("nodes", "covariance", 70, 5, 5, times=2.0),
+    "the first variance": moved("nodes", "covariance", 0, 0, 0, times=1.01),
+    "a correlation": lambda data: [
+        moved("nodes", "covariance", 70, i, j, times=-1.0)(data) for i, j in ((0, 1), (1, 0))
+    ],
+}
 
 
 @pytest.mark.usefixtures("few_flights")
-@pytest.mark.parametrize(
-    "change",
-    [
-        *(burn_component, burn_time, total_dv, node_position, node_velocity, initial_node),
-        *(final_node, node_time, covariance_entry, velocity_covariance, correlation),
-        first_covariance,
-    ],
-)
+@pytest.mark.parametrize("change", FALSIFIED.values(), ids=FALSIFIED)
 def test_a_falsified_solution_is_found_out(
     mission: Mission, solution: Solution, change: Change
 ) -> None:
@@ -201,137 +153,79 @@ def test_a_falsified_solution_is_found_out(
     assert checked.failed
 
 
-def constraint_margin(data: dict[str, Any]) -> None:
-    data["constraints"][3]["worst_margin"] += 0.01
+def told(data: dict[str, Any], name: str) -> dict[str, Any]:
+    """What is said of a constraint."""
+    found: dict[str, Any] = next(c for c in data["constraints"] if c["name"] == name)
+    return found
 
 
-def burn_margin(data: dict[str, Any]) -> None:
-    entry = next(c for c in data["constraints"] if c["name"] == "dv_max")
-    entry["worst_margin"] += 1e-6
+def facet_of(data: dict[str, Any], name: str) -> int:
+    return int(data["facets"]["constraint"].index(name))
 
 
-def worst_time(data: dict[str, Any]) -> None:
-    data["constraints"][3]["worst_t_s"] = -99.0
+def scaled_normal(data: dict[str, Any], row: int, factor: float) -> None:
+    data["facets"]["normal"][row] = [factor * x for x in data["facets"]["normal"][row]]
 
 
-def another_nodes_time(data: dict[str, Any]) -> None:
-    entry = next(c for c in data["constraints"] if c["name"] == "dv_max")
-    entry["worst_t_s"] = 25_000.0 if entry["worst_t_s"] != 25_000.0 else 0.0
+def amount(largest: float, total: float) -> dict[str, Any]:
+    return {"max": largest, "total": total, "unit": "m"}
 
 
-def count_of_facets(data: dict[str, Any]) -> None:
-    data["constraints"][2]["facets"] += 1
-
-
-def kind_of_constraint(data: dict[str, Any]) -> None:
-    entry = data["constraints"][2]
-    entry["kind"] = "keep_in" if entry["kind"] != "keep_in" else "keep_out"
-
-
-def unit_of_a_margin(data: dict[str, Any]) -> None:
-    data["constraints"][2]["unit"] = "m/s"
-
-
-def constraint_told_twice(data: dict[str, Any]) -> None:
-    data["constraints"].append(data["constraints"][2])
-
-
-def violation_in_a_rounding(data: dict[str, Any]) -> None:
-    """Too small to contradict the margins: but where something is violated nothing has converged."""
-    amount = {"max": 1e-3, "total": 1e-1, "unit": "m"}
-    data["violation"] = {"max": 1e-3, "total": 1e-1, "by_constraint": {"safety_radius": amount}}
-
-
-def constraint_left_out(data: dict[str, Any]) -> None:
-    del data["constraints"][2]
-
-
-def constraint_made_up(data: dict[str, Any]) -> None:
-    data["constraints"].append({**data["constraints"][2], "name": "moonlight"})
-
-
-def violation_made_up(data: dict[str, Any]) -> None:
-    data["violation"]["by_constraint"]["emission_max"] = {"max": 1.0, "total": 1.0, "unit": "m"}
-
-
-def violation_of_nothing(data: dict[str, Any]) -> None:
-    data["violation"]["max"] = 1.0
-
-
-def violation_in_sum(data: dict[str, Any]) -> None:
-    data["violation"]["total"] = 1.0
-
-
-def violation_of_next_to_nothing(data: dict[str, Any]) -> None:
-    data["violation"]["total"] = 5e-324
-
-
-def empty_violation(data: dict[str, Any]) -> None:
-    data["violation"]["by_constraint"]["emission_max"] = {"max": 0.0, "total": 0.0, "unit": "m"}
-
-
-def no_facets(data: dict[str, Any]) -> None:
-    data["facets"] = None
-
-
-def fewer_facets(data: dict[str, Any]) -> None:
-    for column in data["facets"].values():
-        del column[0]
-
-
-def facets_of_nothing(data: dict[str, Any]) -> None:
-    for column in data["facets"].values():
-        column.clear()
-
-
-def keep_out_plane_moved(data: dict[str, Any]) -> None:
-    row = data["facets"]["constraint"].index("site_distance_min")
-    data["facets"]["offset_m"][row] += 0.01
-
-
-def keep_out_plane_turned(data: dict[str, Any]) -> None:
-    row = data["facets"]["constraint"].index("emission_min")
-    data["facets"]["normal"][row] = [-x for x in data["facets"]["normal"][row]]
-
-
-def more_risk(data: dict[str, Any]) -> None:
-    data["facets"]["quantile"][5] -= 0.01
-
-
-def scaled_normal(data: dict[str, Any]) -> None:
-    data["facets"]["normal"][5] = [0.5 * x for x in data["facets"]["normal"][5]]
-
-
-def facet_of_another(data: dict[str, Any]) -> None:
-    for column in data["facets"].values():
-        column.append(column[-1])
-    data["facets"]["constraint"][-1] = "moonlight"
-
-
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        *((c, "constraints") for c in (constraint_margin, burn_margin)),
-        *((c, "constraints") for c in (constraint_left_out, constraint_made_up)),
-        *((c, "constraints") for c in (worst_time, another_nodes_time, count_of_facets)),
-        *(
-            (c, "constraints")
-            for c in (kind_of_constraint, unit_of_a_margin, constraint_told_twice)
+CONTRADICTING: dict[str, list[Change]] = {
+    "constraints": [
+        moved("constraints", 3, "worst_margin", by=0.01),
+        lambda s: moved("worst_margin", by=1e-6)(told(s, "dv_max")),
+        lambda s: s["constraints"].pop(2),
+        lambda s: s["constraints"].append({**s["constraints"][2], "name": "moonlight"}),
+        lambda s: s["constraints"][3].update(worst_t_s=-99.0),
+        lambda s: told(s, "dv_max").update(
+            worst_t_s=25_000.0 * (told(s, "dv_max")["worst_t_s"] != 25_000.0)
         ),
-        *((c, "violation") for c in (violation_made_up, violation_of_nothing)),
-        (violation_in_a_rounding, "violation"),
-        *((c, "violation") for c in (violation_in_sum, violation_of_next_to_nothing)),
-        (empty_violation, "violation"),
-        *((c, "facets") for c in (no_facets, fewer_facets, facets_of_nothing, more_risk)),
-        *((c, "facets") for c in (keep_out_plane_moved, keep_out_plane_turned)),
-        *((c, "facets") for c in (scaled_normal, facet_of_another)),
+        lambda s: s["constraints"][2].update(facets=1 + s["constraints"][2]["facets"]),
+        lambda s: s["constraints"][2].update(
+            kind={"keep_in": "keep_out"}.get(s["constraints"][2]["kind"], "keep_in")
+        ),
+        lambda s: s["constraints"][2].update(unit="m/s"),
+        lambda s: s["constraints"].append(s["constraints"][2]),
     ],
-)
+    "violation": [
+        lambda s: s["violation"]["by_constraint"].update(emission_max=amount(1.0, 1.0)),
+        lambda s: s["violation"]["by_constraint"].update(emission_max=amount(0.0, 0.0)),
+        lambda s: s["violation"].update(max=1.0),
+        lambda s: s["violation"].update(total=1.0),
+        lambda s: s["violation"].update(total=5e-324),
+        # Too small to contradict the margins: but where something is violated nothing has converged.
+        lambda s: s.update(
+            violation={
+                "max": 1e-3,
+                "total": 1e-1,
+                "by_constraint": {"safety_radius": amount(1e-3, 1e-1)},
+            }
+        ),
+    ],
+    "facets": [
+        lambda s: s.update(facets=None),
+        lambda s: [column.pop(0) for column in s["facets"].values()],
+        lambda s: [column.clear() for column in s["facets"].values()],
+        moved("facets", "quantile", 5, by=-0.01),
+        lambda s: moved("offset_m", facet_of(s, "site_distance_min"), by=0.01)(s["facets"]),
+        lambda s: scaled_normal(s, facet_of(s, "emission_min"), -1.0),
+        lambda s: scaled_normal(s, 5, 0.5),
+        lambda s: [
+            column.append("moonlight" if name == "constraint" else column[-1])
+            for name, column in s["facets"].items()
+        ],
+    ],
+}
+
+
+@pytest.mark.parametrize("named", CONTRADICTING)
 def test_what_is_said_of_the_constraints_is_worked_out_again(
-    mission: Mission, solution: Solution, change: Change, named: str
+    mission: Mission, solution: Solution, named: str
 ) -> None:
     assert inconsistencies(mission, solution) == []
-    assert inconsistencies(mission, changed(solution, change)) == [named]
+    for number, change in enumerate(CONTRADICTING[named]):
+        assert inconsistencies(mission, changed(solution, change)) == [named], number
 
 
 @given(st.sampled_from(["m", "rad"]), st.floats(0.0, 0.9), st.floats(2.0, 100.0))
@@ -362,59 +256,44 @@ def infeasible() -> tuple[Mission, Solution]:
 
 
 @pytest.mark.parametrize("figure", ["max", "total"])
-@pytest.mark.parametrize("factor", [0.0, 0.5, 2.0, 1e6])
+@pytest.mark.parametrize("factor", [0.0, 0.5, 1.0 - 1e-6, 1.0 + 1e-6, 2.0, 1e6])
 def test_a_violation_that_does_not_add_up_is_named(
     infeasible: tuple[Mission, Solution], figure: str, factor: float
 ) -> None:
-    """Of the whole or of one constraint."""
+    """Of the whole but for rounding, or of one constraint by more than that."""
     case, found = infeasible
     parts = found.violation.by_constraint
     assert {part.unit for part in parts.values()} == {"m", "m/s"}
-    for name in (None, *parts):
-
-        def damage(content: dict[str, Any], name: str | None = name) -> None:
-            whole = content["violation"]
-            inside = whole if name is None else whole["by_constraint"][name]
-            inside[figure] *= factor
-
-        assert inconsistencies(case, changed(found, damage)) == ["violation"]
+    places: list[list[str]] = [["violation"]]
+    places += [["violation", "by_constraint", name] for name in parts if abs(factor - 1.0) > 0.1]
+    for place in places:
+        wrong = changed(found, moved(*place, figure, times=factor))
+        assert inconsistencies(case, wrong) == ["violation"]
 
 
-@pytest.mark.parametrize("figure", ["max", "total"])
-@pytest.mark.parametrize("factor", [1.0 - 1e-6, 1.0 + 1e-6])
-def test_a_violation_of_the_whole_is_that_of_the_parts_but_for_rounding(
-    infeasible: tuple[Mission, Solution], figure: str, factor: float
+OTHER_UNIT = {"m": "m/s", "m/s": "m"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        # Tenfold, in the whole too, so that the sums agree, but not the margins.
+        lambda s: [
+            moved("total", times=10.0)(part)
+            for part in (s["violation"], *s["violation"]["by_constraint"].values())
+        ],
+        lambda s: [
+            part.update(unit=OTHER_UNIT[part["unit"]])
+            for part in s["violation"]["by_constraint"].values()
+        ],
+    ],
+    ids=["beyond the margins", "in the wrong unit"],
+)
+def test_a_violation_that_margins_contradict_is_named(
+    infeasible: tuple[Mission, Solution], change: Change
 ) -> None:
-    def damage(content: dict[str, Any]) -> None:
-        content["violation"][figure] *= factor
-
     case, found = infeasible
-    assert inconsistencies(case, changed(found, damage)) == ["violation"]
-
-
-def test_a_total_beyond_what_the_margins_leave_is_named(
-    infeasible: tuple[Mission, Solution],
-) -> None:
-    case, found = infeasible
-
-    def damage(content: dict[str, Any]) -> None:
-        """Tenfold, in the whole too, so that the sums agree."""
-        whole = content["violation"]
-        for part in whole["by_constraint"].values():
-            part["total"] *= 10.0
-        whole["total"] *= 10.0
-
-    assert inconsistencies(case, changed(found, damage)) == ["violation"]
-
-
-def other_unit(data: dict[str, Any]) -> None:
-    for part in data["violation"]["by_constraint"].values():
-        part["unit"] = {"m": "m/s", "m/s": "m"}[part["unit"]]
-
-
-def test_a_violation_in_the_wrong_unit_is_named(infeasible: tuple[Mission, Solution]) -> None:
-    case, found = infeasible
-    assert inconsistencies(case, changed(found, other_unit)) == ["violation"]
+    assert inconsistencies(case, changed(found, change)) == ["violation"]
 
 
 @pytest.mark.parametrize(("error_s", "found"), [(1e-9, []), (-9e-4, []), (1.0, ["nodes.t_s"])])
@@ -441,6 +320,8 @@ def test_a_window_edge_is_held_against_the_tolerance_of_reading(
         ("observation.phase_min_deg=85", "phase_min"),
         ("observation.phase_max_deg=60", "phase_max"),
         ("battery.observation_cone_deg=85", "battery_observation"),
+        ("risk.p_chance=0.99", "P(emission)"),
+        ("uncertainty.execution_error=0.16", "covariance_error"),
     ],
 )
 def test_each_constraint_that_the_plan_breaks_is_named(
@@ -450,20 +331,7 @@ def test_each_constraint_that_the_plan_breaks_is_named(
     checked = verify(mission_of(override), solution)
     assert not checked.ok
     assert named in checked.failed
-
-
-@pytest.mark.usefixtures("few_flights")
-def test_a_probability_below_the_asked_one_is_named(solution: Solution) -> None:
-    checked = verify(mission_of("risk.p_chance=0.99"), solution)
-    assert "P(site_distance)" in checked.failed
-    assert "P(emission)" in checked.failed
-    assert "P(phase)" not in checked.failed
-
-
-@pytest.mark.usefixtures("few_flights")
-def test_more_uncertainty_than_planned_for_is_found_out(solution: Solution) -> None:
-    checked = verify(mission_of("uncertainty.execution_error=0.16"), solution)
-    assert "covariance_error" in checked.failed
+    assert "P(phase)" not in checked.failed or "phase" in override
 
 
 @pytest.mark.usefixtures("few_flights")
@@ -514,9 +382,3 @@ def test_variational_rate_is_the_jacobian_of_the_dynamics(
     jacobian = np.block([[np.zeros((3, 3)), np.eye(3)], [gradient[0], np.zeros((3, 3))]])
     np.testing.assert_allclose(rate[:6], [*velocity, *value], rtol=1e-12)
     np.testing.assert_allclose(rate[6:].reshape(6, 6), jacobian @ stm, rtol=1e-11, atol=1e-15)
-
-
-def test_verification_is_repeatable(
-    mission: Mission, solution: Solution, verification: Verification
-) -> None:
-    assert verify(mission, solution) == verification
