@@ -61,23 +61,19 @@ def roots(path: Path) -> set[str]:
     return {name.split(".")[0] for name in imports(path)}
 
 
-def importing(package: str, barred: Set[str]) -> dict[str, Set[str]]:
-    """Modules of a package that import what they must not, and what that is."""
+@pytest.mark.parametrize(
+    ("package", "barred"),
+    [
+        ("formulations", {"scp_recon", *UPPER_FLOORS}),
+        ("formulations", {"json", "tomllib", "csv", "pathlib", "pydantic", "rich"}),
+        ("scp_recon", set(UPPER_FLOORS)),
+    ],
+)
+def test_a_wing_imports_nothing_above_it_and_formulations_no_file_format(
+    package: str, barred: set[str]
+) -> None:
     found = {module_name(path): roots(path) & barred for path in modules(package)}
-    return {name: wrong for name, wrong in found.items() if wrong}
-
-
-def test_formulations_imports_nothing_of_the_other_wings() -> None:
-    assert importing("formulations", {"scp_recon", *UPPER_FLOORS}) == {}
-
-
-def test_formulations_knows_no_file_format() -> None:
-    formats = {"json", "tomllib", "csv", "pathlib", "pydantic", "rich"}
-    assert importing("formulations", formats) == {}
-
-
-def test_scp_recon_imports_nothing_from_the_floors_above() -> None:
-    assert importing("scp_recon", set(UPPER_FLOORS)) == {}
+    assert {name: wrong for name, wrong in found.items() if wrong} == {}
 
 
 FLOORS = (
@@ -312,14 +308,3 @@ def test_the_main_job_needs_nothing_heavy_at_import() -> None:
     """Of no command: what the first imports has no part in what the next is found to."""
     run = run_python(ONE_BY_ONE.format(commands=sorted(COMMANDS)))
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
-
-
-def test_no_reference_data_is_copied_into_the_project() -> None:
-    shared = PROJECT.parent / "shared" / "data"
-    if not shared.exists():
-        pytest.skip(f"reference data {shared} is absent")
-    originals = {path.read_bytes() for path in shared.iterdir() if path.is_file()}
-    for folder in (*LIBRARY, "tests", "paper_figs"):
-        for path in (PROJECT / folder).rglob("*"):
-            if path.is_file() and path.suffix not in {".pyc", ".py"}:
-                assert path.read_bytes() not in originals, path

@@ -50,15 +50,6 @@ def test_each_site_has_its_share_of_the_area(surface: Ellipsoid) -> None:
     assert 0.7 < found.min() < found.max() < 1.4
 
 
-def test_on_a_long_body_they_are_far_evener_than_even_directions() -> None:
-    directions = fibonacci(60)
-    by_angle = [
-        (float(np.rad2deg(np.arcsin(z))), float(np.rad2deg(np.arctan2(y, x))))
-        for x, y, z in directions
-    ]
-    assert shares(LONG, even_sites(LONG, 60)).std() < 0.6 * shares(LONG, by_angle).std()
-
-
 @pytest.mark.parametrize("surface", [BENNU, LONG])
 def test_a_mesh_has_the_sites_of_the_surface_it_is_of(surface: Ellipsoid) -> None:
     found = shares(surface, even_sites(meshed(surface), 60)).std()

@@ -163,19 +163,6 @@ def test_playing_moves_time_by_button_and_by_space(seen: Seen) -> None:
     seen.page.wait_for_function("t => report.time() === Math.min(t + 600, 34842)", arg=stopped)
 
 
-def test_sets_are_shown_on_demand(seen: Seen) -> None:
-    find = (
-        "() => document.getElementById('flight').data.filter(d => d.meta.group.startsWith('keep'))"
-        ".map(d => d.visible)"
-    )
-    boxes = seen.page.locator("[data-group^=keep]")
-    assert seen.page.evaluate(find) == [False] * 4
-    boxes.evaluate_all("boxes => boxes.forEach(box => box.click())")
-    seen.page.wait_for_function(f"({find})().every(x => x)")
-    boxes.first.evaluate("box => box.click()")
-    seen.page.wait_for_function(f"({find})().filter(x => x).length === 3")
-
-
 def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject: Subject) -> None:
     page = browser.new_context(java_script_enabled=False).new_page()
     page.goto(html_file.as_uri())
@@ -217,16 +204,3 @@ def test_it_prints_at_once_with_every_chart_and_the_view(browser: Any, html_file
     assert drawn == [True] * 9
     assert page.evaluate("document.getElementById('still').src").startswith("data:image/png")
     page.close()
-
-
-def test_it_prints_in_light_colours_with_the_view_as_a_picture(seen: Seen, tmp_path: Path) -> None:
-    """From the dark, in which the test before has left it."""
-    seen.page.wait_for_function("document.getElementById('still').src.startsWith('data:image/png')")
-    seen.page.pdf(path=tmp_path / "page.pdf", format="A4", print_background=True)
-    assert (tmp_path / "page.pdf").stat().st_size > 100_000
-    seen.page.emulate_media(media="print")
-    ground = seen.page.evaluate("getComputedStyle(document.body).backgroundColor")
-    assert ground == "rgb(255, 255, 255)"
-    assert not seen.page.is_visible("#play")
-    assert seen.page.is_visible("#still")
-    seen.page.emulate_media(media="screen")

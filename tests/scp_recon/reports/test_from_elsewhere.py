@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,8 @@ from typing import Any
 import pytest
 
 import scp_recon as sr
-from scp_recon.errors import InputError
-from scp_recon.planning.plan import Plan
 from scp_recon.reports import flights
 from scp_recon.reports.flights import fly
-from scp_recon.results.solution import Solution
 from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few, run_solve
 
@@ -41,24 +37,3 @@ def test_solve_writes_it_beside_the_plan_and_one_of_a_failed_plan_beside_that(
     other = (tmp_path / "report_unverified.html").read_text("utf-8")
     assert "<strong>not verified: status" in other
     assert "violated by up to" in other
-
-
-def test_without_the_extra_nothing_is_planned(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "jinja2", None)
-    run = run_solve(tmp_path, "--report")
-    assert run.exit_code == 2
-    assert "needs the extra scp_recon[report]" in run.errors
-    assert not list(tmp_path.iterdir())
-
-
-def test_the_front_door_takes_plans_solutions_and_folders(
-    default_plan: Plan, verified: Solution, tmp_path: Path
-) -> None:
-    verified.write(tmp_path)
-    file = sr.report(default_plan, verified, str(tmp_path), out=tmp_path / "three.html")
-    page = file.read_text("utf-8")
-    assert page.count("<strong>verified</strong>") == 3
-    with pytest.raises(InputError, match="must be a plan, a solution or its file"):
-        sr.report(3, out=tmp_path / "x.html")  # type: ignore[arg-type]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 
 import numpy as np
@@ -76,18 +75,3 @@ def test_burns_have_the_numbers_that_they_have_in_the_flight(left: dict[float, S
     tables = {table.key: table for table in page.tables[0]}
     assert [row[0].text for row in tables["burns"].rows[:2]] == ["3", "4"]
     assert [row[0].text for row in tables["budget"].rows[:2]] == ["3", "4"]
-
-
-def test_beside_a_whole_flight_the_window_is_the_whole_ones(
-    left: dict[float, Solution], verified: Solution
-) -> None:
-    for given in ([verified, left[AFTER_IT]], [left[AFTER_IT], verified]):
-        page = page_of(subjects_of(given), Camera(), MADE)
-        assert {chart["key"] for chart in page.charts} >= OF_THE_WINDOW
-        assert page.scene["motion"]["ends_s"][0] == 0.0
-        text = json.dumps(page.charts, default=float)
-        assert "Infinity" not in text
-        (timeline,) = (chart for chart in page.charts if chart["key"] == "timeline")
-        bars = [trace for trace in timeline["data"] if trace["type"] == "bar" and trace["x"]]
-        told = [bar["name"] for bar in bars if bar["showlegend"]]  # Plotly tells of none without
-        assert sorted(told) == ["delta-V", "observation", "sun-pointing"]

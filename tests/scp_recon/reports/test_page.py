@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 import shlex
@@ -16,15 +15,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plotly.offline import get_plotlyjs
 
 from scp_recon.cli.commands import report, solve
 from scp_recon.errors import InputError
 from scp_recon.reports import flights
 from scp_recon.reports.flights import fly
 from scp_recon.reports.ground import Camera
-from scp_recon.reports.marks import DASHES, PLANS, compact, packed, script, significant
-from scp_recon.reports.page import Page, _surplus, plotly_script, render, verdict_of
+from scp_recon.reports.page import Page, _surplus, render, verdict_of
 from scp_recon.reports.scene import PATHS
 from scp_recon.reports.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.reports.write import page_of
@@ -58,30 +55,21 @@ def numbers(table: Table) -> list[list[float]]:
     return [[cell.value for cell in row if cell.is_number] for row in table.rows]  # type: ignore[misc]
 
 
-def test_it_is_one_small_file_that_refers_to_nothing_else(html_file: Path, html: str) -> None:
+def test_one_file_refers_to_nothing_else_and_says_first_its_verdict(
+    html_file: Path, html: str, verified: Solution
+) -> None:
     assert html_file.stat().st_size < BYTES_MAX
     shown = html[: html.index('id="report-data"')]
     referred = re.findall(r'\b(?:src|href|action)="([^"]*)"', shown)
     assert referred
     assert all(where.startswith(("#", "data:")) for where in referred)
     assert "@import" not in shown
-
-
-def test_the_verdict_comes_first_and_every_sheet_says_whose_it_is(
-    html: str, verified: Solution
-) -> None:
-    text, checked = words_of(html), verified.verification
-    assert checked is not None
-    lowest = min(checked.probabilities, key=lambda p: p.estimate)
+    text = words_of(html)
     verdict = text.index("verified Required: every limit at every node with at least 0.7")
     assert verdict < text.index("Flight in 3-D")
-    assert f"Achieved: {lowest.estimate:.4f} where it is least, {lowest.name}" in text
     assert f"Delta-v: {verified.total_dv_m_s:.6f} m/s in 4 burns" in text
-    identity = (
-        f"recon_b, t = 0 at 2020-01-21 20:32:08 UTC, plan {verified.plan_hash[:12]} | scp_recon "
-    )
-    assert text.count(identity) >= 11
-    assert text.count("made 2026-01-02 03:04:05 UTC") == text.count(identity)
+    when = "t = 0 at 2020-01-21 20:32:08 UTC"
+    assert text.count(f"recon_b, {when}, plan {verified.plan_hash[:12]} | scp_recon ") >= 11
 
 
 def test_tables_equal_the_solution_file(page: Page, verified: Solution, html: str) -> None:
@@ -130,24 +118,6 @@ def test_every_figure_is_one_of_plotlys(page: Page) -> None:
     assert len(set(keys)) == len(keys) == 9  # without a simulation
 
 
-def test_the_view_has_one_scale(page: Page) -> None:
-    scene = page.scene["layout"]["scene"]
-    edges = {axis: np.ptp(scene[f"{axis}axis"]["range"]) for axis in "xyz"}
-    scales = [scene["aspectratio"][axis] / edge for axis, edge in edges.items()]
-    assert scales == pytest.approx(3 * [scales[0]], rel=1e-5)
-
-
-def test_names_of_limits_do_not_overprint(page: Page) -> None:
-    """Those of a panel stand at different places, however close their lines are."""
-    for chart in page.charts:
-        places = [
-            (a["yref"], a["x"])
-            for a in chart["layout"]["annotations"]
-            if a.get("xref") == "paper" and ":" in a["text"]
-        ]
-        assert len(set(places)) == len(places), chart["key"]
-
-
 def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified: Solution) -> None:
     (line,) = _surplus(Subject("plan", verified, path=Path("my runs/one")))
     assert re.match(r"flights reach at least 0\.\d{4} where 0\.7 is required", line)
@@ -160,22 +130,6 @@ def test_a_uniform_plan_that_reaches_more_is_told_of_exact_risk(verified: Soluti
     sure = verified.scenario.replace({"risk.p_chance": 0.999})
     for other in (exact, sure):
         assert _surplus(Subject("plan", replace(verified, scenario=other))) == []
-
-
-def test_limits_are_in_the_histories_and_every_band_around_its_mean(page: Page) -> None:
-    chart = next(chart for chart in page.charts if chart["key"] == "observation")
-    said = {a["text"].split(":")[0] for a in chart["layout"]["annotations"]}
-    assert said >= {
-        *("site_distance_min", "site_distance_max", "emission_min", "emission_max"),
-        *("phase_min", "battery_observation"),
-    }
-    for axis in ("y", "y2", "y3"):
-        lines = [trace for trace in chart["data"] if trace["yaxis"] == axis]
-        low2, high2, low1, high1, mean = (np.array(line["y"]) for line in lines)
-        assert (low2 < low1).all()
-        assert (low1 < mean).all()
-        assert (mean < high1).all()
-        assert (high1 < high2).all()
 
 
 @pytest.mark.usefixtures("few_flights")
@@ -210,39 +164,27 @@ def test_several_plans_are_laid_over_each_other(
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_the_command_writes_beside_the_plan_or_where_it_is_told(
-    plan_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "new" / "page.html"
-    arguments = ["--field-deg", "10", "--pixels", "512", "--out", str(file)]
-    assert report.main([str(plan_folder), *arguments]) == 0
-    assert f"written: {file}" in capsys.readouterr().out
-    assert "camera of 10 deg and 512 pixels across" in file.read_text("utf-8")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["--out", "page.pdf"], "must be a file that ends in .html"),
-        (["--out", "folder.html"], "must be a file that ends in .html"),
-        (["nowhere"], "no such file"),
-    ],
-)
-def test_bad_input_ends_in_one_message(
+def test_the_command_writes_where_it_is_told_or_says_why_not(
     plan_folder: Path,
-    arguments: list[str],
-    said: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.html").mkdir()
-    assert report.main([str(plan_folder), *arguments]) == 2
-    captured = capsys.readouterr()
-    assert captured.err.startswith("error: ")
-    assert said in captured.err
+    for arguments, said in (
+        (["--out", "page.pdf"], "must be a file that ends in .html"),
+        (["--out", "folder.html"], "must be a file that ends in .html"),
+        (["nowhere"], "no such file"),
+    ):
+        assert report.main([str(plan_folder), *arguments]) == 2
+        assert said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [tmp_path / "folder.html"]
+    camera = ["--field-deg", "10", "--pixels", "512"]
+    assert report.main([str(plan_folder), *camera, "--out", "new/page.html"]) == 0
+    assert f"written: {Path('new/page.html')}" in capsys.readouterr().out
+    page = Path("new/page.html").read_text("utf-8")
+    assert "camera of 10 deg and 512 pixels across" in page
 
 
 def elsewhere(solution: Solution, **sections: dict[str, Any]) -> Solution:
@@ -259,15 +201,15 @@ def test_too_many_plans_and_those_of_several_bodies_or_epochs_are_refused(
     verified: Solution,
 ) -> None:
     later = verified.scenario.epoch.tdb + timedelta(seconds=10)
-    for others, said in (
-        ([elsewhere(verified, epoch={"tdb": later})], r"t = 0 at 2020-01-21T20:33:27.184\d* TDB"),
-        ([elsewhere(verified, body={"name": "Eros"})], "must be of Bennu"),
-        ([verified] * PLANS_MAX, f"must be 1 to {PLANS_MAX} plans"),
+    number = f"must be 1 to {PLANS_MAX} plans"
+    for plans, said in (
+        ([verified, elsewhere(verified, epoch={"tdb": later})], r"t = 0 at .*T20:33:27.184\d* TDB"),
+        ([verified, elsewhere(verified, body={"name": "Eros"})], "must be of Bennu"),
+        ([verified] * (PLANS_MAX + 1), number),
+        ([], number),
     ):
         with pytest.raises(InputError, match=said):
-            subjects_of([verified, *others])
-    with pytest.raises(InputError, match=f"must be 1 to {PLANS_MAX} plans"):
-        subjects_of([])
+            subjects_of(plans)
 
 
 @pytest.mark.usefixtures("few_flights")
@@ -286,14 +228,6 @@ def test_each_plan_has_its_own_site_and_its_part_of_the_flights_shown(verified: 
     assert [name.split(": ")[1] for name in flights] == [f"{PATHS // 2} sampled flights"] * 2
 
 
-def test_plotlys_script_is_there_without_its_loader() -> None:
-    whole, bare = get_plotlyjs(), plotly_script()
-    assert bare.startswith("/**\n* plotly.js v")
-    assert "Licensed under the MIT license" in bare
-    assert "factory" not in bare[:400]
-    assert 0 < len(whole) - len(bare) < 500
-
-
 def test_flights_of_another_plan_are_passed_over_and_named(
     plan_folder: Path, subject: Subject, tmp_path: Path
 ) -> None:
@@ -307,19 +241,3 @@ def test_flights_of_another_plan_are_passed_over_and_named(
     (found,) = subjects_of([tmp_path])
     assert found.summary is None
     assert found.passed_over == (f"{tmp_path / 'montecarlo.json'}: flights of another plan",)
-
-
-def test_numbers_are_rounded_and_what_is_none_is_null() -> None:
-    assert compact([[1.23456, np.nan], [2.0, -0.0]], 2) == [[1.23, None], [2.0, 0.0]]
-    assert significant([123456.789, np.inf], 3) == [123000.0, None]
-    assert json.loads(script({"a": "</script>&"})) == {"a": "</script>&"}
-    assert "<" not in script("</script>")
-    assert len(set(DASHES)) == len(PLANS) == PLANS_MAX
-
-
-@pytest.mark.parametrize(("most", "kind"), [(65_535, "u2"), (65_536, "u4")])
-def test_whole_numbers_are_packed_without_loss(most: int, kind: str) -> None:
-    found = packed(np.array([0, 7, most]))
-    assert found["dtype"] == kind
-    read = np.frombuffer(base64.b64decode(found["bdata"]), f"<{kind}")
-    assert read.tolist() == [0, 7, most]
