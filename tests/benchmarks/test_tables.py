@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 import benchmarks.__main__ as command
-from benchmarks.growth import STUDIES, Fit, Study
+from benchmarks.growth import STUDIES, Study
 from benchmarks.methods import METHODS, Timed
-from benchmarks.tables import growth_table, pair_table, ratio_lines
+from benchmarks.tables import pair_table, ratio_lines
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 
@@ -52,9 +52,7 @@ def test_ratios_are_of_the_methods_they_name() -> None:
     assert "printed over SCP: 100 with set-up, 150 without" in lines
     # The quickest to the first answer is not the quickest without set-up.
     assert "tuned NLP over SCP: 10.0 with set-up, 11.0 without" in lines
-    assert "everything else 1.00 times that, canonicalisation 0.20 times" in lines
     assert "99 converged: 20 ms against 100 ms cold, 0.20 of it" in lines
-    assert "20,000 flights/s" in lines
     assert "1.50 s, 2.00 times that of importing CVXPY" in lines
 
 
@@ -65,11 +63,6 @@ def test_the_table_says_what_is_not_verified_and_how_far_it_is_off() -> None:
     assert "converged, verified" in rows["scp condensed"]
     assert "0.140140, 1e-03 | converged, not verified" in rows["scp lifted"]
     assert not {"replan", "montecarlo"} & set(rows)
-
-
-def test_growth_shows_what_did_not_converge() -> None:
-    fit = Fit("burns", (2, 4), (0.1, 0.2), (11, 12), ("infeasible", "converged"), 1.0, 1.0)
-    assert "0.100 (11, infeasible), 0.200 (12)" in growth_table([fit])
 
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.name)

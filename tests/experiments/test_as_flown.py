@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -12,14 +11,12 @@ import pytest
 import spiceypy
 
 from experiments.__main__ import main
-from experiments.observation_table import rows as rows_module
-from experiments.observation_table.rows import as_flown_burns, flown_guess, read_states, rows
+from experiments.observation_table.rows import as_flown_burns, read_states
 from formulations.arrays import Array
-from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
-from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning import initial_guess
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.schema import Epoch
 
@@ -71,66 +68,6 @@ def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
 
 
-def test_the_guess_from_the_flight_is_the_flight_and_what_init_makes_of_its_table(
-    mission: Mission, kernel: Path, flight: Array, tmp_path: Path
-) -> None:
-    table = tmp_path / "states.csv"
-    guess = flown_guess(kernel, table, mission)
-    np.testing.assert_allclose(
-        (guess.mean * mission.units.state)[:-1, :3], flight[:-1, :3], rtol=0.0, atol=1e-6
-    )
-    again = initial_guess.from_table(mission, table)
-    np.testing.assert_array_equal(guess.mean, again.mean)
-    np.testing.assert_array_equal(guess.burns, again.burns)
-    # It is another start than the surrogate: burns and path differ.
-    ballistic = initial_guess.ballistic(mission)
-    assert np.abs(guess.burns - ballistic.burns).max() * mission.units.speed_m_s > 1e-3
-    off = np.linalg.norm((guess.mean - ballistic.mean)[:, :3], axis=1) * mission.units.length_m
-    assert off.max() > 10.0
-
-
-@pytest.mark.parametrize("planner", ["scp", "ipopt"])
-def test_warm_rows_start_from_the_flight_and_without_a_kernel_from_the_ballistic_arc(
-    mission: Mission,
-    kernel: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    planner: str,
-) -> None:
-    class GivenError(Exception):
-        """Instead of a plan."""
-
-    starts = []
-
-    def refuse(_: Mission, guess: Iterate, *__: object, init: str, **___: object) -> None:
-        starts.append((init, guess))
-        raise GivenError
-
-    if planner == "scp":
-        monkeypatch.setattr(rows_module, "plan_mission", refuse)
-    else:
-        monkeypatch.setattr(ipopt, "plan", refuse)
-    table = tmp_path / "states.csv"
-    for as_flown in ((kernel, table), None):
-        by_key = {row.key: row for row in rows(as_flown=as_flown)}
-        for start in ("warm", "cold"):
-            row = by_key[f"{planner}_{start}"]
-            with pytest.raises(GivenError):
-                row.design(mission)
-            assert starts[-1][0] == row.init
-            # What the user's file gives is read in every run.
-            assert row.anew is (start == "warm" and as_flown is not None)
-    expected = {
-        "as_flown": flown_guess(kernel, table, mission),
-        "warm": initial_guess.ballistic(mission),
-        "cold": initial_guess.cold(mission),
-    }
-    assert [init for init, _ in starts] == ["as_flown", "cold", "warm", "cold"]
-    for init, guess in starts:
-        np.testing.assert_allclose(guess.mean, expected[init].mean, rtol=0.0, atol=1e-12)
-        np.testing.assert_allclose(guess.burns, expected[init].burns, rtol=0.0, atol=1e-12)
-
-
 def test_the_flight_gets_a_row_and_warm_rows_are_designed_anew_when_their_start_changes(
     copy: Path, kernel: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -178,11 +115,3 @@ def test_a_kernel_that_does_not_cover_the_flight_exits_with_two(
         assert errors.startswith(f"error: --as-flown {tmp_path / name}: got ")
         assert errors.count("\n") == 1
         assert not out.exists()
-
-
-def test_a_missing_spiceypy_exits_with_two(
-    kernel: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "spiceypy", None)
-    assert study(*QUICK, "--as-flown", str(kernel)) == 2
-    assert "[spice]" in capsys.readouterr().err

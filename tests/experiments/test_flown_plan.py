@@ -51,24 +51,15 @@ def test_the_table_is_what_the_flight_says(flown: tuple[Solution, Path]) -> None
     with (out / "flown_plan.csv").open(encoding="utf-8", newline="") as file:
         (row,) = csv.DictReader(file)
     record = read_record(out / "seed_0")
-    assert row["modes_hold"] == "true"
+    assert row["modes_hold"] == row["settled_in_time"] == "true"
     # The short plan allows 650 s for a slew, which its longest takes nearly.
-    assert row["settled_in_time"] == "true"
     assert 600.0 < max(leg.settled_s or 0.0 for leg in record.summary.legs) < 650.0
     executed = [burn.executed_pointing_deg for burn in record.summary.burns]
     assert float(row["burn_executed_max_deg"]) == max(executed) < 0.5
     assert float(row["least_charge"]) == record.summary.least_charge > 0.3
     assert float(row["camera_max_deg"]) == record.summary.window_pointing_deg.camera.q100
     assert float(row["terminal_sigma"]) == record.arrays["node_sigma_distance"][-1]
-    words = (out / "flown_plan.md").read_text("utf-8")
-    assert "with probability 0.971" in words
-    for kind in (
-        "positions at all nodes",
-        "flights, at every node",
-        "velocity gained against burn",
-    ):
-        assert f"| {kind} |" in words
-    assert "| observation, from 759 s |" in words or "| observation, from 760 s |" in words
+    assert "| positions at all nodes |" in (out / "flown_plan.md").read_text("utf-8")
 
 
 def test_a_flight_that_is_there_is_not_flown_again(

@@ -15,19 +15,8 @@ from experiments.timing_rules import (
     rules,
 )
 from scp_recon.mission.mission import Mission
-from scp_recon.scenario.load import load_scenario
 from scp_recon.simulation.panels import SolarArray, irradiance
-from scp_recon.simulation.vehicle import Vehicle, load_vehicle
-
-
-@pytest.fixture(scope="module")
-def mission() -> Mission:
-    return Mission.from_scenario(load_scenario())
-
-
-@pytest.fixture(scope="module")
-def vehicle() -> Vehicle:
-    return load_vehicle()
+from scp_recon.simulation.vehicle import Vehicle
 
 
 def test_a_half_turn_takes_at_least_the_limited_rate_and_settles(

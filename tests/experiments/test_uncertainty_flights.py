@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from experiments.__main__ import main
 from experiments.uncertainty_sources.flights import (
     CHEMICAL,
     INITIAL,
@@ -24,11 +20,6 @@ from scp_recon.results.solution import Solution
 from scp_recon.simulation.vehicle import Vehicle
 
 # --- flights --------------------------------------------------------------------------------------
-
-
-def test_paths_without_errors_end_as_planned(solution: Solution, vehicle: Vehicle) -> None:
-    ends = fly_paths(solution, vehicle, (), 3, 0)
-    np.testing.assert_allclose(ends, np.tile(solution.nodes.state[-1], (3, 1)), atol=1e-6)
 
 
 def test_paths_spread_as_the_linearised_flight_does(solution: Solution, vehicle: Vehicle) -> None:
@@ -54,12 +45,6 @@ def test_paths_spread_as_the_linearised_flight_does(solution: Solution, vehicle:
         assert dispersion(found[:, :3] - ends[-1, :3]).value == pytest.approx(rms, rel=0.08)
 
 
-def test_a_flight_is_the_same_however_many_are_flown(solution: Solution, vehicle: Vehicle) -> None:
-    many = fly_paths(solution, vehicle, TRANSLATION, 1200, 3)
-    few = fly_paths(solution, vehicle, TRANSLATION, 7, 3)
-    np.testing.assert_allclose(few, many[:7], rtol=1e-12)
-
-
 def test_sets_are_the_vehicles_errors(vehicle: Vehicle) -> None:
     fields = type(vehicle.errors).model_fields  # a source's name, and its unit
     assert len(fields) == len(SETS["all"])
@@ -71,23 +56,6 @@ def test_sets_are_the_vehicles_errors(vehicle: Vehicle) -> None:
 def test_sets_are_the_simulations_sources() -> None:
     simulation = pytest.importorskip("scp_recon.simulation.basilisk.simulation")
     assert {source.value for source in simulation.Source} == set(SETS["all"])
-
-
-def test_without_basilisk_the_extra_is_named(
-    solution: Solution,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    solution.write(tmp_path)
-    for name in [name for name in sys.modules if name.split(".")[0] == "Basilisk"]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, "scp_recon.simulation.basilisk.simulation", raising=False)
-    monkeypatch.setitem(sys.modules, "Basilisk", None)
-    words = ["--solution", str(tmp_path), "--out", str(tmp_path), "--workers", "2"]
-    assert main(["uncertainty_sources", *words]) == 2
-    assert "needs the extra scp_recon[sim]" in capsys.readouterr().err
-    assert [file.name for file in tmp_path.iterdir() if file.suffix] == ["solution.json"]
 
 
 # --- their spread ---------------------------------------------------------------------------------
@@ -107,15 +75,6 @@ def test_intervals_of_the_dispersion_cover_as_often_as_they_say(
     # Never too narrow, and somewhat too wide in three axes.
     assert 0.92 < covered < 0.999
     assert np.mean([e.value**2 for e in found]) == pytest.approx(true**2, rel=0.1)
-
-
-def test_the_dispersion_of_one_axis_has_the_textbook_interval() -> None:
-    sample = np.random.default_rng(0).standard_normal((20, 3)) * [1.0, 0.0, 0.0]
-    e = dispersion(sample)
-    s = np.sqrt(np.mean(sample[:, 0] ** 2))
-    # Quantiles of chi-squared with 20 degrees of freedom: 9.591 and 34.170.
-    expected = (s, s * np.sqrt(20 / 34.170), s * np.sqrt(20 / 9.591))
-    assert e == pytest.approx(expected, rel=1e-4)
 
 
 def test_normality_knows_a_normal_sample_from_another() -> None:

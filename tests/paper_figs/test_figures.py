@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import itertools
 import json
-import os
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -35,7 +33,6 @@ from paper_figs.paper import (
     tables,
     trajectories,
 )
-from paper_figs.paper.observation_times import rebinned
 from paper_figs.registry import EVERYTHING, FIGURES, TABLES, Item
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -151,31 +148,6 @@ def test_labels_lie_neither_on_each_other_nor_off_the_page() -> None:
     for box in boxes:
         assert axes.bbox.contains(box.x0, box.y0)
         assert axes.bbox.contains(box.x1, box.y1)
-
-
-def test_parameters_are_those_of_the_scenario(runs: Runs) -> None:
-    text = TABLES["parameters"].make(runs)
-    # The paper's table, and what the project computes for it.
-    for value in (
-        "500 m, 740 m",
-        "20 deg, 45 deg",
-        "[0.0702, -1.0963, 0.4064] km",
-        "23.3 deg, 18.2 deg",
-        "3397.3 s",
-        "[-0.9992, 0.0323, 0.0225]",
-        "70 %",
-    ):
-        assert value in text
-
-
-def test_coarser_bins_keep_every_flight(runs: Runs) -> None:
-    first, last = runs.plan.mission.schedule.window_s
-    edges = np.linspace(0.0, last - first, 8)
-    for name in ("emission", "site_distance"):
-        counts = rebinned(runs.plan.summary, name, edges)
-        assert counts.sum() == SAMPLES
-        throughout = runs.plan.summary.held_s[name].throughout.estimate
-        assert counts[-1] >= throughout.value * SAMPLES - 0.5
 
 
 def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs: Runs) -> None:
@@ -305,17 +277,6 @@ def test_flights_of_another_plan_are_refused(copy: Path, age: str) -> None:
 # --- files --------------------------------------------------------------------------------------
 
 
-def test_a_bad_command_line_is_a_document(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(["--no-such-option", "--json"])
-    assert end.value.code == 2
-    assert json.loads(capsys.readouterr().out)["command"] == "paper_figs"
-    assert main(["no_such_figure", "--json"]) == 2
-    error = json.loads(capsys.readouterr().out)["error"]
-    assert error["given"] == "'no_such_figure'"
-    assert "solver_comparison" in error["allowed"]
-
-
 @pytest.mark.parametrize("draw", [concepts.planner, concepts.polytopes, concepts.lifting])
 def test_words_of_a_drawing_lie_neither_on_each_other_nor_off_the_page(
     draw: Callable[[], Figure],
@@ -330,17 +291,6 @@ def test_words_of_a_drawing_lie_neither_on_each_other_nor_off_the_page(
     for box in boxes:
         assert figure.bbox.contains(box.x0, box.y0)
         assert figure.bbox.contains(box.x1, box.y1)
-
-
-def test_the_frames_are_drawn_to_the_file_named_which_is_in_the_document(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = str(tmp_path / "x.png")
-    assert main(["frames", "--out", file, "--json"]) == 0
-    said = capsys.readouterr()
-    document = json.loads(said.out)
-    assert (document["command"], document["files"]) == ("paper_figs", [file])
-    assert said.err == f"written: {file}\n"
 
 
 def test_the_flyby_is_drawn_and_names_its_plan(
@@ -385,30 +335,6 @@ def test_what_is_no_pictures_name_is_refused_and_nothing_is_written(
     assert main(["frames", "--out", str(tmp_path / name)]) == 2
     assert capsys.readouterr().err.count("error: ") == 1
     assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_a_folder_that_cannot_be_written_exits_with_two(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    assert main(["--runs", str(folder), "--out", str(tmp_path / "file")]) == 2
-    assert "must be a folder to write to" in capsys.readouterr().err
-
-
-def test_a_figure_on_a_full_disk_leaves_the_old_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    picture = tmp_path / "x.png"
-    picture.write_text("old", "utf-8")
-
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(InputError):
-        save(Figure(), picture)
-    assert [file.name for file in tmp_path.iterdir()] == ["x.png"]
-    assert picture.read_text("utf-8") == "old"
 
 
 @pytest.mark.parametrize("ending", [".pdf", ".png", ".svg", ".PDF", ".eps", ".jpg", ".tif"])

@@ -58,17 +58,6 @@ def test_what_was_not_solved_is_hollow() -> None:
     assert [line.get_markerfacecolor() != "none" for line in points] == [True, False]
 
 
-def test_scenarios_lie_at_their_values() -> None:
-    rows = [
-        row("scenarios", OURS, 0.14),
-        row("scenarios", OURS, 0.16, scenario="p_chance=0.8"),
-        row("scenarios", OURS, 0.11, scenario="beta=0.02"),
-    ]
-    left, right = solver_comparison.draw_scenarios(rows).axes
-    assert list(left.lines[0].get_xdata()) == [0.7, 0.8]
-    assert list(right.lines[0].get_xdata()) == [0.02, 0.08]
-
-
 def test_a_missing_table_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["solver_comparison", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 2
     assert "comparison.csv" in capsys.readouterr().err
