@@ -364,30 +364,6 @@ def test_a_damaged_solution_is_read_or_refused(solved: Path, data: st.DataObject
     )
 
 
-@patient
-@given(st.data())
-def test_no_boolean_or_word_passes_for_a_number(solved: Path, data: st.DataObject) -> None:
-    content = json.loads((solved / "solution.json").read_text("utf-8"))
-    part = data.draw(
-        st.sampled_from([key for key in SHOWN if isinstance(content[key], dict | list)])
-    )
-    inside, last = data.draw(st.sampled_from(numbers_within({part: content[part]})))
-    inside[last] = data.draw(st.booleans() | st.sampled_from(["0", "1e3", str(inside[last])]))
-    with file_with(json.dumps(content)) as path, pytest.raises(InputError):
-        read_solution(path)
-    reliability.count(reliability.BAD_INPUTS)
-
-
-def numbers_within(tables: dict[str, Any]) -> list[tuple[Any, Any]]:
-    """Where numbers stand: the table or list, and the key."""
-    found = []
-    for *outer, last in places(tables):
-        inside = reduce(lambda table, key: table[key], outer, tables)
-        if isinstance(inside[last], int | float) and not isinstance(inside[last], bool):
-            found.append((inside, last))
-    return found
-
-
 markup = st.sampled_from(["[/red]", "[bold]", "[/]", "[link=http://x]y", "[", "\\[", ":smile:"])
 huge = st.sampled_from([10**30, -(10**30), 2**64])
 SHOWN = ("burns", "nodes", "total_dv_m_s", "status", "problem", "message", "facets", "stages")

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
@@ -185,17 +184,3 @@ def test_a_sheet_has_no_volume() -> None:
     mesh = box(np.array([3.0, 2.0, 1.0]))
     with pytest.raises(ValueError, match="no volume"):
         Solid.of(Mesh(mesh.vertices_m * [1.0, 1.0, 0.0], mesh.facets))
-
-
-def test_a_fine_mesh_is_its_ellipsoid() -> None:
-    """m (b^2 + c^2) / 5 about an axis."""
-    radii = np.array([283.0, 271.0, 250.0])
-    points = np.random.default_rng(0).normal(size=(6000, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    hull = ConvexHull(points)
-    outward = np.linalg.det(points[hull.simplices]) > 0.0
-    facets = np.where(outward[:, None], hull.simplices, hull.simplices[:, ::-1])
-    solid = Solid.of(Mesh(points * radii, facets))
-    np.testing.assert_allclose(
-        np.diag(solid.inertia_m2), (radii @ radii - radii**2) / 5.0, rtol=5e-3
-    )

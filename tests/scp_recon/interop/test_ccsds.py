@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from scp_recon.api.replans import plan_left
-from scp_recon.interop.ccsds import oem_text, opm_text, plain_name
+from scp_recon.interop.ccsds import oem_text, opm_text
 from scp_recon.interop.export import Export, Ids
 from scp_recon.interop.path import fly_path
 from scp_recon.planning.plan import Plan
@@ -93,7 +93,6 @@ def test_comments_tell_burns_plan_and_verdict_in_lines_as_short_as_the_standard_
     export: Export,
 ) -> None:
     unchecked = replace(export.solution, verification=None, status="interrupted")
-    doubtful = replace(export, solution=unchecked)
     for form in (oem_text, opm_text):
         text = form(export)
         assert text.isascii()
@@ -101,8 +100,7 @@ def test_comments_tell_burns_plan_and_verdict_in_lines_as_short_as_the_standard_
         assert f"COMMENT plan {export.solution.plan_hash}" in text
         assert "\nCOMMENT verified\n" in text
         assert "2020-01-21T22:45:27.999494078 UTC" in text  # burn 2
-        assert all(f"COMMENT burn {i}: " in text for i in (1, 2, 3, 4))
-        assert "COMMENT NOT VERIFIED: interrupted" in form(doubtful)
+        assert "COMMENT NOT VERIFIED: interrupted" in form(replace(export, solution=unchecked))
 
 
 def test_the_opm_has_the_state_before_the_burns_and_every_burn(
@@ -123,11 +121,3 @@ def test_the_opm_has_the_state_before_the_burns_and_every_burn(
         np.testing.assert_allclose(np.array(dv) * 1e3, burn.dv_m_s, rtol=1e-14)
         assert found.man_duration.value == 0.0
         assert found.man_ref_frame == "EME2000"
-
-
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [("Bennu", "BENNU"), ("(433) Eros", "_433__EROS"), ("", "UNNAMED"), ("Ä=1", "__1")],
-)
-def test_names_are_plain(given: str, expected: str) -> None:
-    assert plain_name(given) == expected

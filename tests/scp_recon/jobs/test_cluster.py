@@ -11,7 +11,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
@@ -21,19 +20,14 @@ from typing import Any
 
 import pytest
 
-from scp_recon.api.campaigns import work_of
-from scp_recon.campaigns.results import read_results
-from scp_recon.campaigns.run import run_study
-from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.jobs.cluster import Cluster, Session, run_in_child
-from scp_recon.jobs.job import Done, Key, attempt, here
-from scp_recon.jobs.processes import Limits, UnfitError
+from scp_recon.jobs.job import Done, Key, attempt
+from scp_recon.jobs.processes import UnfitError
 from scp_recon.monte_carlo.summary import FILE_NAME
 from scp_recon.results.facts import Verification
 from scp_recon.results.solution import Solution
-from tests.scp_recon.campaigns.support import table_of
 from tests.scp_recon.jobs.support import LIMITS, computed, run_all, some_jobs
 from tests.scp_recon.jobs.works import ENDS, Naughty, Quick
 
@@ -278,21 +272,6 @@ def test_the_scheduler_is_restarted_in_mid_run(cluster: LocalCluster, tmp_path: 
     assert computed(rows) == computed(run_all(Quick(), jobs, tmp_path / "b"))
 
 
-def test_real_plans_have_the_same_bits_on_a_cluster(cluster: LocalCluster, tmp_path: Path) -> None:
-    study = Study.validated(
-        {
-            "campaign": {"keep_solutions": True},
-            "axis": [{"entry": "risk.p_chance", "values": [0.7]}],
-        }
-    )
-    for name, executor in (("a", Cluster(cluster.address, Limits(200.0))), ("b", here)):
-        run_study(study, tmp_path / name, work_of(study), executor)
-    assert table_of(tmp_path / "a").equals(table_of(tmp_path / "b"))
-    rows = read_results(tmp_path / "a")
-    assert list(rows.verdict) == ["verified"]
-    assert f"{rows.total_dv_m_s[0]:.6f}" == "0.140135"
-
-
 def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -312,17 +291,6 @@ def test_a_lost_scheduler_is_told_in_one_line_not_in_a_traceback(
 def test_a_worker_of_other_versions_is_unfit() -> None:
     with pytest.raises(UnfitError, match="instead of"):
         run_in_child(pickle.dumps(({"scp_recon": "0"}, b"")), b"", LIMITS)
-
-
-def test_without_a_scheduler_there_is_one_message(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("scp_recon.jobs.cluster.ANSWER_S", 0.5)
-    began = time.monotonic()
-    with pytest.raises(InputError, match="where none answers") as caught:
-        run_all(Quick(), some_jobs(3), tmp_path, Cluster("tcp://127.0.0.1:9", LIMITS))
-    assert caught.value.entry == "scheduler"
-    assert time.monotonic() - began < 60
 
 
 @pytest.mark.parametrize("address", ["foo", "", "tcp://127.0.0.1:x"])

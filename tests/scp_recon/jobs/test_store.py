@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scp_recon.errors import InputError
 from scp_recon.jobs import store as module
 from scp_recon.jobs.job import Key
-from scp_recon.jobs.store import Store, read_head, read_rows, sources, versions
+from scp_recon.jobs.store import Store, read_head, read_rows, sources
 from tests import reliability
 from tests.scp_recon.jobs.support import DEPENDS_ON, computed, run_all, some_jobs
 from tests.scp_recon.jobs.works import Quick
@@ -151,12 +151,6 @@ def test_a_row_has_its_files_before_it(tmp_path: Path, monkeypatch: pytest.Monke
     assert [key for key, _ in read_rows(tmp_path / "rows.jsonl")] == [0]
 
 
-def test_a_folder_that_cannot_be_made_is_one_message(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"out: .* must be a folder to write to"):
-        Store(tmp_path / "file" / "rows.jsonl", DEPENDS_ON)
-
-
 def test_what_is_no_file_is_one_message_and_leaves_no_lock(tmp_path: Path) -> None:
     (tmp_path / "rows.jsonl").mkdir()
     with pytest.raises(InputError, match=r"is a directory.* must be a folder to write to"):
@@ -194,7 +188,3 @@ def test_sources_are_of_a_module_and_what_it_imports_alone(monkeypatch: pytest.M
     assert sources("scp_recon.physics.forces") == first
     with pytest.raises(FileNotFoundError):
         sources("scp_recon.no_such_module")
-
-
-def test_versions_are_of_what_the_last_bits_depend_on() -> None:
-    assert {"scp_recon", "numpy", "clarabel"} <= versions().keys()

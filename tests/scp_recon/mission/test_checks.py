@@ -22,7 +22,7 @@ from scp_recon.mission.checks.intervals import (
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.physics.two_body import two_body
-from scp_recon.scenario.load import load_scenario, validate_scenario
+from scp_recon.scenario.load import validate_scenario
 from scp_recon.scenario.resolution.agreement import angle_deg
 from scp_recon.scenario.schema import Scenario
 from tests import reliability
@@ -300,31 +300,7 @@ def test_a_window_beyond_the_files_own_limit_is_told_with_the_worst(
     assert expected in warning.expected
 
 
-def test_the_computed_window_given_again_is_no_question(mission: Mission) -> None:
-    first, last = mission.schedule.window_s
-    assert mission_of(f"observation.window_s=[{first:.0f}, {last:.0f}]").warnings == ()
-
-
 # --- how an entry was left as it was -------------------------------------------------------------
-
-
-def test_another_epoch_has_its_own_sun(scenario: Scenario) -> None:
-    """Two months on the body has turned by sixty degrees about the Sun; the base's is not kept."""
-    later = scenario.replace({"epoch.tdb": LATER})
-    before, after = (np.array(s.sun.body_position_km) for s in (scenario, later))
-    turned = np.rad2deg(np.arccos(before @ after / np.linalg.norm(before) / np.linalg.norm(after)))
-    assert 45.0 < turned < 75.0
-    assert load_scenario(None, [f'epoch.tdb="{LATER}"']).sun == later.sun
-    # A velocity is not kept beside a position that is given, either.
-    given = {"epoch.tdb": LATER, "sun.body_position_km": list(later.sun.body_position_km)}
-    assert scenario.replace(given).sun.body_velocity_km_s == later.sun.body_velocity_km_s
-
-
-def test_another_site_has_its_own_normal(scenario: Scenario) -> None:
-    """That of the ellipsoid: Bennu's is nearly a sphere."""
-    site = scenario.replace({"site.position_body_m": ELSEWHERE}).site
-    cosine = np.array(site.normal_body) @ ELSEWHERE / np.linalg.norm(ELSEWHERE)
-    assert np.rad2deg(np.arccos(cosine)) < 10.0
 
 
 def test_changes_of_ones_own_scenario_inherit_what_holds_only(scenario: Scenario) -> None:

@@ -170,17 +170,3 @@ def test_a_flight_without_a_whole_window_is_told_what_there_is(
     said = message(*overrides)
     assert said.startswith("observation: got incidence at most")
     assert all(words in said for words in told)
-
-
-def test_a_burn_that_breaks_a_rule_is_told_the_window_and_where_each_burn_may_be() -> None:
-    said = message("burns.times_s=[0.0, 6000.0, 25000.0, 34842.0]")
-    assert "the window is 13140.2 to 16537.5 s" in said
-    assert (
-        "burns.times_s.1 from 6600.0 to 8340.2 s, 2 from 23137.5 to 28242.0 s, 3 from 29737.5 s on"
-        in said
-    )
-    short = message("burns.times_s=[0.0, 8000.0, 20000.0, 23000.0]")
-    assert "with 2 burns after it the last is legal from 29737.5 s on" in short
-    mission_of("burns.times_s=[0.0, 8000.0, 23137.6, 29737.6]")
-    crowded = message("burns.times_s=[0.0, 6000.0, 8000.0, 34842.0]")
-    assert "with 2 burns before it has to open at 18000.0 s or later" in crowded

@@ -194,14 +194,6 @@ def moved(burn: int, time: float) -> tuple[float, ...]:
     return (*FIRING[:burn], time, *FIRING[burn + 1 :])
 
 
-EDGES = [
-    (burn, side, edge)
-    for burn, interval in enumerate(make_schedule(FIRING, WINDOW, RULES).firing_intervals_s)
-    for side, edge in zip((-1.0, 1.0), interval, strict=True)
-    if burn > 0 and np.isfinite(edge)
-]
-
-
 def test_firing_intervals_are_those_of_the_rules() -> None:
     intervals = make_schedule(FIRING, WINDOW, RULES).firing_intervals_s
     # 0 + 3000 + 3600; 11340 - 3000; 16537 + 3000 + 3600; 31242 - 3000; 25000 + 3000 + 3600.
@@ -211,21 +203,6 @@ def test_firing_intervals_are_those_of_the_rules() -> None:
         (23_137.0, 28_242.0),
         (31_600.0, np.inf),
     )
-
-
-@pytest.mark.parametrize(("burn", "side", "edge"), EDGES)
-def test_a_burn_may_move_to_the_edge_of_its_interval_and_not_beyond(
-    burn: int, side: float, edge: float
-) -> None:
-    for time in (edge, edge - side):
-        firing = moved(burn, time)
-        assert_is_sound(make_schedule(firing, WINDOW, RULES), firing, WINDOW)
-    with pytest.raises(InputError, match=RULE) as caught:
-        make_schedule(moved(burn, edge + side), WINDOW, RULES)
-    # Two burns may bound the short leg and either could give way; both times are told.
-    assert caught.value.entry.startswith("burns.times_s.")
-    assert abs(int(caught.value.entry.rsplit(".", 1)[1]) - burn) <= 1
-    assert f"{edge + side:g} s" in str(caught.value)
 
 
 def test_what_the_message_offers_is_allowed() -> None:
@@ -241,20 +218,3 @@ def test_a_window_too_early_for_any_burn_is_blamed_on_the_window() -> None:
     with pytest.raises(InputError) as caught:
         mission_of("observation.window_s=[1000.0, 2000.0]")
     assert caught.value.entry == "observation.window_s"
-
-
-def test_longer_slews_shrink_the_intervals() -> None:
-    slow = ScheduleRules(attitude_s=1900.0, heating_s=1800.0, recharge_s=1200.0)
-    ours = make_schedule(FIRING, WINDOW, RULES).firing_intervals_s[1:]
-    theirs = make_schedule(FIRING, WINDOW, slow).firing_intervals_s[1:]
-    for (early, late), (slow_early, slow_late) in zip(ours, theirs, strict=True):
-        assert slow_early == early + 200.0
-        assert slow_late <= late
-
-
-def test_without_durations_any_ascending_times_off_the_window_will_do() -> None:
-    free = ScheduleRules(attitude_s=0.0, heating_s=0.0, recharge_s=0.0)
-    schedule = make_schedule((0.0, 1.0, 13_139.0, 16_538.0, 16_539.0), WINDOW, free)
-    assert schedule.legs[-1].end_s == 16_539.0
-    with pytest.raises(InputError):
-        make_schedule((0.0, 14_000.0, 20_000.0), WINDOW, free)

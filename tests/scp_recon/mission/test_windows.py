@@ -94,11 +94,6 @@ def test_the_ends_of_the_span_cut_windows() -> None:
     assert all_windows(lambda t: -np.ones_like(t), (0.0, 1.0), 20.0) == []
 
 
-def test_a_limit_met_at_an_instant_of_the_scan_is_an_edge() -> None:
-    found = all_windows(lambda t: np.minimum(t - 40.0, 80.0 - t), (0.0, 100.0), 20.0)
-    assert found == [pytest.approx((40.0, 80.0), abs=1e-9)]
-
-
 @given(
     period_h=st.floats(0.2, 60.0),
     meridian=st.floats(0.0, 6.2),

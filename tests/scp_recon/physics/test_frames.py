@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation as SciPyRotation
 
 from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.frames import Rotation, sun_north_to_j2000, unit
+from scp_recon.physics.frames import Rotation, sun_north_to_j2000
 from tests import reference
 from tests.reference import BENNU, EPOCH_ET
 from tests.scp_recon.support import mission_of
@@ -125,9 +125,3 @@ def test_sun_direction_over_the_flight_is_that_of_the_ephemeris(mission: Mission
     assert times[-1] > FLIGHT_S
     error = np.linalg.norm(np.cross(mission.sun_direction(times), suns), axis=1)
     assert error.max() < 5e-5
-
-
-@given(directions(), st.floats(1e-6, 1e9))
-def test_unit_keeps_the_direction_and_forgets_the_size(direction: Array, size: float) -> None:
-    expected = direction / np.linalg.norm(direction)
-    np.testing.assert_allclose(unit(size * direction), expected, rtol=0.0, atol=1e-14)

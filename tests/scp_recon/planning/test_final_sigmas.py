@@ -95,13 +95,6 @@ def test_a_file_that_says_otherwise_is_found_out(free: Plan) -> None:
     assert FINAL_POSITION in exceeded(flown_sigmas(mission, free.burns_m_s, seed=1))
 
 
-def test_what_is_impossible_is_infeasible_and_named() -> None:
-    mission = mission_of(*TANGENT, f"{LIMITS['position']}=0.5")
-    plan = Planner(mission).plan(initial_guess.cold(mission), once=True)
-    assert plan.status is not Status.CONVERGED
-    assert make_solution(plan).violation.by_constraint[FINAL_POSITION].unit == "m"
-
-
 def test_what_cannot_keep_them_refuses_them() -> None:
     mission = mission_of(COARSE, f"{LIMITS['velocity']}=0.01")
     with pytest.raises(

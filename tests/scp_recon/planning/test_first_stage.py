@@ -87,12 +87,3 @@ def test_an_interrupted_opening_is_judged_by_all_rows(mission: Mission) -> None:
     assert isinstance(rows, DeterministicRows)
     assert {"emission_min", "phase_min"} <= found.final.margins.keys()
     assert make_solution(found).problem == "P3"
-
-
-def test_what_comes_after_the_opening_is_kept_before_it(mission: Mission) -> None:
-    def stop(stage: str, _: Record) -> None:
-        if stage == "P3":
-            raise KeyboardInterrupt
-
-    found = plan(mission, initial_guess.random(mission, 0), observe=stop)
-    assert (found.status, found.final.name) == (Status.INTERRUPTED, "P3")

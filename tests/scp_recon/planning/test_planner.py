@@ -18,18 +18,17 @@ from formulations.registry import make_subproblem
 from formulations.rows.cones import Rows
 from formulations.rows.exact import FlightRows, NodeRows
 from formulations.rows.uniform import ChanceRows
-from scp_recon.mission import mission as mission_module
 from scp_recon.mission.mission import Mission
-from scp_recon.planning import initial_guess, ipopt, stages
+from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import CLEARANCE_M, Plan, Planner, Stage, plan, screened
 from scp_recon.results.solution import make_solution
-from scp_recon.scp.algorithms import ALGORITHMS, SCvx
+from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, run
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
 from tests.helpers import near_from
 from tests.scenarios import COARSE
-from tests.scp_recon.support import burns_of, flight_beyond, mission_of
+from tests.scp_recon.support import flight_beyond, mission_of
 
 
 def total_dv(mission: Mission, stage: Stage) -> float:
@@ -255,42 +254,6 @@ def test_an_interrupt_ends_with_the_best_stage_marked_as_interrupted(
     assert found.final.result.lin.iterate.total_dv == pytest.approx(expected.total_dv, rel=1e-9)
 
 
-def test_an_interrupt_between_two_stages_keeps_the_first(
-    mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def ctrl_c(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(stages, "choose_facets", ctrl_c)
-    found = plan(mission, initial_guess.cold(mission))
-    assert found.final.result.status is Status.INTERRUPTED
-    np.testing.assert_allclose(
-        burns_of(mission, found.final.result.lin.iterate.burns),
-        burns_of(mission, default_plan.stages[0].result.lin.iterate.burns),
-    )
-
-
-@pytest.mark.parametrize(
-    "overrides",
-    [
-        ["body.gm_m3_s2=1e4"],
-        ["spacecraft.mass_kg=1e-9"],
-        ["body.gm_m3_s2=1e-6", "boundary.final_position_m=[1e12, 1e12, 1e12]"],
-    ],
-    ids=["GM", "mass", "distance"],
-)
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_hopeless_magnitudes_end_in_a_status(
-    overrides: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(ALGORITHMS, "scvx", lambda: SCvx(max_iterations=10))
-    # Most of these are refused before they are planned.
-    monkeypatch.setattr(mission_module, "check_scene", lambda _: ())
-    mission = mission_of(*overrides)
-    found = plan(mission, initial_guess.cold(mission), problem="P3", once=True)
-    assert found.final.result.status is not Status.CONVERGED
-
-
 def test_an_optimum_of_p3_from_which_p2_is_infeasible_is_left(mission: Mission) -> None:
     """This flight leads P3 to its second optimum, half as dear again."""
     found = plan(mission, flight_beyond(mission))
@@ -312,30 +275,6 @@ def test_facets_that_leave_nothing_feasible_are_chosen_again() -> None:
     assert found.final is found.stages[-1]
     assert found.status is Status.CONVERGED
     assert verify(mission, make_solution(found)).ok
-
-
-def test_further_choices_are_numbered_on() -> None:
-    mission = mission_of("observation.site_distance_max_m=640.0")
-    found = plan(mission, initial_guess.cold(mission), facet_rounds=1)
-    names = [stage.name for stage in found.stages if stage.facets]
-    assert found.status is Status.INFEASIBLE
-    assert names == ["P2", *(f"P2.{n}" for n in range(2, len(names) + 1))]
-
-
-def how_made(found: Plan) -> tuple[str | None, ...]:
-    s = make_solution(found)
-    return s.method, s.formulation, s.algorithm, s.solver, s.init
-
-
-def test_a_plan_knows_how_it_was_made(coarse_plan: Plan) -> None:
-    made = {"formulation": "frozen-stm", "algorithm": "ptr", "solver": "QOCO", "init": "mine"}
-    mission = coarse_plan.mission
-    found = plan(mission, initial_guess.cold(mission), problem="P3", **made)  # type: ignore[arg-type]
-    assert how_made(found) == ("scp", *made.values())
-    start = coarse_plan.stages[0].result.lin.iterate
-    for elastic, algorithm in ((False, "interior point"), (True, "interior point, elastic")):
-        by_ipopt = ipopt.plan(mission, start, variant="shooting", problem="P3", elastic=elastic)
-        assert how_made(by_ipopt) == ("ipopt", "shooting", algorithm, "IPOPT", "given")
 
 
 # --- planning again -----------------------------------------------------------------------------

@@ -37,10 +37,6 @@ def p3_plan(mission: Mission) -> Plan:
     return Planner(mission).plan(initial_guess.cold(mission), problem="P3")
 
 
-def test_a_state_on_the_planned_path_raises_no_question(default_plan: Plan, state: Array) -> None:
-    assert not sr.replan(default_plan, AT, state, np.diag(SIGMA**2)).mission.warnings
-
-
 @pytest.mark.parametrize(
     ("at_s", "words"),
     [

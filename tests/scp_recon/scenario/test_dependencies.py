@@ -124,13 +124,6 @@ def test_the_graph_is_of_entries_that_a_scenario_has() -> None:
             assert not key or key in getattr(model, "model_fields", {}), name
 
 
-def test_the_page_on_scenarios_shows_what_follows() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "scenario.md").read_text("utf-8")
-    shown = page.split("| said anew | not taken over |")[1].split("\n\n")[0]
-    for source in ("body.name", "epoch.tdb", "site.position_body_m"):
-        assert f"`{source}`" in shown
-
-
 def test_what_follows_may_follow_by_way_of_other_tables() -> None:
     """An epoch turns the prime meridian; a radius of the site is of no consequence to the body."""
     assert {"sun.body_position_km", "body.prime_meridian_deg"} <= computed_from({"epoch"})

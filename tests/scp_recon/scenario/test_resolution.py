@@ -304,10 +304,3 @@ def test_a_field_in_the_scenario_itself_agrees_with_the_planners_j2() -> None:
     assert found.replace({"risk.p_chance": 0.8}).body == found.body
     with pytest.raises(InputError, match=r"body\.j2: got 0\.04; must agree with 0\.0107"):
         found.replace({"body.j2": 0.04})
-
-
-def test_no_other_bodys_field_is_flown(scenario: Scenario) -> None:
-    assert len(truth_field(scenario).c) == 9
-    with pytest.raises(InputError) as caught:
-        truth_field(rock())
-    assert caught.value.entry == "body.gravity_file"

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 from importlib.resources import files
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 
 from scp_recon.errors import InputError
-from scp_recon.scenario.load import Scenario, base_names, load_scenario, validate_scenario
-from tests import reference, reliability
+from scp_recon.scenario.load import Scenario, load_scenario, validate_scenario
+from tests import reliability
 
 
 def refused(*overrides: str) -> InputError:
@@ -74,25 +72,6 @@ PAPER = {
 def test_default_is_the_papers_table(scenario: Scenario) -> None:
     assert {entry: attrgetter(entry)(scenario) for entry in PAPER} == PAPER
     assert scenario.duration_s == 34_842.0
-
-
-def test_default_holds_the_recorded_constants(scenario: Scenario) -> None:
-    body, sun, craft = scenario.body, scenario.sun, scenario.spacecraft
-    pole = (reference.POLE_RA_DEG, reference.POLE_DEC_DEG)
-    assert (body.pole_ra_deg, body.pole_dec_deg) == pole
-    assert (
-        body.prime_meridian_deg,
-        body.prime_meridian_rate_deg_day,
-        body.prime_meridian_acceleration_deg_day2,
-    ) == reference.PRIME_MERIDIAN
-    zonal, _ = reference.COEFFICIENTS[2, 0]
-    assert body.j2 == pytest.approx(-np.sqrt(5.0) * zonal, rel=1e-14)
-    np.testing.assert_array_equal(sun.body_position_km, reference.SUN_TO_BODY_KM)
-    np.testing.assert_array_equal(sun.body_velocity_km_s, reference.SUN_TO_BODY_KM_S)
-    assert scenario.epoch.tdb.isoformat(timespec="milliseconds") == reference.EPOCH_TDB
-    assert craft.mass_kg == reference.MASS_KG
-    assert craft.srp_area_m2 == reference.SUN_FACING_AREA_M2
-    assert sun.solar_constant_w_m2 == reference.SOLAR_CONSTANT_W_M2
 
 
 UNITS = ("_m", "_km", "_s", "_h", "_deg", "_rad", "_kg", "_m2", "_m_s", "_km_s")
@@ -224,34 +203,23 @@ BAD_VALUES = [
     ("risk.p_chance=0.5", "risk.p_chance", "0.5", "0.5"),
     ("risk.p_chance=1", "risk.p_chance", "1", "at most 0.999999999"),
     ("risk.p_chance=0.9999999999999999", "risk.p_chance", "0.9999999999999999", "0.999999999"),
-    ("risk.p_chance=1.2", "risk.p_chance", "1.2", "0.999999999"),
-    ("risk.p_chance=-3", "risk.p_chance", "-3", "0.5"),
     ("risk.p_chance=nan", "risk.p_chance", "nan", "finite"),
-    ("burns.dv_max_m_s=inf", "burns.dv_max_m_s", "inf", "finite"),
     ("burns.dv_max_m_s=0", "burns.dv_max_m_s", "0", "at least 1e-09"),
     ("burns.dv_max_m_s=fast", "burns.dv_max_m_s", "'fast'", "number"),
     ('burns.dv_max_m_s="0.2"', "burns.dv_max_m_s", "'0.2'", "number"),
     ("burns.dv_max_m_s=", "burns.dv_max_m_s", "''", "number"),
     ("burns.dv_max_m_s=true", "burns.dv_max_m_s", "True", "number"),
-    ("burns.dv_max_m_s=[0.2]", "burns.dv_max_m_s", "[0.2]", "number"),
     ("burns.times_s=[0, true]", "burns.times_s.1", "True", "number"),
     ("burns.times_s=[0, -5]", "burns.times_s.1", "-5", "0"),
     ("burns.times_s=[0]", "burns.times_s", "[0]", "must have at least 2 items"),
     ("burns.times_s=[0, 1e8]", "burns.times_s.1", "100000000", "at least 0 and at most 1e+07"),
-    ("burns.times_s=8000", "burns.times_s", "8000", "list"),
     ("schedule.attitude_s=-1800", "schedule.attitude_s", "-1800", "0"),
-    ("schedule.recharge_s=-0.5", "schedule.recharge_s", "-0.5", "0"),
     ("boundary.frame=ecliptic", "boundary.frame", "'ecliptic'", "'sun_north' or 'j2000'"),
     ("boundary.initial_position_m=[1, 2]", "boundary.initial_position_m", "[1, 2]", "have 3 items"),
-    ("boundary.final_position_m=[1, 2, 3, 4]", "boundary.final_position_m", "4]", "have 3 items"),
     ("observation.window_s=[1]", "observation.window_s", "[1]", "must have 2 items"),
     (f"burns.times_s={list(range(70))}", "burns.times_s", "[0, 1", "must have at most 64 items"),
-    ("boundary.initial_position_m=5", "boundary.initial_position_m", "5", "list"),
     ("polytopes.ball=3", "polytopes.ball", "3", "at least 4 and at most 512"),
-    ("polytopes.ball=513", "polytopes.ball", "513", "at least 4 and at most 512"),
-    ("polytopes.cone=513", "polytopes.cone", "513", "at least 3 and at most 512"),
     ("polytopes.ball=round", "polytopes.ball", "'round'", "'paper'"),
-    ("polytopes.cone=2", "polytopes.cone", "2", "3"),
     ("polytopes.cone=true", "polytopes.cone", "True", "whole number"),
     ("polytopes.cone=tangent", "polytopes.cone", "'tangent'", "'paper'"),
     ("grid.step_max_s=0", "grid.step_max_s", "0", "1"),
@@ -262,14 +230,7 @@ BAD_VALUES = [
     ("observation.window_s=[1, x]", "observation.window_s", "[1, x]", "list"),
     ("uncertainty.execution_error=1e-300", "uncertainty.execution_error", "1e-300", "1e-09"),
     ("uncertainty.execution_error=1", "uncertainty.execution_error", "1", "less than 1"),
-    ("spacecraft.mass_kg=0", "spacecraft.mass_kg", "0", "at least 1e-09"),
-    ("grid.step_max_s=1e308", "grid.step_max_s", "1e+308", "at least 1 and at most 1e+07"),
-    ("body.gm_m3_s2=1e-308", "body.gm_m3_s2", "1e-308", "at least 1e-06"),
-    ("body.reference_radius_m=1e200", "body.reference_radius_m", "1e+200", "at most 1e+12"),
-    ("safety.radius_min_m=1e30", "safety.radius_min_m", "1e+30", "at most 1e+12"),
-    ("burns.dv_max_m_s=1e300", "burns.dv_max_m_s", "1e+300", "at most 1e+06"),
     ("site.normal_body=[1e-320, 0, 0]", "site.normal_body", "1e-320", "shorter than 0.001"),
-    ("site.normal_body=[1e200, 0, 0]", "site.normal_body.0", "1e+200", "at most 1e+12"),
     ("sun.body_position_km=[1e308, 0, 0]", "sun.body_position_km.0", "1e+308", "at most 1e+12"),
     ('name=""', "name", "''", "not empty"),
     (f"name={201 * 'x'}", "name", "xxx", "at most 200 characters"),
@@ -278,7 +239,6 @@ BAD_VALUES = [
     ("body=5", "body", "5", "table"),
     # Values that are each fine and do not go together, or that the type alone does not refuse.
     ("burns.times_s=[0, 25000, 8000, 34842]", "burns.times_s", "8000", "ascending"),
-    ("burns.times_s=[0, 8000, 8000, 34842]", "burns.times_s", "8000", "ascending"),
     ("burns.times_s=[5, 8000, 25000, 34842]", "burns.times_s", "5", "start at 0"),
     ("observation.emission_min_deg=50", "observation", "50", "below"),
     ("observation.site_distance_max_m=500", "observation", "500", "below"),
@@ -288,7 +248,6 @@ BAD_VALUES = [
     ("site.normal_body=[0, 0, 0]", "site.normal_body", "0, 0", "must not"),
     ("sun.body_position_km=[0, 0, 0]", "sun.body_position_km", "0, 0", "must not"),
     ("boundary.initial_position_m=[0, 0, 0]", "boundary.initial_position_m", "0, 0", "must not"),
-    ("boundary.final_position_m=[0, 0, 0]", "boundary.final_position_m", "0, 0", "must not"),
 ]
 
 
@@ -353,25 +312,6 @@ def test_an_override_that_is_not_one_entry_on_one_line_is_refused(override: str)
     assert "section.entry=value" in error.allowed
 
 
-@given(
-    path=st.sampled_from(["risk.p_chance", "burns.times_s", "name", "body", "polytopes.ball"])
-    | st.text(max_size=20),
-    value=st.text(max_size=30) | st.floats().map(repr) | st.integers().map(str),
-)
-def test_no_override_ends_in_anything_but_a_scenario_or_an_input_error(
-    path: str, value: str
-) -> None:
-    answer: Scenario | InputError
-    try:
-        answer = load_scenario(None, [f"{path}={value}"])
-    except InputError as error:
-        answer = error
-    if isinstance(answer, InputError):
-        assert answer.entry
-        assert answer.given
-        assert answer.allowed
-
-
 @pytest.mark.parametrize(
     "value",
     ["1" * 400, "1" * 5000, "1e999", "0x" + "f" * 5000, "[" * 5000, "{a=" * 2000, "9999-99-99"],
@@ -414,24 +354,6 @@ def test_a_bad_file_is_refused_at_once(
     error = file_refused(file)
     assert error.entry == entry.format(file)
     assert re.search(words, str(error), re.DOTALL)
-
-
-def test_a_file_that_is_not_there_or_a_folder_is_refused(tmp_path: Path) -> None:
-    error = file_refused(tmp_path / "nowhere.toml")
-    assert str(tmp_path / "nowhere.toml") in error.entry
-    assert "no such file" in error.given
-    assert "directory" in file_refused(tmp_path).given
-
-
-@pytest.mark.parametrize("base", ['"recon_c"', "5", '["recon_b"]', "{}"])
-def test_an_unknown_base_gets_the_list_of_known_ones(tmp_path: Path, base: str) -> None:
-    file = tmp_path / "mine.toml"
-    file.write_text(f"base = {base}\n", "utf-8")
-    error = file_refused(file)
-    assert error.entry == "base"
-    assert str(tomllib.loads(f"b = {base}")["b"]) in error.given
-    assert all(name in error.allowed for name in base_names())
-    assert "recon_b" in base_names()
 
 
 def test_the_mark_that_some_editors_begin_a_file_with_is_skipped(tmp_path: Path) -> None:
