@@ -13,15 +13,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scp_recon.errors import InputError, whole_number
+from scp_recon.errors import EXACT, InputError, whole_number
 
 WHOLE = re.compile(r"[+-]?[0-9]{1,20}")
 """Longer ones are beyond every bound, and slow to read."""
 
 
-def whole(text: str) -> float | str:
+def whole(text: str) -> int | str:
     """A type of option: a whole number, 1e4 too; what is none goes on and is refused later."""
-    return int(text) if WHOLE.fullmatch(text) else number(text)
+    if WHOLE.fullmatch(text):
+        return int(text)
+    try:
+        return whole_number("", number(text), -int(EXACT), int(EXACT))
+    except InputError:
+        return text
 
 
 def number(text: str) -> float | str:
