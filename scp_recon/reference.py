@@ -17,6 +17,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from formulations.risk import strata
 from scp_recon.cli.command import EXIT_STATUSES, SCRIPT, add_output_options
 from scp_recon.cli.commands import COMMANDS
 from scp_recon.files import write_atomically
@@ -91,7 +92,7 @@ def scenario_page() -> str:
 
 def solution_page() -> str:
     """Every key of a solution file."""
-    modules = (plan, primer, grid, facts, figures)
+    modules = (plan, strata, primer, grid, facts, figures)
     kinds = {name: kind for module in modules for name, kind in vars(module).items()}
     parts = [
         "# Keys of a solution file",

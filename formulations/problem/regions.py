@@ -81,6 +81,11 @@ def perpendicular(axis: Array) -> Array:
     return unit(np.cross(axis, least), least)
 
 
+def _for_each(vector: Array, point: Array) -> Array:
+    """Vectors (n, 3) of nodes, for points (n, ..., 3)."""
+    return vector.reshape(len(vector), *[1] * (point.ndim - 2), 3)
+
+
 Chord = tuple[Array, Array]
 """Interval of s in which lines start + s direction lie in a region; (inf, inf) if none."""
 
@@ -126,8 +131,9 @@ class Ball:
         return Halfspaces(normal, np.einsum("ni,ni->n", normal, self.center) + self.radius)
 
     def inside(self, point: Array) -> Array:
-        """Signed distance to the surface, positive inside, (n,)."""
-        return self.radius - np.linalg.norm(point - self.center, axis=1)
+        """Signed distance of points (n, ..., 3) to the surface, positive inside, (n, ...)."""
+        off = point - _for_each(self.center, point)
+        return np.asarray(self.radius - np.sqrt(np.einsum("...i,...i->...", off, off)))
 
     def chord(self, start: Array, direction: Array) -> Chord:
         """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3)."""
@@ -179,11 +185,12 @@ class Cone:
         return self.facets(self.across(point), self.half_angle)
 
     def inside(self, point: Array) -> Array:
-        """Signed distance to the surface, positive inside, (n,)."""
-        d = point - self.apex
-        along = np.einsum("ni,ni->n", d, self.axis)
-        across = np.linalg.norm(d - along[:, None] * self.axis, axis=1)
-        return np.sin(self.half_angle) * along - np.cos(self.half_angle) * across
+        """Signed distance of points (n, ..., 3) to the surface, positive inside, (n, ...)."""
+        d = point - _for_each(self.apex, point)
+        along = np.einsum("n...i,ni->n...", d, self.axis)
+        d -= along[..., None] * _for_each(self.axis, point)
+        across = np.sqrt(np.einsum("...i,...i->...", d, d))
+        return np.asarray(np.sin(self.half_angle) * along - np.cos(self.half_angle) * across)
 
     def chord(self, start: Array, direction: Array) -> Chord:
         """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3).

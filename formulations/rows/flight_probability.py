@@ -122,11 +122,9 @@ class FlightProbability:
 
     def limits(self, mean: Array, factor: Array) -> Limits:
         """Limits that flights within reach meet, for mean positions (n, 3) and factors (n, 3, c)."""
-        spread = self.reach * factor[:, :, : self.directions.shape[1]]
-        radius = np.sqrt(np.linalg.eigvalsh(spread @ spread.swapaxes(1, 2))[:, -1])
-        inner = (limit for e in self.events for limit in _met_inside(e, mean, radius))
-        outer = (limit for e in self.events for limit in _met_outside(e, mean, spread))
-        return Limits(tuple(inner), tuple(outer))
+        return limits_within(
+            self.events, mean, self.reach * factor[:, :, : self.directions.shape[1]]
+        )
 
     def __call__(self, mean: Array, factor: Array, limits: Limits | None = None) -> FlightQuantile:
         """The quantile g for mean positions (n, 3) and factors (n, 3, c) at all nodes.
@@ -169,6 +167,14 @@ class FlightProbability:
             lows.append(low.T)
             highs.append(high.T)
         return np.hstack(lows), np.hstack(highs)
+
+
+def limits_within(events: tuple[Event, ...], mean: Array, spread: Array) -> Limits:
+    """Limits that positions mean + spread w may break, with |w| <= 1; (n, 3) and (n, 3, c)."""
+    radius = np.sqrt(np.linalg.eigvalsh(spread @ spread.swapaxes(1, 2))[:, -1])
+    inner = (limit for e in events for limit in _met_inside(e, mean, radius))
+    outer = (limit for e in events for limit in _met_outside(e, mean, spread))
+    return Limits(tuple(inner), tuple(outer))
 
 
 def _met_inside(event: Event, mean: Array, radius: Array) -> Iterator[Limit]:

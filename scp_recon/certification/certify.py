@@ -220,13 +220,13 @@ class Aiming:
         """Standard error of what is reached by the mean loss; before any flight that of a round."""
         return self._error(sum(flights for _, flights in self.losses) or self.samples)
 
-    def learn(self, law: float, kept: int, samples: int) -> None:
+    def learn(self, law: float, kept: float, samples: int) -> None:
         """Take in how many flights kept what was planned to be kept with a quantile of the law."""
         half = 0.5 / samples
         reached = ndtri(np.clip(kept / samples, half, 1.0 - half))
         self.losses.append((law - float(reached), samples))
 
-    def begin_again(self, law: float, at_nodes: int, samples: int) -> None:
+    def begin_again(self, law: float, at_nodes: float, samples: int) -> None:
         """Forget the flights on other nodes, but for what the last lost at its nodes.
 
         What they lost between them the nodes that are added give back.

@@ -6,6 +6,7 @@ one that they judge.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple, Protocol
@@ -13,17 +14,25 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from formulations.arrays import Array
+from formulations.risk.strata import Counted, allocate
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
+    CONFIDENCE,
     FIRST_SEED,
     LOOK_CONFIDENCE,
     Estimate,
     look_interval,
     look_seed,
+    of_strata,
     proportion,
 )
-from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
+from scp_recon.monte_carlo.law import Law, fly_strata, survey
+from scp_recon.monte_carlo.whole_flight import KeptFlights, WholeFlights, kept_flights
 from scp_recon.planning.plan import Certificate, Plan
+
+LOOK_WIDTH, ROUND_WIDTH = 0.97, 1.5
+"""Widths of intervals of flights in strata over those of plain flights: a look's is no wider. A round's
+does not judge, and its standard error is the smaller one all the same."""
 
 LOST_BETWEEN = 0.05
 """Share of 1 - p that flights may lose between nodes."""
@@ -49,11 +58,15 @@ class Watch(Protocol):
 
 
 class Kept(NamedTuple):
-    """Flights of some that keep what the scope asks for: at the nodes, and at all times."""
+    """Flights of some that keep what the scope asks for: at the nodes, and at all times.
 
-    at_nodes: int
-    throughout: int
+    Of flights in strata they are as many plain flights as have the same standard error.
+    """
+
+    at_nodes: float
+    throughout: float
     samples: int
+    strata: Counted | None = None
 
     @property
     def reached(self) -> float:
@@ -81,10 +94,10 @@ def fly_round(
     Returns:
         What its flights keep, and the times between nodes at which they touch a limit, s.
     """
-    step = f"round {number}"
-    kept, touched_s = _fly(plan, samples, FIRST_SEED + number - 1, step, watch)
+    step, seed = f"round {number}", FIRST_SEED + number - 1
+    kept, touched_s = _fly(plan, samples, seed, step, ROUND_WIDTH, watch)
     if watch:
-        watch(step, plan, samples, samples, proportion(kept.throughout, samples))
+        watch(step, plan, flown_of(kept), flown_of(kept), reached_of(kept, CONFIDENCE))
     return kept, touched_s
 
 
@@ -97,25 +110,37 @@ def look_at(
         The plan with its certificate; and as `fly_round`.
     """
     step = f"look {number}"
-    kept, touched_s = _fly(plan, samples, look_seed(number), step, watch)
+    kept, touched_s = _fly(plan, samples, look_seed(number), step, LOOK_WIDTH, watch)
     judged = replace(plan, certificate=certificate_of(kept, number, rounds))
     if watch:
-        watch(step, judged, samples, samples, look_interval(kept.throughout, samples))
+        watch(step, judged, flown_of(kept), flown_of(kept), reached_of(kept, LOOK_CONFIDENCE))
     return judged, kept, touched_s
 
 
 def certificate_of(kept: Kept, look: int, rounds: int) -> Certificate:
     """What the flights of a look come to."""
-    reached = look_interval(kept.throughout, kept.samples)
     return Certificate(
-        kept.samples,
+        flown_of(kept),
         look_seed(look),
-        *reached,
+        *reached_of(kept, LOOK_CONFIDENCE),
         at_nodes=kept.at_nodes / kept.samples,
         rounds=rounds,
         looks=look,
         confidence=LOOK_CONFIDENCE,
+        strata=kept.strata,
     )
+
+
+def flown_of(kept: Kept) -> int:
+    """Number of flights that were flown."""
+    return kept.samples if kept.strata is None else sum(kept.strata.flown)
+
+
+def reached_of(kept: Kept, confidence: float) -> Estimate:
+    """Probability that flights reach, with its exact interval."""
+    if kept.strata is None:
+        return proportion(int(kept.throughout), kept.samples, confidence)
+    return of_strata(kept.strata, confidence)
 
 
 def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
@@ -126,10 +151,36 @@ def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
     return mission.changed({"grid.nodes_s": nodes})
 
 
-def _fly(plan: Plan, samples: int, seed: int, step: str, watch: Watch | None) -> tuple[Kept, Array]:
-    seen = None
+def _fly(
+    plan: Plan, samples: int, seed: int, step: str, width: float, watch: Watch | None
+) -> tuple[Kept, Array]:
     if watch:
         watch(step, plan, samples)
-        seen = partial(watch, step, plan, samples)
+    risk = plan.mission.scenario.risk
+    if risk.scope == "flight" and risk.sampling == "strata":
+        found = _fly_strata(
+            plan, samples, seed, width, partial(watch, step, plan) if watch else None
+        )
+        if found is not None:
+            return found
+    seen = partial(watch, step, plan, samples) if watch else None
     flown = kept_flights(plan.mission, plan.burns_m_s, samples, seed, seen)
     return kept_of(plan.mission, flown), flown.touched_s
+
+
+def _fly_strata(
+    plan: Plan, samples: int, seed: int, width: float, seen: Callable[[int, int], None] | None
+) -> tuple[Kept, Array] | None:
+    """Fly in strata of the law's margin; None where so many plain flights are quicker."""
+    law = Law.of(plan.final.result.lin, plan.mission.units.length_m)
+    flights = WholeFlights(plan.mission, plan.burns_m_s)
+    known = survey(law, flights, seed)
+    reached = look_interval(round((1.0 - known.failed) * samples), samples)
+    widths = width * (reached.value - reached.low), width * (reached.high - reached.value)
+    allocation = allocate(known, samples, widths, 0.5 * (1.0 - LOOK_CONFIDENCE))
+    if allocation is None:
+        return None
+    flown = fly_strata(law, flights, allocation, seed, seen)
+    worth = flown.whole.equivalent
+    at_nodes, throughout = ((1.0 - of.failed) * worth for of in (flown.at_nodes, flown.whole))
+    return Kept(at_nodes, throughout, worth, flown.whole), flown.touched_s

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.special import betaincinv, stdtrit
 
 from formulations.arrays import Array
+from formulations.risk.strata import Counted
 from scp_recon.errors import InputError, option
 
 CONFIDENCE = 0.95
@@ -55,6 +56,12 @@ def proportion(successes: int, samples: int, confidence: float = CONFIDENCE) -> 
     low = float(betaincinv(k, n - k + 1, tail)) if k > 0 else 0.0
     high = float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
     return Estimate(k / n, low, high)
+
+
+def of_strata(counted: Counted, confidence: float) -> Estimate:
+    """Probability that flights in strata keep what is asked, with its exact interval."""
+    least, most = counted.limits(0.5 * (1.0 - confidence))
+    return Estimate(1.0 - counted.failed, 1.0 - most, 1.0 - least)
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,33 @@ def fly_block(
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
 ) -> Flights:
-    """Fly the first `flights` of a block of draws, at most `BLOCK`, with planned burns, shape (m, 3).
+    """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly_draws`."""
+    sources = number_of_sources(mission, burns_m_s, errors)
+    draws = draw(seed, block, sources)[:flights]
+    return fly_draws(mission, burns_m_s, times_s, draws, truth=truth, errors=errors)
+
+
+def number_of_sources(mission: Mission, burns_m_s: Array, errors: ErrorModel | None = None) -> int:
+    """Number of standard normal numbers that a flight draws."""
+    model = errors_of_kind(mission.scenario, errors)
+    return mission.initial_factor.shape[1] + model.draws(len(burns_m_s))
+
+
+def draw(seed: int, block: int, sources: int, *stream: int) -> Array:
+    """The standard normal numbers of a block of flights, shape (BLOCK, sources)."""
+    return np.random.default_rng([seed, block, *stream]).standard_normal((BLOCK, sources))
+
+
+def fly_draws(
+    mission: Mission,
+    burns_m_s: Array,
+    times_s: Array,
+    draws: Array,
+    *,
+    truth: TruthModel = "planner",
+    errors: ErrorModel | None = None,
+) -> Flights:
+    """Fly draws of the errors, shape (flights, sources), with planned burns, shape (m, 3).
 
     The initial state is Gaussian about the mission's. A burn is executed with the scenario's errors:
     dv (1 + beta w) by component with w standard normal (Echigo et al., eq. 3), or Gates' model.
@@ -63,11 +89,9 @@ def fly_block(
     Raises:
         InputError: if the scenario's errors have no such counterpart.
     """
-    model = errors_of_kind(mission.scenario, errors)
-    numbers = 6 + model.draws(len(burns_m_s))
-    draws = np.random.default_rng([seed, block]).standard_normal((BLOCK, numbers))[:flights]
-    state = mission.initial_state + draws[:, :6] @ mission.initial_factor.T
-    executed = model.execute(burns_m_s, draws[:, 6:])
+    initial, flights = mission.initial_factor.shape[1], len(draws)
+    state = mission.initial_state + draws[:, :initial] @ mission.initial_factor.T
+    executed = errors_of_kind(mission.scenario, errors).execute(burns_m_s, draws[:, initial:])
     fly = _flow(mission, truth)
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from formulations.arrays import Array, Booleans, Indices
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.sampling import BLOCK, fly_block
+from scp_recon.monte_carlo.sampling import BLOCK, draw, fly_draws, number_of_sources
 from scp_recon.physics.flow import interpolate
 
 Counts = npt.NDArray[np.int64]
@@ -67,12 +67,13 @@ def kept_flights(
 
     `progress` is called with the number flown so far after each block.
     """
-    nodes = mission.times_s
-    looks = np.union1d(np.arange(nodes[0], nodes[-1], LOOK_S), nodes)
+    nodes, looks = mission.times_s, looks_of(mission)
+    sources = number_of_sources(mission, burns_m_s)
     blocks = []
     for begun in range(0, samples, BLOCK):
         flights = min(BLOCK, samples - begun)
-        blocks.append(_block(mission, burns_m_s, looks, begun // BLOCK, flights, seed))
+        draws = draw(seed, begun // BLOCK, sources)[:flights]
+        blocks.append(looked_at(mission, burns_m_s, looks, draws))
         if progress:
             progress(begun + flights)
     names = blocks[0].at_looks
@@ -91,8 +92,8 @@ def kept_flights(
         samples,
         at_nodes,
         {name: int(_every(at_looks[name], between[name]).min()) for name in names},
-        sum(b.whole_at_nodes for b in blocks),
-        sum(b.whole for b in blocks),
+        sum(int(b.kept_at_nodes.sum()) for b in blocks),
+        sum(int(b.kept.sum()) for b in blocks),
         touched,
     )
 
@@ -114,12 +115,28 @@ def _less_likely(times: Array, fall: Counts) -> Array:
 
 
 @dataclass(frozen=True)
-class _Block:
+class LookedAt:
+    """What some flights keep: counts at looks and between, and flights that keep everything.
+
+    Attributes:
+        at_looks: flights that keep each joint constraint at its looks, shape (n,).
+        between: the same of seconds between looks, shape (n - 1, PARTS - 1).
+        kept_at_nodes: flights that keep everything at all nodes, shape (flights,).
+        kept: flights that keep everything at all times, shape (flights,).
+        touched_s: times at which flights break a limit that keep all of them at nodes.
+    """
+
     at_looks: dict[str, Counts]
     between: dict[str, Counts]
-    whole_at_nodes: int
-    whole: int
+    kept_at_nodes: Booleans
+    kept: Booleans
     touched_s: Array
+
+
+def looks_of(mission: Mission) -> Array:
+    """Times at which flights are sampled, s: nodes, and others at most `LOOK_S` apart."""
+    nodes = mission.times_s
+    return np.union1d(np.arange(nodes[0], nodes[-1], LOOK_S), nodes)
 
 
 def _times(mission: Mission, looks: Array, name: str) -> Array:
@@ -138,11 +155,10 @@ def _margins(mission: Mission, times: Array, position: Array, names: list[str]) 
     return {name: found[name] for name in names}
 
 
-def _block(
-    mission: Mission, burns: Array, looks: Array, number: int, flights: int, seed: int
-) -> _Block:
-    flown = fly_block(mission, burns, looks, number, flights=flights, seed=seed)
-    states = flown.states
+def looked_at(mission: Mission, burns_m_s: Array, looks: Array, draws: Array) -> LookedAt:
+    """Fly draws of the errors, shape (flights, sources), and see what they keep."""
+    flown = fly_draws(mission, burns_m_s, looks, draws)
+    states, flights = flown.states, len(draws)
     window = np.isin(looks, _times(mission, looks, ""))
     margins = _margins(mission, looks, states[..., :3], [SAFETY])
     if window.any():
@@ -168,7 +184,7 @@ def _block(
         )
     lost = kept_at_nodes & ~kept
     touched = np.concatenate([time[lost[flight]] for time, flight in touches])
-    return _Block(at_looks, between, int(kept_at_nodes.sum()), int(kept.sum()), touched)
+    return LookedAt(at_looks, between, kept_at_nodes, kept, touched)
 
 
 @dataclass(frozen=True)
@@ -227,3 +243,20 @@ def _between(
         when.append(time[~holds])
         who.append(flight[~holds])
     return counts, broken, np.concatenate(when), np.concatenate(who)
+
+
+@dataclass(frozen=True)
+class WholeFlights:
+    """Flies draws of the errors with a plan's burns, J2000, m/s, shape (m, 3)."""
+
+    mission: Mission
+    burns_m_s: Array
+
+    def positions(self, draws: Array) -> Array:
+        """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
+        mission = self.mission
+        return fly_draws(mission, self.burns_m_s, mission.times_s, draws).states[..., :3]
+
+    def looked_at(self, draws: Array) -> LookedAt:
+        """What they keep at the nodes and between them."""
+        return looked_at(self.mission, self.burns_m_s, looks_of(self.mission), draws)

@@ -18,6 +18,7 @@ from formulations.arrays import Array
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
+from formulations.risk.strata import Counted
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins
 from formulations.rows.uniform import DeterministicRows
 from scp_recon.errors import Named
@@ -128,14 +129,14 @@ class Certificate:
         samples: flights of the look that judged the plan.
         seed: of their errors, which planning has not seen.
         reached: probability that they reach at every second.
-        low: lower end of its Clopper-Pearson interval; the plan is certified where this is what was
-            required.
+        low: lower end of its exact interval; the plan is certified where this is what was required.
         high: upper end of it.
         at_nodes: the same of the nodes alone.
         rounds: plans flown to aim, before any look.
         looks: looks until this one, each at another plan; 0 of an older file, whose plan was chosen by
             the flights that judged it.
         confidence: of the interval, both ends together.
+        strata: what was drawn and flown in strata of the law's margin; None of plain flights.
     """
 
     samples: Annotated[int, Field(ge=1)]
@@ -147,6 +148,7 @@ class Certificate:
     rounds: Annotated[int, Field(ge=1)]
     looks: Annotated[int, Field(ge=0)]
     confidence: Probability
+    strata: Counted | None = None
 
     def certifies(self, required: float) -> bool:
         """Whether it certifies a required probability."""
@@ -156,7 +158,8 @@ class Certificate:
         """In words."""
         step = f"look {self.looks}" if self.looks else f"round {self.rounds}"
         interval = f"{100 * self.confidence:g} % interval {self.low:.4f} to {self.high:.4f}"
-        return f"{self.samples} flights of {step} reached {self.reached:.4f} ({interval})"
+        of = f" out of {sum(self.strata.drawn)} draws" if self.strata else ""
+        return f"{self.samples} flights{of} of {step} reached {self.reached:.4f} ({interval})"
 
 
 @dataclass(frozen=True)

@@ -147,6 +147,8 @@ class Risk(Section):
     """How risk is spent: evenly over facets (Boole), or as the probabilities of the sets themselves."""
     scope: Literal["node", "flight"] = "node"
     """Event that has to hold: each joint constraint at each node, or all at all nodes of a flight."""
+    sampling: Literal["strata", "plain"] = "strata"
+    """How whole flights are certified: few of many draws, mostly near a limit by the law, or all."""
 
     @model_validator(mode="after")
     def _flights_are_exact(self) -> Self:

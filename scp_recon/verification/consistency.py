@@ -27,6 +27,7 @@ from scp_recon.monte_carlo.estimates import (
     flights_needed,
     look_flights,
     look_seed,
+    of_strata,
     proportion,
 )
 from scp_recon.monte_carlo.observation_time import joint_margins
@@ -170,15 +171,18 @@ def _is_sound(reached: Certificate, required: float) -> bool:
     """
     older = reached.looks == 0
     confidence, needed = (CONFIDENCE, flights_needed) if older else (LOOK_CONFIDENCE, look_flights)
-    kept = round(reached.reached * reached.samples)
-    expected = proportion(kept, reached.samples, confidence)
+    flights: float = reached.samples
+    if reached.strata is None:
+        expected = proportion(round(reached.reached * flights), reached.samples, confidence)
+    else:
+        expected, flights = of_strata(reached.strata, confidence), reached.strata.allocation.draws
     reported = (reached.reached, reached.low, reached.high)
     if older:
         unseen = FIRST_SEED <= reached.seed < FIRST_LOOK_SEED
     else:
         unseen = reached.looks <= LOOKS_MAX and reached.seed == look_seed(reached.looks)
     try:
-        enough = reached.samples >= needed(required)
+        enough = flights >= needed(required)
     except InputError:  # no flights certify so much
         return False
     same = np.allclose(reported, expected, rtol=0.0, atol=1e-9)
@@ -188,4 +192,5 @@ def _is_sound(reached: Certificate, required: float) -> bool:
         and unseen
         and reached.confidence == confidence
         and reached.reached <= reached.at_nodes
+        and (reached.strata is None or reached.samples == sum(reached.strata.flown))
     )

@@ -73,7 +73,8 @@ def _bears_out(required: float, risk: Risk, probabilities: list[JointProbability
     certificate = risk.certificate
     assert certificate is not None
     named = [p for p in probabilities if p.name == FLIGHT] or probabilities
-    flown, n = min(p.estimate for p in named), certificate.samples
+    flown = min(p.estimate for p in named)
+    n = certificate.strata.equivalent if certificate.strata else certificate.samples
     pooled = (certificate.reached * n + flown * SAMPLES) / (n + SAMPLES)
     error = np.sqrt((pooled * (1.0 - pooled) + 1.0 / SAMPLES) * (1.0 / n + 1.0 / SAMPLES))
     off = certificate.reached - flown

@@ -24,9 +24,10 @@ Reached = tuple[float, float]
 """Share of the flights that keep everything at the nodes, and at all times."""
 
 
-def mission_of(scope: str, asked: float = 0.9) -> Mission:
+def mission_of(scope: str, asked: float = 0.9, sampling: str = "plain") -> Mission:
     """The default scenario with exact risk."""
     changes = {"risk.p_chance": asked, "risk.allocation": "exact", "risk.scope": scope}
+    changes["risk.sampling"] = sampling
     return Mission.from_scenario(load_scenario().replace(changes))
 
 

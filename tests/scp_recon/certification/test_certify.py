@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
+from formulations.risk.strata import Allocation
 from formulations.rows.exact import FLIGHT
 from scp_recon.certification import flights
 from scp_recon.certification.certify import ROUNDS_MAX, certify
-from scp_recon.certification.flights import certificate_of, kept_of, with_nodes_at
+from scp_recon.certification.flights import LOOK_WIDTH, certificate_of, kept_of, with_nodes_at
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import estimates
@@ -33,7 +34,8 @@ from scp_recon.monte_carlo.estimates import (
     proportion,
     successes_needed,
 )
-from scp_recon.monte_carlo.whole_flight import KeptFlights, kept_flights
+from scp_recon.monte_carlo.law import Law, StratifiedFlights, fly_strata
+from scp_recon.monte_carlo.whole_flight import KeptFlights, WholeFlights, kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -65,16 +67,27 @@ class Certified:
     seeds: list[int]
 
 
-@pytest.fixture(scope="module", params=["node", "flight"])
+@pytest.fixture(scope="module", params=["node", "flight", "strata"])
 def run(request: pytest.FixtureRequest) -> Certified:
-    mission, seeds = mission_of(request.param, ASKED), []
+    """Of plain flights with each scope, and of whole flights in strata."""
+    scope, sampling = (
+        ("flight", "strata") if request.param == "strata" else (request.param, "plain")
+    )
+    mission, seeds = mission_of(scope, ASKED, sampling), []
 
     def flown(of: Mission, burns: Array, samples: int, seed: int, *seen: Any) -> KeptFlights:
         seeds.append(seed)
         return kept_flights(of, burns, samples, seed, *seen)
 
+    def in_strata(
+        law: Law, of: WholeFlights, allocation: Allocation, seed: int, *seen: Any
+    ) -> StratifiedFlights:
+        seeds.append(seed)
+        return fly_strata(law, of, allocation, seed, *seen)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "kept_flights", flown)
+        patch.setattr(flights, "fly_strata", in_strata)
         found = certify(
             mission, initial_guess.cold(mission), lambda m, s, target: plan(m, s, target=target)
         )
@@ -100,10 +113,13 @@ def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
     assert certified.target is not None
     assert reached.low >= ASKED
     assert certified.target > ASKED
-    assert reached.samples == look_flights(ASKED)
-    again = kept_flights(certified.mission, certified.burns_m_s, reached.samples, reached.seed)
-    kept = kept_of(certified.mission, again)
+    kept, _ = flights._fly(certified, look_flights(ASKED), reached.seed, "", LOOK_WIDTH, None)
     assert certificate_of(kept, reached.looks, reached.rounds) == reached
+    if reached.strata is None:
+        assert reached.samples == look_flights(ASKED)
+    else:
+        assert reached.samples == sum(reached.strata.flown) < look_flights(ASKED)
+        assert "draws of look" in str(reached)
 
 
 def test_what_judges_no_round_has_flown(run: Certified) -> None:
@@ -157,6 +173,8 @@ def claiming(solution: Solution, **changes: Any) -> Solution:
     assert solution.risk is not None
     assert solution.risk.certificate is not None
     told = replace(solution.risk.certificate, **changes)
+    if told.strata is not None:
+        return replace(solution, risk=replace(solution.risk, certificate=told))
     kept = proportion(round(told.reached * told.samples), told.samples, told.confidence)
     update: dict[str, Any] = dict(zip(("reached", "low", "high"), kept, strict=True)) | {
         "at_nodes": max(told.at_nodes, kept.value)
@@ -220,6 +238,30 @@ def test_a_certificate_that_claims_what_is_not_so_is_named(
     name: str,
 ) -> None:
     assert name in failures(certified, claiming(solution, **changes), checked)
+
+
+@pytest.mark.parametrize("run", ["strata"], indirect=True)
+def test_strata_that_claim_what_is_not_so_are_named(
+    certified: Plan, solution: Solution, checked: Verification, tmp_path: Path
+) -> None:
+    """Fewer flights unlike the law would have reached more, and fewer draws are not enough."""
+    assert certified.certificate is not None
+    strata = certified.certificate.strata
+    assert strata is not None
+    fewer = replace(strata.allocation, draws=0.01 * strata.allocation.draws)
+    lies: list[dict[str, Any]] = [
+        {"strata": replace(strata, unlike=(0, 0, 0, 0))},
+        {"strata": replace(strata, allocation=fewer)},
+        {"strata": None},
+        {"samples": certified.certificate.samples + 1},
+    ]
+    for lie in lies:
+        told = replace(certified.certificate, **lie)
+        assert solution.risk is not None
+        risk = replace(solution.risk, certificate=told)
+        assert "risk" in failures(certified, replace(solution, risk=risk), checked)
+    read = parse_solution(json.loads(solution.write(tmp_path).read_text("utf-8")), "own")
+    assert read.risk == solution.risk
 
 
 def test_what_nothing_certifies_has_to_aim_at_what_was_asked(

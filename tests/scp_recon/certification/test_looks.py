@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from scp_recon.certification import flights
 from scp_recon.certification.flights import Kept, certificate_of
 from scp_recon.monte_carlo import estimates
 from scp_recon.monte_carlo.estimates import (
@@ -49,7 +50,7 @@ def test_a_plan_that_reaches_just_what_is_required_is_hardly_ever_certified(
 ) -> None:
     """At most 2.5 times in 100, both looks together; with 97.5 % each, as of a single look, more."""
     assert 0.8 * WRONGLY < wrongly_certified(required) <= WRONGLY
-    monkeypatch.setattr(estimates, "LOOK_CONFIDENCE", estimates.CONFIDENCE)
+    monkeypatch.setattr(flights, "LOOK_CONFIDENCE", estimates.CONFIDENCE)
     assert wrongly_certified(required) > 1.5 * WRONGLY
 
 

@@ -13,14 +13,14 @@ from formulations.arrays import Array
 from scp_recon.certification.flights import with_nodes_at
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.monte_carlo.sampling import draw, number_of_sources, sample_positions
 from scp_recon.monte_carlo.whole_flight import (
     LOOK_S,
     PARTS,
     SAFETY,
     KeptFlights,
-    _block,
     kept_flights,
+    looked_at,
     may_dip,
 )
 from scp_recon.results.solution import Solution
@@ -80,7 +80,8 @@ def test_until_a_burn_the_path_goes_on_as_it_did(solution: Solution) -> None:
     limit = float(np.median(distance[2 * PARTS // 3]))
     at_limit = solution.scenario.replace({"safety.radius_min_m": limit})
     tight = dataclasses.replace(mission, scenario=at_limit)  # a limit in the flight's own way
-    found = _block(tight, burns, looks, 0, FLIGHTS, SEED).between[SAFETY][arc]
+    draws = draw(SEED, 0, number_of_sources(tight, burns))
+    found = looked_at(tight, burns, looks, draws).between[SAFETY][arc]
     np.testing.assert_allclose(found, np.sum(distance >= limit, axis=1), atol=1)
 
 

@@ -1,0 +1,176 @@
+"""Limits of flights in strata, held to the Poisson law of their counts: no luck is in it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import poisson
+
+from formulations.arrays import Array
+from formulations.risk.strata import (
+    FAILS,
+    Allocation,
+    Counted,
+    Counts,
+    Survey,
+    allocate,
+    least_failures,
+    most_failures,
+)
+from scp_recon.certification.flights import LOOK_WIDTH
+from scp_recon.monte_carlo.estimates import LOOK_CONFIDENCE, look_flights, look_interval
+
+TAIL = 0.5 * (1.0 - LOOK_CONFIDENCE)
+REQUIRED = [0.7, 0.9, 0.99, 0.999]
+NEAR = {0.7: 0.12, 0.9: 0.059, 0.99: 0.0186, 0.999: 0.005}
+"""Draws whose verdict is not sure, about as many as surveys of the default scenario found."""
+UNLIKE = 0.1
+"""Flights of these that end unlike the law, of those that it lets hold; half as many of the others."""
+FAR = 8.0
+"""Standard deviations about a mean within which all counts are tried."""
+
+
+def survey_of(required: float) -> Survey:
+    near, q = NEAR[required], 1.0 - required
+    share = np.array([q - 0.4 * near, 0.4 * near, 0.6 * near, 1.0 - q - 0.6 * near])
+    share[0] = max(share[0], 0.0)
+    return Survey(10.0, share / share.sum(), np.array([0.0, 0.5 * UNLIKE, UNLIKE, 0.0]))
+
+
+def plain_widths(required: float) -> tuple[float, float]:
+    """Distances of the limits of as many plain flights as a look has."""
+    n = look_flights(required)
+    reached = look_interval(round(n * (1.0 - survey_of(required).failed)), n)
+    return reached.value - reached.low, reached.high - reached.value
+
+
+def allocation_of(required: float) -> Allocation:
+    below, above = plain_widths(required)
+    widths = LOOK_WIDTH * below, LOOK_WIDTH * above
+    found = allocate(survey_of(required), look_flights(required), widths, TAIL)
+    assert found is not None
+    return found
+
+
+def missed(a: Allocation, share: Array, unlike: Array, *, most: bool) -> float:
+    """Probability that a limit misses what flights do, over all counts that may come."""
+    worth = np.where(FAILS, 1.0, 0.0) + np.where(FAILS, -1.0, 1.0) / np.array(a.share)
+    truth = float(share @ np.where(FAILS, 1.0 - unlike, unlike))
+    mean_unlike = a.draws * share * np.array(a.share) * unlike
+    mean = a.draws * float(share[FAILS].sum()) - float(mean_unlike[FAILS].sum())
+    lean = a.lean[0] if most else a.lean[1]
+    first, last = mean - FAR * np.sqrt(mean), mean + FAR * np.sqrt(mean) + FAR**2
+    x = np.floor(np.arange(max(0.0, first), last))
+    limit = most_failures if most else least_failures
+    zeros, many = np.zeros((len(x), 4)), np.broadcast_to(np.array(a.share), (len(x), 4))
+    without = limit(x, zeros, many, np.full(len(x), lean), np.full(len(x), a.draws), TAIL)
+    sizes = [np.arange(int(m + FAR * np.sqrt(m) + 3 * (m > 0.0)) + 1) for m in mean_unlike]
+    total = 0.0
+    for counts in itertools.product(*sizes):
+        chance = float(np.prod(poisson.pmf(counts, mean_unlike)))
+        if chance < 1e-9:
+            total += chance  # as if missed
+            continue
+        sign = -1.0 if most else 1.0
+        moved = without + sign * np.sum(np.log1p(sign * lean * worth) * counts) / (lean * a.draws)
+        wrong = moved < truth if most else moved > truth
+        total += chance * float(poisson.pmf(x, mean).sum(where=wrong))
+    return total
+
+
+LAWS = ["right", "blind in three flights", "blind where sure", "blind near", "nothing fails"]
+
+
+def flights_like(law: str, required: float) -> tuple[Array, Array]:
+    """Strata's shares, and flights unlike the law: just what is required is reached."""
+    share, unlike, q = survey_of(required).share.copy(), np.zeros(4), 1.0 - required
+    if law == "right":
+        return share, unlike
+    if law == "blind near":
+        unlike[2] = 0.2
+        lost = unlike[2] * share[2]
+    else:
+        a = allocation_of(required)
+        three = 3.0 / (a.draws * a.share[3])
+        lost = {"blind in three flights": three, "blind where sure": 0.5 * q}.get(law, q)
+    share[1] = min(share[1], q - lost)
+    share[0] = q - lost - share[1]
+    share[3] = 1.0 - share[:3].sum()
+    if law != "blind near":
+        unlike[3] = lost / share[3]
+    return share, unlike
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("required", REQUIRED)
+def test_no_limit_is_missed_more_often_than_it_says(required: float, law: str) -> None:
+    """However wrong the law is, of flights that reach just what is required."""
+    a = allocation_of(required)
+    share, unlike = flights_like(law, required)
+    too_sure = missed(a, share, unlike, most=True)
+    assert too_sure <= TAIL
+    assert missed(a, share, unlike, most=False) <= TAIL
+    if law == "blind in three flights":  # the worst: little is given away
+        assert too_sure > 0.55 * TAIL
+
+
+@pytest.mark.parametrize("required", REQUIRED)
+def test_a_look_takes_a_tenth_of_the_flights_for_no_wider_an_interval(required: float) -> None:
+    """With flights as a survey expects them."""
+    a, known, n = allocation_of(required), survey_of(required), look_flights(required)
+    drawn = a.draws * known.share
+    flown = drawn * np.array(a.share)
+    assert flown.sum() <= 0.102 * n
+    counts = (tuple(np.rint(part).astype(int).tolist()) for part in (flown, flown * known.unlike))
+    counted = Counted(a, tuple(np.rint(drawn).astype(int).tolist()), *counts)  # type: ignore[arg-type]
+    assert counted.failed == pytest.approx(known.failed, rel=0.01)
+    assert counted.equivalent > n
+    least, most = counted.limits(TAIL)
+    below, above = plain_widths(required)
+    assert most - counted.failed <= below
+    assert counted.failed - least <= above
+
+
+def test_a_law_that_tells_nothing_leaves_plain_flights() -> None:
+    unknown = Survey(1e3, np.array([0.0, 0.1, 0.9, 0.0]), np.array([0.0, 0.9, 0.1, 0.0]))
+    assert allocate(unknown, 20_000, plain_widths(0.9), TAIL) is None
+
+
+FAIR = Allocation(1e4, 5.0, (0.1, 0.5, 0.5, 0.1), (0.09, 0.1))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"draws": 0.0},
+        {"draws": np.inf},
+        {"near": -1.0},
+        {"share": (0.1, 0.5, 0.5, 0.0)},
+        {"share": (0.1, 0.5, 1.1, 0.1)},
+        {"lean": (0.1, 0.1)},
+        {"lean": (0.09, 0.2)},
+        {"lean": (0.0, 0.1)},
+    ],
+    ids=str,
+)
+def test_an_allocation_that_gives_no_limits_is_refused(changes: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        replace(FAIR, **changes)
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        ((0, 0, 0, 10), (0, 0, 0, 11), (0, 0, 0, 0)),
+        ((0, 0, 0, 10), (0, 0, 0, 5), (0, 0, 0, 6)),
+        ((0, 0, 0, 10), (0, 0, 0, 5), (0, 0, 0, -1)),
+        ((0, 0, 0, 0), (0, 0, 0, 0), (0, 0, 0, 0)),
+    ],
+)
+def test_counts_that_do_not_fit_are_refused(counts: tuple[Counts, Counts, Counts]) -> None:
+    with pytest.raises(ValueError, match="some are flown"):
+        Counted(FAIR, *counts)
