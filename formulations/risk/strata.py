@@ -1,7 +1,7 @@
 """Probability that flights fail, from few of many draws: exact limits, and the fewest flights.
 
 The law says of every draw of the errors whether a flight fails, and by what margin. Draws fall into
-four strata by that margin, and of each stratum's draws a share is flown, chosen at random. Flights that
+six strata by that margin, and of each stratum's draws a share is flown, chosen at random. Flights that
 end unlike the law's verdict correct it (double sampling; Horvitz and Thompson, JASA 47 (1952) 663):
 
     P(fail) = P(law fails) + sum_h +-P(stratum h, flown, unlike) / share_h,   minus where the law fails.
@@ -29,8 +29,11 @@ from scipy.special import gammainc, gammaincc, gammaln, xlogy
 
 from formulations.arrays import Array, Indices
 
-FAILS = np.array([True, True, False, False])
-"""Whether the law fails in each stratum: surely, nearly; nearly not, surely not."""
+EDGES = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
+"""Of the strata, in margins beyond which a verdict is sure."""
+FAILS = np.repeat([True, False], 3)
+"""Whether the law fails in each stratum; the first and the last are sure."""
+COUNT = len(FAILS)
 
 LEAN = 0.9
 """Lean over the share flown of what surely holds. One flight of those that fails after all then costs
@@ -39,8 +42,8 @@ LEAN = 0.9
 BISECTIONS, HALVINGS = 60, 14
 """Of a mean, to the last bit; of the logarithm of a share, to a thousandth."""
 
-Four = tuple[float, float, float, float]
-Counts = tuple[int, int, int, int]
+Shares = tuple[float, float, float, float, float, float]
+Counts = tuple[int, int, int, int, int, int]
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Allocation:
 
     draws: float
     near: float
-    share: Four
+    share: Shares
     lean: tuple[float, float]
 
     def __post_init__(self) -> None:
@@ -123,33 +126,32 @@ class Counted:
         a, unlike = self.allocation, np.array(self.unlike, dtype=float)
         failing = np.array(float(np.sum((np.array(self.drawn) - unlike)[FAILS])))
         share, draws = np.array(a.share), np.array(a.draws)
-        return (
-            float(least_failures(failing, unlike, share, np.array(a.lean[1]), draws, tail)),
-            float(most_failures(failing, unlike, share, np.array(a.lean[0]), draws, tail)),
-        )
+        least = least_failures(failing, unlike, share, np.array(a.lean[1]), draws, tail)
+        most = most_failures(failing, unlike, share, np.array(a.lean[0]), draws, tail)
+        return float(np.clip(least, 0.0, 1.0)), float(np.clip(most, 0.0, 1.0))
 
 
 def strata_of(margin: Array, near: float) -> Indices:
     """Stratum of each margin by the law, whose verdict is not sure up to `near`."""
-    return np.searchsorted([-near, 0.0, near], margin, side="right")
+    return np.searchsorted(near * EDGES, margin, side="right")
 
 
 def _worth(share: Array) -> Array:
-    """What a draw that is flown and unlike the law adds to failures, shape (..., 4)."""
+    """What a draw that is flown and unlike the law adds to failures, shape (..., 6)."""
     return np.where(FAILS, 1.0, 0.0) + np.where(FAILS, -1.0, 1.0) / share
 
 
 def most_failures(
     failing: Array, unlike: Array, share: Array, lean: Array, draws: Array, tail: float
 ) -> Array:
-    """Upper limit of the probability of failing.
+    """Upper limit of the probability of failing; it may exceed 1.
 
     The law's part is where its p-value falls as fast as e grows: the hazard of a gamma law is `lean`.
 
     Args:
         failing: draws that fail by the law and are not flown otherwise, shape (...).
-        unlike: flights unlike the law by stratum, (..., 4), and share, of the draws flown.
-        share: of the draws that are flown, (..., 4).
+        unlike: flights unlike the law by stratum, shape (..., 6).
+        share: of the draws that are flown, shape (..., 6).
         lean: below every share where the law holds.
         draws: expected number.
         tail: probability with which the limit may be missed.
@@ -162,13 +164,16 @@ def most_failures(
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     with np.errstate(divide="ignore"):
         tails = np.log(gammaincc(failing + 1.0, high)) - np.log(tail)
-    return np.clip((high + (tails - log_e) / lean) / draws, 0.0, 1.0)
+    return np.asarray((high + (tails - log_e) / lean) / draws)
 
 
 def least_failures(
     failing: Array, unlike: Array, share: Array, lean: Array, draws: Array, tail: float
 ) -> Array:
-    """Lower limit of the probability of failing; as `most_failures`, with the reversed hazard."""
+    """Lower limit of the probability of failing, which may be negative.
+
+    As `most_failures`, with the reversed hazard.
+    """
     log_e = np.sum(unlike * np.log1p(lean[..., None] * _worth(share)), axis=-1)
     x = np.maximum(failing, 1.0)
     low, high = (x - 1.0) / (1.0 + lean), x + 40.0 * np.sqrt(x) + 100.0
@@ -179,7 +184,7 @@ def least_failures(
     mean = np.where(failing > 0.0, low, 0.0)
     with np.errstate(divide="ignore"):
         tails = np.where(failing > 0.0, np.log(gammainc(x, low)), 0.0) - np.log(tail)
-    return np.clip((mean - (tails - log_e) / lean) / draws, 0.0, 1.0)
+    return np.asarray((mean - (tails - log_e) / lean) / draws)
 
 
 def _density(shape: Array, at: Array) -> Array:
@@ -193,8 +198,8 @@ class Survey:
 
     Attributes:
         near: margin by the law beyond which no flight should end unlike it, m.
-        share: of the draws that fall into each stratum, shape (4,).
-        unlike: share of each stratum's flights that end unlike the law, shape (4,).
+        share: of the draws that fall into each stratum, shape (6,).
+        unlike: share of each stratum's flights that end unlike the law, shape (6,).
     """
 
     near: float
@@ -210,11 +215,14 @@ class Survey:
 DRAW = 0.02
 """Time of a draw by the law over that of a flight."""
 
-TIMES = np.array([1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0])
+TIMES = np.array([3.0, 4.0, 6.0, 8.0, 12.0, 16.0])
 """Draws per plain flight that are tried."""
 
-NEAR = 0.0025 * 2.0 ** np.arange(8)
-"""Flights near a limit per plain flight that are tried."""
+NEAR = 2.0 ** np.arange(-6, 4)
+"""Shares flown of what is not sure that are tried, over the root of its flights unlike the law."""
+
+UNLIKE = 0.01
+"""Least share of flights unlike the law that is reckoned with where a verdict is not sure."""
 
 
 def allocate(
@@ -232,8 +240,9 @@ def allocate(
         It; None where so many plain flights are cheaper.
     """
     q = max(survey.failed, 1.0 / plain)
-    draws, near = (part.ravel() for part in np.meshgrid(TIMES * plain, NEAR * plain))
-    of_near = np.clip(near / np.maximum(draws * survey.share[1:3].sum(), 1e-9), 0.0, 1.0)
+    draws, near = (part.ravel() for part in np.meshgrid(TIMES * plain, NEAR))
+    unsure = np.sqrt(np.maximum(survey.unlike[1:-1], UNLIKE))
+    unsure = np.minimum(near[:, None] * unsure, 1.0)
     most_lean = np.sqrt(-2.0 * np.log(tail) / (draws * q))
 
     def leans(share: Array) -> Array:
@@ -242,26 +251,26 @@ def allocate(
 
     def widths(fails: Array, holds: Array) -> tuple[Array, Array]:
         """Distances of both limits with such shares flown of what is sure."""
-        share = np.stack([fails, of_near, of_near, holds], axis=-1)
+        share = np.column_stack([fails, unsure, holds])
         unlike = draws[:, None] * survey.share * share * survey.unlike
-        failing = draws * survey.share[:2].sum() - unlike[:, :2].sum(axis=1)
+        failing = draws * survey.share[FAILS].sum() - unlike[:, FAILS].sum(axis=1)
         most = most_failures(failing, unlike, share, leans(holds), draws, tail)
         return most - q, q - least_failures(failing, unlike, share, leans(fails), draws, tail)
 
     low = np.full((2, len(draws)), -12.0)
-    high = np.log(np.stack([of_near, of_near]))
-    fits = np.all(np.array(widths(of_near, of_near)) <= np.array(width)[:, None], axis=0)
+    high = np.log(np.stack([unsure.min(axis=1)] * 2))
+    fits = np.all(np.array(widths(*np.exp(high))) <= np.array(width)[:, None], axis=0)
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         to_most, to_least = widths(*np.exp(middle))
         enough = np.stack([to_least <= width[1], to_most <= width[0]])
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
     fails, holds = np.exp(high)
-    flown = survey.share[0] * fails + survey.share[1:3].sum() * of_near + survey.share[3] * holds
+    share = np.column_stack([fails, unsure, holds])
+    flown = share @ survey.share
     cost = np.where(fits, draws * (DRAW + flown), np.inf)
     best = int(np.argmin(cost))
     if cost[best] >= plain:
         return None
-    share = float(fails[best]), float(of_near[best]), float(of_near[best]), float(holds[best])
     lean = float(leans(holds)[best]), float(leans(fails)[best])
-    return Allocation(float(draws[best]), survey.near, share, lean)
+    return Allocation(float(draws[best]), survey.near, tuple(share[best].tolist()), lean)

@@ -119,6 +119,7 @@ class _Certification:
         """Fly a round, learn from it, and tell whether the plan is the one to look at."""
         kept, touched_s = fly_round(plan, self.samples, len(self.flown) + 1, self.watch)
         self.flown.append((plan, kept.reached))
+        self.aiming.worth = kept.samples / self.samples
         close = self._learn(plan, kept, touched_s)
         return close and self.aiming.is_settled(_law(plan), binds=slack(plan) <= BINDING)
 
@@ -195,11 +196,13 @@ class Aiming:
     mean. They reach 3.4 of these standard errors more than is required, and 4.6 or more in 5 of 100.
 
     Losses are those measured on the present nodes, in standard deviations, with the flights of each.
+    A round's flights in strata are `worth` times as many plain ones, and so are a look's.
     """
 
     asked: float
     samples: int
     fresh: int
+    worth: float = 1.0
     losses: list[tuple[float, int]] = field(default_factory=list)
 
     @cached_property
@@ -251,7 +254,7 @@ class Aiming:
     @property
     def _deviation(self) -> float:
         """Standard error of a look about what is expected of it."""
-        return float(np.hypot(self._error(self.fresh), self.error))
+        return float(np.hypot(self._error(self.worth * self.fresh), self.error))
 
-    def _error(self, flights: int) -> float:
+    def _error(self, flights: float) -> float:
         return float(np.sqrt(self.needed * (1.0 - self.needed) / flights))

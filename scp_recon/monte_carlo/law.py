@@ -15,7 +15,7 @@ import numpy as np
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.linearisation.linearisation import Linearisation
-from formulations.risk.strata import FAILS, Allocation, Counted, Survey, strata_of
+from formulations.risk.strata import COUNT, FAILS, Allocation, Counted, Survey, strata_of
 from formulations.rows.flight_probability import Limits, limits_within
 from formulations.rows.node_probability import joint_events
 from scp_recon.monte_carlo.sampling import BLOCK, draw
@@ -123,15 +123,15 @@ def survey(law: Law, flights: Flights, seed: int) -> Survey:
     margin = law.margin(draws)
     nearest = np.argsort(np.abs(margin), kind="stable")[:SURVEY_FLIGHTS]
     if np.isinf(margin).all():
-        return Survey(0.0, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(4))
+        return Survey(0.0, np.eye(COUNT)[-1], np.zeros(COUNT))
     off = law.margin_at(flights.positions(draws[nearest])) - margin[nearest]
     near = BEYOND * float(np.abs(off).max())
-    share, unlike = np.zeros(4), np.zeros(4)
+    share, unlike = np.zeros(COUNT), np.zeros(COUNT)
     stratum = strata_of(margin, near)
-    for number in range(4):
+    for number in range(COUNT):
         mine = margin[stratum == number]
         share[number] = len(mine) / len(margin)
-        if number in (1, 2) and len(mine):
+        if 0 < number < COUNT - 1 and len(mine):
             unlike[number] = np.mean((mine[:, None] + off < 0.0) != FAILS[number])
     return Survey(near, share, unlike)
 
@@ -156,7 +156,7 @@ def fly_strata(
 
     def counted(kept: list[Booleans]) -> Counted:
         unlike = np.concatenate([np.zeros(0, dtype=bool), *kept]) == FAILS[stratum]
-        flown = np.bincount(stratum, minlength=4), np.bincount(stratum[unlike], minlength=4)
+        flown = np.bincount(stratum, minlength=COUNT), np.bincount(stratum[unlike], minlength=COUNT)
         return Counted(allocation, *(tuple(counts.tolist()) for counts in (drawn, *flown)))
 
     return StratifiedFlights(
@@ -167,15 +167,15 @@ def fly_strata(
 
 
 def _choose(law: Law, allocation: Allocation, seed: int) -> tuple[Array, Indices, Indices]:
-    """Draws to fly (m, sources), their strata (m,), and the number drawn of each stratum, (4,)."""
+    """Draws to fly (m, sources), their strata (m,), and the number drawn of each stratum, (6,)."""
     number = int(np.random.default_rng([seed, 0, NUMBER]).poisson(allocation.draws))
-    drawn, draws, strata = np.zeros(4, dtype=np.intp), [np.zeros((0, law.sources))], []
+    drawn, draws, strata = np.zeros(COUNT, dtype=np.intp), [np.zeros((0, law.sources))], []
     for block in range(-(-number // BLOCK)):
         some = draw(seed, block, law.sources)[: number - block * BLOCK]
         stratum = allocation.strata(law.margin(some))
         coins = np.random.default_rng([seed, block, COINS]).random(BLOCK)[: len(some)]
         flown = coins < np.array(allocation.share)[stratum]
-        drawn += np.bincount(stratum, minlength=4)
+        drawn += np.bincount(stratum, minlength=COUNT)
         draws.append(some[flown])
         strata.append(stratum[flown])
     return np.concatenate(draws), np.concatenate([np.zeros(0, np.intp), *strata]), drawn

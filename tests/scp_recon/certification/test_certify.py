@@ -250,7 +250,7 @@ def test_strata_that_claim_what_is_not_so_are_named(
     assert strata is not None
     fewer = replace(strata.allocation, draws=0.01 * strata.allocation.draws)
     lies: list[dict[str, Any]] = [
-        {"strata": replace(strata, unlike=(0, 0, 0, 0))},
+        {"strata": replace(strata, unlike=(0,) * 6)},
         {"strata": replace(strata, allocation=fewer)},
         {"strata": None},
         {"samples": certified.certificate.samples + 1},
