@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
 from experiments.battery_cones import (
     SAMPLES,
     TOLERANCE_DEG,
@@ -23,11 +19,6 @@ from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from scp_recon.simulation.panels import SolarArray, irradiance
 from scp_recon.simulation.vehicle import Vehicle
-
-
-def study(*words: str) -> int:
-    """The command."""
-    return main(["battery_cones", *words])
 
 
 @pytest.fixture(scope="module")
@@ -93,23 +84,3 @@ def test_samples_bracket_the_half_angles(cones: list[Record]) -> None:
         value, low, high = (cone[f"sampled_fraction{end}"] for end in ("", "_low", "_high"))
         assert value == pytest.approx(solid_angle, abs=5.0 * spread)
         assert low < value < high
-
-
-# --- the command ----------------------------------------------------------------------------------
-
-
-def test_the_command_writes_the_same_tables_for_the_same_seed(tmp_path: Path) -> None:
-    for folder in ("first", "second"):
-        assert study("--samples", "500", "--seed", "7", "--out", str(tmp_path / folder)) == 0
-    written = sorted((tmp_path / "first").iterdir())
-    assert len(written) == 3
-    for path in written:
-        assert path.read_bytes() == (tmp_path / "second" / path.name).read_bytes()
-    with (tmp_path / "first" / "battery_cones.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["calibrated"] for row in rows] == ["false", "false", "true", "true"]
-    text = (tmp_path / "first" / "battery_cones.md").read_text("utf-8")
-    assert (
-        "| uncalibrated half-angles are the paper's | within 0.2 deg | 22.51 and 17.43 deg | NO |"
-        in text
-    )

@@ -36,9 +36,6 @@ from experiments.compare_solvers.exact.program import (
     ray_quantiles,
 )
 from experiments.compare_solvers.exact.search import search
-from experiments.compare_solvers.tables import report
-from experiments.harness import Findings
-from experiments.harness import report as as_markdown
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.regions import Ball
@@ -192,10 +189,6 @@ def test_fifty_scenarios_half_of_them_for_flights_meet_the_planner_and_two_refer
     assert load_scenario(None, first[0].overrides) == load_scenario().replace(drawn(0)[1])
 
 
-def to_markdown(rows: list[Row]) -> str:
-    return as_markdown("", Findings(report(rows), {}, exact_claims(rows)))
-
-
 # --- the claims -------------------------------------------------------------------------------------
 
 
@@ -240,14 +233,3 @@ def test_what_misses_the_probability_or_did_not_converge_is_no_answer() -> None:
         assert verdicts(rows)[0].excess == np.inf
         assert exact_claims(rows)[0].holds is False
     assert exact_claims(rows_with(0.1, [0.1] * 2, reached=0.8))[1].holds is False
-
-
-def test_what_nobody_solves_is_said_and_breaks_no_claim() -> None:
-    lost = [replace(row, reached=0.5) for row in rows_with(0.2, [0.2] * 2, status="infeasible")]
-    fine = [replace(row, scenario="other") for row in rows_with(0.1, [0.1] * 2)]
-    claim = exact_claims([*lost, *fine])[0]
-    assert claim.holds is True
-    assert "in 1 of 1 scenarios" in claim.measured
-    assert claim.measured.endswith("none solves: node 00")
-    assert "no method solves it" in to_markdown([*lost, *fine])
-    assert {claim.holds for claim in exact_claims([])} == {None}

@@ -15,7 +15,6 @@ from experiments.__main__ import main
 from experiments.compare_solvers import study as compare_solvers
 from experiments.compare_solvers.cases import (
     ELASTIC,
-    EVERY_NODE,
     REFERENCE,
     TUNED,
     UNGUARDED,
@@ -26,21 +25,17 @@ from experiments.compare_solvers.cases import (
     scenarios,
 )
 from experiments.compare_solvers.cell import FAILED, Row, failed_row, solve_cell
-from experiments.compare_solvers.claims import FROZEN, agreements, claims
+from experiments.compare_solvers.claims import FROZEN, claims
 from experiments.compare_solvers.study import ROWS_FILE, Solve, run_cells
 from experiments.compare_solvers.tables import report, shown
 from experiments.harness import Findings
 from experiments.harness import report as as_markdown
-from formulations.linearisation.linearisation import Linearisation
-from formulations.rows.uniform import ChanceRows
 from scp_recon.jobs.job import TIMED_OUT, Done, Executor, Failure, Job, attempt
 from scp_recon.jobs.processes import Limits
 from scp_recon.jobs.store import Store, read_rows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.plan import Stage
 from scp_recon.planning.planner import plan
-from scp_recon.planning.stages import StageRunner
 from scp_recon.scp.algorithms import ALGORITHMS
 from tests.scp_recon.support import flight_beyond
 
@@ -132,27 +127,6 @@ def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
         assert row.peak_mib > 10.0
 
 
-def test_where_every_node_has_its_factor_the_optimum_is_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """No facet is left out, so that the program looks at all nodes."""
-    made, restore = list[ChanceRows](), StageRunner.restore
-
-    def watch(self: StageRunner, name: str, rows: ChanceRows, lin: Linearisation) -> Stage:
-        made.append(rows)
-        return restore(self, name, rows, lin)
-
-    monkeypatch.setattr(StageRunner, "restore", watch)
-    ours, lifted = (
-        solve_cell(Cell("scenarios", "few", ("grid.step_max_s=3000.0",), method, "p3"), 0)
-        for method in (REFERENCE, EVERY_NODE)
-    )
-    assert lifted.solved
-    assert lifted.total_dv_m_s == pytest.approx(ours.total_dv_m_s, rel=1e-6)
-    assert made[1].nodes.tolist() == list(range(made[1].problem.n_nodes))
-    assert len(made[0].nodes) < len(made[1].nodes)
-
-
 # --- the design ---------------------------------------------------------------------------------
 
 
@@ -215,15 +189,6 @@ def test_one_case_shows_what_no_part_of_the_scenarios_denies() -> None:
     assert verdicts(every)[4] is False
 
 
-def test_another_optimum_is_flagged_and_breaks_the_claim() -> None:
-    rows = [*AGREEING[:1], row_of("a", TUNED, 0.15), *AGREEING[2:]]
-    assert verdicts(rows)[0] is False
-    (first, second) = agreements(rows)
-    assert first.verdict == "another local optimum: SCP's is better"
-    assert second.verdict == "same optimum"
-    assert "another local optimum" in to_markdown(rows)
-
-
 def test_algorithms_that_disagree_or_do_not_solve_break_the_claim() -> None:
     assert verdicts(trio("a", ptr=(0.14001, "converged")))[5] is True
     assert verdicts(trio("a", ptr=(0.1401, "converged")))[5] is False
@@ -232,14 +197,6 @@ def test_algorithms_that_disagree_or_do_not_solve_break_the_claim() -> None:
     claim = claims([*trio("a"), *trio("b", ptr=(0.1, "stalled")), *trio("c", **hopeless)])[5]
     assert claim.holds is False
     assert "only some solve: b (ptr stalled); none solves: c (infeasible)" in claim.measured
-
-
-def test_the_share_of_solved_guesses_comes_with_its_interval() -> None:
-    cells = [Cell("guesses", "recon_b", (), REFERENCE, "random", seed) for seed in range(50)]
-    solved = [replace(figures_of(cell, 0), total_dv_m_s=0.14) for cell in cells[:40]]
-    text = to_markdown([*solved, *(failed_row(cell, "no") for cell in cells[40:])])
-    # Clopper-Pearson for 40 of 50, from tables.
-    assert "| 50 | 80 % | 66 to 90 % | 80 % | 66 to 90 % |" in text
 
 
 def test_what_a_second_try_solves_is_not_solved_at_the_first() -> None:

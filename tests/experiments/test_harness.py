@@ -30,38 +30,6 @@ def test_every_study_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "battery_cones" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("study", STUDIES)
-def test_a_command_line_that_cannot_be_read_is_a_document(
-    study: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        main([study, "--no-such-option", "--json"])
-    assert end.value.code == 2
-    document = json.loads(capsys.readouterr().out)
-    assert document["command"] == f"experiments {study}"
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("battery_cones --vehicle TMP/none.toml --out TMP", "none.toml"),
-        ("battery_cones --samples 100 --out TMP/file", "file: got file exists"),
-        ("uncertainty_sources --flights 0 --out TMP/file/x", "file"),
-        ("observation_table --quick --out TMP/file", "must be writable"),
-        ("model_fidelity --solution TMP/none --out TMP", "none"),
-        ("uncertainty_sources --solution TMP/none --out TMP", "none"),
-        ("flown_plan TMP/none --out TMP", "none"),
-    ],
-)
-def test_a_file_that_cannot_be_used_is_named(
-    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").write_text("", encoding="utf-8")
-    assert main([word.replace("TMP", str(tmp_path)) for word in words.split()]) == 2
-    assert said in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir() if path.suffix] == []
-
-
 @pytest.mark.parametrize(
     "words",
     [

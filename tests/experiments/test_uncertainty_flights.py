@@ -53,11 +53,6 @@ def test_sets_are_the_vehicles_errors(vehicle: Vehicle) -> None:
     assert sorted(alone) == sorted((source,) for source in SETS["all"])
 
 
-def test_sets_are_the_simulations_sources() -> None:
-    simulation = pytest.importorskip("scp_recon.simulation.basilisk.simulation")
-    assert {source.value for source in simulation.Source} == set(SETS["all"])
-
-
 # --- their spread ---------------------------------------------------------------------------------
 
 

@@ -17,7 +17,6 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, Phase, assume, given, settings
-from scipy.integrate import solve_ivp
 
 from formulations.arrays import Array
 from formulations.problem.facets import Facets
@@ -35,6 +34,7 @@ from scp_recon.scp.loop import Algorithm, Record, State, Timing
 from scp_recon.scp.status import Status
 from tests.helpers import share_of_examples
 from tests.scenarios import planned, scenarios
+from tests.scp_recon.support import fly as flown_adaptively
 
 expensive = settings(
     max_examples=share_of_examples(20, usual=1),
@@ -307,7 +307,7 @@ def test_what_is_called_converged_is_feasible_when_integrated_again(
     lin, units, facets = found.final.result.lin, mission.units, found.final.facets
     assert facets is not None
     burns = lin.iterate.burns * units.speed_m_s
-    mean = adaptive(mission, burns)
+    mean = flown_adaptively(mission, burns, mission.times_s)
     np.testing.assert_allclose(mean[-1, :3], mission.final_state[:3], rtol=0.0, atol=1.0)
     np.testing.assert_allclose(mean[-1, 3:], mission.final_state[3:], rtol=0.0, atol=1e-4)
     covariance = fly(mission, lin.iterate.burns[None])[1][facets.node, 0, :3, :3]
@@ -321,26 +321,3 @@ def test_what_is_called_converged_is_feasible_when_integrated_again(
     # And no buffer holds anything.
     buffers = found.final.merit.violations(lin)
     assert max(float(amounts.max(initial=0.0)) for amounts in buffers.values()) <= SCvx.feasible
-
-
-def adaptive(mission: Mission, burns_m_s: Array) -> Array:
-    """Mean states after the burns at the nodes, by an adaptive eighth-order integrator."""
-    times, firing = mission.times_s, np.array(mission.scenario.burns.times_s)
-    state = mission.initial_state.copy()
-    states = np.empty((len(times), 6))
-    forces = mission.forces
-
-    def rate(_: float, y: Array) -> Array:
-        return np.array([*y[3:], *acceleration(y[0], y[1], y[2], forces)])
-
-    for burn, begin, end in zip(burns_m_s, firing, [*firing[1:], firing[-1]], strict=True):
-        state[3:] += burn
-        leg = (times >= begin) & (times <= end)
-        if end > begin:
-            flown = solve_ivp(
-                rate, (begin, end), state, "DOP853", times[leg], rtol=1e-11, atol=1e-9
-            )
-            states[leg] = flown.y.T
-            state = flown.y[:, -1].copy()
-    states[-1] = state
-    return states

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,14 +10,12 @@ import numpy as np
 import pytest
 
 from scp_recon import __main__ as every
-from scp_recon.cli.command import DOCUMENT, WIDE
-from scp_recon.results.comparison import compare
+from scp_recon.cli.command import DOCUMENT
 from scp_recon.results.read import read_solution
 from tests.scp_recon.support import CommandLine
 
 pytestmark = pytest.mark.usefixtures("few_flights")
 
-PROJECT = Path(__file__).parents[3]
 STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
 """Near the default plan at 17,000 s, J2000."""
 NEW = ("--body", "Bennu", "--site", "20,150", "--epoch", "2020-01-21T20:33:17")
@@ -156,34 +152,6 @@ def test_json_has_the_plans_figures_to_the_last_digit_and_the_text_its_frame(
     assert document["plan"]["verification"]["ok"] is True
     epoch = "times from 2020-01-21T20:33:17.184 TDB, 2020-01-21T20:32:07.999 UTC"
     assert f"x, y, z along J2000; {epoch}" in said.err
-
-
-def piped(*words: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    bare = {key: value for key, value in os.environ.items() if key != "COLUMNS"}
-    return subprocess.run(
-        [sys.executable, "-m", "scp_recon", *words],
-        env=bare | {"PYTHONPATH": str(PROJECT)},
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-
-
-def test_tables_keep_their_lines_in_a_pipe(folder: Path, tmp_path: Path) -> None:
-    """A terminal of 80 columns would fold these names."""
-    names = ["a_folder_with_a_long_name_" * 2, "another_folder_with_a_long_name"]
-    for name in names:
-        (tmp_path / name).mkdir()
-        read_solution(folder).write(tmp_path / name)
-    run = piped("compare", *names, cwd=tmp_path)
-    assert run.returncode == 0
-    assert run.stderr == ""
-    heading, *rows = run.stdout.splitlines()
-    assert heading.split() == names
-    assert len(rows) == len(compare(["a", "b"], [read_solution(folder)] * 2).rows)
-    assert max(map(len, run.stdout.splitlines())) <= WIDE
 
 
 def test_help_names_every_command_and_so_does_what_is_none(

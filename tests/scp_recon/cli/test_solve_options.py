@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from formulations.program import solvers
 from scp_recon.results.read import read_solution
 from tests import reliability
 from tests.scp_recon.support import run_solve
@@ -81,23 +80,3 @@ def test_what_cannot_be_chosen_is_refused(
     assert words in " ".join(run.errors.split())
     assert list(tmp_path.rglob("*.json")) == []
     reliability.count(reliability.BAD_INPUTS)
-
-
-def test_every_conic_solver_of_the_extra_is_found() -> None:
-    for name in ("ecos", "qoco", "scs"):
-        pytest.importorskip(name)
-    found = solvers.installed()
-    assert found[0] == "CLARABEL"
-    assert {"ECOS", "QOCO", "SCS"} <= set(found)
-
-
-def test_a_file_may_be_the_first_of_several_starts(tmp_path: Path) -> None:
-    first, again = tmp_path / "first", tmp_path / "again"
-    assert run_solve(first, "--problem", "P3").exit_code == 0
-    options = ("--init", str(first), "--starts", "3", "--problem", "P3")
-    run = run_solve(again, *options)
-    starts = read_solution(again).starts
-    assert run.exit_code == 0
-    assert starts is not None
-    assert [optimum.starts for optimum in starts.optima] == [(0, 1), (2,)]
-    assert "local optima of 3 starts" in run.output

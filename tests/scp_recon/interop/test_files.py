@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from scp_recon.interop.export import Export
 from scp_recon.interop.files import columns, csv_text, parquet_bytes
-from scp_recon.planning import initial_guess
 
 
 def test_the_csv_is_the_path_to_the_last_digit(export: Export) -> None:
@@ -37,15 +35,3 @@ def test_parquet_holds_the_same(export: Export) -> None:
     about = table.schema.metadata[b"scp_recon"].decode()
     assert export.solution.plan_hash in about
     assert "J2000" in about
-
-
-def test_the_csv_starts_a_plan_from_what_it_holds(export: Export, tmp_path: Path) -> None:
-    file = tmp_path / "plan.csv"
-    file.write_text(csv_text(export), encoding="utf-8")
-    start = initial_guess.from_table(export.mission, file)
-    speed = export.mission.units.speed_m_s
-    np.testing.assert_allclose(start.burns * speed, export.solution.burns_m_s, atol=1e-7)
-    states = start.mean * export.mission.units.state
-    np.testing.assert_allclose(
-        states[:, :3], np.array(export.solution.nodes.state)[:, :3], atol=1e-3
-    )

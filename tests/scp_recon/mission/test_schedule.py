@@ -112,17 +112,6 @@ def test_the_first_whole_window_is_taken() -> None:
         window_of([begun_before, outlasting], 10_000.0)
 
 
-@given(
-    start=st.floats(100.0, 5000.0),
-    length=st.floats(60.0, 4000.0),
-    end=st.floats(9100.0, 20_000.0),
-)
-def test_window_edges_are_found_to_a_millisecond(start: float, length: float, end: float) -> None:
-    assert window_of([(start, start + length)], end) == pytest.approx(
-        (start, start + length), abs=1e-3
-    )
-
-
 # --- the schedule -------------------------------------------------------------------------------
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
-from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import dynamics
 from scp_recon.planning import initial_guess
@@ -37,17 +36,6 @@ def test_rollouts_of_many_flights_are_those_one_by_one(
     for n in range(3):
         alone = mission.dynamics.rollout(start[n], burns[n])
         np.testing.assert_allclose(together[:, n], alone, rtol=1e-12, atol=1e-13)
-
-
-def test_a_rolled_out_iterate_has_defects_only_at_the_end(
-    mission: Mission, optimum: Linearisation
-) -> None:
-    burns = 0.9 * optimum.iterate.burns
-    states = mission.dynamics.rollout(mission.problem.initial_state, burns)
-    defects = mission.dynamics.linearise(mission.problem, Iterate(burns, states)).defects
-    assert np.abs(defects[:-1]).max() < 1e-12
-    np.testing.assert_allclose(defects[-1], states[-1] - mission.problem.final_state)
-    assert np.abs(defects[-1]).max() > 1e-3
 
 
 @pytest.mark.parametrize("size", [1e-4, 1e-2, 0.1])
@@ -92,15 +80,3 @@ def test_where_newton_s_method_does_not_converge_the_burns_are_rolled_out_as_the
     np.testing.assert_array_equal(flown.iterate.burns, burns)
     rolled = mission.dynamics.rollout(mission.problem.initial_state, burns)
     np.testing.assert_array_equal(flown.iterate.mean, rolled)
-
-
-def test_linearisation_predicts_the_rollout_to_second_order(
-    mission: Mission, optimum: Linearisation
-) -> None:
-    direction = np.random.default_rng(6).normal(size=optimum.iterate.burns.shape)
-    errors = []
-    for size in (1e-3, 5e-4):
-        burns = optimum.iterate.burns + size * direction
-        truth = mission.dynamics.rollout(mission.problem.initial_state, burns)
-        errors.append(np.abs(step_mean(optimum, burns) - truth).max())
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)

@@ -148,16 +148,6 @@ def test_flow_converges_to_an_adaptive_integration_with_the_fourth_power(
     assert np.all((errors[:-1] / errors[1:])[above_roundoff] > 10.0)
 
 
-def test_without_forces_the_flight_is_straight() -> None:
-    nothing = ForceModel(0.0, 0.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
-    state = np.array([[1.0, 2.0, 3.0, 0.1, 0.2, 0.3]])
-    flown = differentiate(state, np.array([10.0]), nothing)
-    np.testing.assert_allclose(flown.state[0], [2.0, 4.0, 6.0, 0.1, 0.2, 0.3], rtol=1e-14)
-    expected = np.block([[np.eye(3), 10.0 * np.eye(3)], [np.zeros((3, 3)), np.eye(3)]])
-    np.testing.assert_allclose(flown.stm[0], expected, rtol=1e-14, atol=1e-14)
-    np.testing.assert_array_equal(flown.tensor, 0.0)
-
-
 def test_the_planner_stays_within_a_millimetre_over_the_whole_flight(
     mission: Mission, default_plan: Plan
 ) -> None:

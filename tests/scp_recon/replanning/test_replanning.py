@@ -282,18 +282,6 @@ def test_what_is_known_of_a_mission_is_what_would_be_found_again(flown: FlownPla
 
 
 @pytest.mark.usefixtures("few_flights")
-def test_a_burn_too_near_is_moved_on_request(flown: FlownPlan) -> None:
-    state = predict(flown, 22_000.0, {}).state + OFF
-    with pytest.raises(InputError, match=r"^at_s: .*lead time"):
-        mission_left(flown, Delivery(22_000.0, state))
-    later = "burns.times_s=[0.0, 8000.0, 25800.0, 34842.0]"
-    plan = plan_left(flown, mission_left(flown, Delivery(22_000.0, state), [later]))
-    assert plan.status is Status.CONVERGED
-    assert plan.mission.scenario.burn_times_s == (25_800.0, 34_842.0)
-    assert verify(plan.mission, make_solution(plan)).ok
-
-
-@pytest.mark.usefixtures("few_flights")
 def test_exact_risk_goes_on_in_flight(flown: FlownPlan) -> None:
     off = drawn(flown, 3_000.0)
     uniform = again(flown, 3_000.0, off, "risk.p_chance=0.95")

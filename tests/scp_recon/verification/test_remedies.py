@@ -2,16 +2,9 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 
-from rich.console import Console
-
-from scp_recon.cli.command import WIDE
-from scp_recon.cli.plan_view import show_verification
 from scp_recon.mission.mission import Mission
-from scp_recon.reports import page
-from scp_recon.reports.subject import Subject
 from scp_recon.results.facts import Verification
 from scp_recon.results.figures import FINAL_SIGMAS
 from scp_recon.results.solution import HASH, Solution
@@ -64,18 +57,3 @@ def test_a_plan_that_has_not_converged_has_the_remedy_of_its_status(
     failed = failing(verification, "status", "P(emission)", "emission_max")
     (line,) = what_next(mission, stalled, failed)
     assert line == f"status, P(emission), emission_max: {Status.STALLED.value.remedy}"
-
-
-def test_terminal_and_report_show_the_same_lines(
-    mission: Mission,
-    solution: Solution,
-    verification: Verification,
-) -> None:
-    failed = failing(verification, "covariance_error", "facets", covariance_error=1.7e-5)
-    lines = {f"next: {line}" for line in what_next(mission, solution, failed)}
-    assert len(lines) == 2
-    shown = io.StringIO()
-    show_verification(Console(file=shown, width=WIDE), mission, solution, failed)
-    assert lines <= {*shown.getvalue().splitlines()}
-    judged = solution.with_verification(failed)
-    assert lines <= {*page._remarks(Subject("plan", judged), Status.CONVERGED)}
