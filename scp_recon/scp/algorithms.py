@@ -177,10 +177,11 @@ class SCvx(ExactPenalty):
             radius = self.GROW * radius
         accepted = guess or ratio > self.ACCEPT
         new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)
-        if guess or not trial.answer.accurate:
-            return replace(new, stationary=False), record
         stationary = self._is_stationary(state, record)
-        if stationary and state.radius < self.VERDICT_RADIUS:
+        if guess or not trial.answer.accurate:
+            return replace(new, stationary=False, unsure=stationary and not guess), record
+        new = replace(new, unsure=False)
+        if stationary and state.radius < self.VERDICT_RADIUS and not state.unsure:
             # Within a tiny radius the solver's rounding hides what there is to gain: look again.
             return replace(new, radius=self.VERDICT_RADIUS), record
         worthless = trial.predicted <= self._negligible(record)

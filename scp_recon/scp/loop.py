@@ -98,6 +98,7 @@ class State:
         failures: consecutive failures of the conic solver.
         stationary: whether no step promises a reduction that is worth one.
         worthless: whether the last step was refused, and its predicted reduction not worth a step.
+        unsure: whether the last answer, for which the solver does not vouch, promised nothing either.
         change: SCvx*'s bound on the merit's change at which the multipliers are next updated.
         violated: largest violation at the last update of the multipliers.
     """
@@ -109,6 +110,7 @@ class State:
     failures: int = 0
     stationary: bool = False
     worthless: bool = False
+    unsure: bool = False
     change: float = float("inf")
     violated: float = float("inf")
 

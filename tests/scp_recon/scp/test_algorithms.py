@@ -16,7 +16,7 @@ from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, plan
-from scp_recon.scp.algorithms import ALGORITHMS, PTR, SCvxStar
+from scp_recon.scp.algorithms import ALGORITHMS, PTR, SCvx, SCvxStar
 from scp_recon.scp.loop import Algorithm, Record, Result, Timing, run
 from scp_recon.scp.status import Status
 from tests.scenarios import COARSE
@@ -82,6 +82,21 @@ def test_an_answer_that_the_solver_does_not_vouch_for_ends_in_no_verdict(
     monkeypatch.setattr(CondensedSubproblem, "solve", solve)
     result = p3_by(ALGORITHMS[name](max_iterations=25), mission, cold)
     assert result.status not in (Status.CONVERGED, Status.INFEASIBLE)
+
+
+def test_where_the_solver_vouches_for_small_steps_alone_it_is_asked_twice(
+    mission: Mission, prox_run: Result, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the optimum: a small step gains nothing, and neither would an unsure larger one."""
+    original = CondensedSubproblem.solve
+
+    def solve(self: CondensedSubproblem, radius: float, *charge: float) -> Step:
+        return replace(original(self, radius, *charge), accurate=radius < 1e-3)
+
+    monkeypatch.setattr(CondensedSubproblem, "solve", solve)
+    result = p3_by(SCvx(initial_radius=1e-4), mission, prox_run.lin)
+    assert result.status is Status.CONVERGED
+    assert len(result.records) < 20
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
