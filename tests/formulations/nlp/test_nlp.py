@@ -159,8 +159,14 @@ def _stm(arcs: Arcs) -> tuple[list[ca.SX], list[ca.SX]]:
 @pytest.mark.parametrize("seed", usually(range(3), 1))
 @pytest.mark.parametrize("style", ["called", "mapped", "differentiated"])
 def test_p3_has_the_rows_of_the_convex_side(coarse: Case, style: ArcStyle, seed: int) -> None:
-    lin, problem = coarse.near(seed), coarse.problem
-    program = coarse.program(MultipleShooting(scaled_covariance, style), None, lin)
+    """Also of a burn that is held, and of one that is raised."""
+    lin = coarse.near(seed)
+    problem = replace(coarse.problem, held=(1,), raised=(2,), dv_min=0.02)
+    transcription, start = (
+        MultipleShooting(scaled_covariance, style),
+        Start(lin.iterate, lin.factor),
+    )
+    program = transcription(problem, coarse.arcs, None, start, True)
     rows = program.residuals(program.start)
     arcs = rows.pop("arcs").reshape(-1, 6)
     assert arcs[1:] == within(lin.defects[:-1])
@@ -210,6 +216,9 @@ def _check_burn_rows(problem: FlybyProblem, lin: Linearisation, rows: dict[str, 
     assert rows.pop("dv_max") == within(margins["dv_max"])
     nappes = rows.pop("dv_battery").reshape(2, -1)
     assert nappes.min(axis=0) == within(margins["dv_battery"])
+    held, raised = lin.iterate.burns[[*problem.held]], lin.iterate.burns[[*problem.raised]]
+    assert rows.pop("dv_held") == within(held.ravel())
+    assert rows.pop("dv_min") == within(np.linalg.norm(raised, axis=1) - problem.dv_min)
 
 
 def _check_facet_rows(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from datetime import timedelta
 from typing import Any, get_args
 
@@ -228,19 +230,6 @@ def test_the_slopes_of_a_long_body_are_no_question(scenario: Scenario) -> None:
     assert [list(row.check(scene)) for row in rows] == [[], [], []]
 
 
-def test_a_limit_that_lets_the_site_be_dark_is_refused() -> None:
-    """Where local solar time alone makes the window."""
-    with pytest.raises(InputError, match="must keep the site in the light") as caught:
-        mission_of(
-            "observation.incidence_max_deg=170.0",
-            "observation.local_solar_time_min_h=14.0",
-            "observation.local_solar_time_max_h=19.0",
-            "schedule.recharge_s=0.0",
-            "schedule.heating_s=0.0",
-        )
-    assert caught.value.entry == "observation.incidence_max_deg"
-
-
 @pytest.mark.parametrize(("carried_days", "told"), [(0.0, True), (730.5, False), (700.0, True)])
 def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(
     carried_days: float, told: bool, scenario: Scenario
@@ -269,13 +258,11 @@ def test_a_packaged_body_is_about_where_it_would_be_outside_its_span(
 
 @pytest.mark.parametrize(("fraction", "told"), [(0.0, 0), (0.001, 0), (0.09, 0), (0.3, 2)])
 def test_a_state_that_is_known_raises_no_question_and_a_guess_does(
-    fraction: float, told: int
+    fraction: float, told: int, mission: Mission
 ) -> None:
+    """Nor does anything of the packaged scenario."""
     warnings = mission_of(f"uncertainty.initial_sigma_fraction={fraction}").warnings
     assert [w.entry for w in warnings] == told * ["uncertainty.initial_sigma_fraction"]
-
-
-def test_the_default_raises_no_question(mission: Mission) -> None:
     assert mission.warnings == ()
 
 
@@ -319,22 +306,32 @@ def test_small_moves_keep_sun_and_normal_that_are_given(scenario: Scenario) -> N
     assert Mission.from_scenario(file_of(scenario, near)).warnings == ()
 
 
+WHOLE = ("risk.allocation=exact", "risk.scope=flight")
+DARK = (
+    "observation.incidence_max_deg=170.0",
+    *(f"observation.local_solar_time_{key}" for key in ("min_h=14.0", "max_h=19.0")),
+    *("schedule.recharge_s=0.0", "schedule.heating_s=0.0"),
+)
+
+
 @pytest.mark.parametrize(
-    ("override", "entry", "words"),
+    ("overrides", "entry", "words"),
     [
-        ("grid.step_max_s=1.0", "grid.step_max_s", "at most 3000"),
-        ("sun.body_position_km=[1.0, 0.0, 0.0]", "sun.body_position_km", "elements of Bennu"),
-        ("body.reference_radius_m=1140.0", "boundary.final_position_m", "outside the body"),
+        (["grid.step_max_s=1.0"], "grid.step_max_s", "at most 3000"),
+        (["sun.body_position_km=[1.0, 0.0, 0.0]"], "sun.body_position_km", "elements of Bennu"),
+        (["body.reference_radius_m=1140.0"], "boundary.final_position_m", "outside the body"),
         # kilometres in the place of metres, and km^3/s^2 converted the wrong way round
-        (f"{BEGIN}=[0.0702, -1.0963, 0.4064]", BEGIN, "centre: 1.17 m); must be at least 290 m"),
-        ("body.gm_m3_s2=4.89e9", "body.gm_m3_s2", "the planner's steps are 240 s"),
+        ([f"{BEGIN}=[0.0702, -1.0963, 0.4064]"], BEGIN, "centre: 1.17 m); must be at least 290 m"),
+        (["body.gm_m3_s2=4.89e9"], "body.gm_m3_s2", "the planner's steps are 240 s"),
+        # local solar time alone makes the window
+        (DARK, "observation.incidence_max_deg", "must keep the site in the light"),
+        ((*WHOLE, "risk.p_chance=0.999999"), "risk.p_chance", "at least 1e-05"),
     ],
 )
-def test_it_is_refused_by_name(override: str, entry: str, words: str) -> None:
-    with pytest.raises(InputError) as caught:
-        mission_of(override)
+def test_it_is_refused_by_name(overrides: Sequence[str], entry: str, words: str) -> None:
+    with pytest.raises(InputError, match=re.escape(words)) as caught:
+        mission_of(*overrides)
     assert caught.value.entry == entry
-    assert words in str(caught.value)
     reliability.count(reliability.BAD_INPUTS)
 
 
@@ -367,14 +364,7 @@ def test_a_home_orbit_inside_the_body_is_refused_by_its_radius() -> None:
         Mission.from_scenario(validate_scenario(given))
 
 
-WHOLE = ("risk.allocation=exact", "risk.scope=flight")
-
-
-def test_no_more_may_be_asked_of_whole_flights_than_the_estimates_tell() -> None:
-    with pytest.raises(
-        InputError, match=r"^risk\.p_chance: got 0\.999999 \(.*1e-06.*at least 1e-05"
-    ):
-        mission_of(*WHOLE, "risk.p_chance=0.999999")
+def test_as_much_may_be_asked_of_whole_flights_as_the_estimates_tell() -> None:
     assert mission_of(*WHOLE, f"risk.p_chance={PROBABILITY_MAX}").scenario.risk.scope == "flight"
     mission_of("risk.allocation=exact", "risk.p_chance=0.999999999")
 
