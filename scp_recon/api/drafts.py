@@ -109,7 +109,7 @@ class NewOptions:
         ]
         if idle:
             said = f"{flags} has the body" if source else "goes with a trajectory of another tool"
-            values = ", ".join(shortened(getattr(self, name)) for name in idle)
+            values = ", ".join(f"{getattr(self, name)}" for name in idle)
             raise InputError(", ".join(map(option, idle)), values, f"must be left out: {said}")
         if given and given[0] != "from_csv" and self.epoch is not None:
             allowed = f"must be left out: {flags} has it"

@@ -17,6 +17,7 @@ with `file` where a scenario's file holds the entry.
 
 from __future__ import annotations
 
+import difflib
 import os
 import re
 import signal
@@ -118,7 +119,8 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
     words = sys.argv[1:] if arguments is None else arguments
 
     def error(message: str) -> NoReturn:
-        message = f"{_in_our_words(message, words)} ({p.prog} --help says more)"
+        known = [*p._option_string_actions]
+        message = f"{_in_our_words(message, words, known)} ({p.prog} --help says more)"
         if "--json" in words:
             _print_document(p.prog, BAD_INPUT, {"error": {"message": message}})
         p.exit(BAD_INPUT, f"error: {printable(message)}\n")
@@ -130,8 +132,11 @@ def parse(p: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argpar
     return found
 
 
-def _in_our_words(message: str, words: Sequence[str]) -> str:
-    """What argparse says, by option, what was found and what was expected, as all other messages do."""
+def _in_our_words(message: str, words: Sequence[str], known: Sequence[str]) -> str:
+    """What argparse says, by option, what was found and what was expected, as all other messages do.
+
+    A misspelt option gets the nearest of those that are known.
+    """
     if match := re.fullmatch(r"argument (?:\S+/)?(\S+): expected one argument", message):
         option = match[1]
         at = words.index(option) + 1 if option in words else len(words)
@@ -144,7 +149,9 @@ def _in_our_words(message: str, words: Sequence[str]) -> str:
     if match := re.fullmatch(r"argument (?:\S+/)?(\S+): (.*)", message, re.DOTALL):
         return f"{match[1]}: {match[2]}"
     if match := re.fullmatch(r"unrecognized arguments: (.*)", message, re.DOTALL):
-        return f"got {match[1]}; there is no such option or argument"
+        near = difflib.get_close_matches(match[1].split()[0].partition("=")[0], known, n=1)
+        meant = f"; did you mean {near[0]}?" if near else ""
+        return f"got {match[1]}; there is no such option or argument{meant}"
     if match := re.fullmatch(r"the following arguments are required: (.*)", message):
         return f"{match[1]}: got nothing; must be given"
     return message

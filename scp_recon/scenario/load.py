@@ -14,7 +14,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from scp_recon.errors import InputError, option
+from scp_recon.errors import InputError, option, shortened
 from scp_recon.files import read_text
 from scp_recon.scenario.dependencies import inherit, layer_of
 from scp_recon.scenario.resolve import anchored, resolve
@@ -47,6 +47,10 @@ def load_scenario(path: Path | str | None = None, overrides: Sequence[str] = ())
     Raises:
         InputError: naming the entry, what was given and what is allowed.
     """
+    if path is not None and not isinstance(path, str | Path):
+        raise InputError(
+            "scenario", shortened(path), "must be a file, or a packaged scenario's name"
+        )
     name = "recon_b" if path is None else str(path)
     if name in base_names():
         return _validated(_with_base(packaged(name), Path(), ()), overrides)
@@ -159,6 +163,9 @@ def packaged_scenario(name: str) -> Scenario:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    again = "must be a scenario file in TOML; solve plans a solution's scenario again with --init"
+    if path.is_dir():
+        raise InputError(f"scenario {path}", "a folder", again)
     try:
         text = read_text(path, f"scenario {path}", "scenario file in TOML", BYTES_MAX)
     except InputError as error:
@@ -167,10 +174,7 @@ def _read(path: Path) -> dict[str, Any]:
         allowed = f"{error.allowed}, or a packaged scenario: {', '.join(base_names())}"
         raise InputError(error.entry, error.given, allowed) from None
     if text.lstrip().startswith("{"):  # TOML never does: likely a solution
-        allowed = (
-            "must be a scenario file in TOML; solve plans a solution's scenario again with --init"
-        )
-        raise InputError(f"scenario {path}", "JSON", allowed)
+        raise InputError(f"scenario {path}", "JSON", again)
     if any(line.count(".") > DOTS_MAX for line in text.splitlines()):
         raise InputError(f"scenario {path}", "a line of many dots", f"must have at most {DOTS_MAX}")
     try:

@@ -17,7 +17,7 @@ from pydantic import (
     model_validator,
 )
 
-from scp_recon.errors import InputError
+from scp_recon.errors import InputError, shortened
 from scp_recon.scenario.body import Body, SiteSection, Sun
 from scp_recon.scenario.boundary import Boundary, Design
 from scp_recon.scenario.dependencies import inherit, layer_of
@@ -265,6 +265,8 @@ class Scenario(Section):
         Raises:
             InputError: naming the entry, what was given and what is allowed.
         """
+        if not isinstance(changes, Mapping):
+            raise InputError("changes", shortened(changes), 'must be as {"risk.p_chance": 0.8}')
         return self.changed(layer_of(changes.items()))
 
     def changed(self, layer: Mapping[str, Any]) -> Self:

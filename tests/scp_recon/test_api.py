@@ -191,6 +191,8 @@ BAD_CALLS: dict[str, tuple[str, Callable[[Plan, Path], object]]] = {
     "true rounds": ("facet_rounds", lambda *_: door.plan(facet_rounds=True)),
     "a scenario that is a number": ("scenario", lambda *_: door.plan(5)),
     "no scenario": ("scenario", lambda *_: door.plan([])),
+    "a scenario for its file": ("scenario", lambda *_: door.load_scenario(door.load_scenario())),
+    "a change in one text": ("changes", lambda *_: door.load_scenario().replace("x=1")),
     "no start": ("init", lambda *_: door.plan(init=None)),
     "a list as start": ("init", lambda *_: door.plan(init=[[0.0] * 7] * 3)),
     "a start that is no file": ("init lukewarm", lambda *_: door.plan(init="lukewarm")),

@@ -387,7 +387,7 @@ INTERVALS = (
         scale=(_largest_speed_m_s, "times the largest speed at the ends, or that of escape"),
     ),
     Interval(
-        "burns.dv_min_m_s", unit="m/s", warn=(-INF, 0.5), or_zero=True,
+        "burns.dv_min_m_s", unit="m/s", warn=(-INF, 0.5), refuse=(-INF, 1.0), or_zero=True,
         scale=(lambda s, _: s.scenario.burns.dv_max_m_s, "times burns.dv_max_m_s"),
     ),
     Interval(

@@ -81,6 +81,13 @@ WORDS = {
     "--from=-1x",
     ("solve", "--nosuch"): "error: got --nosuch; there is no such option",
     ("solve", "a", "b"): "error: got b; there is no such option or argument",
+    ("solve", "--sceanrio=x"): "error: got --sceanrio=x; there is no such option or argument; did "
+    "you mean --scenario?",
+    (
+        "solve",
+        "/",
+    ): "error: scenario /: got a folder; must be a scenario file in TOML; solve plans a "
+    "solution's scenario again with --init",
     ("solve", "--certify", "perhaps"): "error: --certify: got 'perhaps'; must be yes or no",
     ("solve", "a", "--scenario", "b"): "error: SCENARIO: got a and b; must be given once",
 }

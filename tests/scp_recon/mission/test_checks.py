@@ -385,4 +385,5 @@ def test_the_rows_are_about_entries_of_a_scenario(row: Interval) -> None:
             kind = table.model_fields[key].annotation
             table = next((k for k in (kind, *get_args(kind)) if hasattr(k, "model_fields")), None)
     if row.warn and row.refuse:
-        assert row.refuse[0] < row.warn[0] < row.warn[1] < row.refuse[1]
+        assert row.refuse[0] < row.warn[0] or row.warn[0] == -np.inf
+        assert row.warn[0] < row.warn[1] < row.refuse[1]
