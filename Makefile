@@ -9,7 +9,8 @@ BY_FILE := -n 2 --dist loadfile
 export PYTHONDONTWRITEBYTECODE :=
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt
 
-.PHONY: help solve test fast extras nightly coverage mutation lint format types check reference bench figures clean
+.PHONY: help solve test fast extras nightly coverage mutation lint format types check release reference bench \
+	evidence figures clean
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
@@ -35,9 +36,9 @@ format: $(VENV)/.dev  ## format, and fix what can be fixed
 types: $(VENV)/.dev  ## check the types
 	$(BIN)/mypy
 
-nightly: $(VENV)/.test  ## look harder: 500 examples a property, and the table of reliability figures
+nightly: $(VENV)/.test  ## look harder: 500 examples a property, and counts of what they tried
 	HYPOTHESIS_PROFILE=nightly $(BIN)/python -m pytest $(BY_FILE) --timeout 3600 \
-	--reliability=runs/reliability.md
+	--reliability=runs/reliability.json
 
 coverage: $(VENV)/.dev  ## lines and branches that the tests reach
 	$(BIN)/python -m pytest $(BY_FILE) --cov --cov-report term --cov-report json:runs/coverage.json
@@ -50,10 +51,16 @@ reference: $(VENV)/.solve  ## write docs/reference and the JSON schema of scenar
 	$(BIN)/python -m scp_recon.reference docs/reference
 	$(BIN)/python -m scp_recon schema docs/scenario.schema.json
 
-bench: $(VENV)/.dev  ## time everything, and renew docs/performance.md
-	$(BIN)/python -m benchmarks --page
+bench: $(VENV)/.dev  ## time everything
+	$(BIN)/python -m benchmarks
+
+evidence: $(VENV)/.evidence  ## renew figures of the pages that are out of date; PAGE=README.md for one page
+	$(BIN)/python -m experiments evidence $(if $(PAGE),--page $(PAGE))
 
 check: lint types test  ## everything that a change has to pass
+
+release: check  ## everything that a release has to pass: no figure of a page is out of date either
+	$(BIN)/python -m experiments evidence --check
 
 drawings: $(VENV)/.test  ## make the pictures of the pages that no study feeds
 	for name in frames planner polytopes lifting; do \
@@ -82,6 +89,10 @@ $(VENV)/.extras: $(VENV)/.venv pyproject.toml constraints.txt
 
 $(VENV)/.test: $(VENV)/.venv pyproject.toml constraints.txt
 	$(PIP) --editable '.[report,test]'
+	@touch $@
+
+$(VENV)/.evidence: $(VENV)/.venv pyproject.toml constraints.txt
+	$(PIP) --editable '.[all,peer,test,dev]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.venv pyproject.toml constraints.txt

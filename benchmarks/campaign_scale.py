@@ -8,12 +8,11 @@ efficiency are by wall time, and need an idle machine.
 
 from __future__ import annotations
 
-from scp_recon.cli.command import exit_on_sigint, parse, run_command
+from scp_recon.cli.command import exit_on_sigint
 
 if __name__ == "__main__":
     exit_on_sigint()
 
-import argparse
 import os
 import pickle
 import resource
@@ -28,14 +27,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.console import Console
-
 from benchmarks import empty
+from experiments.harness import Findings, Record, Session, Study, number, records
+from experiments.harness import run as run_command
 from scp_recon.api.campaigns import work_of
 from scp_recon.campaigns.cases import Cases
 from scp_recon.campaigns.run import CaseWork, run_study
-from scp_recon.campaigns.study import Study
-from scp_recon.cli.options import int_between
+from scp_recon.campaigns.study import Study as Campaign
 from scp_recon.errors import imported
 from scp_recon.jobs.cluster import Cluster, run_in_child
 from scp_recon.jobs.job import Executor, Job, here
@@ -59,60 +57,37 @@ class Spent(NamedTuple):
         return Spent(*((more - less) / cases for more, less in zip(self, fewer, strict=True)))
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
-    p = argparse.ArgumentParser(prog="python -m benchmarks.campaign_scale", description=__doc__)
-    p.add_argument("--plans", type=int_between(3, 10_000), default=32, metavar="N")
-    p.add_argument("--queued", type=int_between(100, 10**7), default=100_000, metavar="N")
-    options = parse(p, arguments)
-    return run_command(lambda console: _measure(options, console), options)
-
-
-def _measure(options: argparse.Namespace, console: Console) -> int:
+def measure(session: Session) -> Findings:
+    """Time empty cases and plans by every executor, and a scheduler's queue."""
     imported("cluster", "cluster", "distributed", "psutil")
-    study = Study.validated(
-        {
-            "axis": [
-                {
-                    "entry": "risk.p_chance",
-                    "grid": {"from": 0.7, "to": 0.8, "count": options.plans},
-                }
-            ]
-        }
-    )
+    count, queued = session.options.plans, session.options.queued
+    axis = {"entry": "risk.p_chance", "grid": {"from": 0.7, "to": 0.8, "count": count}}
+    study = Campaign.validated({"axis": [axis]})
     plans = work_of(study)
     first = replace(study, axes=tuple(rows[:2] for rows in study.axes))
-    one, few, many = (replace(study, axes=([{}] * count,)) for count in (1, FEW, MANY))
-    serial = 0.0
+    few, many = (replace(study, axes=([{}] * cases,)) for cases in (FEW, MANY))
+    found = list[Record]()
     for name, cores, executor in _executors():
-        begun = spent(empty, one, executor)
-        less, more = spent(empty, few, executor), spent(empty, many, executor)
-        console.print(
-            f"{name:16} {_empty_line(more.a_case(less, MANY - FEW), begun)}", highlight=False
-        )
+        overhead = spent(empty, many, executor).a_case(spent(empty, few, executor), MANY - FEW)
         started = spent(plans, first, executor)
-        a_plan = spent(plans, study, executor).a_case(started, options.plans - len(first.cases))
-        serial = serial or a_plan.wall
-        console.print(
-            f"{name:16} plan {a_plan.cpu:.3f} s of processor; {1.0 / a_plan.wall:.2f} plans a second, "
-            f"efficiency {serial / (cores * a_plan.wall):.1%}",
-            highlight=False,
+        a_plan = spent(plans, study, executor).a_case(started, count - len(first.cases))
+        found.append(
+            {
+                "where": name,
+                "empty_s": overhead.cpu,
+                "empty_campaign_s": overhead.campaign,
+                "empty_scheduler_s": overhead.scheduler,
+                "plan_s": a_plan.cpu,
+                "plans_a_second": 1.0 / a_plan.wall,
+                "cores": cores,
+            }
         )
-    before, after, seconds = scheduler_memory(options.queued)
-    console.print(
-        f"scheduler with {options.queued} queued: {before:.0f} MB, then {after:.0f} MB, "
-        f"{1e3 * (after - before) / options.queued:.2f} kB a case; {seconds:.1f} s of its processor",
-        highlight=False,
-    )
-    return 0
-
-
-def _empty_line(a_case: Spent, begun: Spent) -> str:
-    scheduler = f", the scheduler's {1e3 * a_case.scheduler:.2f}" if a_case.scheduler else ""
-    return (
-        f"empty case {1e3 * a_case.cpu:.2f} ms of processor: the campaign's "
-        f"{1e3 * a_case.campaign:.2f}{scheduler}; the first one {begun.cpu:.2f} s"
-    )
+        found[-1]["efficiency"] = found[-1]["plans_a_second"] / cores / found[0]["plans_a_second"]
+        session.say(", ".join(f"{key} {value}" for key, value in found[-1].items()))
+    before, after, seconds = scheduler_memory(queued)
+    queue = {"queued": queued, "before_mb": before, "after_mb": after, "scheduler_s": seconds}
+    tables = {"campaign_scale.csv": records(found), "scheduler.csv": records([queue])}
+    return Findings([], tables)
 
 
 def _executors() -> Iterator[tuple[str, int, Executor]]:
@@ -125,7 +100,7 @@ def _executors() -> Iterator[tuple[str, int, Executor]]:
             yield name, workers, Cluster(address, LIMITS)
 
 
-def spent(work: CaseWork, study: Study, executor: Executor) -> Spent:
+def spent(work: CaseWork, study: Campaign, executor: Executor) -> Spent:
     """Times of running a study into a new folder."""
     with tempfile.TemporaryDirectory() as folder:
         before = _clocks()
@@ -209,6 +184,23 @@ def scheduler_memory(queued: int) -> tuple[float, float, float]:
 def _tasks(dask_scheduler: Any) -> int:
     """Number of tasks that a scheduler holds."""
     return len(dask_scheduler.tasks)
+
+
+STUDY = Study(
+    "Scale of campaigns",
+    __doc__,
+    measure,
+    [
+        number("--plans", 48, 3, 10_000, "plans each way"),
+        number("--queued", 100_000, 100, 10**7, "cases that a scheduler is given"),
+    ],
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    words = sys.argv[1:] if arguments is None else arguments
+    return run_command("python -m benchmarks.campaign_scale", STUDY, __name__, words)
 
 
 if __name__ == "__main__":

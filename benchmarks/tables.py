@@ -1,69 +1,63 @@
-"""Write the benchmarks' figures as Markdown."""
+"""Make rows of the benchmarks' figures; all times are of the wall clock unless they say otherwise."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 from benchmarks.growth import Fit
 from benchmarks.methods import REPLANS, Timed
-from scp_recon.results.table import Column, Table
 
-PARTS = ("setup", "linearise", "canonicalise", "conic_solver", "other")
+Rows = list[dict[str, Any]]
 
 
-def pair_table(figures: dict[str, Timed]) -> str:
-    """Planning: a row a method."""
+def method_rows(figures: Mapping[str, Timed]) -> Rows:
+    """Planning: a row a method, with the difference of its delta-v from the first's."""
     reference = next(iter(figures.values())).total_dv_m_s
-    rows = [
-        (
-            name,
-            f"{f.total_dv_m_s:.6f}, {abs(f.total_dv_m_s / reference - 1.0):.0e}",
-            f.status + (", verified" if f.verified else ", not verified"),
-            f.first,
-            f.best,
-            *(f"{1e3 * max(f.split[part], 0.0):.1f} ms" for part in PARTS),
-            f.peak_mib,
-        )
+    return [
+        {
+            "method": name,
+            "total_dv_m_s": f.total_dv_m_s,
+            "off": abs(f.total_dv_m_s / reference - 1.0),
+            "status": f.status + (", verified" if f.verified else ", not verified"),
+            "first_s": f.first,
+            "later_s": f.best,
+            "processor_s": f.cpu,
+            **{f"{part}_s": max(seconds, 0.0) for part, seconds in f.split.items()},
+            "peak_mib": f.peak_mib,
+        }
         for name, f in figures.items()
         if f.split
     ]
-    columns = (
-        Column("method"),
-        *(Column("delta-v m/s, off the first by"), Column("status")),
-        *(Column("first s", form=".3f"), Column("later s", form=".3f")),
-        *map(Column, ("set-up", "linearise", "canonicalise", "solver", "other")),
-        Column("peak MiB", form=".0f"),
-    )
-    return Table.of("", columns, rows).markdown()
 
 
-def ratio_lines(figures: dict[str, Timed], commands: dict[str, float]) -> list[str]:
-    """Ratios of the methods' times, and of the commands'."""
-    ours = figures["scp condensed"]
-    printed = figures["ipopt printed"]
+def ratio_rows(figures: Mapping[str, Timed], commands: Mapping[str, float]) -> Rows:
+    """Ratios of the methods' times, and of the commands', with what they are made from."""
+    ours, printed = figures["scp condensed"], figures["ipopt printed"]
     tuned = [figures[name] for name in ("ipopt tuned", "ipopt shooting")]
-    first = min(f.first for f in tuned)
-    built = min(without_setup(f) for f in tuned)
+    first, built = min(f.first for f in tuned), min(without_setup(f) for f in tuned)
     conic = ours.split["conic_solver"]
-    rest = ours.best - conic
-    again, cold = figures["replan"].best, figures["replan"].details["cold"]
-    return [
-        f"- IPOPT as printed over SCP: {printed.first / ours.first:.0f} with set-up, "
-        f"{without_setup(printed) / without_setup(ours):.0f} without.",
-        f"- Best tuned NLP over SCP: {first / ours.first:.1f} with set-up, "
-        f"{built / without_setup(ours):.1f} without.",
-        f"- Conic solver: {1e3 * conic:.0f} ms in all, "
-        f"{1e3 * ours.details['p2_subproblem']:.1f} ms for a P2 subproblem; everything else "
-        f"{rest / conic:.2f} times that, canonicalisation "
-        f"{ours.split['canonicalise'] / conic:.2f} times.",
-        f"- First plan in a process: {ours.first - ours.best:+.3f} s over a later one.",
-        f"- Planning again, {REPLANS} perturbed initial states, "
-        f"{figures['replan'].details['converged']:.0f} converged: {1e3 * again:.0f} ms against "
-        f"{1e3 * cold:.0f} ms cold, {again / cold:.2f} of it. Replanning keeps "
-        "the last plan's facets; planning cold chooses them anew.",
-        f"- Monte Carlo with crossing times: {figures['montecarlo'].details['flights_per_s']:,.0f} "
-        "flights/s on one core.",
-        f"- Command line, start to verdict: {commands['solve']:.2f} s, "
-        f"{commands['solve'] / commands['import cvxpy']:.2f} times that of importing CVXPY.",
-    ]
+    replan, solve = figures["replan"], commands["solve"]
+    rows = {
+        "IPOPT as printed over SCP, first plan of a process": printed.first / ours.first,
+        "IPOPT as printed over SCP": without_setup(printed) / without_setup(ours),
+        "best tuned NLP over SCP, first plan of a process": first / ours.first,
+        "best tuned NLP over SCP": built / without_setup(ours),
+        "conic solver, s": conic,
+        "subproblem of P2, s": ours.details["p2_subproblem"],
+        "all else over the conic solver": (ours.best - conic) / conic,
+        "canonicalisation over the conic solver": ours.split["canonicalise"] / conic,
+        "first plan of a process less a later one, s": ours.first - ours.best,
+        "replans": REPLANS,
+        "replans converged": replan.details["converged"],
+        "replan, s": replan.best,
+        "cold plan of the same state, s": replan.details["cold"],
+        "replan over cold plan": replan.best / replan.details["cold"],
+        "flights a second": figures["montecarlo"].details["flights_per_s"],
+        "command line, s": solve,
+        "command line over importing CVXPY": solve / commands["import cvxpy"],
+    }
+    return [{"figure": name, "value": value} for name, value in rows.items()]
 
 
 def without_setup(figures: Timed) -> float:
@@ -71,7 +65,7 @@ def without_setup(figures: Timed) -> float:
     return figures.best - figures.split["setup"]
 
 
-def growth_table(fits: list[Fit]) -> str:
+def growth_rows(fits: Sequence[Fit]) -> Rows:
     """Growth: a row a study."""
     rows = []
     for fit in fits:
@@ -80,12 +74,7 @@ def growth_table(fits: list[Fit]) -> str:
             f"{s:.3f} ({n}{'' if status == 'converged' else ', ' + status})"
             for s, n, status in points
         )
-        rows.append((fit.name, ", ".join(map(str, fit.sizes)), seconds, fit.exponent, fit.last))
-    columns = (
-        "growth with",
-        "sizes",
-        "seconds of a plan (iterations)",
-        Column("exponent", form=".2f"),
-        Column("of the last doubling", form=".2f"),
-    )
-    return Table.of("", columns, rows).markdown()
+        sizes = ", ".join(map(str, fit.sizes))
+        figures = {"sizes": sizes, "seconds": seconds, "exponent": fit.exponent, "last": fit.last}
+        rows.append({"growth with": fit.name} | figures)
+    return rows

@@ -15,22 +15,28 @@ from pathlib import Path
 from rich.console import Console
 
 from experiments.harness import Study, run
+from experiments.renewal import main as renew
 from scp_recon.cli.command import run_command, show_line
 from scp_recon.errors import one_of
 
 STUDIES = {
     "observation_table": "the paper's table of observation times",
+    "plans": "the plans, and with --designs the passes, that the pages quote",
     "frontier": "delta-v against the required probability, and the cost of certifying",
     "compare_solvers": "forms, algorithms and conic solvers against IPOPT",
+    "lifted": "sizes and times of P2 in its lifted and its condensed form",
     "nlp_tricks": "what each trick gains the nonlinear program",
     "openscvx_peer": "P3 in OpenSCvx, an outside peer",
     "model_fidelity": "how good a model of forces and burns the planner needs",
     "battery_cones": "where the panels cannot carry the load",
     "uncertainty_sources": "what each source of uncertainty does to the flight",
     "timing_rules": "the schedule's durations, measured on the spacecraft",
+    "maps": "the campaigns of examples/studies, summed up",
+    "testing": "reliability, coverage and mutation: what the tests reach",
     "flown_plan": "whether the spacecraft can fly a plan",
 }
 """The studies, and what each is about."""
+RENEW = "evidence"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -39,11 +45,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     name = words[0] if words else "--help"
     if name in ("-h", "--help"):
         return run_command(_list_them)
+    if name == RENEW:
+        return renew(words[1:])
     if name not in STUDIES:
         return run_command(lambda _: int(one_of("NAME", name, STUDIES)))
     module = importlib.import_module(module_of(name))
     study: Study = module.STUDY
-    return run(name, study, module.__name__, words[1:])
+    return run(f"python -m experiments {name}", study, module.__name__, words[1:])
 
 
 def module_of(name: str) -> str:
@@ -54,7 +62,8 @@ def module_of(name: str) -> str:
 
 def _list_them(console: Console) -> int:
     show_line(console, "usage: python -m experiments NAME [options]; NAME is one of\n")
-    for name, about in STUDIES.items():
+    renewal = "what is out of date of all these that the pages show"
+    for name, about in {**STUDIES, RENEW: renewal}.items():
         show_line(console, f"  {name:20} {about}")
     return 0
 

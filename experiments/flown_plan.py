@@ -24,6 +24,7 @@ from experiments.harness import (
     Study,
     number,
     option,
+    plan_or_default,
     records,
 )
 from experiments.harness import Record as Row
@@ -33,7 +34,6 @@ from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Column, Table, Value
 from scp_recon.simulation.flight import distance_in_sigmas
@@ -108,11 +108,20 @@ def report(
     generated = np.concatenate([r.arrays["panel_w"][1:].sum(axis=1) for r in flights])
     drawn = np.concatenate([r.arrays["consumed_w"][1:] for r in flights])
     misses = [summary.terminal_miss.position_m for summary in summaries]
+    figures: dict[str, float] = {
+        "flights": len(flights),
+        "least generation, W": float(generated.min()),
+        "most generation, W": float(generated.max()),
+        "least load, W": float(drawn.min()),
+        "most load, W": float(drawn.max()),
+        "least state of charge": min(s.least_charge for s in summaries),
+        "momentum dumps a flight": float(np.mean([s.dumps for s in summaries])),
+        "least miss of the final position, m": min(misses),
+        "most, m": max(misses),
+        "largest distance, sigma": float(distances.max()),
+    }
     return [
-        f"{len(flights)} flights. Panels generate {generated.min():.0f} to {generated.max():.0f} W, "
-        f"loads draw {drawn.min():.0f} to {drawn.max():.0f} W. Momentum is dumped "
-        f"{np.mean([s.dumps for s in summaries]):.2f} times a flight. Flights end "
-        f"{min(misses):.0f} to {max(misses):.0f} m from the planned mean.",
+        Table.of("Figures", ("figure", "value"), list(figures.items())),
         Table.of(
             "Modes",
             (
@@ -262,7 +271,7 @@ def sample_distances(
 def run(session: Session) -> Findings:
     """Fly the plan once for each seed, and sample what it would do without a spacecraft."""
     options, out = session.options, session.out
-    solution, vehicle = read_solution(options.solution), load_vehicle(options.vehicle)
+    solution, vehicle = plan_or_default(options.solution), load_vehicle(options.vehicle)
     store = session.store("flown_plan.jsonl", inputs=inputs_digest(solution, vehicle))
     if options.fresh:
         store.forget()
@@ -285,9 +294,10 @@ STUDY = Study(
     (
         option(
             "solution",
+            nargs="?",
             type=Path,
             metavar="SOLUTION",
-            help="folder with a solution.json, or the file",
+            help="folder with a solution.json, or the file (default: the default plan)",
         ),
         number("--seeds", SEEDS, 1, 10_000, "flights, of the seeds from 0 on"),
         FRESH,

@@ -124,7 +124,7 @@ def report(rows: Sequence[Record], flights: int) -> list[Table]:
     note = f"{flights} flights each, looked at every minute and at the nodes."
     title = "Extra cost of certifying"
     return [
-        Table.of("", ("delta-v (m/s) for", *headings), by_kind),
+        Table.of("", ("delta-v (m/s) for", *headings), by_kind, key="costs"),
         view("What flights reach", flown, reached, note),
         *([view(title, certified, costs)] if certified else []),
     ]

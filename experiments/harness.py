@@ -2,21 +2,26 @@
 
 A study is a module with a `STUDY`, which `python -m experiments NAME` runs. Its `run` gets a `Session`
 and returns `Findings`: tables that go to OUT as CSV, the parts of a report in Markdown, and claims: a
-row each of claim, threshold, measured, and whether it holds.
+row each of claim, threshold, measured, and whether it holds. All tables of at most `ROWS_MAX` rows go
+into a file of evidence as well.
 """
 
 from __future__ import annotations
 
 import argparse
+import re
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from time import perf_counter
 from typing import Any, NamedTuple, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from experiments.evidence import FILE, Evidence, source_of
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.cli.command import (
@@ -44,6 +49,8 @@ from scp_recon.scenario.load import load_scenario
 Record = dict[str, Any]
 """A row of a CSV file by column."""
 
+ROWS_MAX = 400
+"""Rows of a table up to which it is kept as evidence; longer ones are for figures."""
 VERDICTS = {True: "yes", False: "NO", None: "not tested"}
 
 
@@ -140,7 +147,10 @@ class Session:
     options: argparse.Namespace
     out: Path
     console: Console
+    evidence: Evidence | None = None
     _stores: list[tuple[Store, bool]] = field(default_factory=list)
+    _began: float = field(default_factory=perf_counter)
+    _resumed: bool = False
 
     def __enter__(self) -> Self:
         """The session itself; its stores are closed at the end."""
@@ -171,6 +181,7 @@ class Session:
         depends_on = {**code(work or self.module, "scp_recon.data"), **setting}
         store = Store(self.out / (file or f"{self.name}_partial.jsonl"), depends_on)
         self._stores.append((store, bool(file)))
+        self._resumed = self._resumed or len(store) > 0
         return store
 
     def rows(
@@ -200,6 +211,12 @@ class Session:
             run_jobs(work, jobs, store, executor, on_done=tell)
         return [store[job.key] for job in jobs]
 
+    def _evidence(self, found: Findings) -> Evidence:
+        tables, seconds = tables_of(found, self.name), perf_counter() - self._began
+        begun = self.evidence or Evidence.begun(source_of(self.name, self.module))
+        took = round(seconds, 1)
+        return replace(begun, seconds=took, resumed=self._resumed, tables=tables)
+
     def end(self, study: Study, found: Findings) -> Answer:
         """Write the findings, and show the claims."""
         files = {n: f.csv() if isinstance(f, Table) else f for n, f in found.files.items()}
@@ -207,6 +224,7 @@ class Session:
             files[f"{study.stem or self.name}.md"] = report(study.heading, found)
         self.out.mkdir(parents=True, exist_ok=True)
         written = [write_atomically(self.out / name, text) for name, text in files.items()]
+        written.append(self._evidence(found).write(self.out / FILE))
         for store, stays in self._stores:
             if not stays:
                 store.forget()
@@ -220,6 +238,17 @@ class Session:
             "claims": claims_table(found.claims).records(),
         }
         return Answer(found.status, document)
+
+
+def tables_of(found: Findings, name: str) -> dict[str, list[Record]]:
+    """Rows of every table by its name: of a file its stem, else its key or title."""
+    tables = {file.partition(".")[0]: t for file, t in found.files.items() if isinstance(t, Table)}
+    for part in found.report:
+        if isinstance(part, Table):
+            slug = re.sub(r"\W+", "_", part.title.lower()).strip("_")
+            tables.setdefault(part.key or slug or name, part)
+    tables |= {"claims": claims_table(found.claims)} if found.claims else {}
+    return {key: table.records() for key, table in tables.items() if len(table.rows) <= ROWS_MAX}
 
 
 def report(heading: str, found: Findings) -> str:
@@ -264,10 +293,20 @@ def view(
     return Table.of(title, columns.values(), lines, note=note)
 
 
-def run(name: str, study: Study, module: str, arguments: Sequence[str] | None = None) -> int:
-    """Run a study's command line to its exit status."""
-    default = Path("runs") / (study.folder or name)
-    p = argparse.ArgumentParser(prog=f"python -m experiments {name}", description=study.about)
+def _without_output(words: Sequence[str]) -> Iterator[str]:
+    """Arguments but for where the results go."""
+    left = iter(words)
+    for word in left:
+        if word == "--out":
+            next(left, None)
+        elif word not in ("--json", "--quiet") and not word.startswith("--out="):
+            yield word
+
+
+def run(prog: str, study: Study, module: str, arguments: Sequence[str]) -> int:
+    """Run a study's command line, `prog` and arguments, to its exit status."""
+    default = Path("runs") / (study.folder or prog.split()[-1])
+    p = argparse.ArgumentParser(prog=prog, description=study.about)
     p.add_argument(
         "--out",
         type=Path,
@@ -278,9 +317,11 @@ def run(name: str, study: Study, module: str, arguments: Sequence[str] | None = 
     for flag, settings in study.options:
         p.add_argument(flag, **settings)
     options = parse(p, arguments)
+    command = shlex.join([*prog.split()[2:], *_without_output(arguments)])
 
     def action(console: Console) -> Answer:
-        session = Session(name, module, options, options.out, console)
+        begun = Evidence.begun(source_of(command, module))
+        session = Session(prog.split()[-1], module, options, options.out, console, begun)
         try:
             with session:
                 return session.end(study, study.run(session))

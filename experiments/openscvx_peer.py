@@ -312,7 +312,8 @@ def run(session: Session) -> Findings:
     )
     jobs = [Job(number, solve) for number, solve in enumerate(solves)]
     rows = session.rows("methods", _called, jobs, session.store(PEER_FILE), line=_line)
-    return Findings([peer_table([row_from(row) for row in rows])], {})
+    table = peer_table([row_from(row) for row in rows])
+    return Findings([table], {"openscvx_peer.csv": table})
 
 
 def _called(solve: Callable[[], Row]) -> Record:

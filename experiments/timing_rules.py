@@ -176,12 +176,15 @@ def report(slews: Sequence[Record], vehicle: Vehicle) -> list[str | Table]:
         Column("worst", "min", ".1f"),
     )
     steady = max(slew["steady_rms_deg"] for slew in slews)
+    figures = {
+        "error in steady state, largest root mean square, deg": steady,
+        "charge after a warm-up that no panel helps": dark_charge(vehicle),
+        "floor of the charge": vehicle.battery.floor_charge,
+    }
     return [
         f"Of {vehicle.name}.",
         Table.of("Half turns", columns, settling),
-        f"In steady state the error is at most {steady:.3f} deg in root mean square. A warm-up that no "
-        f"panel helps leaves a charge of {dark_charge(vehicle):.2f}; the floor is "
-        f"{vehicle.battery.floor_charge:.2f}.",
+        Table.of("Figures", ("figure", "value"), list(figures.items())),
     ]
 
 

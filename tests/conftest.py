@@ -1,4 +1,5 @@
-"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; the tests of `make fast`; the reliability table.
+"""Hypothesis profiles, chosen by `HYPOTHESIS_PROFILE`; the tests of `make fast`; the counts of
+reliability; what evidence is out of date.
 
 `default` draws other examples in every run, `nightly` more of them; `ci` draws the same ones every
 time, so that a change is judged by what it changes.
@@ -44,7 +45,7 @@ FIXTURES: defaultdict[str, float] = defaultdict(float)
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        "--reliability", metavar="FILE", type=Path, help="write the table of reliability figures"
+        "--reliability", metavar="FILE", type=Path, help="write the counts of reliability"
     )
     parser.addoption("--fast", action="store_true", help="leave out what tests/slow.txt names")
     parser.addoption(
@@ -103,10 +104,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         )
     path = terminalreporter.config.getoption("reliability")
     if path:
-        outcome = [
-            f"{len(found)} tests {name}"
-            for name in ("passed", "failed", "error", "skipped")
-            if (found := terminalreporter.stats.get(name))
-        ]
-        reliability.write(path, TOTALS, PROFILE, outcome)
+        reliability.write(path, TOTALS)
         terminalreporter.write_line(f"written: {path}")
+    if PROFILE != "mutation" and not terminalreporter.config.getoption("fast"):
+        from experiments import evidence  # which mutmut's copy of the tests lacks
+
+        if stale := ", ".join(evidence.out_of_date()):
+            line = f"evidence out of date: {stale} (`python -m experiments evidence --check`)"
+            terminalreporter.write_line(line)

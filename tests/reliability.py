@@ -2,14 +2,14 @@
 
 Tests call `count` after what they count was checked; the hooks in `conftest.py` collect the counts of
 all tests, over all processes, and the examples that Hypothesis ran. `pytest --reliability=FILE` writes
-the table.
+them.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
-from collections.abc import Iterable
 from pathlib import Path
 
 BAD_INPUTS = "bad inputs tried, each answered by one message"
@@ -41,14 +41,8 @@ def examples(statistics: str) -> int:
     return sum(int(number) for number in re.findall(r"(\d+) passing", statistics))
 
 
-def table(totals: Counter[str]) -> str:
-    """Markdown, in a fixed order."""
-    rows = [f"| {name} | {totals[name]:,} |" for name in ORDER]
-    return "\n".join(["| figure | count |", "|---|---|", *rows]) + "\n"
-
-
-def write(path: Path, totals: Counter[str], profile: str, outcome: Iterable[str]) -> None:
-    """The table with what it was made from."""
+def write(path: Path, totals: Counter[str]) -> None:
+    """The counts by figure, in a fixed order, as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    head = f"Hypothesis profile `{profile}`; {', '.join(outcome)}.\n\n"
-    path.write_text(head + table(totals), encoding="utf-8")
+    counts = {name: totals[name] for name in ORDER}
+    path.write_text(json.dumps(counts, indent=1) + "\n", encoding="utf-8")

@@ -46,11 +46,16 @@ INLINE = re.compile(r"`((?:\S*python -m|make) [^`]+)`")
 COMMAND = re.compile(r"^(?:\S*python -m|make) ")
 
 
+def read(page: Path) -> str:
+    """A page's text without comments."""
+    return re.sub(r"<!--.*?-->", "", page.read_text("utf-8"), flags=re.DOTALL)
+
+
 @cache
 def blocks(page: Path) -> tuple[str, ...]:
     """The code blocks of a page, fenced or indented by four spaces."""
     fenced = re.compile(r"^```.*?\n(.*?)^```", re.DOTALL | re.MULTILINE)
-    text, before = page.read_text("utf-8"), ""
+    text, before = read(page), ""
     found = fenced.findall(text)
     for indented, lines in groupby(
         fenced.sub("", text).splitlines(), lambda line: line.startswith("    ") or not line.strip()
@@ -69,7 +74,7 @@ def shown() -> dict[str, str]:
     for page in PAGES:
         lines = [line for block in blocks(page) for line in block.splitlines()]
         lines = [part for line in lines for part in line.split(" && ") if COMMAND.match(part)]
-        lines += [" ".join(line.split()) for line in INLINE.findall(page.read_text("utf-8"))]
+        lines += [" ".join(line.split()) for line in INLINE.findall(read(page))]
         for words in (shlex.split(line, comments=True) for line in lines):
             if words[0].endswith("python"):
                 words[0] = "python"
@@ -127,6 +132,7 @@ TWO_KINDS = (
     ("experiments.frontier.PROBABILITIES", lambda _: (0.7,)),
     ("experiments.frontier.FLIGHTS", lambda _: 100),
 )
+ONE_FORM = (("experiments.lifted.FORMS", lambda forms: forms[:1]),)
 ONE_CELL = (
     ("experiments.compare_solvers.study.full_design", lambda cells: lambda: cells()[:1]),
     ("experiments.compare_solvers.study.exact_design", lambda cells: lambda: cells(range(1))[:1]),
@@ -221,10 +227,11 @@ QUICK = {
         )
     ),
     "python -m experiments frontier": Quick(less=TWO_KINDS),
+    "python -m experiments lifted": Quick(less=ONE_FORM),
     "python -m experiments openscvx_peer": Quick(
         needs="openscvx", less=(("experiments.openscvx_peer.CASES", lambda cases: cases[:1]),)
     ),
-    "python -m experiments flown_plan runs/latest": Quick(
+    "python -m experiments flown_plan": Quick(
         line="python -m experiments flown_plan runs/short --seeds 1 --out runs/flown_plan",
         needs="Basilisk",
         less=ONE_FLIGHT,
@@ -262,8 +269,11 @@ QUICK = {
 STUDIES = ("reconnaissance_map", "errors", "asteroid_year", "sizes")
 APART = {
     "python -m pip install --constraint constraints.txt --editable '.[compare]'",
-    "python -m benchmarks --page",  # takes minutes, and writes a page
+    "python -m benchmarks",  # takes minutes
     "python -m benchmarks.campaign_scale",
+    "python -m experiments maps",  # runs campaigns
+    "python -m experiments plans --designs",
+    "python -m experiments testing reliability",  # runs tests
     *(f"{RUN} campaign examples/studies/{name}.toml --out runs/{name}" for name in STUDIES),
 }
 """Only modules, options and files of these are looked for."""

@@ -21,7 +21,7 @@ from experiments.compare_solvers.claims import (
 )
 from experiments.harness import records
 from scp_recon.monte_carlo.estimates import proportion
-from scp_recon.results.table import Table, Value
+from scp_recon.results.table import Column, Table, Value
 
 SCENARIOS_NOTE = """\
 Where a case is not solved the number is the merit with the second weight, of the burns flown: what a
@@ -54,7 +54,7 @@ def csv_of(rows: Sequence[Row]) -> Table:
 def report(rows: Sequence[Row]) -> list[str | Table]:
     """A table per group."""
     return [
-        _matrix("Default scenario, every method", of_group(rows, "matrix")),
+        _matrix("Default scenario, every method", of_group(rows, "matrix"), "methods"),
         _scenarios(of_group(rows, "scenarios")),
         _guesses(of_group(rows, "guesses")),
         _optima(of_group(rows, "guesses")),
@@ -75,7 +75,7 @@ def _figure(value: float, form: str) -> str:
     return format(value, form) if np.isfinite(value) else "-"
 
 
-def _matrix(title: str, rows: Sequence[Row], note: str = "") -> Table:
+def _matrix(title: str, rows: Sequence[Row], key: str, note: str = "") -> Table:
     columns = (
         "start", "method", "status", "delta-v m/s", "merit m/s", "worst violation m",
         "P3 + P2 iterations", "total s", "processor s", "solver s", "peak MiB", "observes s",
@@ -95,12 +95,12 @@ def _matrix(title: str, rows: Sequence[Row], note: str = "") -> Table:
         )
         for row in rows
     ]
-    return Table.of(title, columns, lines, note=note)
+    return Table.of(title, columns, lines, key=key, note=note)
 
 
 def peer_table(rows: Sequence[Row]) -> Table:
     """P3 by OpenSCvx and by the planner."""
-    return _matrix("P3 by OpenSCvx, an outside peer", of_group(rows, "peer"), PEER_NOTE)
+    return _matrix("P3 by OpenSCvx, an outside peer", of_group(rows, "peer"), "peer", PEER_NOTE)
 
 
 def _scenarios(rows: Sequence[Row]) -> Table:
@@ -115,7 +115,7 @@ def _scenarios(rows: Sequence[Row]) -> Table:
         lines.append((scenario, *cells, *tail))
     columns = ("scenario", *methods, "IPOPT over SCP less one", "verdict")
     title = "P2 from the same P3 solution and facets"
-    return Table.of(title, columns, lines, note=SCENARIOS_NOTE)
+    return Table.of(title, columns, lines, key="scenarios", note=SCENARIOS_NOTE)
 
 
 def _scenario_cell(row: Row | None) -> str:
@@ -129,9 +129,11 @@ def _scenario_cell(row: Row | None) -> str:
 
 def _guesses(rows: Sequence[Row]) -> Table:
     columns = (
-        "method", "guesses", "solved at the first try", "95 % interval", "solved", "95 % interval",
-        "at the best optimum", "95 % interval", "median processor s", "90th percentile",
-        "best delta-v m/s",
+        "method", "guesses",
+        "solved at the first try", Column("95 % interval", name="first_interval"),
+        "solved", Column("95 % interval", name="solved_interval"),
+        "at the best optimum", Column("95 % interval", name="best_interval"),
+        "median processor s", "90th percentile", "best delta-v m/s",
     )  # fmt: skip
     best, lines = best_of(rows), list[tuple[Value, ...]]()
     for method, tries in _by_method(rows).items():
@@ -154,7 +156,7 @@ def _guesses(rows: Sequence[Row]) -> Table:
                 _figure(own, ".6f"),
             )
         )
-    return Table.of("Random guesses", columns, lines, note=GUESSES_NOTE)
+    return Table.of("Random guesses", columns, lines, key="guesses", note=GUESSES_NOTE)
 
 
 def _by_method(rows: Iterable[Row]) -> dict[str, list[Row]]:
@@ -175,7 +177,7 @@ def _optima(rows: Sequence[Row]) -> Table:
     every = sorted({end for found in ends.values() for end in found})
     lines = [(end, *(found.count(end) or None for found in ends.values())) for end in every]
     columns = ("ends at (m/s)", *ends)
-    return Table.of("Optima reached from random guesses", columns, lines)
+    return Table.of("Optima reached from random guesses", columns, lines, key="optima")
 
 
 def _exact(rows: Sequence[Row]) -> Table:
@@ -201,7 +203,8 @@ def _exact(rows: Sequence[Row]) -> Table:
                 verdict.words,
             )
         )
-    return Table.of("Exact risk against nonlinear programming", columns, lines, note=EXACT_NOTE)
+    title = "Exact risk against nonlinear programming"
+    return Table.of(title, columns, lines, key="exact", note=EXACT_NOTE)
 
 
 def _ours(row: Row) -> tuple[str, str, str, str]:

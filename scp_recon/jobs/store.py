@@ -265,12 +265,13 @@ def code(*names: str) -> dict[str, Any]:
 
 
 @cache
-def sources(*names: str) -> str:
+def sources(*names: str, without: tuple[str, ...] = ()) -> str:
     """Hash the source of modules and of all that they import of this project; hexadecimal.
 
     Args:
         names: of modules (`__name__`), of packages for all their files, or of folders with data
             (`scp_recon.data`).
+        without: modules and packages whose own source does not count; what they import does.
     """
     root, digest = Path(__file__).parents[2], hashlib.sha256()
     wings = WINGS | {name.partition(".")[0] for name in names}
@@ -281,7 +282,8 @@ def sources(*names: str) -> str:
         if path not in known:
             known.add(path)
             left += _imported(root, path, wings) if path.suffix == ".py" else []
-    for path in sorted(known):
+    left_out = {path for name in without for path in _files(root, name)}
+    for path in sorted(known - left_out):
         digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()
 
@@ -294,6 +296,7 @@ def _files(root: Path, name: str) -> list[Path]:
     return [path.with_suffix(".py")]
 
 
+@cache
 def _imported(root: Path, path: Path, wings: frozenset[str]) -> list[Path]:
     """Files of the modules that a module imports, wherever in it, and of the packages around them."""
     found = []

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,8 @@ import pytest
 import benchmarks.__main__ as command
 from benchmarks.growth import STUDIES, Study
 from benchmarks.methods import METHODS, Timed
-from benchmarks.tables import pair_table, ratio_lines
+from benchmarks.tables import method_rows, ratio_rows
+from experiments.evidence import FILE, Evidence
 from scp_recon.mission.mission import Mission
 from scp_recon.scenario.load import load_scenario
 
@@ -33,36 +33,59 @@ def figures() -> dict[str, Timed]:
     return found
 
 
-def test_the_document_has_the_figures(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_run_leaves_the_figures_as_evidence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(command, "in_a_process", lambda name, _: figures()[name])
+    """Of what ran before a stop it keeps the rows."""
+    ran: list[str] = []
+
+    def in_a_process(name: str) -> dict[str, object]:
+        if len(ran) == 3:
+            ran.append("")
+            raise KeyboardInterrupt
+        ran.append(name)
+        return asdict(figures()[name])
+
+    monkeypatch.setattr(command, "in_a_process", in_a_process)
     monkeypatch.setattr(command, "command_times", lambda _: {"solve": 1.5, "import cvxpy": 0.75})
-    assert command.main(["--quick", "--json"]) == 0
-    said = capsys.readouterr()
-    document = json.loads(said.out)
-    assert document["command"] == "benchmarks"
-    assert document["methods"]["ipopt printed"]["best"] == 16.0
-    assert document["commands_s"]["solve"] == 1.5
-    assert "printed over SCP: 100 with set-up" in said.err
+    words = ["--quick", "--out", str(tmp_path), "--quiet"]
+    assert command.main(words) == 130
+    assert command.main(words) == 0
+    assert sorted(filter(None, ran)) == sorted(METHODS)
+    found = Evidence.read(tmp_path / FILE)
+    assert found.command == "benchmarks --quick"
+    assert found.resumed
+    rows = {row["method"]: row for row in found.tables["methods"]}
+    assert rows["ipopt printed"]["later_s"] == 16.0
+    assert {"replan", "montecarlo"}.isdisjoint(rows)
+    ratios = {row["figure"]: row["value"] for row in found.tables["ratios"]}
+    assert ratios["command line, s"] == 1.5
 
 
 def test_ratios_are_of_the_methods_they_name() -> None:
-    lines = "\n".join(ratio_lines(figures(), {"solve": 1.5, "import cvxpy": 0.75}))
-    assert "printed over SCP: 100 with set-up, 150 without" in lines
+    rows = ratio_rows(figures(), {"solve": 1.5, "import cvxpy": 0.75})
+    found = {row["figure"]: row["value"] for row in rows}
+    assert found["IPOPT as printed over SCP, first plan of a process"] == pytest.approx(100)
+    assert found["IPOPT as printed over SCP"] == pytest.approx(150)
     # The quickest to the first answer is not the quickest without set-up.
-    assert "tuned NLP over SCP: 10.0 with set-up, 11.0 without" in lines
-    assert "99 converged: 20 ms against 100 ms cold, 0.20 of it" in lines
-    assert "1.50 s, 2.00 times that of importing CVXPY" in lines
+    assert found["best tuned NLP over SCP, first plan of a process"] == pytest.approx(10)
+    assert found["best tuned NLP over SCP"] == pytest.approx(11)
+    assert found["all else over the conic solver"] == pytest.approx(1.0)
+    assert found["canonicalisation over the conic solver"] == pytest.approx(0.2)
+    assert found["replans converged"] == 99
+    assert found["replan over cold plan"] == pytest.approx(0.2)
+    assert found["flights a second"] == 20_000
+    assert found["command line over importing CVXPY"] == pytest.approx(2.0)
 
 
-def test_the_table_says_what_is_not_verified_and_how_far_it_is_off() -> None:
+def test_a_row_says_what_is_not_verified_and_how_far_it_is_off() -> None:
     found = figures()
     found["scp lifted"] = replace(PLANNED, verified=False, total_dv_m_s=0.14014)
-    rows = {line.split(" | ")[0].lstrip("| "): line for line in pair_table(found).splitlines()}
-    assert "converged, verified" in rows["scp condensed"]
-    assert "0.140140, 1e-03 | converged, not verified" in rows["scp lifted"]
-    assert not {"replan", "montecarlo"} & set(rows)
+    rows = {row["method"]: row for row in method_rows(found)}
+    assert rows["scp condensed"]["status"] == "converged, verified"
+    assert rows["scp lifted"]["status"] == "converged, not verified"
+    assert rows["scp lifted"]["off"] == pytest.approx(1e-3)
+    assert rows["scp lifted"]["setup_s"] == 0.0
 
 
 @pytest.mark.parametrize("study", STUDIES, ids=lambda study: study.name)
@@ -71,13 +94,3 @@ def test_every_size_is_a_mission(study: Study) -> None:
         mission = Mission.from_scenario(load_scenario(None, study.overrides(size)))
         if study.name == "burns":
             assert len(mission.burn_nodes) == size
-
-
-def test_the_pages_tables_are_replaced_and_nothing_else(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    page = tmp_path / "performance.md"
-    page.write_text(f"before\n{command.BEGIN}\nold\n{command.END}\nafter\n", encoding="utf-8")
-    monkeypatch.setattr(command, "PAGE", page)
-    command.write_page("new")
-    assert page.read_text("utf-8") == f"before\n{command.BEGIN}\nnew\n{command.END}\nafter\n"

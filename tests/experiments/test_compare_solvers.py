@@ -226,5 +226,5 @@ def test_the_command_leaves_its_tables_and_takes_up_its_rows(
         written.append((tmp_path / ROWS_FILE).read_bytes())
     assert written[0] == written[1]
     names = {path.name for path in tmp_path.iterdir() if not path.name.startswith(".")}
-    assert names == {"comparison.csv", "comparison.md", ROWS_FILE}
+    assert names == {"comparison.csv", "comparison.md", "evidence.json", ROWS_FILE}
     assert len(list(read_rows(tmp_path / ROWS_FILE))) == 1

@@ -97,4 +97,4 @@ def test_what_was_kept_goes_once_the_tables_have_it(tmp_path: Path) -> None:
             session.store(file).put(0, {})
         session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
     kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
-    assert kept == ["stays.jsonl"]
+    assert sorted(kept) == ["evidence.json", "stays.jsonl"]

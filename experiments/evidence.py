@@ -1,0 +1,220 @@
+"""Files of evidence: the tables of a study, how they were made, and whether they are up to date.
+
+`docs/evidence/NAME.json` has tables of rows, and beside them the command, the commit, the versions,
+the machine, the date, the wall time, and the hash of what the rows depend on: the scenarios, the
+study, and all modules that it imports below `scp_recon.api`. Evidence is out of date where the
+hash, the versions or the command are no longer the same.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import re
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+from scp_recon.files import write_atomically
+from scp_recon.jobs.store import sources, versions
+
+ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "docs" / "evidence"
+FILE = "evidence.json"
+"""Its name in the folder of a study that has ended."""
+SCHEMA = "scp_recon.evidence/1"
+UNKNOWN = "unknown"
+"""Hash of evidence that was measured before there were hashes."""
+DATA = ("scp_recon.data", "scp_recon.simulation.data")
+ABOVE = ("scp_recon.api", "scp_recon.cli", "experiments.harness", "experiments.evidence")
+"""What a study's figures do not depend on: the shell around it."""
+
+Records = Sequence[Mapping[str, Any]]
+
+
+class Source(NamedTuple):
+    """What makes a file of evidence.
+
+    Attributes:
+        command: after `python -m`, without `--out`.
+        modules: whose sources, with those that they import, the rows depend on.
+        without: modules and packages of them that the rows do not depend on.
+        figures: commands after `python -m` that then draw pictures of the pages; `{out}` is the
+            study's folder.
+    """
+
+    command: str
+    modules: tuple[str, ...]
+    without: tuple[str, ...] = ABOVE
+    figures: tuple[str, ...] = ()
+
+
+_SOLVERS = "experiments.compare_solvers.cell"
+_ALL = ("tests", "formulations", "scp_recon")
+
+SOURCES: Mapping[str, Source] = {
+    "plans": Source("experiments plans", ("experiments.plans",)),
+    "designs": Source("experiments plans --designs", ("experiments.plans",)),
+    "frontier": Source(
+        "experiments frontier",
+        ("experiments.frontier",),
+        figures=("paper_figs frontier --runs {out} --out docs/frontier.png",),
+    ),
+    "compare_solvers": Source(
+        "experiments compare_solvers --full",
+        (_SOLVERS,),
+        figures=("paper_figs solver_comparison --runs {out} --out {out}",),
+    ),
+    "nlp_tricks": Source("experiments nlp_tricks", ("experiments.nlp_tricks",)),
+    "openscvx_peer": Source("experiments openscvx_peer", ("experiments.openscvx_peer",)),
+    "lifted": Source("experiments lifted", ("experiments.lifted",)),
+    "observation_table": Source(
+        "experiments observation_table",
+        ("experiments.observation_table.study",),
+        figures=("paper_figs flyby --runs {out}/scp_cold --out docs/flyby.png",),
+    ),
+    "model_fidelity": Source("experiments model_fidelity", ("experiments.model_fidelity.study",)),
+    "battery_cones": Source("experiments battery_cones", ("experiments.battery_cones",)),
+    "uncertainty_sources": Source(
+        "experiments uncertainty_sources --flights 4", ("experiments.uncertainty_sources.study",)
+    ),
+    "timing_rules": Source("experiments timing_rules", ("experiments.timing_rules",)),
+    "flown_plan": Source("experiments flown_plan", ("experiments.flown_plan",)),
+    "benchmarks": Source("benchmarks", ("benchmarks.methods", "benchmarks.growth")),
+    "campaign_scale": Source("benchmarks.campaign_scale", ("benchmarks.campaign_scale",)),
+    "maps": Source("experiments maps", ("experiments.maps", "examples.studies")),
+    "reliability": Source("experiments testing reliability", _ALL, without=()),
+    "coverage": Source("experiments testing coverage", _ALL, without=()),
+    "mutation": Source("experiments testing mutation", ("tests", "formulations"), without=()),
+}
+"""By name of the evidence."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A file of evidence.
+
+    Attributes:
+        command: that made it, after `python -m`.
+        commit: of the sources; with a plus where some were changed since.
+        date: on which it was made (UTC).
+        machine: processor and number of cores.
+        versions: of packages.
+        sources: hash of what the rows depend on, or `UNKNOWN`.
+        seconds: wall time of the study.
+        resumed: whether it took up finished work, of which the seconds tell nothing.
+        tables: rows of each table by its name.
+    """
+
+    command: str
+    commit: str
+    date: str
+    machine: str
+    versions: Mapping[str, str]
+    sources: str
+    seconds: float
+    resumed: bool
+    tables: Mapping[str, Records]
+
+    @classmethod
+    def begun(cls, source: Source) -> Self:
+        """Evidence without tables, of the sources as they are when the study begins."""
+        today = datetime.now(UTC).date().isoformat()
+        of = (source.command, _commit(), today, machine(), *_code(source))
+        return cls(*of, seconds=0.0, resumed=False, tables={})
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a file of evidence.
+
+        Raises:
+            FileNotFoundError: if there is none.
+            ValueError: if it is none.
+        """
+        values = json.loads(path.read_text("utf-8"))
+        if values.pop("schema", None) != SCHEMA:
+            raise ValueError(f"{path} is not of {SCHEMA}")
+        return cls(**values)
+
+    def write(self, path: Path) -> Path:
+        """Write a line for each row."""
+        values = asdict(self)
+        tables = values.pop("tables")
+        head = json.dumps({"schema": SCHEMA, **values}, indent=1)
+        rows = (
+            f"  {json.dumps(name)}: [\n   "
+            + ",\n   ".join(json.dumps(row, ensure_ascii=False) for row in found)
+            + "\n  ]"
+            for name, found in tables.items()
+        )
+        text = head.removesuffix("\n}") + ',\n "tables": {\n' + ",\n".join(rows) + "\n }\n}\n"
+        return write_atomically(path, text)
+
+    def changes(self, source: Source) -> list[str]:
+        """What has changed since it was made; empty where it is up to date."""
+        newer, found = _code(source)
+        if self.sources == UNKNOWN:
+            return ["measured before sources were hashed"]
+        changed = [] if found == self.sources else ["sources"]
+        changed += [
+            f"{name} {self.versions.get(name)}, now {version}"
+            for name, version in newer.items()
+            if self.versions.get(name) != version
+        ]
+        return changed + ([f"by {self.command}"] if self.command != source.command else [])
+
+
+def path_of(name: str) -> Path:
+    """The file of a name."""
+    return FOLDER / f"{name}.json"
+
+
+def source_of(command: str, module: str) -> Source:
+    """What makes the evidence by a command; of a command that makes none its module."""
+    found = (source for source in SOURCES.values() if source.command == command)
+    return next(found, Source(command, (module,)))
+
+
+def out_of_date(names: Sequence[str] | None = None) -> dict[str, str]:
+    """Names of evidence, by default of all, that is missing or out of date, and why."""
+    found = {}
+    for name in SOURCES if names is None else names:
+        try:
+            changes = Evidence.read(path_of(name)).changes(SOURCES[name])
+        except FileNotFoundError:
+            changes = ["never measured"]
+        if changes:
+            found[name] = ", ".join(changes)
+    return found
+
+
+def machine() -> str:
+    """Processor and number of cores."""
+    cpu, info = platform.processor() or platform.machine(), Path("/proc/cpuinfo")
+    if info.exists() and (named := re.search(r"model name\s*:\s*(.+)", info.read_text("utf-8"))):
+        cpu = named[1]
+    return f"{cpu}, {os.cpu_count()} cores; Python {platform.python_version()}"
+
+
+def _code(source: Source) -> tuple[dict[str, str], str]:
+    """Versions, but not this package's own, and hash of the sources."""
+    found = {name: version for name, version in versions().items() if name != "scp_recon"}
+    return found, sources(*source.modules, *DATA, without=source.without)
+
+
+@cache
+def _commit() -> str:
+    def git(*words: str) -> str:
+        command = ("git", "-C", str(ROOT), *words)
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    try:
+        changed = git("status", "--porcelain", "--untracked-files=no")
+        return git("rev-parse", "--short", "HEAD") + ("+" if changed else "")
+    except (OSError, subprocess.CalledProcessError):
+        return UNKNOWN

@@ -1,0 +1,120 @@
+"""Compare the sizes and the times of P2 in its lifted and its condensed form.
+
+P2 of the default scenario is solved in both forms from the same start with the same facets: with
+uniform risk, near facets or all, and with exact risk of nodes and of whole flights. OUT/lifted.csv
+has a row for each: the largest cone program that Clarabel got, iterations, delta-v, and the
+processor's time. After Ctrl-C the study continues with the missing rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from experiments.frontier import EXACT
+from experiments.harness import Findings, Record, Session, Study, records
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.facets import choose_facets
+from formulations.program import solvers
+from formulations.program.certificate import ConeProgram
+from formulations.rows.uniform import ChanceRows
+from scp_recon.jobs.job import Job
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Stage
+from scp_recon.planning.planner import CLEARANCE_M, Planner, screened
+from scp_recon.planning.stages import StageRunner
+from scp_recon.scenario.load import load_scenario
+
+FORMS = ("condensed", "lifted")
+AT_NODES = EXACT | {"risk.p_chance": 0.9}
+CASES: dict[str, tuple[dict[str, Any], float]] = {
+    "uniform": ({}, CLEARANCE_M),
+    "uniform, all facets": ({}, np.inf),
+    "exact, nodes": (AT_NODES, 0.0),
+    "exact, flight": (AT_NODES | {"risk.scope": "flight"}, 0.0),
+}
+"""Changes to the scenario, and up to which margin facets take part, m."""
+
+
+@contextmanager
+def noted() -> Iterator[list[ConeProgram]]:
+    """The cone programs that Clarabel gets meanwhile."""
+    programs: list[ConeProgram] = []
+
+    class Noting(solvers.Clarabel):
+        """Clarabel, which notes what it is asked."""
+
+        def solve(self, program: ConeProgram) -> solvers.Answer:
+            programs.append(program)
+            return super().solve(program)
+
+    usual = solvers.SOLVERS["CLARABEL"]
+    solvers.SOLVERS["CLARABEL"] = Noting
+    try:
+        yield programs
+    finally:
+        solvers.SOLVERS["CLARABEL"] = usual
+
+
+def measure(case: tuple[str, str]) -> Record:
+    """Solve a case in a form, twice, after everything that its start needs: a row."""
+    name, form = case
+    changes, clearance_m = CASES[name]
+    mission = Mission.from_scenario(load_scenario().replace(changes))
+    planner = Planner(mission, formulation=form)
+    runner = StageRunner(mission, planner)
+    lin = StageRunner(mission, Planner(mission)).plan(initial_guess.cold(mission), "P3").result.lin
+    if name == "exact, flight":  # which begins at the plan of nodes
+        way, rows = Planner(mission).exact_rows()[0]
+        lin = StageRunner(mission, Planner(mission)).solve(f"P2{way}", rows, lin).result.lin
+    solve = solving(mission, planner, runner, lin, clearance_m)
+    with noted() as programs:
+        times = []
+        for _ in range(2):
+            begin = process_time()
+            stage = solve()
+            times.append(process_time() - begin)
+    largest = max(programs, key=lambda program: program.matrix.nnz)
+    rows_, variables = largest.matrix.shape
+    return {
+        "risk": name,
+        "form": form,
+        "variables": variables,
+        "rows": rows_,
+        "nonzeros": largest.matrix.nnz,
+        "iterations": len(stage.result.records),
+        "total_dv_m_s": stage.result.lin.iterate.total_dv * mission.units.speed_m_s,
+        "processor_s": min(times),
+    }
+
+
+def solving(
+    mission: Mission,
+    planner: Planner,
+    runner: StageRunner,
+    lin: Linearisation,
+    clearance_m: float,
+) -> Callable[[], Stage]:
+    """P2 from a start, with the facets there or exact risk."""
+    if mission.scenario.risk.allocation == "exact":
+        _, rows = planner.exact_rows()[-1]
+        return lambda: runner.solve("P2", rows, lin)
+    facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
+    chosen = ChanceRows(mission.problem, facets, screened(mission, facets, lin, clearance_m))
+    return lambda: runner.restore("P2", chosen, lin)
+
+
+def run(session: Session) -> Findings:
+    """Measure every case in both forms."""
+    cases = [(name, form) for name in CASES for form in FORMS]
+    jobs = [Job(", ".join(case), case) for case in cases]
+    rows = session.rows("cases", measure, jobs, session.store())
+    return Findings([], {"lifted.csv": records(rows)})
+
+
+STUDY = Study("Lifted and condensed", __doc__, run)

@@ -1,0 +1,204 @@
+"""Measure the plans and passes that the pages quote, one by one.
+
+Each case is the default scenario with some changes, planned from a cold start, verified and flown
+10,000 times; with `--designs` a pass from a home orbit, designed and planned. OUT/plans.csv or
+designs.csv has a row for each: its end, its cost, what flights reach, the processor time. Commands
+whose output a page shows are run as programs as well. After Ctrl-C the study continues with the
+missing rows.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import resource
+import shlex
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from time import perf_counter, process_time
+from typing import Any
+
+import numpy as np
+
+from experiments.frontier import EXACT, TANGENT
+from experiments.harness import Findings, Record, Session, Study, option, records
+from scp_recon.api.designing import design
+from scp_recon.api.planning import plan
+from scp_recon.errors import InputError
+from scp_recon.jobs.job import Job
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.planning.plan import Plan
+from scp_recon.results.solution import make_solution
+from scp_recon.scenario.load import load_scenario
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import FIGURES, verify
+
+FLIGHTS, SEED = 10_000, 20
+FLIGHT = EXACT | {"risk.scope": "flight"}
+J2000 = {"boundary.frame": "j2000"}
+
+PLANS: Mapping[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "default": ({}, {}),
+    "P3": ({}, {"problem": "P3"}),
+    "facets again": ({}, {"facet_rounds": 1}),
+    "tangent": (TANGENT, {}),
+    "tangent, facets again": (TANGENT, {"facet_rounds": 1}),
+    "IPOPT": ({}, {"method": "ipopt"}),
+    "IPOPT, P3": ({}, {"method": "ipopt", "problem": "P3"}),
+    "j2000, cold": (J2000, {}),
+    "j2000, warm": (J2000, {"init": "warm"}),
+    "j2000, P3, cold": (J2000, {"problem": "P3"}),
+    "j2000, P3, warm": (J2000, {"problem": "P3", "init": "warm"}),
+    "certified 0.9": (FLIGHT | {"risk.p_chance": 0.9}, {}),
+    "certified 0.95": (FLIGHT | {"risk.p_chance": 0.95}, {}),
+    "certified 0.99": (FLIGHT | {"risk.p_chance": 0.99}, {}),
+}
+"""Changes to the scenario, and options of `api.planning.plan`."""
+
+ITERATION = re.compile(r"\d* ?P[23]\S* +\d")
+PRINTED = {
+    "solve": "scp_recon.solve --init cold",
+    "starts": "scp_recon.solve --starts 8 --seed 0 --workers 2",
+    "replan": "scp_recon replan {solve} --at 17000 "
+    "--state -122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264",
+    "infeasible": "scp_recon.solve --set risk.p_chance=0.98",
+}
+"""Commands after `python -m`; in braces the folder of an earlier one."""
+
+HOME = {
+    "boundary.home.radius_m": 1000.0,
+    "boundary.home.normal": [1.0, 0.0, 0.0],
+    "boundary.home.sense": "left_handed",
+}
+SIXTY = {"observation.emission_max_deg": 60.0}
+DESIGNS: Mapping[str, tuple[str, dict[str, Any]]] = {
+    "tangent": ("recon_b", HOME | TANGENT),
+    "tangent, smaller initial errors": (
+        "recon_b",
+        HOME
+        | TANGENT
+        | {
+            "uncertainty.initial_sigma_position_m": [10.0] * 3,
+            "uncertainty.initial_sigma_velocity_m_s": [5e-4] * 3,
+            "uncertainty.initial_frame": "j2000",
+        },
+    ),
+    **{
+        f"whole flights {p:g}": ("recon_b", HOME | FLIGHT | {"risk.p_chance": p})
+        for p in (0.7, 0.9, 0.99)
+    },
+    **{name: (name, {}) for name in ("nightingale", "sandpiper", "kingfisher", "osprey")},
+    "kingfisher, 60 deg": ("kingfisher", SIXTY),
+    "osprey, 60 deg": ("osprey", SIXTY),
+}
+"""Base and changes of a pass."""
+
+
+def measure(name: str) -> Record:
+    """Plan a case: a row."""
+    changes, options = PLANS[name]
+    begin = process_time()
+    found = plan(load_scenario().replace(changes), **options)
+    return {"plan": name} | record(found, process_time() - begin)
+
+
+def measure_design(name: str) -> Record:
+    """Design a pass: a row."""
+    base, changes = DESIGNS[name]
+    begin = process_time()
+    found = design(load_scenario(base).replace(changes))
+    seconds = process_time() - begin
+    if found.plan is None:
+        return {"design": name, "status": "none found", "message": found.message} | {
+            "processor_s": seconds
+        }
+    departure, arrival = (np.rad2deg(found.best.at.phases) % 360.0).tolist()
+    first, *later = found.plan.mission.scenario.burn_times_s
+    return (
+        {"design": name}
+        | record(found.plan, seconds)
+        | {"departure_deg": departure, "arrival_deg": arrival}
+        | {"burns_s": "; ".join(f"{time - first:.0f}" for time in (first, *later))}
+    )
+
+
+def record(found: Plan, processor_s: float) -> Record:
+    """A plan's figures, and what verification and flights find."""
+    p3, p2 = (
+        sum(len(s.result.records) for s in found.stages if s.problem == problem)
+        for problem in ("P3", "P2")
+    )
+    row: Record = {
+        "status": found.status.value.name,
+        "total_dv_m_s": found.total_dv_m_s,
+        "iterations_p3": p3,
+        "iterations_p2": p2,
+        "processor_s": processor_s,
+    }
+    solution = make_solution(found)
+    row["violation_m"] = solution.violation.max
+    if found.status is not Status.CONVERGED:
+        return row
+    checked = verify(found.mission, solution)
+    flown = fly_many(FlightConfig(found.mission, found.burns_m_s, SEED), samples=FLIGHTS)
+    node = {n: flown.worst_probability(n)[1].value for n in flown.node_counts if n != ALL}
+    lowest = min(node, key=lambda name: node[name])
+    return row | {
+        "verified": checked.ok,
+        **{figure: getattr(checked, figure) for figure in FIGURES},
+        "whole_flight": flown.whole / flown.samples,
+        "node": node[lowest],
+        "node_of": lowest.replace("_", " "),
+        "observed_mean_s": flown.held[ALL].mean().value,
+        "certified_low": found.certificate.low if found.certificate else None,
+    }
+
+
+def printed(out: Path, name: str) -> Record:
+    """Run a command as a program: its times, and what it prints, a line each."""
+    command = PRINTED[name].format(**{other: out / other for other in PRINTED})
+    words = [sys.executable, "-m", *shlex.split(command), "--out", str(out / name)]
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
+    said = subprocess.run(words, check=False, capture_output=True, text=True)
+    wall, after = perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if "\nwritten: " not in said.stdout:
+        raise InputError(f"python -m {command}", said.stderr[-500:], "must write a solution")
+    solution = json.loads((out / name / "solution.json").read_text("utf-8"))
+    return {
+        "command": name,
+        "wall_s": wall,
+        "processor_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
+        "planning_s": solution["timing_s"]["total"],
+        "lines": said.stdout.splitlines(),
+    }
+
+
+def run(session: Session) -> Findings:
+    """Measure every case, and run every command."""
+    designs, store = session.options.designs, session.store()
+    if designs:
+        jobs = [Job(name, name) for name in DESIGNS]
+        rows = session.rows("designs", measure_design, jobs, store)
+        return Findings([], {"designs.csv": records(rows)})
+    rows = session.rows("plans", measure, [Job(name, name) for name in PLANS], store)
+    jobs = [Job(f"printed {name}", name) for name in PRINTED]
+    said = session.rows("commands", lambda name: printed(session.out, name), jobs, store)
+    lines = [
+        {"command": row["command"], "line": line}
+        for row in said
+        for line in row.pop("lines")
+        if line.strip() and not ITERATION.match(line)
+    ]
+    files = {"plans.csv": rows, "commands.csv": said, "printed.csv": lines}
+    return Findings([], {name: records(found) for name, found in files.items()})
+
+
+STUDY = Study(
+    "Plans that the pages quote",
+    __doc__,
+    run,
+    [option("--designs", action="store_true", help="passes from a home orbit instead")],
+)
