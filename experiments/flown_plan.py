@@ -36,7 +36,7 @@ from scp_recon.mission.scene import execution_errors
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Column, Table, Value
-from scp_recon.simulation.flight import distance_in_sigmas
+from scp_recon.simulation.flight import Actuators, distance_in_sigmas
 from scp_recon.simulation.record import (
     FlightSummary,
     Record,
@@ -107,6 +107,9 @@ def report(
     distances = np.array([record.arrays["node_sigma_distance"] for record in flights])
     generated = np.concatenate([r.arrays["panel_w"][1:].sum(axis=1) for r in flights])
     drawn = np.concatenate([r.arrays["consumed_w"][1:] for r in flights])
+    ratio = generated / drawn
+    wheels = max(float(np.abs(r.arrays["wheel_speed_rad_s"]).max()) for r in flights)
+    thrusters = np.mean([np.mean(r.arrays["actuators"] == Actuators.THRUSTERS) for r in flights])
     misses = [summary.terminal_miss.position_m for summary in summaries]
     figures: dict[str, float] = {
         "flights": len(flights),
@@ -114,6 +117,11 @@ def report(
         "most generation, W": float(generated.max()),
         "least load, W": float(drawn.min()),
         "most load, W": float(drawn.max()),
+        "least generation over load": float(ratio.min()),
+        "mean of it": float(ratio.mean()),
+        "most of it": float(ratio.max()),
+        "fastest wheel, rad/s": wheels,
+        "share of time on micro-thrusters": float(thrusters),
         "least state of charge": min(s.least_charge for s in summaries),
         "momentum dumps a flight": float(np.mean([s.dumps for s in summaries])),
         "least miss of the final position, m": min(misses),

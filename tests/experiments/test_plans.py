@@ -12,17 +12,17 @@ from tests.scp_recon.support import fly_few
 def test_a_row_is_the_plan_that_its_case_describes(monkeypatch: pytest.MonkeyPatch) -> None:
     fly_few(monkeypatch)
     monkeypatch.setattr(plans, "FLIGHTS", 200)
-    found = {name: plans.measure(name) for name in ("default", "tangent", "P3")}
-    assert [row["status"] for row in found.values()] == 3 * ["converged"]
+    monkeypatch.setitem(plans.PLANS, "tangent", plans.TANGENT)
+    found = {name: plans.measure(name) for name in ("default", "tangent")}
+    assert [row["status"] for row in found.values()] == 2 * ["converged"]
+    assert all(row["verified"] and row["node"] > 0.7 for row in found.values())
     costs = [row["total_dv_m_s"] for row in found.values()]
     assert costs == sorted(costs, reverse=True)
-    assert found["default"]["iterations_p2"] > 0 == found["P3"]["iterations_p2"]
-    assert found["default"]["node"] > 0.7 > found["P3"]["whole_flight"]
 
 
 @pytest.mark.parametrize("name", [*plans.PLANS, *plans.DESIGNS])
 def test_every_case_is_a_scenario(name: str) -> None:
-    base, changes = plans.DESIGNS.get(name, ("recon_b", plans.PLANS.get(name, ({}, {}))[0]))
+    base, changes = plans.DESIGNS.get(name, ("recon_b", plans.PLANS.get(name, {})))
     scenario = load_scenario(base).replace(changes)
     assert (scenario.boundary.home is not None) == (name in plans.DESIGNS)
 
