@@ -30,7 +30,7 @@ from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.planning.plan import Plan
+from scp_recon.planning.plan import Certificate, Plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
@@ -38,10 +38,12 @@ from scp_recon.verification.reintegration import FIGURES, verify
 
 FLIGHTS, SEED = 10_000, 20
 FLIGHT = EXACT | {"risk.scope": "flight"}
+PLAIN = {"risk.sampling": "plain"}
 
 PLANS: Mapping[str, dict[str, Any]] = {
     "default": {},
     **{f"certified {p:g}": FLIGHT | {"risk.p_chance": p} for p in (0.9, 0.95, 0.99)},
+    **{f"plain {p:g}": FLIGHT | PLAIN | {"risk.p_chance": p} for p in (0.9, 0.99)},
 }
 """Changes to the scenario."""
 
@@ -139,7 +141,19 @@ def record(found: Plan, processor_s: float) -> Record:
         "node": node[lowest],
         "node_of": lowest.replace("_", " "),
         "observed_mean_s": flown.held[ALL].mean().value,
-        "certified_low": found.certificate.low if found.certificate else None,
+        **_looked(found.certificate),
+    }
+
+
+def _looked(certificate: Certificate | None) -> Record:
+    """What a look drew, flew and certified."""
+    if certificate is None:
+        return {}
+    return {
+        "drawn": sum(certificate.strata.drawn) if certificate.strata else certificate.samples,
+        "flown": certificate.samples,
+        "certified_low": certificate.low,
+        "certified_high": certificate.high,
     }
 
 
