@@ -110,6 +110,7 @@ FLOORS = (
     "scp_recon.cli",
     "scp_recon.cli.commands",
     "scp_recon",  # the lazy names, and the ways in
+    "experiments.evidence",
     "experiments.harness",
     "experiments.observation_table",
     "experiments.compare_solvers",
