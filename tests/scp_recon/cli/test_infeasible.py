@@ -155,16 +155,13 @@ def small_burns() -> tuple[Plan, Diagnosis]:
         return found, diagnose(found)
 
 
-def test_where_exact_risk_has_failed_it_is_not_praised(small_burns: tuple[Plan, Diagnosis]) -> None:
+def test_what_suffices_alone_is_named_with_its_size(small_burns: tuple[Plan, Diagnosis]) -> None:
+    """And exact risk, which has failed, is not praised."""
     found, out = small_burns
     assert out.exact is None
     words = "\n".join([what_binds(out), *what_would_do(out, found, ())])
     assert "exact risk solves" not in words
     assert SPLIT not in words
-
-
-def test_what_suffices_alone_is_named_with_its_size(small_burns: tuple[Plan, Diagnosis]) -> None:
-    found, out = small_burns
     assert SIZE in out.binds
     assert LIMITS in out.binds
     assert "dv_max" in out.violated

@@ -161,8 +161,8 @@ def test_figures_of_a_packaged_body_that_are_not_its_own_are_warned_about(
         assert {w.entry for w in mission_of(f"{entry}={value}").warnings} == {told}
     # A number beside its name makes it no other body.
     numbered = file_of(scenario, {"body.name": "(101955) Bennu", "body.gm_m3_s2": 40.0})
-    told = [str(w) for w in Mission.from_scenario(numbered).warnings if "Bennu has" in w.expected]
-    assert told == ["body.gm_m3_s2: got 40; Bennu has 4.89045"]
+    said = [str(w) for w in Mission.from_scenario(numbered).warnings if "Bennu has" in w.expected]
+    assert said == ["body.gm_m3_s2: got 40; Bennu has 4.89045"]
     scene = eros(scenario, gm_m3_s2=4.46e5, pole_ra_deg=17.232, pole_dec_deg=11.363)
     assert [w.entry for w in known.known_body(scene)] == ["body.pole_ra_deg"]
     assert list(known.known_orbit(scene)) == []
