@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
+from scipy.special import chdtri
 
 from scp_recon.files import write_atomically
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
@@ -337,14 +338,14 @@ def _terminal(flown: FlightTally, solution: Solution) -> Terminal:
     state is normal, which gives the interval of the ratio of the sigmas. A component without spread
     is left out.
     """
-    from scipy.stats import chi2, normaltest  # half a second to import, for reports only
+    from scipy.stats import normaltest  # half a second to import, for reports only
 
     n, kept = flown.samples, flown.terminal
     predicted = np.diag(np.array(solution.nodes.covariance[-1]))
     spread = np.flatnonzero((predicted > 0.0) & (kept.std(axis=0) > 0.0))
     ratios = np.sqrt(np.diag(flown.terminal_covariance())[spread] / predicted[spread])
     ends = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
-    low, high = (float(np.sqrt(chi2.ppf(p, n - 1) / (n - 1))) for p in ends)
+    low, high = (float(np.sqrt(chdtri(n - 1, 1.0 - p) / (n - 1))) for p in ends)
     levels = (np.arange(1, 100) / 100.0).tolist()
     kept = kept[:, spread]
     standard = (kept - kept.mean(axis=0)) / kept.std(axis=0, ddof=1)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom
 
 from formulations.arrays import Array, Booleans, Indices
 from scp_recon.mission.constraints import Measure
-from scp_recon.monte_carlo.estimates import proportion
+from scp_recon.monte_carlo.estimates import binomial_quantile, proportion
 from scp_recon.monte_carlo.observation_time import measured
 from scp_recon.monte_carlo.sampling import BLOCK, fly_block
 from scp_recon.physics import geometry
@@ -261,8 +260,8 @@ def budget_of(subject: Subject, flown: Flown) -> Budget:
     """Of a plan; the interval is that of an order statistic, free of any distribution."""
     executed = flown.executed_m_s
     totals = np.sort(executed.sum(axis=1))
-    ranks = np.clip(binom.ppf([0.025, 0.975], len(totals), SHARE), 0, len(totals) - 1)
-    low, high = totals[ranks.astype(int)]
+    ranks = [binomial_quantile(level, len(totals), SHARE) for level in (0.025, 0.975)]
+    low, high = totals[np.clip(ranks, 0, len(totals) - 1)]
     return Budget(
         1 + subject.solution.scenario.burns_flown,
         np.linalg.norm(subject.solution.burns_m_s, axis=1),

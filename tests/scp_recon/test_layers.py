@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from scp_recon.cli.commands import COMMANDS as BY_NAME
+from scp_recon.results.solution import Solution
 
 PROJECT = Path(__file__).parents[2]
 LIBRARY = ("formulations", "scp_recon")
@@ -312,3 +313,30 @@ def test_the_main_job_needs_nothing_heavy_at_import() -> None:
     """Of no command: what the first imports has no part in what the next is found to."""
     run = run_python(ONE_BY_ONE.format(commands=sorted(COMMANDS)))
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
+
+
+TO_PLAN = ("cvxpy", "clarabel", "scipy.stats", "scipy.ndimage", *HEAVY)
+"""What planning takes, and tests of normality: who reads a plan need not wait for it."""
+READ = f"""
+import sys
+from scp_recon.cli.commands import report, solve, verify
+def check(name, heavy):
+    if found := sorted(set(heavy) & set(sys.modules)):
+        sys.exit(f"{{{{name}}}} imports {{{{found}}}}")
+try:
+    solve.main(["--help"])
+except SystemExit:
+    check("--help", {("numpy", "scipy", "pydantic", "rich", *TO_PLAN)})
+for command, heavy in ((verify, {("jinja2", *TO_PLAN)}), (report, {TO_PLAN})):
+    assert command.main([{{folder!r}}, "--quiet"]) == 0
+    check(command.name, heavy)
+"""
+
+
+def test_help_verification_and_a_report_load_nothing_heavy(
+    solution: Solution, tmp_path: Path
+) -> None:
+    """In this order: what one imports the next may too."""
+    solution.write(tmp_path)
+    run = run_python(READ.format(folder=str(tmp_path)))
+    assert run.returncode == 0, run.stderr

@@ -23,7 +23,6 @@ from scp_recon.errors import printable
 from scp_recon.interop.export import Export, heading
 from scp_recon.interop.path import WITHIN_M
 from scp_recon.physics.time_scales import iso_tdb, iso_utc
-from scp_recon.reports.write import FILE_NAME
 from scp_recon.results import comparison
 from scp_recon.results.comparison import Comparison
 from scp_recon.results.runs import folder_of, resolve_run
@@ -60,6 +59,8 @@ def report(options: argparse.Namespace, console: Console) -> Answer:
     """Write the page."""
     if files.is_campaign(tuple(options.plans)):
         return _report_campaign(options.plans[0], console)
+    from scp_recon.reports.write import FILE_NAME  # charts and ground tracks, of this command alone
+
     file = options.out or folder_of(resolve_run(options.plans[0])) / FILE_NAME
     lens = {"field_deg": options.field_deg, "pixels": options.pixels}
     path = files.report(*options.plans, out=file, **lens)

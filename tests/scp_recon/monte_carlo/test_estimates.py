@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta, binom
 
-from scp_recon.monte_carlo.estimates import CONFIDENCE, proportion
+from scp_recon.monte_carlo.estimates import CONFIDENCE, binomial_quantile, proportion
 
 
 @given(samples=st.integers(1, 20_000), share=st.floats(0.0, 1.0))
@@ -21,6 +21,13 @@ def test_interval_is_clopper_and_pearsons(samples: int, share: float) -> None:
     assert estimate.value == successes / samples
     assert (estimate.low, estimate.high) == pytest.approx((low, high), abs=1e-9)
     assert 0.0 <= estimate.low <= estimate.value <= estimate.high <= 1.0
+
+
+@given(
+    level=st.floats(1e-9, 1.0 - 1e-9), samples=st.integers(1, 20_000), share=st.floats(1e-3, 0.999)
+)
+def test_quantile_is_the_binomial_law_s(level: float, samples: int, share: float) -> None:
+    assert binomial_quantile(level, samples, share) == binom.ppf(level, samples, share)
 
 
 @pytest.mark.parametrize("samples", [10, 60, 200])
