@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import brentq
 
 from experiments.harness import Record
 from experiments.observation_table.rows import (
@@ -37,6 +38,9 @@ from scp_recon.verification.reintegration import verify
 
 UNIFORM_STEP_S = 232.0
 """The paper's time step, on a grid that need not contain the window's edges."""
+
+SOON_S = 300.0
+"""By which a still Sun moves neither edge of the window."""
 
 LITTLE_S = 1000.0
 """What the paper says a flight seldom loses more of, where emission is beyond its limits."""
@@ -134,6 +138,8 @@ def _record(row: Row, mission: Mission, solution: Solution, summary: RowSummary)
         **_without_errors(mission, solution),
         "violation_m": solution.violation.max,
         "facet_missed_m": middle_beyond_facet_m(solution),
+        "still_sun_window_s": still_sun_window_s(mission),
+        **{f"spread_{name}": r.value for name, r in summary.terminal.sigma_ratio.items()},
     }
 
 
@@ -175,15 +181,17 @@ def _without_errors(mission: Mission, solution: Solution) -> Record:
     fired = burns.any(axis=1)
     sun = mission.sun_direction(mission.times_s[mission.burn_nodes])
     angle = np.rad2deg(geometry.angle(burns[fired], sun[fired]))
-    sizes, closing = np.linalg.norm(burns, axis=1), mission.window_nodes[-1:]
-    emission = measured(mission, mission.times_s[closing], state[closing, :3])["emission"]
+    sizes, window = np.linalg.norm(burns, axis=1), mission.window_nodes
+    seen = measured(mission, mission.times_s[window], state[window, :3])
     return {
         "inner_burns": float(sizes[1:-1].sum() / sizes.sum()),
         "largest_inner_over_least_outer": float(sizes[1:-1].max() / min(sizes[0], sizes[-1])),
         "largest_burn_m_s": float(sizes.max()),
         "nearest_sun_line_deg": float(np.minimum(angle, 180.0 - angle).min()),
         "nominal_closest_m": float(np.linalg.norm(state[:, :3], axis=1).min()),
-        "nominal_emission_at_close_deg": float(np.rad2deg(emission[0])),
+        "nominal_emission_at_close_deg": float(np.rad2deg(seen["emission"][-1])),
+        "nominal_site_distance_least_m": float(seen["distance"].min()),
+        "nominal_site_distance_most_m": float(seen["distance"].max()),
     }
 
 
@@ -219,6 +227,25 @@ def _status(solution: Solution) -> str:
     v = solution.verification
     words = "" if v is None else ", verified" if v.ok else f", not verified: {v.failed}"
     return f"{solution.problem} {solution.status}{words}"
+
+
+def still_sun_window_s(mission: Mission) -> float | str:
+    """Length of the window were the Sun's direction that of the epoch, s.
+
+    "" where the limit of incidence is not what opens and closes the window.
+    """
+    sun, limit = mission.sun_direction(0.0), mission.scenario.observation.incidence_max_deg
+
+    def beyond(time_s: float) -> float:
+        track = geometry.track(mission.site, mission.rotation, np.array([time_s]))
+        return float(np.rad2deg(geometry.incidence(track, sun[None])[0])) - limit
+
+    first, last = mission.schedule.window_s
+    near = ((first - SOON_S, first + SOON_S), (last - SOON_S, last + SOON_S))
+    if any(beyond(a) * beyond(b) >= 0.0 for a, b in near):
+        return ""
+    opens, closes = (brentq(beyond, *ends) for ends in near)
+    return float(closes - opens)
 
 
 def _stored_solution(folder: Path, mission: Mission, check: bool) -> Solution | None:

@@ -16,10 +16,16 @@ from experiments.harness import Findings, Record, records
 from experiments.harness import report as as_markdown
 from experiments.observation_table import study as observation_table
 from experiments.observation_table.rows import KERNEL, Row, rows, variants
-from experiments.observation_table.runs import failed, middle_beyond_facet_m, run_row
+from experiments.observation_table.runs import (
+    failed,
+    middle_beyond_facet_m,
+    run_row,
+    still_sun_window_s,
+)
 from experiments.observation_table.statements import standing_for, statements
 from experiments.observation_table.study import measure, report
 from scp_recon.mission.mission import Mission
+from scp_recon.physics import geometry
 from scp_recon.physics.frames import sun_north_to_j2000
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
@@ -82,6 +88,8 @@ def test_every_statement_has_its_outcome(
         ("flights of the ballistic surrogate's burns", True),
     ):
         assert [found[f"{what}, in {whose}"] for what in (more, little, everything)] == [same] * 3
+    assert found["the filter's prediction step carries the covariance to the end"] is False
+    assert found["the direction to the Sun is one vector"] is False
     opposite = {words for words, same in found.items() if same is False}
     assert opposite > {
         "but for both dynamics and the burns' battery cones, P2 is convex",
@@ -95,6 +103,21 @@ def test_every_statement_has_its_outcome(
     assert [row["statement"] for row in written] == [*found]
     page = (PROJECT / "docs" / "validation" / "paper.md").read_text("utf-8")
     assert all(f"| {row['statement']} | {row['criterion']} | " in page for row in written)
+
+
+def test_under_a_still_sun_the_site_is_lit_for_as_long_as_its_turning_says(
+    mission: Mission,
+) -> None:
+    """The incidence's cosine then is a sinusoid of the body's turning alone."""
+    pole, sun = mission.rotation.pole, mission.sun_direction(0.0)
+    normal = geometry.track(mission.site, mission.rotation, np.zeros(1)).normal[0]
+    along, off = (np.array([v @ pole, np.sqrt(1.0 - (v @ pole) ** 2)]) for v in (normal, sun))
+    limit = np.cos(np.deg2rad(mission.scenario.observation.incidence_max_deg))
+    turned = 2.0 * np.arccos((limit - along[0] * off[0]) / (along[1] * off[1]))
+    rate = np.deg2rad(mission.scenario.body.prime_meridian_rate_deg_day) / 86_400.0
+    assert still_sun_window_s(mission) == pytest.approx(turned / rate, abs=0.1)
+    given = mission.scenario.replace({"observation.window_s": [13_300.0, 16_000.0]})
+    assert still_sun_window_s(Mission.from_scenario(given)) == ""
 
 
 def test_the_middle_of_two_points_of_a_facet_lies_beyond_it(finished: tuple[Path, str]) -> None:
