@@ -118,6 +118,7 @@ def _draw_histories(panels: Sequence[Axes], mission: Mission, solution: Solution
             axes.axhline(bound, color="C3", ls="--", lw=1)
         axes.set(ylabel=quantity.label, xlim=(first, last))
         axes.margins(y=0.12)
+        axes.set_axisbelow(True)
         if axes is not panels[-1]:
             axes.tick_params(labelbottom=False)
     panels[-1].set_xlabel("time (s)")
