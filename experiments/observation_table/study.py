@@ -2,9 +2,9 @@
 
 Every row's burns are designed and flown many times; solution.json and montecarlo.json are written to
 OUT/<row>/, the table to OUT/observation_table.csv and .md, and the paper's statements about P2 and its
-plan, each tested, to OUT/statements.csv. A second run keeps existing results. With --as-flown FILE
-there is a row for the real flight, and the warm rows start from it, as the paper's do; without it they
-start from the ballistic arc.
+plan, each tested, to OUT/statements.csv. A second run of the same sources keeps existing results. With
+--as-flown FILE there is a row for the real flight, and the warm rows start from it, as the paper's do;
+without it they start from the ballistic arc.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from time import perf_counter
 
 import numpy as np
 
+from experiments.evidence import ABOVE, DATA
 from experiments.harness import FRESH, Findings, Record, Session, Study, option, records
+from experiments.observation_table import runs
 from experiments.observation_table.rows import (
     COLD,
     FRAME_CAVEAT,
@@ -46,11 +48,15 @@ from experiments.observation_table.statements import (
     statements_table,
 )
 from scp_recon.cli.options import int_between
+from scp_recon.files import write_atomically
+from scp_recon.jobs.store import sources
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import CONFIDENCE
 from scp_recon.results.table import Column, Table, Value
 from scp_recon.scenario.load import load_scenario
 
+STAMP = "sources.sha256"
+"""Beside the rows: hash of what designed and flew them, without which they are not taken up."""
 SAMPLES, QUICK_SAMPLES = 10_000, 3_000
 ROW_FAILED = 4
 
@@ -336,13 +342,16 @@ def run(session: Session) -> Findings:
     out.mkdir(parents=True, exist_ok=True)
     flown = (kernel, out / "as_flown" / "states.csv") if kernel else None
     others = () if options.quick else variants(mission.scenario)
+    made_by, stamp = sources(runs.__name__, *DATA, without=ABOVE), out / STAMP
+    same = stamp.exists() and stamp.read_text("utf-8") == made_by
+    write_atomically(stamp, made_by)
     entries = measure(
         mission,
         (*rows(ipopt=not options.skip_ipopt, as_flown=flown), *others),
         out,
         samples=options.samples or (QUICK_SAMPLES if options.quick else SAMPLES),
         check=not options.quick,
-        fresh=options.fresh,
+        fresh=options.fresh or not same,
         tell=session.say,
     )
     status = 0 if len(computed(entries)) == len(entries) else ROW_FAILED

@@ -184,6 +184,16 @@ def test_a_rerun_takes_up_what_is_complete(copy: Path, capsys: pytest.CaptureFix
     assert (copy / "observation_table.csv").read_text("utf-8") == table
 
 
+def test_rows_of_other_sources_are_made_again(
+    copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (copy / observation_table.STAMP).write_text("other", "utf-8")
+    assert study("--quick", "--skip-ipopt", "--samples", "100", "--out", str(copy)) == 0
+    assert "taken up" not in capsys.readouterr().out
+    assert study("--quick", "--skip-ipopt", "--samples", "100", "--out", str(copy)) == 0
+    assert capsys.readouterr().out.count("taken up") == len(KEYS)
+
+
 def test_a_design_is_kept_and_what_it_lacks_is_made(copy: Path, mission: Mission, p3: Row) -> None:
     """Flights of a plan that differs by a bit or in another number, and a verification."""
     folder = copy / "p3"
