@@ -97,13 +97,14 @@ def _roots(a: Array, b: Array, c: Array) -> Chord:
     """
     discriminant = b * b - a * c
     real = (discriminant > 0.0) | (a < 0.0)
-    low, high = np.full(b.shape, np.inf), np.full(b.shape, np.inf)
-    a, b, c, discriminant = (np.broadcast_to(x, real.shape)[real] for x in (a, b, c, discriminant))
+    if not real.all():
+        low, high = np.full(b.shape, np.inf), np.full(b.shape, np.inf)
+        low[real], high[real] = _roots(*(np.broadcast_to(x, real.shape)[real] for x in (a, b, c)))
+        return low, high
     q = -(b + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), b))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         one, other = q / np.where(a == 0.0, -0.0, a), np.where(q == 0.0, 0.0, c / q)
-    low[real], high[real] = np.minimum(one, other), np.maximum(one, other)
-    return low, high
+    return np.minimum(one, other), np.maximum(one, other)
 
 
 def _all_along(still: Booleans, low: Array, high: Array) -> Chord:

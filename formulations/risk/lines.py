@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammainc, gammaincc, gammaln, xlogy
+from scipy.special import gammainc, gammaincc, gammainccinv, gammaln, xlogy
 
 from formulations.arrays import Array, Indices
 
@@ -36,13 +36,18 @@ class TwoSidedChiLaw:
 
     def between(self, low: Array, high: Array) -> Array:
         """Probability of [low, high], where low <= high; accurate in both tails."""
-        apart = (low > 0.0) | (high < 0.0)
-        near = np.where(apart, np.minimum(abs(low), abs(high)), 0.0)
-        far = np.maximum(abs(low), abs(high))
-        half = 0.5 * self.dimension
-        tails = gammaincc(half, 0.5 * near**2) - gammaincc(half, 0.5 * far**2)
-        both = gammainc(half, 0.5 * low**2) + gammainc(half, 0.5 * high**2)
-        return np.asarray(0.5 * np.where(apart, tails, both))
+        apart, half = (low > 0.0) | (high < 0.0), 0.5 * self.dimension
+        between = np.empty(np.shape(apart))
+        for side, one_side, sign in ((~apart, gammainc, 1.0), (apart, gammaincc, -1.0)):
+            start, end = np.broadcast_arrays(low, high)
+            near, far = np.sort(np.abs([start[side], end[side]]), axis=0)
+            between[side] = one_side(half, 0.5 * near**2) + sign * one_side(half, 0.5 * far**2)
+        return 0.5 * between
+
+    @property
+    def farthest(self) -> float:
+        """Distance beyond which the law has nothing: 1e-18."""
+        return float(np.sqrt(2.0 * gammainccinv(0.5 * self.dimension, 1e-18)))
 
     def density(self, s: Array) -> Array:
         """Density at s, zero at infinity."""

@@ -63,6 +63,8 @@ ENDS_MIN = 1e-9
 APART = 0.05
 """Change of a flight's g over which slopes are compared, in standard deviations."""
 
+REMEMBERED = 3
+"""Iterates whose probability is remembered: a stage ends and the next begins where one was."""
 
 BEND = 3.0
 """c: standard deviations over which a row bends before it goes on straight."""
@@ -228,11 +230,17 @@ class NodeRows(ExactRows):
 class FlightRows(ExactRows):
     """All joint constraints hold at all nodes of the flight with the required probability: one row.
 
-    The probability is estimated from a number of lines that is a power of two.
+    The probability is estimated from a number of lines that is a power of two. Curvature begins as that
+    of rows from fewer lines, if these are given.
     """
 
     def __init__(
-        self, problem: FlybyProblem, probability: float, lines: int, resolution: float
+        self,
+        problem: FlybyProblem,
+        probability: float,
+        lines: int,
+        resolution: float,
+        rough: FlightRows | None = None,
     ) -> None:
         super().__init__(problem, probability, resolution)
         nodes = np.unique(np.concatenate([event.nodes for event in self.events]))
@@ -243,8 +251,9 @@ class FlightRows(ExactRows):
         directions = sphere_directions(lines, dimension)
         self.probability = FlightProbability(self.events, directions)
         self._rough = FlightProbability(self.events, directions[:CURVATURE_LINES])
-        self._seen: tuple[Linearisation, FlightQuantile] | None = None
+        self._seen: list[tuple[Array, Array, FlightQuantile]] = []
         self._bent: tuple[Array, Array] | None = None
+        self._begun = rough
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margin of the whole flight, at the node where most flights break a limit."""
@@ -258,6 +267,8 @@ class FlightRows(ExactRows):
         g, z = self._at(lin), lin.iterate.burns.ravel()
         slope, free = self._slope(g, s), null_space(final_state_map(lin)[1])
         step = APART / max(float(np.linalg.norm(slope @ free)), APART)
+        if self._bent is None and self._begun is not None:
+            self._bent = self._begun._bent
         if self._bent is None or np.linalg.norm((z - self._bent[0]) @ free) > step:
             met = g.limits.at(g.ends > ENDS_MIN)
             self._bent = z, self._hessian(met, step, free, s, z)
@@ -298,9 +309,13 @@ class FlightRows(ExactRows):
         return self.final.pulled(pulled_at(self.problem, g.nodes, *parts), lin, prices)
 
     def _at(self, lin: Linearisation) -> FlightQuantile:
-        if self._seen is None or self._seen[0] is not lin:
-            self._seen = lin, self.probability(lin.iterate.mean[:, :3], lin.factor[:, :3])
-        return self._seen[1]
+        mean, factor = lin.iterate.mean[:, :3], lin.factor[:, :3]
+        for seen in self._seen:
+            if np.array_equal(seen[0], mean) and np.array_equal(seen[1], factor):
+                return seen[2]
+        found = self.probability(mean, factor)
+        self._seen = [(mean, factor, found), *self._seen[: REMEMBERED - 1]]
+        return found
 
     def _slope(self, g: FlightQuantile, s: Sensitivity) -> Array:
         """dg/dz, shape (nz,)."""

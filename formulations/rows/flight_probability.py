@@ -19,7 +19,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.regions import Region
-from formulations.risk.lines import TwoSidedChiLaw, kept_segments, normal_density
+from formulations.risk.lines import Segments, TwoSidedChiLaw, kept_segments, normal_density
 from formulations.rows.node_probability import Event
 
 SURE = 1e-12
@@ -32,6 +32,10 @@ good to a tenth at 1e-3, a third at 1e-4, a half (0.1 standard deviations) at 1e
 
 GRAZING = 1e-6
 """Least cosine between line and normal, which bounds the velocity of ends of nearly tangent lines."""
+
+
+ROUNDING = 1e-9
+"""Distance from a plane at which a line may be on either side of it, in units of length."""
 
 
 class Limit(NamedTuple):
@@ -136,9 +140,7 @@ class FlightProbability:
         lines, d = self.directions.shape
         factor = factor[:, :, :d]
         law = TwoSidedChiLaw(d)
-        kept = kept_segments(
-            self._chords(limits.inner, mean, factor), self._chords(limits.outer, mean, factor)
-        )
+        kept = self._kept(mean, factor, limits)
         p = float(law.between(kept.low, kept.high).sum()) / lines
         nodes = limits.nodes
         r = len(nodes)
@@ -157,16 +159,49 @@ class FlightProbability:
         by_mean, ends = gather @ gradient, gather @ density
         return FlightQuantile(g, limits, scale * by_mean, scale * np.stack(by_factor, axis=1), ends)
 
+    def _kept(self, mean: Array, factor: Array, limits: Limits) -> Segments:
+        """Segments of the lines on which all limits hold, whose ends are rows of the limits.
+
+        Of keep-outs only chords are computed that a line may meet before it leaves the keep-ins, or
+        before the law ends: one in a hundred or fewer.
+        """
+        inner = self._chords(limits.inner, mean, factor)
+        farthest = TwoSidedChiLaw(self.directions.shape[1]).farthest
+        first = np.maximum(inner[0].max(axis=1, initial=-np.inf), -farthest)
+        last = np.minimum(inner[1].min(axis=1, initial=np.inf), farthest)
+        met: list[Indices] = []
+        lows: list[Array] = []
+        highs: list[Array] = []
+        for limit, row in zip(limits.outer, limits.first[len(limits.inner) :], strict=False):
+            spread, at = factor[limit.nodes], mean[limit.nodes]
+            plane = limit.region.supporting(at)
+            towards = -np.einsum("ni,nic->nc", plane.normal, spread) @ self.directions.T
+            beyond = np.maximum(first * towards, last * towards) + plane.slack(at)[:, None]
+            k, line = np.nonzero(beyond >= -ROUNDING)
+            direction = np.einsum("nic,nc->ni", spread[k], self.directions[line])
+            chord = limit.region.at(k).chord(at[k, None], direction[:, None])
+            rows, column = np.unique(k, return_inverse=True)
+            for ends, found in zip((lows, highs), chord, strict=True):
+                ends.append(np.full((len(first), len(rows)), np.inf))
+                ends[-1][line, column] = found[:, 0]
+            met.append(row + rows)
+        outer = tuple(np.hstack([np.zeros((len(first), 0)), *ends]) for ends in (lows, highs))
+        kept = kept_segments(inner, (outer[0], outer[1]))
+        row_of = np.concatenate([np.arange(inner[0].shape[1]), *met, [-1]]).astype(np.intp)
+        return kept._replace(low_limit=row_of[kept.low_limit], high_limit=row_of[kept.high_limit])
+
     def _chords(self, limits: Sequence[Limit], mean: Array, factor: Array) -> tuple[Array, Array]:
         """Intervals of the lines in each row's region: starts and ends, shape (lines, rows) each."""
         lines = len(self.directions)
-        lows, highs = [np.zeros((lines, 0))], [np.zeros((lines, 0))]
+        lows, highs = [np.zeros((0, lines))], [np.zeros((0, lines))]
         for limit in limits:
-            direction = self.directions @ factor[limit.nodes].swapaxes(1, 2)
-            low, high = limit.region.chord(mean[limit.nodes, None], direction)
-            lows.append(low.T)
-            highs.append(high.T)
-        return np.hstack(lows), np.hstack(highs)
+            # Components first: one product of matrices, and operations run along the lines.
+            along = factor[limit.nodes].reshape(-1, factor.shape[2]) @ self.directions.T
+            along = np.moveaxis(along.reshape(-1, 3, lines), 1, 2)
+            low, high = limit.region.chord(mean[limit.nodes, None], along)
+            lows.append(low)
+            highs.append(high)
+        return np.vstack(lows).T, np.vstack(highs).T
 
 
 def limits_within(events: tuple[Event, ...], mean: Array, spread: Array) -> Limits:

@@ -249,10 +249,11 @@ class Planner:
         if not self._exact_rows and self.mission.scenario.risk.scope == "node":
             self._exact_rows = [("", NodeRows(problem, target))]
         elif not self._exact_rows:
+            coarse = FlightRows(problem, target, FEW_LINES, COARSE)
             self._exact_rows = [
                 (".node", NodeRows(problem, target, COARSE)),
-                (".coarse", FlightRows(problem, target, FEW_LINES, COARSE)),
-                ("", FlightRows(problem, target, LINES, FINE)),
+                (".coarse", coarse),
+                ("", FlightRows(problem, target, LINES, FINE, coarse)),
             ]
         return self._exact_rows
 

@@ -12,9 +12,11 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
 from formulations.problem.regions import Ball, Cone
+from formulations.risk.lines import Segments, kept_segments
 from formulations.rows.flight_probability import (
     PROBABILITY_MAX,
     FlightProbability,
+    Limits,
     sphere_directions,
 )
 from formulations.rows.node_probability import Event, node_quantiles
@@ -137,6 +139,28 @@ def test_half_spaces_that_only_one_part_of_the_errors_knows_have_their_closed_fo
     event = Event("plane", np.arange(n), (Ball(-radius * normal, radius),), ())
     flight = Flight(-away[:, None] * normal, factor, (event,))
     assert probability(flight) == pytest.approx(float(ndtr(deviations)), abs=8e-3)
+
+
+@given(seed=seeds, outside=st.sampled_from([None, -0.02, 0.02]))
+@few
+def test_chords_that_no_line_comes_near_are_missed_by_none(
+    seed: int, outside: float | None
+) -> None:
+    """Against all chords of all lines, which a plane through each keep-out decides not to compute."""
+    flight = some_flight(seed, outside)
+    estimate = of_flight(flight, 512)
+    found = estimate(flight.mean, flight.factor)
+
+    def every(self: FlightProbability, mean: Array, factor: Array, limits: Limits) -> Segments:
+        chords = (self._chords(part, mean, factor) for part in limits)
+        return kept_segments(*chords)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FlightProbability, "_kept", every)
+        dense = estimate(flight.mean, flight.factor)
+    for one, other in zip(found, dense, strict=True):
+        if not isinstance(one, Limits):
+            assert one == pytest.approx(other, rel=1e-9, abs=1e-12)
 
 
 def test_limits_out_of_reach_do_not_matter() -> None:
