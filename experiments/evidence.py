@@ -68,7 +68,7 @@ SOURCES: Mapping[str, Source] = {
     "compare_solvers": Source(
         "experiments compare_solvers --full",
         (_SOLVERS,),
-        figures=("paper_figs solver_comparison --runs {out} --out {out}",),
+        figures=("paper_figs solver_comparison --runs {out} --out docs",),
     ),
     "nlp_tricks": Source("experiments nlp_tricks", ("experiments.nlp_tricks",)),
     "openscvx_peer": Source("experiments openscvx_peer", ("experiments.openscvx_peer",)),
@@ -87,7 +87,7 @@ SOURCES: Mapping[str, Source] = {
     "flown_plan": Source("experiments flown_plan", ("experiments.flown_plan",)),
     "benchmarks": Source("benchmarks", ("benchmarks.methods", "benchmarks.growth")),
     "campaign_scale": Source("benchmarks.campaign_scale", ("benchmarks.campaign_scale",)),
-    "maps": Source("experiments maps", ("experiments.maps", "examples.studies")),
+    "maps": Source("experiments maps --pictures docs", ("experiments.maps", "examples.studies")),
     "reliability": Source("experiments testing reliability", _ALL, without=()),
     "coverage": Source("experiments testing coverage", _ALL, without=()),
     "mutation": Source("experiments testing mutation", ("tests", "formulations"), without=()),

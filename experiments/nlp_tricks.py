@@ -103,9 +103,9 @@ def measuring(mission: Mission, chosen: Mapping[str, Variant]) -> Callable[[str]
             "unknowns": str(run.unknowns),
             "rows": str(run.rows),
             "iterations": str(max(len(run.iterations) - 1, 0)),
-            "build s": f"{run.build_s:.2f}",
-            "IPOPT s": f"{run.solve_s:.2f}",
-            "of it evaluating s": f"{run.evaluate_s:.2f}",
+            "build wall s": f"{run.build_s:.2f}",
+            "IPOPT wall s": f"{run.solve_s:.2f}",
+            "of it evaluating wall s": f"{run.evaluate_s:.2f}",
             "processor s": f"{process_time() - begin:.2f}",
         }
 

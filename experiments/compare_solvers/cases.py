@@ -17,7 +17,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.scp.algorithms import ALGORITHMS
 
-IPOPT = "IPOPT"
+IPOPT, UNO = "IPOPT", "UNO"
+NLP_SOLVERS = (IPOPT, UNO)
 NLP_VARIANTS = ("printed", "tuned", "shooting")
 """Keys of `formulations.nlp.solve.VARIANTS`, not imported here: CasADi takes a second."""
 
@@ -26,7 +27,7 @@ NLP_VARIANTS = ("printed", "tuned", "shooting")
 class Method:
     """A method: keys of `FORMULATIONS` and `ALGORITHMS`, and a conic solver.
 
-    For `IPOPT` the keys are the nonlinear program's variant, and "hard", or "elastic" with SCP's
+    For `NLP_SOLVERS` the keys are the nonlinear program's variant, and "hard", or "elastic" with SCP's
     penalty.
     """
 
@@ -41,7 +42,7 @@ class Method:
 
 
 Start = Literal["cold", "warm", "p3", "random"]
-Group = Literal["matrix", "scenarios", "guesses", "exact"]
+Group = Literal["matrix", "scenarios", "guesses", "random", "exact"]
 EXACT: Group = "exact"
 
 
@@ -52,11 +53,13 @@ class Cell:
     Attributes:
         group: table that it belongs to.
         scenario: name of the scenario.
-        overrides: its changes to the default scenario, as for `--set`.
+        overrides: its changes to the base, as for `--set`.
         method: method that solves it.
         start: straight line; ballistic arc; SCP's own P3 solution and the facets there, the same for
             every method; or a random guess.
         seed: of the random guess.
+        base: scenario that is changed.
+        repeat: number of the run, which changes nothing but times.
     """
 
     group: Group
@@ -65,12 +68,15 @@ class Cell:
     method: Method
     start: Start
     seed: int = 0
+    base: str = "recon_b"
+    repeat: int = 0
 
     @property
     def key(self) -> str:
         """Unique name, the same in every run of this study."""
         start = f"{self.start}{self.seed}" if self.start == "random" else self.start
-        return f"{self.group}|{self.scenario}|{start}|{self.method.name}"
+        again = f"|{self.repeat}" if self.repeat else ""
+        return f"{self.group}|{self.scenario}|{start}|{self.method.name}{again}"
 
 
 REFERENCE = Method("condensed", "scvx", "CLARABEL")
@@ -85,7 +91,8 @@ EVERY_NODE = Method("lifted-every-node", "scvx", "CLARABEL")
 """Lifted with all facets from the first, for P2 from a P3 solution only: every node has its factor."""
 
 SCP_METHODS = tuple(Method(*key) for key in product(FORMULATIONS, ALGORITHMS, installed()))
-NLP_METHODS = (*(Method(v, "hard", IPOPT) for v in NLP_VARIANTS), ELASTIC)
+SHOOTING, SHOOTING_UNO = (Method("shooting", "hard", solver) for solver in NLP_SOLVERS)
+NLP_METHODS = (*(Method(v, "hard", IPOPT) for v in NLP_VARIANTS), SHOOTING_UNO, ELASTIC)
 FEW = (
     REFERENCE,
     Method("condensed", "ptr", "CLARABEL"),
@@ -95,15 +102,32 @@ FEW = (
     Method("condensed", UNGUARDED, "CLARABEL"),
     Method("frozen-covariance", UNGUARDED, "CLARABEL"),
     TUNED,
+    SHOOTING,
+    SHOOTING_UNO,
     ELASTIC,
 )
 """Methods run in every scenario."""
+
+ONE_FACTOR = (
+    REFERENCE,
+    Method("condensed", "ptr", "CLARABEL"),
+    Method("condensed", "scvx-star", "CLARABEL"),
+    Method("lifted", "scvx", "CLARABEL"),
+    Method("frozen-stm", "scvx", "CLARABEL"),
+    Method("condensed", "scvx", "QOCO"),
+    Method("condensed", "scvx", "ECOS"),
+    TUNED,
+    SHOOTING,
+    SHOOTING_UNO,
+)
+"""Methods that differ from the reference in one thing, and nonlinear programs."""
 
 GUESSED = (
     *FEW[:4],
     Method("lifted", "scvx", "ECOS"),
     TUNED,
-    Method("shooting", "hard", IPOPT),
+    SHOOTING,
+    SHOOTING_UNO,
 )
 """Methods started from random guesses; lifted by ECOS, its fastest solver except SCS."""
 
@@ -128,6 +152,34 @@ OFF_M, OFF_M_S = 20.0, 1e-3
 """1 sigma by which each component of a boundary state is off the printed one."""
 
 Changes = dict[str, Any]
+
+
+REPEATS = 5
+PROBLEMS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "recon_b": ("recon_b", ()),
+    "nightingale": (
+        "nightingale",
+        (
+            "boundary.home.departure_deg=[159, 159]",
+            "boundary.home.arrival_deg=[0.5, 0.5]",
+            "design.departure_s=[0, 0]",
+            "design.arrival_s=[34842, 34842]",
+            'risk.allocation="uniform"',
+            'risk.scope="node"',
+        ),
+    ),
+    "replan": (
+        "recon_b",
+        (
+            'in_flight={at_s = 2057.143, frame = "j2000", '
+            "position_m = [-113.009, -662.541, -908.545], "
+            "velocity_m_s = [-0.0042329, 0.0482099, -0.0071459], "
+            "flown_m_s = [[-0.009414321, 0.044802051, 0.018887179]]}",
+        ),
+    ),
+}
+"""Base and changes of the problems that every method solves: the default one; a pass from the packaged
+home orbit, its phases fixed; what is left of the default plan from a state 17 m and 0.7 mm/s off it."""
 
 
 def scenarios() -> dict[str, tuple[str, ...]]:
@@ -165,12 +217,23 @@ def full_design(guesses: int = 50) -> tuple[Cell, ...]:
     default: dict[str, tuple[str, ...]] = {"recon_b": ()}
     by_clarabel = [method for method in SCP_METHODS if method.solver == "CLARABEL"]
     return (
-        *_cells("matrix", default, (*SCP_METHODS, *NLP_METHODS), ("cold",)),
+        *crossing(),
         *_cells("matrix", default, (*by_clarabel, *NLP_METHODS), ("warm",)),
         *_cells("scenarios", scenarios(), FEW, ("p3",)),
         *_cells("scenarios", default, (Method("lifted", "scvx", "CLARABEL"), EVERY_NODE), ("p3",)),
         *_guesses(GUESSED, guesses),
+        *_random(ONE_FACTOR, range(NUMBER)),
     )
+
+
+def crossing() -> list[Cell]:
+    """Every method on every problem from the straight line, several times."""
+    return [
+        Cell("matrix", name, overrides, method, "cold", base=base, repeat=repeat)
+        for repeat in range(REPEATS)
+        for name, (base, overrides) in PROBLEMS.items()
+        for method in (*SCP_METHODS, *NLP_METHODS)
+    ]
 
 
 def quick_design() -> tuple[Cell, ...]:
@@ -181,15 +244,15 @@ def quick_design() -> tuple[Cell, ...]:
         *(Method(f, "scvx", "CLARABEL") for f in FORMULATIONS if f != "condensed"),
         TUNED,
     )
-    shooting = Method("shooting", "hard", IPOPT)
     feasible, infeasible = ({name: scenarios()[name]} for name in ("recon_b", "beta=0.16"))
     of_feasible = [method for method in FEW if method != ELASTIC]
     return (
         *_cells("matrix", {"recon_b": ()}, matrix, ("cold",)),
-        *_cells("matrix", {"recon_b": ()}, (shooting,), ("warm",)),
+        *_cells("matrix", {"recon_b": ()}, (SHOOTING, SHOOTING_UNO), ("warm",)),
         *_cells("scenarios", feasible, of_feasible, ("p3",)),
         *_cells("scenarios", infeasible, (REFERENCE, ELASTIC), ("p3",)),
         *_guesses((REFERENCE, TUNED), 3),
+        *_random((REFERENCE, TUNED), QUICK),
     )
 
 
@@ -278,6 +341,15 @@ def _limits(rng: np.random.Generator) -> Changes:
         "battery.delta_v_cone_deg": between(15.0, 30.0),
         "safety.radius_min_m": between(480.0, 560.0),
     }
+
+
+def _random(methods: Iterable[Method], seeds: range) -> list[Cell]:
+    """Random scenarios with uniform risk at nodes, from the straight line."""
+    uniform = {"risk.allocation": "uniform", "risk.scope": "node"}
+    return [
+        Cell("random", f"uniform {seed:02d}", _overrides(drawn(seed)[1] | uniform), method, "cold")
+        for seed, method in product(seeds, methods)
+    ]
 
 
 def exact_design(scenarios: range = range(NUMBER)) -> tuple[Cell, ...]:

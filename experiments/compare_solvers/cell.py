@@ -13,9 +13,10 @@ import numpy as np
 
 from experiments.compare_solvers.cases import (
     EVERY_NODE,
-    IPOPT,
+    NLP_SOLVERS,
     REFERENCE,
     UNGUARDED,
+    UNO,
     Cell,
     Method,
     start_of,
@@ -67,7 +68,8 @@ class Row:
         total_s: from the guess, or from SCP's P3 solution, to the end, with building of programs but
             without imports.
         cpu_s: processor time of that, which other work on the machine does not lengthen.
-        solver_s: in the conic solver, or in IPOPT without its evaluations.
+        setup_s: of total_s, building programs and solvers.
+        solver_s: of total_s, in the conic solver, or in IPOPT without its evaluations.
         peak_mib: resident memory of the process, imports included.
         observed_s: mean observation time of many flights.
         burns_m_s: all components.
@@ -99,6 +101,7 @@ class Row:
     from_arc: bool = False
     total_s: float = np.nan
     cpu_s: float = np.nan
+    setup_s: float = np.nan
     solver_s: float = np.nan
     peak_mib: float = np.nan
     observed_s: float = np.nan
@@ -148,7 +151,7 @@ def empty_row(cell: Cell) -> Row:
 
 def solve_cell(cell: Cell, flights: int) -> Row:
     """Solve a cell in this process; `flights` sampled flights, if any, give the observation time."""
-    mission = Mission.from_scenario(load_scenario(None, cell.overrides))
+    mission = Mission.from_scenario(load_scenario(cell.base, cell.overrides))
     for name in _needs(cell.method):
         importlib.import_module(name)
     done, cpu_s = (_from_p3 if cell.start == "p3" else _whole)(mission, cell)
@@ -184,7 +187,7 @@ def judged(
 
 def _needs(method: Method) -> tuple[str, ...]:
     """Modules that a method imports late; they are imported before its time is taken."""
-    if method.solver == IPOPT:
+    if method.solver in NLP_SOLVERS:
         return ("scp_recon.planning.ipopt",)
     form = "lifted" if method.formulation.startswith("lifted") else "condensed"
     return (f"formulations.program.{form}", method.solver.lower())
@@ -194,11 +197,10 @@ def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     """Plan P3, facets and P2 by one method; returns processor time in s as well."""
     start, method = start_of(mission, cell), cell.method
     begin = process_time()
-    if method.solver == IPOPT:
-        from scp_recon.planning import ipopt
-
-        elastic = method.algorithm == "elastic"
-        done = ipopt.plan(mission, start, variant=method.formulation, elastic=elastic)
+    if method.solver in NLP_SOLVERS:
+        runner = StageRunner(mission, _solver_of_rows(mission, method))
+        provenance = Provenance(method.formulation, method.algorithm, method.solver, cell.start)
+        done = runner.run(lambda: runner.executable(runner.plan(start, "P2")), provenance)
     else:
         names = (method.formulation, method.algorithm, method.solver)
         done = plan_mission(mission, start, PlanOptions("P2", "scp", *names))
@@ -218,6 +220,7 @@ def _of_plan(cell: Cell, done: Plan, cpu_s: float) -> Row:
         from_arc=done.final.begun_again,
         total_s=done.total_s,
         cpu_s=cpu_s,
+        setup_s=done.timing.setup,
         solver_s=done.timing.conic_solver,
     )
 
@@ -242,11 +245,12 @@ def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
 
 def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
     """The solver of P2 by a method."""
-    if method.solver == IPOPT:
-        from formulations.nlp.solve import VARIANTS
+    if method.solver in NLP_SOLVERS:
+        from formulations.nlp.solve import BY_UNO, VARIANTS
         from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
-        variant, arcs = VARIANTS[method.formulation], casadi_arcs(mission.dynamics)
+        variant = BY_UNO if method.solver == UNO else VARIANTS[method.formulation]
+        arcs = casadi_arcs(mission.dynamics)
         return IpoptStages(mission, arcs, variant, method.algorithm == "elastic")
     unguarded = Unguarded(mission.problem) if method.algorithm == UNGUARDED else None
     name = "scvx" if unguarded else method.algorithm  # of the same penalty
@@ -315,7 +319,7 @@ SEARCH_S = 60.0
 def solve_exact(cell: Cell, flights: int) -> Row:
     """Solve a cell of exact risk in this process, and check its probability independently."""
     del flights
-    mission = Mission.from_scenario(load_scenario(None, cell.overrides))
+    mission = Mission.from_scenario(load_scenario(cell.base, cell.overrides))
     found = _planned(mission, cell) if cell.method == REFERENCE else _searched(mission, cell)
     checked = check(mission, np.reshape(found.burns_m_s, (-1, 3)))
     return replace(

@@ -148,7 +148,7 @@ STUDY = Study(
             action="store_true",
             help=f"a cell of every kind, into {QUICK_OUT}: three minutes",
         ),
-        option("--full", action="store_true", help="everything, two hours (default)"),
+        option("--full", action="store_true", help="everything, four to six hours (default)"),
         option(
             "--exact", action="store_true", help="exact risk in 50 scenarios alone: half an hour"
         ),

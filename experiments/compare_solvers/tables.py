@@ -42,6 +42,21 @@ without the plan that they start from. A reference's delta-v is printed where th
 holds."""
 
 
+PROFILED = {
+    "scenarios": "P2 of every scenario",
+    "random": "P3 and P2 of random scenarios, uniform risk",
+    "guesses": "P3 and P2 from random guesses",
+}
+"""Groups of problems that many methods solve."""
+FACTORS = (1, 2, 5, 10, 20, 50, 100)
+"""Of the least processor time, in a profile."""
+
+PROFILE_NOTE = f"""\
+The share of problems that a method solves within so many times the processor time of the quickest
+(Dolan and More 2002), set-up included, of those that any method solves; *ever* is its share of success.
+A method that ends dearer than the best by more than {AGREE:g} has not solved the problem."""
+
+
 def csv_of(rows: Sequence[Row]) -> Table:
     """All rows, a column per attribute, burns with spaces between."""
     found = []
@@ -54,8 +69,9 @@ def csv_of(rows: Sequence[Row]) -> Table:
 def report(rows: Sequence[Row]) -> list[str | Table]:
     """A table per group."""
     return [
-        _matrix("Default scenario, every method", of_group(rows, "matrix"), "methods"),
+        _matrix("Every method", of_group(rows, "matrix"), "methods"),
         _scenarios(of_group(rows, "scenarios")),
+        *(profiles(of_group(rows, group)) for group in PROFILED),
         _guesses(of_group(rows, "guesses")),
         _optima(of_group(rows, "guesses")),
         _exact(rows),
@@ -76,25 +92,32 @@ def _figure(value: float, form: str) -> str:
 
 
 def _matrix(title: str, rows: Sequence[Row], key: str, note: str = "") -> Table:
+    """A line for each problem, start and method; of repeats the first, with the median of the times."""
     columns = (
-        "start", "method", "status", "delta-v m/s", "merit m/s", "worst violation m",
-        "P3 + P2 iterations", "total s", "processor s", "solver s", "peak MiB", "observes s",
+        "problem", "start", "method", "status", "delta-v m/s", "merit m/s", "worst violation m",
+        "P3 + P2 iterations", "repeats", "processor s", "wall s", "of it set-up s", "of it solver s",
+        "peak MiB", "observes s",
     )  # fmt: skip
-    lines = [
-        (
-            row.start,
-            row.method,
-            shown(row),
-            _figure(row.total_dv_m_s, ".6f"),
-            _figure(row.merit_m_s, ".6f"),
-            _figure(row.violation_m, ".1e"),
-            f"{row.iterations_p3} + {row.iterations_p2}",
-            *(_figure(seconds, ".2f") for seconds in (row.total_s, row.cpu_s, row.solver_s)),
-            _figure(row.peak_mib, ".0f"),
-            _figure(row.observed_s, ".0f"),
+    runs: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        runs.setdefault((row.scenario, row.start, row.method), []).append(row)
+    lines = []
+    for (problem, start, method), own in runs.items():
+        row = own[0]
+        times = np.array([(r.cpu_s, r.total_s, r.setup_s, r.solver_s) for r in own])
+        lines.append(
+            (
+                *(problem, start, method, shown(row)),
+                _figure(row.total_dv_m_s, ".6f"),
+                _figure(row.merit_m_s, ".6f"),
+                _figure(row.violation_m, ".1e"),
+                f"{row.iterations_p3} + {row.iterations_p2}",
+                len(own),
+                *(_figure(seconds, ".2f") for seconds in np.median(times, axis=0).tolist()),
+                _figure(row.peak_mib, ".0f"),
+                _figure(row.observed_s, ".0f"),
+            )
         )
-        for row in rows
-    ]
     return Table.of(title, columns, lines, key=key, note=note)
 
 
@@ -157,6 +180,28 @@ def _guesses(rows: Sequence[Row]) -> Table:
             )
         )
     return Table.of("Random guesses", columns, lines, key="guesses", note=GUESSES_NOTE)
+
+
+def profiles(rows: Sequence[Row]) -> Table:
+    """Performance profiles of the processor time, of the methods that were given every problem."""
+    problems = {(row.scenario, row.seed) for row in rows if row.solved}
+    best = {p: best_of(r for r in rows if (r.scenario, r.seed) == p) for p in problems}
+    ended = [
+        r for r in rows if r.solved and r.total_dv_m_s <= (1 + AGREE) * best[r.scenario, r.seed]
+    ]
+    least = {p: min(r.cpu_s for r in ended if (r.scenario, r.seed) == p) for p in problems}
+    lines = list[tuple[Value, ...]]()
+    for method, own in _by_method(rows).items():
+        ratios = [r.cpu_s / least[r.scenario, r.seed] for r in own if r in ended]
+        if problems and {(row.scenario, row.seed) for row in own} >= problems:
+            within = [sum(ratio <= factor for ratio in ratios) for factor in (*FACTORS, np.inf)]
+            lines.append((method, len(problems), *(count / len(problems) for count in within)))
+    shares = (*(f"within {factor}" for factor in FACTORS), "ever")
+    columns: list[Column | str] = ["method", "problems"]
+    columns += [Column(heading, form=".2f") for heading in shares]
+    group = next((row.group for row in rows), "")
+    title = f"Performance profiles, {PROFILED.get(group, group)}"
+    return Table.of(title, columns, lines, f"profiles_{group}", PROFILE_NOTE)
 
 
 def _by_method(rows: Iterable[Row]) -> dict[str, list[Row]]:

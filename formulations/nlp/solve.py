@@ -1,4 +1,7 @@
-"""Solve P3 and P2 as nonlinear programs by IPOPT: the reference for sequential convex programming."""
+"""Solve P3 and P2 as nonlinear programs by IPOPT: the reference for sequential convex programming.
+
+Uno, which CasADi's wheels hold too, is a second one of another kind: a filter SQP method.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from time import perf_counter
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
@@ -36,6 +39,8 @@ class Settings:
     barrier: Literal["monotone", "adaptive"] = "monotone"
     max_iterations: int = 1000
 
+    plugin: ClassVar[str] = "ipopt"
+
     def options(self) -> dict[str, Any]:
         """The options in CasADi's form; IPOPT prints nothing."""
         return {
@@ -50,6 +55,30 @@ class Settings:
             "ipopt.max_wall_time": 600.0,
             "ipopt.print_level": 0,
             "ipopt.sb": "yes",
+            "print_time": False,
+            "show_eval_warnings": False,
+        }
+
+
+@dataclass(frozen=True)
+class FilterSqp:
+    """Uno's options: its default, a trust region with Fletcher's filter and dense quadratic programs.
+
+    It takes no derivatives but CasADi's own, and serves programs of few unknowns.
+    """
+
+    hessian: Literal["exact"] = "exact"
+    max_iterations: int = 1000
+
+    plugin: ClassVar[str] = "uno"
+
+    def options(self) -> dict[str, Any]:
+        """The options in CasADi's form; Uno prints nothing."""
+        return {
+            "uno.logger": "SILENT",
+            "uno.primal_tolerance": CONSTRAINT_TOLERANCE,
+            "uno.max_iterations": self.max_iterations,
+            "uno.time_limit": 600.0,
             "print_time": False,
             "show_eval_warnings": False,
         }
@@ -74,8 +103,8 @@ class Variant:
     """
 
     transcription: Transcription
-    p3: Settings
-    p2: Settings
+    p3: Settings | FilterSqp
+    p2: Settings | FilterSqp
     screened: bool = True
 
 
@@ -101,6 +130,8 @@ VARIANTS: dict[str, Variant] = {
     ),
     "shooting": Variant(SingleShooting(), p3=EXACT, p2=QUASI_NEWTON),
 }
+BY_UNO = Variant(SingleShooting(), p3=FilterSqp(), p2=FilterSqp())
+"""Single shooting by Uno, to be compared; the commands know IPOPT alone."""
 """Variants: the problems as the paper prints them, as an expert would pose them, with few unknowns."""
 
 
@@ -117,6 +148,8 @@ class NlpOutcome(Enum):
 
 OUTCOMES = {
     "Solve_Succeeded": NlpOutcome.SOLVED,
+    "Converged with feasible KKT point": NlpOutcome.SOLVED,
+    "Converged with infeasible stationary point": NlpOutcome.INFEASIBLE,
     "Solved_To_Acceptable_Level": NlpOutcome.ACCEPTABLE,
     "Infeasible_Problem_Detected": NlpOutcome.INFEASIBLE,
     "Maximum_Iterations_Exceeded": NlpOutcome.LIMIT,
@@ -128,7 +161,10 @@ OUTCOMES = {
 
 @dataclass(frozen=True)
 class NlpIteration:
-    """One line of IPOPT's log: objective, largest scaled violation, largest step of an unknown."""
+    """One line of IPOPT's log: objective, largest scaled violation, largest step of an unknown.
+
+    Uno keeps no log: its lines are NaN.
+    """
 
     objective: float
     violation: float
@@ -192,7 +228,8 @@ def solve_nlp(
     stats = solver.stats()
     point = np.array(answer["x"]).ravel()[: program.unknowns.numel()]
     log = stats.get("iterations", {})
-    lines = zip(*(log.get(key, ()) for key in ("obj", "inf_pr", "d_norm")), strict=True)
+    lines = [*zip(*(log.get(key, ()) for key in ("obj", "inf_pr", "d_norm")), strict=True)]
+    lines = lines or (stats.get("iter_count", 0) + 1) * [3 * (np.nan,)]
     return NlpResult(
         iterate=program.iterate(point),
         outcome=_outcome(stats["return_status"], interrupted=seen),
@@ -214,13 +251,16 @@ def _outcome(status: str, *, interrupted: bool) -> NlpOutcome:
     return OUTCOMES.get(status, NlpOutcome.FAILED)
 
 
-def _solver(nlp: Assembled, settings: Settings) -> ca.Function:
-    """IPOPT with the program's own derivatives."""
+def _solver(nlp: Assembled, settings: Settings | FilterSqp) -> ca.Function:
+    """IPOPT with the program's own derivatives, or Uno with CasADi's."""
     options = settings.options()
+    x, nothing = nlp.unknowns, ca.MX.sym("parameters", 0, 1)
+    program = {"x": x, "p": nothing, "f": nlp.objective, "g": nlp.rows}
+    if isinstance(settings, FilterSqp):
+        return ca.nlpsol("nlp", settings.plugin, program, options)
     if np.isfinite(nlp.lower).any():
         # IPOPT relaxes bounds by 1e-8. A slack below zero is paid for, and there are hundreds.
         options["ipopt.bound_relax_factor"] = 0.0
-    x, nothing = nlp.unknowns, ca.MX.sym("parameters", 0, 1)
     if nlp.jacobian is not None:
         outputs = [nlp.rows, nlp.jacobian]
         options["jac_g"] = ca.Function("nlp_jac_g", [x, nothing], outputs)
@@ -228,8 +268,7 @@ def _solver(nlp: Assembled, settings: Settings) -> ca.Function:
         factor, factors = ca.MX.sym("factor"), ca.MX.sym("factors", nlp.rows.numel())
         hessian = nlp.hessian(factor, factors)
         options["hess_lag"] = ca.Function("nlp_hess_l", [x, nothing, factor, factors], [hessian])
-    program = {"x": x, "p": nothing, "f": nlp.objective, "g": nlp.rows}
-    return ca.nlpsol("nlp", "ipopt", program, options)
+    return ca.nlpsol("nlp", settings.plugin, program, options)
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,7 @@ from paper_figs.inputs import Row, Source
 from scp_recon.monte_carlo.estimates import proportion
 
 COLOURS = {"scvx": "C0", "ptr": "C1", "scvx-star": "C2", "hard": "C3", "elastic": "C4"}
-MARKERS = {"CLARABEL": "o", "ECOS": "s", "QOCO": "^", "SCS": "D", "IPOPT": "*"}
+MARKERS = {"CLARABEL": "o", "ECOS": "s", "QOCO": "^", "SCS": "D", "IPOPT": "*", "UNO": "P"}
 OTHER = "X"
 SOURCE = Source("comparison", "python -m experiments compare_solvers", {"comparison.csv": "group"})
 SAME = 1e-4
@@ -28,7 +28,8 @@ def solved(row: Row) -> bool:
 
 def draw_times(rows: Sequence[Row]) -> Figure:
     """Processor time from the straight line to the end of P2."""
-    chosen = [row for row in rows if row["group"] == "matrix" and row["start"] == "cold"]
+    cold = [row for row in rows if row["group"] == "matrix" and row["start"] == "cold"]
+    chosen = [row for row in cold if row["scenario"] == "recon_b"]
     forms = list(dict.fromkeys(row["formulation"] for row in chosen))
     with page(0.55 * len(forms) + 1.6) as figure:
         axes = figure.subplots()
@@ -121,12 +122,47 @@ def draw_scenarios(rows: Sequence[Row]) -> Figure:
                     for row in chosen
                     if row["method"] == method and row["scenario"].startswith((f"{name}=", "recon"))
                 ]
-                _line(axes, sorted(points), method, f"C{number}", 11.0 - 1.4 * number)
+                _line(axes, sorted(points), method, f"C{number}", max(11.0 - 1.4 * number, 3.0))
             axes.set_xlabel(label)
         both[0].set_ylabel("total delta-v (m/s)")
         both[0].plot([], [], "x", color="0.3", label="not solved")
         legend(figure, 3)
     return figure
+
+
+def draw_profiles(rows: Sequence[Row]) -> Figure:
+    """Share of the scenarios that a method solves within a multiple of the least processor time."""
+    chosen = [row for row in rows if row["group"] == "scenarios"]
+    best = _least(filter(solved, chosen), "total_dv_m_s")
+    ended = [
+        row
+        for row in filter(solved, chosen)
+        if float(row["total_dv_m_s"]) <= (1 + SAME) * best[row["scenario"]]
+    ]
+    least = _least(ended, "cpu_s")
+    with page(3.0) as figure:
+        axes = figure.subplots()
+        for number, method in enumerate(dict.fromkeys(row["method"] for row in chosen)):
+            own = [row for row in chosen if row["method"] == method]
+            if {row["scenario"] for row in own} >= least.keys():
+                ratios = sorted(
+                    float(row["cpu_s"]) / least[row["scenario"]] for row in own if row in ended
+                )
+                share = np.arange(1, len(ratios) + 1) / len(least)
+                axes.step(ratios, share, where="post", color=f"C{number}", label=method)
+        axes.set_xscale("log")
+        axes.set_ylim(0.0, 1.02)
+        axes.set_xlabel("processor time over the least of all methods")
+        axes.set_ylabel("share of scenarios solved")
+        legend(figure, 3)
+    return figure
+
+
+def _least(rows: Iterable[Row], column: str) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for row in rows:
+        found[row["scenario"]] = min(float(row[column]), found.get(row["scenario"], np.inf))
+    return found
 
 
 def _value(scenario: str, name: str, default: float) -> float:
@@ -147,6 +183,7 @@ def _line(
 
 FIGURES: dict[str, tuple[str, Callable[[Sequence[Row]], Figure]]] = {
     "comparison_times": ("matrix", draw_times),
+    "comparison_profiles": ("scenarios", draw_profiles),
     "comparison_guesses": ("guesses", draw_guesses),
     "comparison_scenarios": ("scenarios", draw_scenarios),
 }

@@ -58,6 +58,20 @@ def test_what_was_not_solved_is_hollow() -> None:
     assert [line.get_markerfacecolor() != "none" for line in points] == [True, False]
 
 
+def test_profiles_rise_to_the_share_that_is_solved() -> None:
+    rows = [
+        row("scenarios", OURS, 0.14, cpu_s="0.1"),
+        row("scenarios", THEIRS, 0.14, cpu_s="1.0"),
+        row("scenarios", OURS, 0.2, scenario="bold"),
+        row("scenarios", THEIRS, 0.3, scenario="bold"),
+    ]
+    ours, theirs = solver_comparison.draw_profiles(rows).axes[0].lines
+    assert list(ours.get_xdata()) == [1.0, 1.0]
+    assert list(ours.get_ydata()) == [0.5, 1.0]
+    assert list(theirs.get_xdata()) == pytest.approx([10.0])
+    assert list(theirs.get_ydata()) == [0.5]
+
+
 def test_a_missing_table_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["solver_comparison", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 2
     assert "comparison.csv" in capsys.readouterr().err
