@@ -20,6 +20,7 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.jobs.job import Job
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.stages import HELD_STAGE
 from scp_recon.scenario.load import load_scenario
 
 if TYPE_CHECKING:
@@ -85,8 +86,9 @@ def measuring(mission: Mission, chosen: Mapping[str, Variant]) -> Callable[[str]
     """Make the function that solves P2 with a trick from the same P3 solution, and returns a row."""
     from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
-    p3 = plan_mission(mission, initial_guess.cold(mission), PlanOptions(problem="P3"))
-    start = p3.final.result.lin
+    found = plan_mission(mission, initial_guess.cold(mission), PlanOptions(problem="P3"))
+    free = [stage for stage in found.stages if not stage.name.endswith(HELD_STAGE)]
+    start = free[-1].result.lin  # where no burn is held at zero
     facets = choose_facets(mission.problem, mission.polytopes, start.iterate.mean, start.factor)
     arcs = casadi_arcs(mission.dynamics)
 
