@@ -156,6 +156,9 @@ def test_what_is_no_file_is_one_message_and_leaves_no_lock(tmp_path: Path) -> No
     with pytest.raises(InputError, match=r"is a directory.* must be a folder to write to"):
         Store(tmp_path / "rows.jsonl", DEPENDS_ON)
     assert [path.name for path in tmp_path.iterdir()] == ["rows.jsonl"]
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"out: .* must be a folder to write to"):
+        Store(tmp_path / "file" / "rows.jsonl", DEPENDS_ON)
 
 
 def test_rows_are_json_whose_numbers_come_back_to_the_last_bit(tmp_path: Path) -> None:
