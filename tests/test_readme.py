@@ -25,6 +25,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from experiments import evidence
+from experiments.__main__ import module_of
+from experiments.evidence import SOURCES
 from scp_recon.campaigns.study import Study
 from scp_recon.cli.commands import export, solve
 from scp_recon.mission.mission import Mission
@@ -355,6 +358,26 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
 def test_a_command_that_is_shown_runs(line: str, workspace: Workspace) -> None:
     assert line in QUICK, f"{SHOWN[line]} shows it, and QUICK does not say how to run it here"
     workspace.run(line)
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, s in SOURCES.items() if f"python -m {s.command}" in QUICK]
+)
+def test_a_study_writes_the_columns_that_the_pages_show(name: str, workspace: Workspace) -> None:
+    """Of evidence that is renewed nothing is missing."""
+    line = f"python -m {SOURCES[name].command}"
+    workspace.run(line)
+    folder = (QUICK[line].line + QUICK[line].more).partition("--out ")[2].split(" ")[0]
+    study = importlib.import_module(module_of(line.split()[3])).STUDY
+    out = workspace.folder / (folder or Path("runs") / (study.folder or name)) / evidence.FILE
+    if QUICK[line].needs and not out.exists():
+        pytest.skip("needs an extra")
+    found = evidence.Evidence.read(out).tables
+    for table, rows in evidence.Evidence.read(evidence.path_of(name)).tables.items():
+        written = {column for row in found.get(table, ()) for column in row}
+        # With less work a table may be empty, or lack the columns of the other probabilities.
+        missing = {column for column in rows[0] if not column.startswith("0_")} - written
+        assert not written or not missing, table
 
 
 def test_no_entry_is_left_of_a_line_that_is_shown_no_more() -> None:
