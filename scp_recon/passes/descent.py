@@ -154,14 +154,17 @@ def descend(
     observe: Observe,
     rounds_max: int = ROUNDS_MAX,
     worth: float = WORTH,
+    precision: float = 0.1 * WORTH,
     *,
     certain: bool = False,
+    rival_m_s: float = np.inf,
 ) -> PassResult:
     """Find the best pass by rounds of SLSQP from a given one; it is never worse than the start's P2.
 
     The first plan starts from the given burns, J2000, m/s, shape (m, 3), and is returned if it does
-    not converge. A round is followed by another if its relative gain is at least `worth`. If `certain`,
-    uncertainty is left out: P3 in place of P2.
+    not converge. A round is followed by another if its relative gain is at least `worth`, and if the
+    pass is not dearer than a rival by more than that. A round ends with a step that gains no more than
+    `precision`. If `certain`, uncertainty is left out: P3 in place of P2.
     """
     near = Near(space, at, burns_m_s, certain=certain)
     best = near.first
@@ -169,37 +172,51 @@ def descend(
     if not best.converged:
         return best
     for _ in range(rounds_max):
-        x, burns = _round(space, near, observe)
+        x, burns = _round(space, near, observe, precision)
         near = Near(space, space.at(x), burns, certain=certain)
         gain = 1.0 - near.first.dv_m_s / best.dv_m_s
         observe(near.first)
         if gain > 0.0:
             best = near.first
-        if gain < worth:
+        if gain < worth or best.dv_m_s > (1.0 + worth) * rival_m_s:
             break
     return best
 
 
-def _round(space: Space, near: Near, observe: Observe) -> tuple[Array, Array]:
-    """One round: the cheapest x that SLSQP finds within reach, and the burns there."""
+def _round(space: Space, near: Near, observe: Observe, precision: float) -> tuple[Array, Array]:
+    """One round: the cheapest x that SLSQP finds within reach, and the burns there.
+
+    It ends where a step gains no more than `precision`. Slopes are those of steps that are taken: the
+    line search asks for costs alone.
+    """
     start, low, high = space.vector(near.first.at), *space.bounds.T
     free = high - low > FREE_SPAN
     matrix, least = space.rules(space.before(near.first.at.times_s))
     before = near.first
     unit, scale = before.mission.units.speed_m_s, before.dv_m_s
-    best, last = before, before
+    best = last = before
+    planned: dict[bytes, PassResult] = {}
 
-    def cost(y: Array) -> tuple[float, Array]:
+    def plan(y: Array) -> PassResult:
         nonlocal best, last
-        x = start.copy()
-        x[free] = y
-        result = near.plan(x, last.stage.result.lin)
-        observe(result)
-        if not result.converged:  # the line search turns back
-            return 10.0, np.zeros(len(y))
-        last = result
-        best = min(best, result, key=lambda one: one.dv_m_s)
-        return result.dv_m_s / scale, near.slope(result, free)[free] * (unit / scale)
+        if y.tobytes() not in planned:
+            x = start.copy()
+            x[free] = y
+            planned[y.tobytes()] = result = near.plan(x, last.stage.result.lin)
+            observe(result)
+            last = result if result.converged else last
+            best = min(best, result, key=lambda one: one.dv_m_s)
+        return planned[y.tobytes()]
+
+    def cost(y: Array) -> float:
+        result = plan(y)
+        return result.dv_m_s / scale if result.converged else 10.0  # the line search turns back
+
+    def slope(y: Array) -> Array:
+        result = plan(y)
+        if not result.converged:
+            return np.zeros(len(y))
+        return near.slope(result, free)[free] * (unit / scale)
 
     reach = Bounds(
         np.maximum(low, start - REACH)[free], np.minimum(high, start + REACH)[free], True
@@ -210,11 +227,11 @@ def _round(space: Space, near: Near, observe: Observe) -> tuple[Array, Array]:
     minimize(
         cost,
         start[free],
-        jac=True,
+        jac=slope,
         method="SLSQP",
         bounds=reach,
         constraints=rules,
-        options={"maxiter": STEPS_MAX, "ftol": 0.1 * WORTH},
+        options={"maxiter": STEPS_MAX, "ftol": precision},
     )
     return space.vector(best.at), best.burns_m_s
 

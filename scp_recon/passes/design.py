@@ -26,9 +26,13 @@ from scp_recon.scenario.schema import Scenario
 
 STARTS_MAX = 4
 """Valleys of the map from which descents begin."""
-FIRST, LAST, EXACT = (2, 1e-2), (ROUNDS_MAX, WORTH), (3, 1e-3)
-"""Effort (rounds at most, gain worth another one) of descents to compare, of the last ones, and under
-exact risk, where plans take ten times as long."""
+Effort = tuple[int, float, float]
+"""Rounds of a descent at most, and the relative gains worth another one, and another step."""
+FIRST: Effort = (2, 1e-2, 1e-3)
+LAST: Effort = (ROUNDS_MAX, WORTH, 0.1 * WORTH)
+EXACT: Effort = (3, 1e-3, 0.1 * WORTH)
+"""Of descents to compare, of the last ones, and under exact risk, where plans take five times as long:
+there what stands for it is compared only."""
 SURROGATE = {
     "risk": {"allocation": "uniform", "scope": "node"},
     "polytopes": {"ball": "tangent", "cone": 12},
@@ -93,6 +97,11 @@ class Designer:
     observe: Callable[[Trial], None]
     trials: list[Trial] = field(default_factory=list)
 
+    @property
+    def effort(self) -> Effort:
+        """Of the last descents before those of exact risk."""
+        return FIRST if self.scenario.risk.allocation == "exact" else LAST
+
     def run(self) -> tuple[Space, PassResult]:
         """Find the cheapest pass and its space; if none converged, the one with the least violation.
 
@@ -118,7 +127,7 @@ class Designer:
             return where.space, best
         others = around[len(begun) :]  # the earlier ones have no pass
         where, best = cheapest([(where, best), *self._other_windows(others, best)])
-        best = self._descent(where, "refinement", best.at, best, LAST)
+        best = self._descent(where, "refinement", best.at, best, self.effort)
         where, best = self._vary_burns(where, best)
         if exact:
             where, best = self._descend_exact(where, best)
@@ -157,27 +166,31 @@ class Designer:
         for _ in range(BURNS_MAX):
             fewer = vanished(where.space, best)
             if fewer is not None:
-                there, result = self._descend_candidate("fewer", where, fewer)
-                if result.dv_m_s <= (1.0 + WORTH) * best.dv_m_s:
+                there, result = self._descend_candidate("fewer", where, fewer, best.dv_m_s)
+                if result.dv_m_s <= (1.0 + self.effort[1]) * best.dv_m_s:
                     where, best = there, result
             tries = [
-                self._descend_candidate("number", where, other)
+                self._descend_candidate("number", where, other, best.dv_m_s)
                 for other in other_counts(where.space, best)
             ]
             there, result = cheapest([(where, best), *tries])
-            if result.dv_m_s > (1.0 - WORTH) * best.dv_m_s:
+            if result.dv_m_s > (1.0 - self.effort[1]) * best.dv_m_s:
                 break
             where, best = there, result
         return where, best
 
-    def _descend_candidate(self, step: Step, where: Around, other: Candidate) -> Best:
-        """Descend from a pass with another number of burns."""
+    def _descend_candidate(
+        self, step: Step, where: Around, other: Candidate, rival_m_s: float
+    ) -> Best:
+        """Descend from a pass with another number of burns, as long as it may be worth it."""
         there = replace(where, space=centred_on(other.space, other.at))
         seen = self._seen(step, there)
-        return there, descend(there.space, other.at, other.burns_m_s, seen, *LAST)
+        return there, descend(
+            there.space, other.at, other.burns_m_s, seen, *self.effort, rival_m_s=rival_m_s
+        )
 
     def _descent(
-        self, where: Around, step: Step, at: Pass, known: PassResult, effort: tuple[int, float]
+        self, where: Around, step: Step, at: Pass, known: PassResult, effort: Effort
     ) -> PassResult:
         """Descend from a pass, started from the burns of a known plan.
 
