@@ -48,6 +48,8 @@ def test_a_run_leaves_the_figures_as_evidence(
 
     monkeypatch.setattr(command, "in_a_process", in_a_process)
     monkeypatch.setattr(command, "command_times", lambda _: {"solve": 1.5, "import cvxpy": 0.75})
+    waits = {name: {"command": name, "wall_s": 2.0, "processor_s": 1.0} for name in command.WAITS}
+    monkeypatch.setattr(command, "waited", lambda name, _: waits[name])
     words = ["--quick", "--out", str(tmp_path), "--quiet"]
     assert command.main(words) == 130
     assert command.main(words) == 0
@@ -58,8 +60,17 @@ def test_a_run_leaves_the_figures_as_evidence(
     rows = {row["method"]: row for row in found.tables["methods"]}
     assert rows["ipopt printed"]["later_s"] == 16.0
     assert {"replan", "montecarlo"}.isdisjoint(rows)
+    assert found.tables["waits"] == list(waits.values())
     ratios = {row["figure"]: row["value"] for row in found.tables["ratios"]}
     assert ratios["command line, s"] == 1.5
+
+
+def test_a_command_is_waited_for_in_a_process_of_its_own(tmp_path: Path) -> None:
+    row = command.waited("solve --help", tmp_path)
+    assert row["processor_s"] > 0.0
+    slower = row | {"processor_s": row["processor_s"] + 1.0}
+    others = [{"command": name, "wall_s": 1.0, "processor_s": 1.0} for name in command.WAITS]
+    assert command.shortest([slower, row, *others[1:]])[0] == row
 
 
 def test_ratios_are_of_the_methods_they_name() -> None:
