@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.execution_errors import ComponentwiseErrors
+from formulations.problem.feedback import Cost, Feedback
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.regions import Ball, Cone
 from formulations.rows.uniform import ChanceRows, DeterministicRows
@@ -112,6 +113,19 @@ class Flyby:
     problem: FlybyProblem
     waves: Waves
     burns: Array
+
+    def corrected(self, rng: np.random.Generator, cost: Cost = "dv99") -> Flyby:
+        """The flyby with all burns after the first corrected, after measurements at random nodes."""
+        burns = np.arange(1, self.problem.n_burns)
+        lead = int(rng.integers(0, 1 + self.problem.burn_nodes[1]))
+        feedback = Feedback(
+            burns=burns,
+            cut_offs=self.problem.burn_nodes[burns] - lead,
+            measurement=0.02 * rng.normal(size=(len(burns), 6, 6)),
+            cost=cost,
+            probability=0.8,
+        )
+        return replace(self, problem=replace(self.problem, feedback=feedback))
 
     def perturbed(self, rng: np.random.Generator, size: float, defect: float) -> Linearisation:
         """Linearised at burns and defects that are random, of about the given sizes."""

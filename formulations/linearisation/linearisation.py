@@ -29,31 +29,10 @@ from typing import Protocol
 import numpy as np
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.factor import FactorSensitivity, Spread, propagate_factor
+from formulations.problem.cost import Valued, cost
+from formulations.problem.feedback import Feedback
 from formulations.problem.flyby import ArcDerivatives, FlybyProblem, Iterate
-
-
-def propagate_factor(
-    problem: FlybyProblem, affine_map_from_last_burn: Array, burns: Array
-) -> Array:
-    """Factor at every node, shape (n_nodes, 6, columns); columns of later burns are zero.
-
-    Takes burns (m, 3) and the STMs from the last burn before each node, shape (n_nodes, 6, 6).
-    """
-    legs = problem.legs
-    start = np.zeros((len(problem.leg_starts), 6, problem.factor_columns))
-    start[0, :, : problem.first_factor.shape[1]] = problem.first_factor
-    shared, columns = problem.execution_errors.shared, problem.execution_errors.columns(burns)
-    for leg in range(len(start)):
-        if leg > 0:
-            start[leg] = affine_map_from_last_burn[legs.ends[leg - 1]] @ start[leg - 1]
-        burn = leg - problem.coasts
-        if burn >= 0:
-            start[leg, 3:, problem.shared_columns] += columns[burn, :, :shared]
-            start[leg, 3:, problem.columns_of_burn(burn)] = columns[burn, :, shared:]
-    factor = affine_map_from_last_burn @ start[legs.of]
-    factor[problem.leg_starts] = start
-    return factor
-
 
 DYNAMICALLY_FEASIBLE = 1e-9
 """Largest defect of an arc that obeys the dynamics."""
@@ -95,11 +74,34 @@ class Linearisation:
         """Defects per arc and at the end, shape (n_nodes, 6)."""
         return self.problem.defects(self.iterate, self.arcs.state)
 
+    def known(self, feedback: Feedback | None) -> Linearisation:
+        """The same with what corrected burns know; without corrections where that is another."""
+        if self.problem.feedback is feedback:
+            return self
+        plain = Iterate(self.iterate.burns, self.iterate.mean)
+        return Linearisation(replace(self.problem, feedback=feedback), plain, self.arcs)
+
+    @property
+    def controls(self) -> Array:
+        """Burns and gains in one vector: see `FlybyProblem.controls`."""
+        return self.problem.controls(self.iterate.burns, self.iterate.gains)
+
+    @cached_property
+    def cost(self) -> Valued:
+        """What is minimised, and its gradient by the controls."""
+        return cost(self.problem, self.iterate)
+
     @cached_property
     def factor(self) -> Array:
         """Covariance factor at every node, shape (n_nodes, 6, columns)."""
-        stm = self.affine_map_from_last_burn[:, :6, :6]
-        return propagate_factor(self.problem, stm, self.iterate.burns)
+        return self.spread.factor
+
+    @cached_property
+    def spread(self) -> Spread:
+        """Covariance factor, and what measurements tell."""
+        return propagate_factor(
+            self.problem, self.affine_map_from_last_burn[:, :6, :6], self.iterate
+        )
 
     @cached_property
     def affine_map_from_last_burn(self) -> Array:
@@ -110,6 +112,11 @@ class Linearisation:
         maps = np.zeros((self.problem.n_nodes - 1, 7, 7))
         maps[:, :6, :6], maps[:, :6, 6], maps[:, 6, 6] = self.arcs.stm, self.defects[:-1], 1.0
         return self.problem.legs.compose(maps)
+
+    @cached_property
+    def bent(self) -> Array:
+        """Derivatives of the STMs from the legs' starts by the deviation there, (n_nodes, 6, 6, 7)."""
+        return _composed_tensor(self, self.problem.n_nodes - 1)
 
     def after_burns(self, kicks: Array, constant: Array) -> Array:
         """Deviations at the legs' starts, (legs + 1, 7, q), after velocity changes (m, 3, q) there.
@@ -159,7 +166,7 @@ def final_state_map(lin: Linearisation) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Mean and factor at n nodes as affine functions of all burns stacked, z = burns.ravel().
+    """Mean and factor at n nodes as affine functions of the controls z: see `FlybyProblem.controls`.
 
     mu_k = mean_constant[k] + mean_jacobian[k] z, and the same for S_k.
     Shapes: (n, 6), (n, 6, nz), (n, 6, c), (n, 6, c, nz).
@@ -172,23 +179,32 @@ class Sensitivity:
 
 
 def condense(
-    lin: Linearisation, nodes: Indices | None = None, *, factor: bool = True, curvature: bool = True
+    lin: Linearisation,
+    nodes: Indices | None = None,
+    *,
+    factor: bool = True,
+    curvature: bool = True,
+    gains: bool = True,
 ) -> Sensitivity:
-    """Eliminate the linearised mean and factor, leaving the burns as variables, at some nodes or all.
+    """Eliminate the linearised mean and factor, leaving burns and gains, at some nodes or all.
 
     The affine map closes the defects. Without `factor` the factor has no columns; without
-    `curvature` the T_k term is left out: the STMs do not depend on the mean.
+    `curvature` the T_k term is left out: the STMs do not depend on the mean. Without `gains` these are
+    held, and the burns' components are the only controls.
 
     Raises:
         LinearisationError: if mean or factor is not finite.
     """
-    z = lin.iterate.burns.ravel()
+    z = lin.controls if gains else lin.iterate.burns.ravel()
     nodes = np.arange(lin.problem.n_nodes) if nodes is None else nodes
-    # The last column of each derivative is the part that does not depend on the burns: what closing
+    # The last column of each derivative is the part that does not depend on the controls: what closing
     # the defects moves.
-    d_mean = lin.at_nodes(lin.burn_sensitivity, nodes)
+    moved = _by_controls(lin) if gains else lin.burn_sensitivity
+    d_mean = lin.at_nodes(moved, nodes)
     if factor:
-        at, d_factor = lin.factor[nodes], _factor_sensitivity(lin, nodes, curvature=curvature)
+        bent = lin.bent if curvature else None
+        legs = FactorSensitivity(lin.problem, lin.iterate, lin.spread, moved, bent, gains=gains)
+        at, d_factor = lin.factor[nodes], legs.at(nodes)
     else:
         at, d_factor = np.zeros((len(nodes), 6, 0)), np.zeros((len(nodes), 6, 0, len(z) + 1))
     require_finite(d_mean, d_factor)
@@ -200,43 +216,14 @@ def condense(
     )
 
 
-def _factor_sensitivity(lin: Linearisation, nodes: Indices, *, curvature: bool) -> Array:
-    """Derivative of the factor at some nodes, shape (n, 6, c, nz + 1): the product rule by legs.
-
-    With P the STM from the leg's start, d(P S) = P dS + (T . dmu) S there.
-    """
-    problem, legs, starts = lin.problem, lin.problem.legs, lin.problem.leg_starts
-    c, q = problem.factor_columns, lin.burn_sensitivity.shape[-1]
-    last = int(nodes.max(initial=0))
-    bent = _composed_tensor(lin, last) if curvature else None
-    start = np.zeros((len(starts), 6, c, q))
-    errors = problem.execution_errors
-    shared, of_errors = errors.shared, errors.jacobian(lin.iterate.burns)
-
-    def reached(at: Indices) -> Array:
-        leg = legs.of[at]
-        derivative = lin.affine_map_from_last_burn[at, :6, :6] @ start[leg].reshape(-1, 6, c * q)
-        derivative = derivative.reshape(-1, 6, c, q)
-        if bent is not None:
-            d_stm = bent[at] @ lin.burn_sensitivity[leg][:, None]  # (n, 6, 6, q)
-            derivative += lin.factor[starts[leg], None].swapaxes(-1, -2) @ d_stm
-        return derivative
-
-    for leg, node in enumerate(starts):
-        if node > last:
-            break
-        if leg > 0:
-            start[leg] = reached(starts[leg : leg + 1])[0]
-        i = leg - problem.coasts
-        if i >= 0:
-            by = slice(3 * i, 3 * i + 3)
-            start[leg, 3:, problem.shared_columns, by] += of_errors[i, :, :shared]
-            start[leg, 3:, problem.columns_of_burn(i), by] += of_errors[i, :, shared:]
-    derivative = reached(nodes)
-    last_leg = np.searchsorted(starts, nodes)
-    here = starts[last_leg] == nodes
-    derivative[here] = start[last_leg[here]]
-    return derivative
+def _by_controls(lin: Linearisation) -> Array:
+    """Deviations of the mean at the legs' starts, shape (legs + 1, 7, controls + 1): none by gains."""
+    own, controls = lin.burn_sensitivity, lin.problem.controls_before[-1]
+    if own.shape[-1] == controls + 1:
+        return own
+    every = np.zeros((*own.shape[:2], controls + 1))
+    every[..., np.r_[lin.problem.burn_controls.ravel(), controls]] = own
+    return every
 
 
 def _composed_tensor(lin: Linearisation, last: int) -> Array:

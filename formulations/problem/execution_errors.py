@@ -18,6 +18,9 @@ from formulations.arrays import Array
 VANISHED = 1e-3
 """Of the larger fixed error: a burn below it counts as not executed."""
 
+TINY = 1e-300
+"""Stands for zero in a quotient."""
+
 
 class ExecutionErrors(ABC):
     """Model of the burns' errors, in the burns' units."""
@@ -44,6 +47,18 @@ class ExecutionErrors(ABC):
     @abstractmethod
     def jacobian(self, burns: Array) -> Array:
         """Derivative of `columns` by the burn, shape (m, 3, shared + own, 3)."""
+
+    @abstractmethod
+    def of_correction(self, n: int) -> int:
+        """Number of columns of a correction by gains on n standard normal numbers."""
+
+    @abstractmethod
+    def correction_columns(self, gains: Array) -> tuple[Array, Array]:
+        """Columns (3, k) of a correction by gains U (3, n), and their derivatives (3, k, 3, n).
+
+        They match the second moment that the proportional errors of a random velocity U xi have, which
+        is uncorrelated with the planned burn's: a product of normals, and not normal.
+        """
 
     def execute(self, burns: Array, draws: Array) -> Array:
         """Burns (m, 3) as executed, for standard normal draws (n, shared + m own), shape (n, m, 3)."""
@@ -86,6 +101,19 @@ class ComponentwiseErrors(ExecutionErrors):
         each = np.zeros((3, 3, 3))
         each[range(3), range(3), range(3)] = self.fraction
         return np.broadcast_to(each, (len(burns), 3, 3, 3))
+
+    def of_correction(self, n: int) -> int:
+        """Three: one of each component."""
+        del n
+        return 3
+
+    def correction_columns(self, gains: Array) -> tuple[Array, Array]:
+        """See `ExecutionErrors.correction_columns`: beta |row| of each component."""
+        sizes = np.linalg.norm(gains, axis=1)
+        slopes = gains / np.maximum(sizes, TINY)[:, None]
+        jacobian = np.zeros((3, 3, *gains.shape))
+        jacobian[range(3), range(3), range(3)] = self.fraction * slopes
+        return self.fraction * np.diag(sizes), jacobian
 
     def execute(self, burns: Array, draws: Array) -> Array:
         """See `ExecutionErrors.execute`."""
@@ -178,6 +206,33 @@ class GatesErrors(ExecutionErrors):
         unit = np.moveaxis(self._linear(np.eye(3)), 0, -1)
         linear = np.broadcast_to(unit, (len(burns), *unit.shape))
         return np.concatenate([linear, self._fixed_jacobian(burns)], axis=2)
+
+    def of_correction(self, n: int) -> int:
+        """Three across; n more where errors along are the larger ones."""
+        return 3 + n * int(self._along_more > 0.0)
+
+    @property
+    def _along_more(self) -> float:
+        """Root of what errors along, the bias included, have over those across."""
+        along = self.magnitude_proportional**2 + self.magnitude_bias**2
+        return float(np.sqrt(max(along - self.pointing_proportional**2, 0.0)))
+
+    def correction_columns(self, gains: Array) -> tuple[Array, Array]:
+        """See `ExecutionErrors.correction_columns`: p_p |U| I and sqrt(s_p^2 + b^2 - p_p^2) U.
+
+        Where errors across are the larger ones, p_p |U| I alone bounds the second moment from above.
+        The fixed parts are the planned burn's: a correction turns and grows it too little to matter.
+        """
+        size, n = float(np.linalg.norm(gains)), gains.shape[1]
+        across, more = self.pointing_proportional, self._along_more
+        jacobian = np.zeros((3, self.of_correction(n), 3, n))
+        jacobian[range(3), range(3)] = across * gains / max(size, TINY)
+        columns = across * size * np.eye(3)
+        if not more:
+            return columns, jacobian
+        for axis in range(3):
+            jacobian[axis, 3 + np.arange(n), axis, np.arange(n)] = more
+        return np.hstack([columns, more * gains]), jacobian
 
     def otherwise(self, burns: Array) -> Iterator[ExecutionErrors]:
         """See `ExecutionErrors.otherwise`: each vanished burn executed."""

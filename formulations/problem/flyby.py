@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Protocol
 
@@ -62,6 +63,10 @@ class StateConstraint:
         return inside if self.keep == "in" else -inside
 
 
+NO_GAINS = np.zeros(0)
+"""Gains where all burns are fixed before departure, or where corrections are not planned yet."""
+
+
 @dataclass(frozen=True, eq=False)
 class Iterate:
     """Burns (m, 3) and node means (n_nodes, 6), which may have defects.
@@ -69,10 +74,12 @@ class Iterate:
     Attributes:
         burns: velocities added, shape (m, 3).
         mean: states at the nodes, shape (n_nodes, 6).
+        gains: of the corrected burns, as `Feedback` orders them.
     """
 
     burns: Array
     mean: Array
+    gains: Array = field(default_factory=NO_GAINS.copy)
 
     @property
     def total_dv(self) -> float:
@@ -172,6 +179,11 @@ class FlybyProblem:
     dv_min: float = 0.0
     feedback: Feedback | None = None
 
+    @cached_property
+    def open_loop(self) -> FlybyProblem:
+        """The same problem with all burns fixed before departure."""
+        return self if self.feedback is None else replace(self, feedback=None)
+
     @property
     def n_burns(self) -> int:
         """Number of burns."""
@@ -204,7 +216,23 @@ class FlybyProblem:
 
     def columns_before(self, burns: int) -> int:
         """Number of columns of the covariance factor after a number of burns."""
-        return self.first_factor.shape[1] + self.execution_errors.own * burns
+        return int(self._first_columns[burns])
+
+    @cached_property
+    def _first_columns(self) -> Indices:
+        """First column of each burn's own: its errors, its correction's, and its measurement's."""
+        own = np.full(self.n_burns, self.execution_errors.own)
+        if self.feedback is not None:
+            for j, burn in enumerate(self.feedback.burns):
+                own[burn] += self.execution_errors.of_correction(6 * (j + 1)) + 6
+        return self.first_factor.shape[1] + np.cumsum([0, *own])
+
+    def columns_of_correction(self, j: int) -> tuple[slice, slice]:
+        """The factor's columns of errors in executing the correction j, and in measuring before it."""
+        assert self.feedback is not None
+        burn = int(self.feedback.burns[j])
+        stop = self.columns_before(burn + 1)
+        return slice(self.columns_of_burn(burn).stop, stop - 6), slice(stop - 6, stop)
 
     @property
     def shared_columns(self) -> slice:
@@ -213,8 +241,57 @@ class FlybyProblem:
         return slice(first, first + self.execution_errors.shared)
 
     def columns_of_burn(self, burn: int) -> slice:
-        """The factor's columns that the execution error of one burn alone fills."""
-        return slice(self.columns_before(burn), self.columns_before(burn + 1))
+        """The factor's columns that the execution error of one planned burn alone fills."""
+        first = self.columns_before(burn)
+        return slice(first, first + self.execution_errors.own)
+
+    @cached_property
+    def controls_before(self) -> Indices:
+        """Number of controls of a number of burns: components, and gains after each; shape (m + 1,)."""
+        own = np.full(self.n_burns, 3)
+        if self.feedback is not None:
+            own[self.feedback.burns] += np.diff(self.feedback.first_gain)
+        return np.cumsum([0, *own])
+
+    @cached_property
+    def burn_controls(self) -> Indices:
+        """The controls that are components of burns, shape (m, 3)."""
+        return self.controls_before[:-1, None] + np.arange(3)
+
+    def controls_of(self, burns: Sequence[int]) -> Indices:
+        """The controls of some burns, their gains included."""
+        first = self.controls_before
+        parts = [np.arange(first[burn], first[burn + 1]) for burn in burns]
+        return np.concatenate([np.zeros(0, np.intp), *parts])
+
+    @cached_property
+    def gain_controls(self) -> Indices:
+        """The controls that are gains, shape (gains,)."""
+        return np.setdiff1d(np.arange(self.controls_before[-1]), self.burn_controls)
+
+    def controls(self, burns: Array, gains: Array) -> Array:
+        """Burns (m, 3) and gains in one vector: each burn's components, then its gains."""
+        controls = np.zeros(self.controls_before[-1])
+        controls[self.burn_controls] = burns
+        if gains.size:
+            controls[self.gain_controls] = gains
+        return controls
+
+    def without_corrections(self, gains: Array, burns: Indices) -> Array:
+        """The gains with those of some burns set to zero."""
+        if self.feedback is None or not gains.size:
+            return gains
+        gains = gains.copy()
+        for j in np.flatnonzero(np.isin(self.feedback.burns, burns)):
+            gains[self.feedback.first_gain[j] : self.feedback.first_gain[j + 1]] = 0.0
+        return gains
+
+    def gains_of(self, iterate: Iterate, j: int) -> Array:
+        """Gains of the corrected burn j, shape (3, 6 (j + 1)); zero where none are planned yet."""
+        assert self.feedback is not None
+        if not iterate.gains.size:
+            return np.zeros((3, 6 * (j + 1)))
+        return self.feedback.of_burn(iterate.gains, j)
 
     def defects(self, iterate: Iterate, arcs: Array) -> Array:
         """Defects F_k(mu_k) + B dv - mu_{k+1} per arc, and last mu_N - x_f; shape (n_nodes, 6)."""

@@ -27,7 +27,13 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.convex_subproblem import ConvexSubproblem
-from formulations.program.model import CompiledProgram, StateModel, sparse_parameter, write_model
+from formulations.program.model import (
+    CompiledProgram,
+    Shape,
+    StateModel,
+    sparse_parameter,
+    write_model,
+)
 from formulations.program.solvers import SOLVERS, FallbackSolver
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step, SubproblemError
 from formulations.rows.cones import Rows
@@ -45,18 +51,18 @@ MISSED = 1e-9
 class ConeSize(NamedTuple):
     """The size of a block of cones in a compiled program.
 
-    `slots` cones of dimension d depend on the first p burn components; for `triangular` see `Cones`.
+    `slots` cones of dimension d depend on the first p controls; for `triangular` see `Cones`.
     """
 
     dimension: int
-    components: int
+    controls: int
     triangular: bool
     slots: int
 
     @property
     def entries(self) -> tuple[Indices, Indices]:
         """Rows and columns of the entries of one cone's values that can be non-zero."""
-        full = np.ones((self.dimension, self.components), dtype=np.bool_)
+        full = np.ones((self.dimension, self.controls), dtype=np.bool_)
         if self.triangular:
             full[1:] = np.triu(full[1:])
         rows, columns = np.nonzero(full)
@@ -65,33 +71,30 @@ class ConeSize(NamedTuple):
 
 @lru_cache(maxsize=64)
 def compile_condensed(
-    n_burns: int, penalty: Penalty, sizes: tuple[ConeSize, ...], floor: bool = False
+    shape: Shape, penalty: Penalty, sizes: tuple[ConeSize, ...]
 ) -> CompiledProgram:
-    """Compile the program for a number of burns and sizes of cones, once per process.
-
-    With a floor, for burns of which some are raised.
-    """
-    model = write_model(n_burns, penalty, lambda burns: write_states(burns, sizes), floor)
+    """Compile the program for controls of a shape and sizes of cones, once per process."""
+    model = write_model(shape, penalty, lambda burns: write_states(burns, sizes))
     return CompiledProgram(model)
 
 
-def write_states(burns: cp.Variable, sizes: Sequence[ConeSize]) -> StateModel:
-    """Write final state and rows as affine functions of the burns; all coefficients are parameters."""
-    jacobian, constant = cp.Parameter((6, burns.size)), cp.Parameter(6)
+def write_states(controls: cp.Variable, sizes: Sequence[ConeSize]) -> StateModel:
+    """Write final state and rows as affine functions of the controls; coefficients are parameters."""
+    jacobian, constant = cp.Parameter((6, controls.size)), cp.Parameter(6)
     parameters, rows = {"miss_jacobian": jacobian, "miss": constant}, []
     for block, size in enumerate(sizes):
         row, column = size.entries
         cone = np.arange(size.slots)[:, None]
         entries, values = sparse_parameter(
-            (size.slots * size.dimension, size.components),
+            (size.slots * size.dimension, size.controls),
             (cone * size.dimension + row).ravel(),
             np.tile(column, size.slots),
         )
         constants = cp.Parameter((size.slots, size.dimension))
-        y = cp.reshape(values @ burns[: size.components], constants.shape, order="C") + constants
+        y = cp.reshape(values @ controls[: size.controls], constants.shape, order="C") + constants
         rows.append(y)
         parameters |= {f"values_{block}": entries, f"constants_{block}": constants}
-    return StateModel(jacobian @ burns + constant, rows, [], parameters)
+    return StateModel(jacobian @ controls + constant, rows, [], parameters)
 
 
 class CondensedSubproblem(ConvexSubproblem):
@@ -114,14 +117,16 @@ class CondensedSubproblem(ConvexSubproblem):
     def update(self, lin: Linearisation) -> None:
         """Convexify at an iterate. Raises as `Subproblem.update` does."""
         try:
-            s = self._condense(lin, self.rows.nodes, factor=self.rows.with_factor)
+            s = self._condense(lin, self.rows.nodes, factor=self.rows.condensed)
         except LinearisationError as error:
             raise SubproblemError(str(error)) from error
         self._at, self._cones = lin, self.rows.cones(lin, s)
-        constant, jacobian = final_state_map(lin)
+        constant, by_burns = final_state_map(lin)
+        jacobian = np.zeros((6, len(lin.controls)))
+        jacobian[:, lin.problem.burn_controls.ravel()] = by_burns
         self._final = {"miss_jacobian": jacobian, "miss": constant - lin.problem.final_state}
-        self._slots = self._slots or [SLOTS] * len(self._cones)
-        slack = self._slack(lin.iterate.burns)
+        self._slots = self._slots or [min(SLOTS, 2 * len(cones.rows)) for cones in self._cones]
+        slack = self._slack(lin.controls)
         self._active[:] = False
         if self._name in SOLVERS:
             self._take_near(slack)
@@ -140,7 +145,7 @@ class CondensedSubproblem(ConvexSubproblem):
         while True:
             step = self._solve_with_slots(radius, charge, planes)
             solver_s += step.solver_s
-            slack = self._slack(step.burns)
+            slack = self._slack(self.problem.controls(step.burns, step.gains))
             missed = ~self._active & (slack < -MISSED)
             if not np.any(missed):
                 break
@@ -177,15 +182,14 @@ class CondensedSubproblem(ConvexSubproblem):
             states |= {f"values_{block}": values.ravel(), f"constants_{block}": constants}
             sizes.append(size)
             buffers.append(np.r_[cones.rows[chosen], np.full(slots - n, -1)])
-        compiled = compile_condensed(
-            self.problem.n_burns, self._penalty, tuple(sizes), self._has_floor
-        )
+        shape = Shape.of(self.problem, floor=self._has_floor)
+        compiled = compile_condensed(shape, self._penalty, tuple(sizes))
         return self._solve(compiled, radius, charge, planes, states, np.concatenate(buffers))
 
-    def _slack(self, burns: Array) -> Array:
+    def _slack(self, controls: Array) -> Array:
         """Slack of every row by the model, >= 0 where satisfied, shape (rows,)."""
         slack = np.empty(self.rows.count)
         for cones in self._cones:
-            y = cones.at(burns)
+            y = cones.at(controls)
             slack[cones.rows] = y[:, 0] - np.linalg.norm(y[:, 1:], axis=1)
         return slack

@@ -11,7 +11,12 @@ import numpy as np
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import FlybyProblem
-from formulations.program.model import CompiledProgram, Values, penalty_values
+from formulations.program.model import (
+    CompiledProgram,
+    Values,
+    cost_values,
+    penalty_values,
+)
 from formulations.program.solvers import FallbackSolver
 from formulations.program.subproblem import (
     MeritFunction,
@@ -115,29 +120,39 @@ class ConvexSubproblem(Subproblem):
     ) -> Step:
         """Solve with an iteration's numbers; `buffers` holds the row of each buffer, -1 for none."""
         start, burns = perf_counter(), self._at.iterate.burns
+        controls = self._at.controls
         if self._has_floor != self._had_floor:  # the kept solver has another sparsity
             self._solver.forget()
             self._had_floor = self._has_floor
-        bounds, held = np.full(burns.shape, radius), list(self._at.problem.held)
-        bounds[held] = min(radius, HELD)
+        bounds, held = np.full(controls.shape, radius), list(self._at.problem.held)
+        still = self.problem.controls_of(held)
+        bounds[still] = min(radius, HELD)
         own = {
-            "centre": burns.ravel(),
-            "radius": bounds.ravel(),
+            "centre": controls,
+            "radius": bounds,
             "dv_max": np.array(self.problem.dv_max),
             "cone_normals": planes.reshape(-1, 3),
         }
         if self._has_floor:
             own |= self._floor(burns)
+        of_cost, left = cost_values(self._at)
         weight = self.problem.miss_weight
         prices = penalty_values(self._penalty, charge, len(burns), buffers, weight)
-        program = compiled.evaluate(own | prices | states)
+        program = compiled.evaluate(own | of_cost | prices | states)
         try:
             answer = self._solver.solve(program)
         except ValueError as error:
             raise SubproblemError(str(error)) from error
-        moved, merit = compiled.burns(answer.x), float(program.cost @ answer.x)
-        moved[held] = burns[held]
+        moved, merit = compiled.controls(answer.x), left + float(program.cost @ answer.x)
+        moved[still] = controls[still]
         if self._penalty == "proximal":
-            merit -= 0.5 * charge.prox * float(((moved - burns) ** 2).sum())
+            merit -= 0.5 * charge.prox * float(((moved - controls) ** 2).sum())
         spent = perf_counter() - start
-        return Step(moved, merit, answer.solver_s, spent - answer.solver_s, answer.accurate)
+        return Step(
+            moved[self.problem.burn_controls],
+            merit,
+            answer.solver_s,
+            spent - answer.solver_s,
+            answer.accurate,
+            moved[self.problem.gain_controls],
+        )

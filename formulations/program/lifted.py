@@ -36,6 +36,7 @@ from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import (
     CompiledProgram,
     Model,
+    Shape,
     StateModel,
     write_model,
 )
@@ -63,9 +64,9 @@ class LiftedSubproblem(ConvexSubproblem):
 
     def update(self, lin: Linearisation) -> None:
         """Convexify at an iterate. Raises as `Subproblem.update` does."""
-        write_states, floor = partial(self._states, lin), bool(lin.problem.raised)
+        shape = Shape.of(self.problem, floor=bool(lin.problem.raised))
         try:
-            model = write_model(self.problem.n_burns, self._penalty, write_states, floor)
+            model = write_model(shape, self._penalty, partial(self._states, lin))
         except LinearisationError as error:
             raise SubproblemError(str(error)) from error
         if self._model is not None:  # zeros are left out, so that the sparsity may be another

@@ -20,13 +20,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.cost import QUANTILE, SMALLEST, formula, size_spread
+from formulations.problem.feedback import Cost
+from formulations.problem.flyby import FlybyProblem
 from formulations.program.certificate import ConeProgram
 from formulations.program.subproblem import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
 
@@ -57,29 +61,117 @@ class Model:
     """The program with its variables and parameters by name."""
 
     program: cp.Problem
-    burns: cp.Variable
+    controls: cp.Variable
     parameters: Mapping[str, cp.Parameter]
 
 
-def write_model(
-    n_burns: int, penalty: Penalty, write_states: StateModelWriter, floor: bool = False
-) -> Model:
-    """Write the program with one formulation's states and one penalty; with a floor of burns or not."""
-    m = n_burns
-    z, size, squares = cp.Variable(3 * m), cp.Variable(m), cp.Variable()
+class Shape(NamedTuple):
+    """What a program's controls are.
+
+    Attributes:
+        burns: their number m.
+        corrected: numbers of the burns that are corrected.
+        cost: what is minimised.
+        floor: whether some burns are raised.
+    """
+
+    burns: int
+    corrected: tuple[int, ...] = ()
+    cost: Cost = "nominal"
+    floor: bool = False
+
+    @classmethod
+    def of(cls, problem: FlybyProblem, *, floor: bool) -> Self:
+        """That of a problem."""
+        feedback = problem.feedback
+        if feedback is None:
+            return cls(problem.n_burns, floor=floor)
+        return cls(problem.n_burns, tuple(feedback.burns.tolist()), feedback.cost, floor)
+
+    @property
+    def gains(self) -> Indices:
+        """Number of gains of each burn, shape (m,)."""
+        own = np.zeros(self.burns, dtype=np.intp)
+        own[list(self.corrected)] = 18 * np.arange(1, len(self.corrected) + 1)
+        return own
+
+    def split(self, controls: cp.Variable) -> tuple[cp.Expression, list[cp.Expression]]:
+        """Burns (m, 3), and the gains of each corrected one."""
+        if not self.corrected:
+            return cp.reshape(controls, (self.burns, 3), order="C"), []
+        first = np.cumsum([0, *(3 + self.gains)])
+        parts = [controls[start : start + 3] for start in first[:-1]]
+        return cp.vstack(parts), [controls[first[i] + 3 : first[i + 1]] for i in self.corrected]
+
+
+def write_cost(
+    shape: Shape, controls: cp.Variable, size: cp.Variable
+) -> tuple[cp.Expression, dict[str, cp.Parameter]]:
+    """What is minimised: the sizes' sum, or with corrections its mean or its 99 % quantile.
+
+    See `formulations.problem.cost`; the sizes' spread is linearised.
+    """
+    burns, gains = shape.split(controls)
+    if not gains:
+        return cp.sum(size), {}
+    if shape.cost == "nominal":
+        return cp.sum(size) + SMALLEST * sum(cp.norm(one) for one in gains), {}
+    fixed = [i for i in range(shape.burns) if i not in shape.corrected]
+    mean = [
+        cp.norm(cp.hstack([burns[i], one])) for i, one in zip(shape.corrected, gains, strict=True)
+    ]
+    total = sum(mean) + cp.sum(size[fixed])
+    tilt = cp.Parameter(controls.size)
+    total += tilt @ controls
+    if shape.cost == "expected":
+        return total, {"tilt": tilt}
+    n = 6 * len(gains)
+    jacobian, constant = cp.Parameter((n, controls.size)), cp.Parameter(n)
+    spread = cp.norm(jacobian @ controls + constant)
+    return total + QUANTILE * spread, {
+        "spread_jacobian": jacobian,
+        "spread": constant,
+        "tilt": tilt,
+    }
+
+
+def cost_values(lin: Linearisation) -> tuple[Values, float]:
+    """The parameters of the cost at an iterate, and what its tilt leaves out of the objective."""
+    problem, iterate, feedback = lin.problem, lin.iterate, lin.problem.feedback
+    if feedback is None or feedback.cost == "nominal":
+        return {}, 0.0
+    at = lin.controls
+    values, left = {"tilt": np.zeros(at.shape)}, 0.0
+    if iterate.gains.any():
+        true, own = lin.cost, formula(problem, iterate)
+        values["tilt"] = true.gradient - own.gradient
+        left = true.value - own.value - float(values["tilt"] @ at)
+    if feedback.cost == "dv99":
+        value, jacobian = size_spread(problem, iterate)
+        values |= {"spread_jacobian": jacobian, "spread": value - jacobian @ at}
+    return values, left
+
+
+def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) -> Model:
+    """Write the program with one formulation's states and one penalty."""
+    m = shape.burns
+    z = cp.Variable(3 * m + int(shape.gains.sum()))
+    size, squares = cp.Variable(m), cp.Variable()
     states = write_states(z)
     n_rows = sum(rows.shape[0] for rows in states.rows)
     excess, violation = cp.Variable(6), cp.Variable(3 * m + n_rows)
     charged = cp.hstack([excess, violation])
     own = {
-        "centre": cp.Parameter(3 * m),
-        "radius": cp.Parameter(3 * m),
+        "centre": cp.Parameter(z.size),
+        "radius": cp.Parameter(z.size),
         "dv_max": cp.Parameter(),
         "cone_normals": cp.Parameter((2 * m, 3)),
         "prices": cp.Parameter(6 + 3 * m + n_rows),
         "curvature": cp.Parameter(),
     }
-    step, burns = z - own["centre"], cp.reshape(z, (m, 3), order="C")
+    step, (burns, _) = z - own["centre"], shape.split(z)
+    total, of_cost = write_cost(shape, z, size)
+    own |= of_cost
     constraints = [
         *states.constraints,
         cp.SOC(size, burns, axis=1),
@@ -91,7 +183,7 @@ def write_model(
         >= 0,
         violation >= 0,
     ]
-    if floor:
+    if shape.floor:
         own |= {"floor_normals": cp.Parameter((m, 3)), "floor": cp.Parameter(m)}
         along = cp.sum(cp.multiply(own["floor_normals"], burns), axis=1)
         constraints.append(along >= own["floor"])
@@ -106,7 +198,7 @@ def write_model(
         constraints.append(states.miss == excess)
     else:
         constraints += [states.miss <= excess, -states.miss <= excess]
-    objective = cp.sum(size) + own["prices"] @ charged
+    objective = total + own["prices"] @ charged
     if penalty == "exact":
         del own["curvature"]
     else:
@@ -178,8 +270,8 @@ class CompiledProgram:
         )
         self._form: Any = data[cp.settings.PARAM_PROB]
         self._ids = {name: parameter.id for name, parameter in model.parameters.items()}
-        first = self._form.var_id_to_col[model.burns.id]
-        self._burns = slice(first, first + model.burns.size)
+        first = self._form.var_id_to_col[model.controls.id]
+        self._controls = slice(first, first + model.controls.size)
         # Maps of all parameters and 1 to the cost, and to [A b] column by column.
         rows, columns = self._form.constr_size, self._form.x.size
         both, cost = sp.coo_array(self._form.A), sp.csr_array(self._form.q)
@@ -220,6 +312,6 @@ class CompiledProgram:
             by_id,
         )
 
-    def burns(self, x: Array) -> Array:
-        """The burns in an answer, shape (m, 3)."""
-        return x[self._burns].reshape(-1, 3)
+    def controls(self, x: Array) -> Array:
+        """The controls in an answer."""
+        return x[self._controls].copy()

@@ -93,8 +93,8 @@ def _excess_slopes(
         by_burn[nappe, every, every] = -planes.normal
     limits = problem.burn_margins(burns)["dv_max"], *(-c.inside(burns) for c in problem.burn_cones)
     slopes, slack = np.zeros((rows.count, burns.size)), np.empty(rows.count)
-    for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.with_factor)):
-        p, y = cones.values.shape[2], cones.at(burns)
+    for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.condensed)):
+        p, y = cones.values.shape[2], cones.at(lin.controls)
         size = np.linalg.norm(y[:, 1:], axis=1)
         tail = y[:, 1:] / np.maximum(size, 1e-300)[:, None]
         slack[cones.rows] = y[:, 0] - size

@@ -1,6 +1,6 @@
 """The convex subproblem of an iteration: burns, dynamics, state constraints, trust region, penalty.
 
-    min  sum ||dv_i|| + w (sum of buffers + ||virtual control||_1)
+    min  cost + w (sum of buffers + ||virtual control||_1)
 
 or with another charge for violations and steps. Violations v >= 0 are the buffers in the order of
 `MeritFunction.violations`, the miss m of the final state is signed, the step s is that of the burns:
@@ -16,14 +16,14 @@ program is written in `model`; the formulations in `condensed` and `lifted`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.flyby import FlybyProblem
+from formulations.problem.flyby import NO_GAINS, FlybyProblem
 from formulations.rows.cones import Margins, Rows
 
 Penalty = Literal["exact", "proximal", "augmented"]
@@ -66,13 +66,17 @@ class MeritFunction:
             excess = self.excess(lin)
             charged = np.r_[excess[:6], np.maximum(excess[6:], 0.0)]
             value = charge.multipliers @ charged + 0.5 * charge.weight * (charged @ charged)
-            return lin.iterate.total_dv + float(value)
+            return self.cost(lin) + float(value)
         weight = charge.weight if isinstance(charge, PenaltyParameters) else charge
         violations = self.violations(lin)
         defects = violations.pop("dynamics")
         rows = np.concatenate(list(violations.values()))
-        cost = lin.iterate.total_dv + self.problem.missed(lin.defects)
+        cost = self.cost(lin) + self.problem.missed(lin.defects)
         return cost + weight * float(DYNAMICS_WEIGHT * defects.sum() + rows.sum())
+
+    def cost(self, lin: Linearisation) -> float:
+        """The total delta-v, as the problem counts it."""
+        return lin.cost.value
 
     def excess(self, lin: Linearisation) -> Array:
         """Miss of the final state and every row's signed violation, shape (6 + rows,).
@@ -120,7 +124,7 @@ class SubproblemError(RuntimeError):
 
 @dataclass(frozen=True)
 class Step:
-    """Answer of a subproblem: new burns (m, 3), the merit its model predicts, solver's seconds.
+    """Answer of a subproblem: new burns (m, 3) and gains, the merit its model predicts, seconds.
 
     `accurate` if the conic solver reports so; a verdict needs an accurate answer.
     """
@@ -130,6 +134,7 @@ class Step:
     solver_s: float
     canonicalise_s: float
     accurate: bool = True
+    gains: Array = field(default_factory=NO_GAINS.copy)
 
 
 class Subproblem(ABC):
@@ -150,7 +155,7 @@ class Subproblem(ABC):
 
     @abstractmethod
     def solve(self, radius: float, charge: float | PenaltyParameters) -> Step:
-        """Solve within a trust region: no component of a burn moves by more than `radius`.
+        """Solve within a trust region: no component of a burn, no gain moves by more than `radius`.
 
         A number as `charge` is the exact penalty's weight. The step's merit leaves out a proximal
         penalty's charge.

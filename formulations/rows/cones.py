@@ -10,6 +10,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import (
     Linearisation,
     Sensitivity,
+    condense,
 )
 from formulations.problem.flyby import FlybyProblem
 
@@ -37,9 +38,10 @@ class Margins(NamedTuple):
 
 
 class Cones(NamedTuple):
-    """Second-order cones in the burns: y = values z' + constants has y_0 + buffer >= ||y_1..||.
+    """Second-order cones in the controls: y = values z' + constants has y_0 + buffer >= ||y_1..||.
 
-    All have one dimension d (d = 1: half-spaces) and depend on the first p burn components z' only.
+    All have one dimension d (d = 1: half-spaces) and depend on the first p controls z' only: see
+    `FlybyProblem.controls`.
 
     Attributes:
         rows: index of each cone's buffer, shape (n,).
@@ -53,9 +55,9 @@ class Cones(NamedTuple):
     constants: Array
     triangular: bool = False
 
-    def at(self, burns: Array) -> Array:
-        """The y of burns (m, 3), shape (n, d)."""
-        return self.values @ burns.ravel()[: self.values.shape[2]] + self.constants
+    def at(self, controls: Array) -> Array:
+        """The y of all controls, shape (n, d)."""
+        return self.values @ controls[: self.values.shape[2]] + self.constants
 
 
 class StateCones(NamedTuple):
@@ -131,12 +133,20 @@ class Rows(Protocol):
     """The state constraints of a subproblem."""
 
     @property
+    def problem(self) -> FlybyProblem:
+        """The problem whose constraints they are."""
+
+    @property
     def nodes(self) -> Indices:
         """Nodes on which the rows depend, ascending."""
 
     @property
     def with_factor(self) -> bool:
         """Whether the rows depend on the covariance factor."""
+
+    @property
+    def condensed(self) -> bool:
+        """Whether `cones` needs the condensed factor, or takes derivatives on its own."""
 
     @property
     def count(self) -> int:
@@ -167,12 +177,12 @@ class Rows(Protocol):
         """Derivative of the rows' violations, weighed by prices (rows,), in the order of `cones`."""
 
 
-def burn_components_before(problem: FlybyProblem, nodes: Indices) -> Indices:
-    """Number of burn components on which positions at some nodes depend: those of earlier burns.
+def controls_felt(problem: FlybyProblem, nodes: Indices) -> Indices:
+    """Number of controls on which positions at some nodes depend: those of earlier burns.
 
-    At least three, so that every cone has some.
+    At least the first burn's, so that every cone has some.
     """
-    return 3 * np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)
+    return problem.controls_before[np.maximum(np.searchsorted(problem.burn_nodes, nodes), 1)]
 
 
 class FinalSpread:
@@ -206,8 +216,10 @@ class FinalSpread:
             for name, part, limit in self._limits
         }
 
-    def cones(self, s: Sensitivity) -> list[Cones]:
-        """One cone per limit, in all burns; the last node of `s` is the problem's last."""
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """One cone per limit, in all controls; the last node of `s` is the problem's last."""
+        if self.count and not s.factor_jacobian.shape[2]:
+            s = condense(lin, self.nodes)
         cones = []
         for number, (_, part, limit) in enumerate(self._limits):
             jacobian = s.factor_jacobian[-1, part]

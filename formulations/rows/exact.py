@@ -1,4 +1,4 @@
-"""Rows of P2 with exact risk, by the probability of the sets: per node or per flight.
+"""Rows of P2 with exact risk: by the probability of the sets, at each node.
 
 On the normal quantile scale, g = Phi^-1(P), a chance constraint reads g >= Phi^-1(p), and its margin
 g - Phi^-1(p) counts standard deviations. Each row has value, gradient and curvature of g at the
@@ -13,58 +13,34 @@ binding a row is left affine.
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import null_space
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import (
     Linearisation,
     Sensitivity,
     condense,
-    final_state_map,
 )
 from formulations.problem.facets import quantile
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.rows.cones import (
-    POSITION,
     Cones,
     FinalSpread,
     Margins,
     Pulled,
     StateCones,
     Unit,
-    burn_components_before,
+    controls_felt,
     placed,
     pulled_at,
     triangular_cones,
 )
-from formulations.rows.flight_probability import (
-    FlightProbability,
-    FlightQuantile,
-    Limits,
-    sphere_directions,
-)
 from formulations.rows.node_probability import Quantiles, joint_events, node_quantiles
-
-FLIGHT = "whole_flight"
-"""Name of the one chance constraint of `FlightRows`."""
 
 BINDING = 1.0
 """Margin, in standard deviations, up to which a row is curved."""
 
 DIFFERENCE = 1e-5
 """Step of the differences that give a node's curvature, in units of speed."""
-
-CURVATURE_LINES = 1024
-"""Directions that a flight's curvature is estimated from."""
-
-ENDS_MIN = 1e-9
-"""Density of the flights that a limit ends at an iterate, from which on it takes part in curvature."""
-
-APART = 0.05
-"""Change of a flight's g over which slopes are compared, in standard deviations."""
-
-REMEMBERED = 3
-"""Iterates whose probability is remembered: a stage ends and the next begins where one was."""
 
 BEND = 3.0
 """c: standard deviations over which a row bends before it goes on straight."""
@@ -101,25 +77,59 @@ def on_states(
         lin: the iterate that they are made at.
         row: of the cones, which one a part of the gradient belongs to, shape (e,).
         nodes: where that part belongs, shape (e,).
-        gradient: by positions and factors, side by side, shape (e, 3, 1 + c).
+        gradient: by positions or states and factors, side by side, shape (e, 3 or 6, 1 + c).
     """
     n, d, _ = cones.values.shape
+    component = np.arange(gradient.shape[1])[:, None]
     places = placed(
-        (d * row)[:, None, None], nodes[:, None, None], POSITION, np.arange(gradient.shape[2])
+        (d * row)[:, None, None], nodes[:, None, None], component, np.arange(gradient.shape[2])
     )
-    at = np.concatenate([lin.iterate.mean[nodes, :3, None], lin.factor[nodes, :3]], axis=2)
+    at = np.concatenate([lin.iterate.mean[nodes, :, None], lin.factor[nodes]], axis=2)
     burns, constants = cones.values.copy(), cones.constants.copy()
-    constants[:, 0] = cones.at(lin.iterate.burns)[:, 0]
-    here = np.einsum("eij,eij->e", gradient, at[:, :, : gradient.shape[2]])
+    constants[:, 0] = cones.at(lin.controls)[:, 0]
+    here = np.einsum("eij,eij->e", gradient, at[:, : gradient.shape[1], : gradient.shape[2]])
     constants[:, 0] -= np.bincount(row, here, n)
     burns[:, 0] = 0.0
     return StateCones(cones.rows, places, gradient.ravel(), burns, constants)
 
 
+def bent_by_gains(problem: FlybyProblem, g: Quantiles, factor: Array, map_: Array) -> Array:
+    """Curvature of g in the gains by each node's covariance, shape (r, gains, gains).
+
+    g depends on a factor S by S S' only, so that dg/dS = 2 H S, and to second order H has the share
+    tr(dS'H dS) in g; only what is negative of H is used. Gains U_i change a factor by B_i dU_i Xi with
+    Xi Xi' = I, so that each column of dU feels the same H.
+
+    Args:
+        problem: with feedback.
+        g: at r nodes.
+        factor: of the positions there, shape (r, 3, d).
+        map_: of burns' components to the positions there, shape (r, 3, 3 m).
+    """
+    feedback = problem.feedback
+    assert feedback is not None
+    inverse = np.linalg.pinv(factor @ factor.swapaxes(1, 2), hermitian=True)
+    half = 0.5 * g.by_factor @ factor.swapaxes(1, 2) @ inverse
+    values, axes = np.linalg.eigh(0.5 * (half + half.swapaxes(1, 2)))
+    negative = (axes * np.minimum(values, 0.0)[:, None]) @ axes.swapaxes(1, 2)
+    by_burn = [map_[:, :, 3 * i : 3 * i + 3] for i in feedback.burns]
+    bent = np.zeros((len(map_), feedback.size, feedback.size))
+    first = feedback.first_gain
+    for j, one in enumerate(by_burn):
+        for k, other in enumerate(by_burn):
+            block = 2.0 * one.swapaxes(1, 2) @ negative @ other
+            own = np.zeros((len(map_), 3, 6 * (j + 1), 3, 6 * (k + 1)))
+            both = np.arange(6 * (min(j, k) + 1))
+            own[:, :, both, :, both] = block
+            shape = len(map_), 18 * (j + 1), 18 * (k + 1)
+            bent[:, first[j] : first[j + 1], first[k] : first[k + 1]] = own.reshape(shape)
+    return bent
+
+
 class ExactRows:
     """Base of both scopes: rows of exact risk with a required probability above one half."""
 
-    with_factor = True
+    with_factor = condensed = True
     near = BINDING
     unit: Unit = "sigma"
 
@@ -151,17 +161,17 @@ class NodeRows(ExactRows):
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """Cones in a block for each number of burn components on which nodes depend."""
-        g, z, blocks = self._at(lin), lin.iterate.burns.ravel(), []
-        components = burn_components_before(self.problem, self.node)
-        for p in np.unique(components):
-            rows = np.flatnonzero(components == p)
+        g, z, blocks = self._at(lin), lin.controls, []
+        felt = controls_felt(self.problem, self.node)
+        for p in np.unique(felt):
+            rows = np.flatnonzero(felt == p)
             slope = self._slope(Quantiles(*(part[rows] for part in g)), rows, s, p)
             hessian = np.zeros((len(rows), p, p))
             near = np.flatnonzero(g.value[rows] - self.required < BINDING)
             if len(near):
-                hessian[near] = self._hessian(rows[near], s, z, p)
+                hessian[near] = self._hessian(rows[near], s, lin, p)
             blocks.append(curved_cones(rows, g.value[rows] - self.required, slope, hessian, z[:p]))
-        return blocks + self.final.cones(s)
+        return blocks + self.final.cones(lin, s)
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
         """The gradient of each row acts on the mean and the factor of its node."""
@@ -207,127 +217,34 @@ class NodeRows(ExactRows):
         slope += np.einsum("ric,ricp->rp", g.by_factor, s.factor_jacobian[at, :3, :, :p])
         return np.asarray(slope)
 
-    def _hessian(self, rows: Indices, s: Sensitivity, z: Array, p: int) -> Array:
-        """d2g/dz2 of some rows by differences of slopes, shape (r, p, p).
+    def _hessian(self, rows: Indices, s: Sensitivity, lin: Linearisation, p: int) -> Array:
+        """d2g/dz2 of some rows, shape (r, p, p): by differences in burns, and `bent_by_gains`.
 
         All steps of all rows are taken at once, the first of each row being none.
         """
+        problem, z = self.problem, lin.controls
         at = np.searchsorted(self.nodes, self.node[rows])
-        steps = z + DIFFERENCE * np.eye(p + 1, len(z), -1)
+        burns = problem.burn_controls.ravel()
+        burns = burns[burns < p]
+        steps = z + DIFFERENCE * np.vstack([np.zeros(len(z)), np.eye(len(z))[burns]])
         mean = s.mean_constant[at, None, :3] + np.einsum(
             "riz,kz->rki", s.mean_jacobian[at, :3], steps
         )
         factor = s.factor_constant[at, None, :3] + np.einsum(
             "ricz,kz->rkic", s.factor_jacobian[at, :3], steps
         )
-        every = np.repeat(rows, p + 1)
+        every = np.repeat(rows, len(steps))
         shape = (len(every), 3, factor.shape[-1])
         g = self._quantiles(every, mean.reshape(-1, 3), factor.reshape(shape))
-        slope = self._slope(g, every, s, p).reshape(-1, p + 1, p)
-        return np.asarray(slope[:, 1:] - slope[:, :1]) / DIFFERENCE
-
-
-class FlightRows(ExactRows):
-    """All joint constraints hold at all nodes of the flight with the required probability: one row.
-
-    The probability is estimated from a number of lines that is a power of two. Curvature begins as that
-    of rows from fewer lines, if these are given.
-    """
-
-    def __init__(
-        self,
-        problem: FlybyProblem,
-        probability: float,
-        lines: int,
-        resolution: float,
-        rough: FlightRows | None = None,
-    ) -> None:
-        super().__init__(problem, probability, resolution)
-        nodes = np.unique(np.concatenate([event.nodes for event in self.events]))
-        self.final = FinalSpread(problem, 1)
-        self.nodes = np.union1d(nodes, self.final.nodes)
-        self.count = 1 + self.final.count
-        dimension = factor_columns_used(problem, nodes)
-        directions = sphere_directions(lines, dimension)
-        self.probability = FlightProbability(self.events, directions)
-        self._rough = FlightProbability(self.events, directions[:CURVATURE_LINES])
-        self._seen: list[tuple[Array, Array, FlightQuantile]] = []
-        self._bent: tuple[Array, Array] | None = None
-        self._begun = rough
-
-    def margins(self, lin: Linearisation) -> dict[str, Margins]:
-        """Margin of the whole flight, at the node where most flights break a limit."""
-        g = self._at(lin)
-        worst = g.nodes[np.argmax(g.ends)] if len(g.nodes) else self.nodes[0]
-        own = {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.required]))}
-        return own | self.final.margins(lin)
-
-    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
-        """One row in all burns."""
-        g, z = self._at(lin), lin.iterate.burns.ravel()
-        slope, free = self._slope(g, s), null_space(final_state_map(lin)[1])
-        step = APART / max(float(np.linalg.norm(slope @ free)), APART)
-        if self._bent is None and self._begun is not None:
-            self._bent = self._begun._bent
-        if self._bent is None or np.linalg.norm((z - self._bent[0]) @ free) > step:
-            met = g.limits.at(g.ends > ENDS_MIN)
-            self._bent = z, self._hessian(met, step, free, s, z)
-        hessian = self._bent[1]
-        margin = np.array([g.value - self.required])
-        own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)
-        return [own, *self.final.cones(s)]
-
-    def _hessian(self, met: Limits, step: float, free: Array, s: Sensitivity, z: Array) -> Array:
-        """d2g/dz2 along the directions `free` that keep the final state, shape (nz, nz).
-
-        By differences of slopes from few directions, over steps long enough to average out the kinks
-        where a flight's first broken limit changes. It is kept until the burns have moved that far.
-        """
-        bent = np.empty((free.shape[1], free.shape[1]))
-        for j, direction in enumerate(step * free.T):
-            ahead, behind = (
-                self._rough_slope(met, s, z + move) for move in (direction, -direction)
-            )
-            bent[:, j] = (ahead - behind) @ free / (2.0 * step)
-        return free @ bent @ free.T
-
-    def state_cones(self, lin: Linearisation) -> list[StateCones]:
-        """The gradient acts on the mean and the factor of every node that may take part."""
-        g, own = self._at(lin), self.cones(lin, condense(lin, self.nodes))[0]
-        parts = pulled_at(self.problem, g.nodes, g.by_mean, g.by_factor)
-        gradient = np.concatenate([parts.by_mean[:, :, None], parts.by_factor], axis=2)
-        row = np.zeros(len(self.nodes), dtype=np.intp)
-        return [
-            on_states(own, lin, row, self.nodes, gradient[self.nodes]),
-            *self.final.state_cones(),
-        ]
-
-    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
-        """Derivatives of -g at the nodes on which it depends; see `Rows.pulled`."""
-        g = self._at(lin)
-        parts = -prices[0] * g.by_mean, -prices[0] * g.by_factor
-        return self.final.pulled(pulled_at(self.problem, g.nodes, *parts), lin, prices)
-
-    def _at(self, lin: Linearisation) -> FlightQuantile:
-        mean, factor = lin.iterate.mean[:, :3], lin.factor[:, :3]
-        for seen in self._seen:
-            if np.array_equal(seen[0], mean) and np.array_equal(seen[1], factor):
-                return seen[2]
-        found = self.probability(mean, factor)
-        self._seen = [(mean, factor, found), *self._seen[: REMEMBERED - 1]]
-        return found
-
-    def _slope(self, g: FlightQuantile, s: Sensitivity) -> Array:
-        """dg/dz, shape (nz,)."""
-        at, d = np.searchsorted(self.nodes, g.nodes), g.by_factor.shape[2]
-        slope = np.einsum("ri,riz->z", g.by_mean, s.mean_jacobian[at, :3])
-        factor = s.factor_jacobian[at, :3, :d].reshape(-1, slope.size)
-        return np.asarray(slope + g.by_factor.ravel() @ factor)
-
-    def _rough_slope(self, met: Limits, s: Sensitivity, z: Array) -> Array:
-        """dg/dz of the affine model at other burns, from few directions and limits."""
-        every = np.zeros((self.problem.n_nodes, 3))
-        every[self.nodes] = (s.mean_constant + s.mean_jacobian @ z)[:, :3]
-        factor = np.zeros((len(every), 3, s.factor_constant.shape[2]))
-        factor[self.nodes] = (s.factor_constant + s.factor_jacobian @ z)[:, :3]
-        return self._slope(self._rough(every, factor, met), s)
+        slope = self._slope(g, every, s, p).reshape(-1, len(steps), p)
+        hessian = np.zeros((len(rows), p, p))
+        hessian[:, burns] = np.asarray(slope[:, 1:] - slope[:, :1]) / DIFFERENCE
+        if problem.feedback is None:
+            return hessian
+        hessian[:, :, burns] = hessian[:, burns].swapaxes(1, 2)
+        here = Quantiles(*(part[rows] for part in self._at(lin)))
+        maps = s.mean_jacobian[at, :3][..., problem.burn_controls.ravel()]
+        bent = bent_by_gains(problem, here, lin.factor[self.node[rows], :3], maps)
+        gains = problem.gain_controls[problem.gain_controls < p]
+        hessian[:, gains[:, None], gains] = bent[:, : len(gains), : len(gains)]
+        return hessian

@@ -19,6 +19,7 @@ from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.regions import Region
+from formulations.risk.directions import Directions
 from formulations.risk.lines import Segments, TwoSidedChiLaw, kept_segments, normal_density
 from formulations.rows.node_probability import Event
 
@@ -115,19 +116,19 @@ class FlightProbability:
 
     Attributes:
         events: on positions.
-        directions: unit vectors u, shape (lines, d).
+        directions: of the lines, in d dimensions.
         reach: standard deviations within which limits are evaluated: one farther off than 6 is broken
             by fewer than 1e-9 of flights.
     """
 
     events: tuple[Event, ...]
-    directions: Array
+    directions: Directions
     reach: float = 6.0
 
     def limits(self, mean: Array, factor: Array) -> Limits:
         """Limits that flights within reach meet, for mean positions (n, 3) and factors (n, 3, c)."""
         return limits_within(
-            self.events, mean, self.reach * factor[:, :, : self.directions.shape[1]]
+            self.events, mean, self.reach * factor[:, :, : self.directions.unit.shape[1]]
         )
 
     def __call__(self, mean: Array, factor: Array, limits: Limits | None = None) -> FlightQuantile:
@@ -137,20 +138,21 @@ class FlightProbability:
         """
         if limits is None:
             limits = self.limits(mean, factor)
-        lines, d = self.directions.shape
+        (unit, weight), law = self.directions, self._law
+        lines, d = unit.shape
         factor = factor[:, :, :d]
-        law = TwoSidedChiLaw(d)
         kept = self._kept(mean, factor, limits)
-        p = float(law.between(kept.low, kept.high).sum()) / lines
+        between = np.bincount(kept.line, law.between(kept.low, kept.high), lines)
+        p = 1.0 - float(weight @ (1.0 - between)) / lines
         nodes = limits.nodes
         r = len(nodes)
         row, s = np.hstack([kept.low_limit, kept.high_limit]), np.hstack([kept.low, kept.high])
         sign = np.repeat([-1.0, 1.0], len(kept.line))
         met = row >= 0
-        row, s, sign, u = row[met], s[met], sign[met], self.directions[np.tile(kept.line, 2)[met]]
+        row, s, sign, u = row[met], s[met], sign[met], unit[np.tile(kept.line, 2)[met]]
         velocity = np.einsum("nid,nd->ni", factor[nodes[row]], u)
         normal = limits.normals(row, mean[nodes[row]] + s[:, None] * velocity)
-        density = law.density(s) / lines
+        density = weight[np.tile(kept.line, 2)[met]] * law.density(s) / lines
         gradient = (sign * density)[:, None] * _end_velocity(normal, velocity)
         gather = _adding_up(row, r)
         by_factor = [gather @ ((gradient[:, axis] * s)[:, None] * u) for axis in range(3)]
@@ -159,6 +161,17 @@ class FlightProbability:
         by_mean, ends = gather @ gradient, gather @ density
         return FlightQuantile(g, limits, scale * by_mean, scale * np.stack(by_factor, axis=1), ends)
 
+    def failing(self, mean: Array, factor: Array) -> Array:
+        """Probability that a flight on each of the lines fails, shape (lines,)."""
+        lines, d = self.directions.unit.shape
+        kept = self._kept(mean, factor[:, :, :d], self.limits(mean, factor))
+        between = self._law.between(kept.low, kept.high)
+        return np.asarray(1.0 - np.bincount(kept.line, between, lines))
+
+    @property
+    def _law(self) -> TwoSidedChiLaw:
+        return TwoSidedChiLaw(self.directions.unit.shape[1])
+
     def _kept(self, mean: Array, factor: Array, limits: Limits) -> Segments:
         """Segments of the lines on which all limits hold, whose ends are rows of the limits.
 
@@ -166,7 +179,7 @@ class FlightProbability:
         before the law ends: one in a hundred or fewer.
         """
         inner = self._chords(limits.inner, mean, factor)
-        farthest = TwoSidedChiLaw(self.directions.shape[1]).farthest
+        farthest = self._law.farthest
         first = np.maximum(inner[0].max(axis=1, initial=-np.inf), -farthest)
         last = np.minimum(inner[1].min(axis=1, initial=np.inf), farthest)
         met: list[Indices] = []
@@ -175,10 +188,10 @@ class FlightProbability:
         for limit, row in zip(limits.outer, limits.first[len(limits.inner) :], strict=False):
             spread, at = factor[limit.nodes], mean[limit.nodes]
             plane = limit.region.supporting(at)
-            towards = -np.einsum("ni,nic->nc", plane.normal, spread) @ self.directions.T
+            towards = -np.einsum("ni,nic->nc", plane.normal, spread) @ self.directions.unit.T
             beyond = np.maximum(first * towards, last * towards) + plane.slack(at)[:, None]
             k, line = np.nonzero(beyond >= -ROUNDING)
-            direction = np.einsum("nic,nc->ni", spread[k], self.directions[line])
+            direction = np.einsum("nic,nc->ni", spread[k], self.directions.unit[line])
             chord = limit.region.at(k).chord(at[k, None], direction[:, None])
             rows, column = np.unique(k, return_inverse=True)
             for ends, found in zip((lows, highs), chord, strict=True):
@@ -192,11 +205,11 @@ class FlightProbability:
 
     def _chords(self, limits: Sequence[Limit], mean: Array, factor: Array) -> tuple[Array, Array]:
         """Intervals of the lines in each row's region: starts and ends, shape (lines, rows) each."""
-        lines = len(self.directions)
+        lines = len(self.directions.unit)
         lows, highs = [np.zeros((0, lines))], [np.zeros((0, lines))]
         for limit in limits:
             # Components first: one product of matrices, and operations run along the lines.
-            along = factor[limit.nodes].reshape(-1, factor.shape[2]) @ self.directions.T
+            along = factor[limit.nodes].reshape(-1, factor.shape[2]) @ self.directions.unit.T
             along = np.moveaxis(along.reshape(-1, 3, lines), 1, 2)
             low, high = limit.region.chord(mean[limit.nodes, None], along)
             lows.append(low)
@@ -244,19 +257,3 @@ def _end_velocity(normal: Array, direction: Array) -> Array:
     least = GRAZING * np.linalg.norm(direction, axis=1)
     across = np.where(np.abs(across) < least, np.copysign(least, across), across)
     return np.asarray(-normal / across[:, None])
-
-
-def sphere_directions(count: int, dimension: int) -> Array:
-    """Quasi-random unit vectors, shape (count, dimension): Sobol points through the normal quantile.
-
-    The count is a power of two.
-    """
-    from scipy.stats import qmc  # half a second to import
-
-    points = qmc.Sobol(dimension, scramble=True, rng=SEED).random(count)
-    normal = ndtri(points)
-    return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
-
-
-SEED = 20200121
-"""Seed of the scrambling: every run draws the same flights."""

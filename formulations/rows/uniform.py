@@ -24,7 +24,7 @@ from formulations.rows.cones import (
     Pulled,
     StateCones,
     Unit,
-    burn_components_before,
+    controls_felt,
     placed,
     pulled_at,
     triangular_cones,
@@ -38,7 +38,7 @@ class DeterministicRows:
     approximation of the complement at once.
     """
 
-    with_factor = False
+    with_factor = condensed = False
     near = NEAR_LENGTH
     unit: Unit = "length"
 
@@ -64,7 +64,7 @@ class DeterministicRows:
             matrix, origin, offset = _map_of(c, lin)
             constants = (matrix @ (position - origin)[:, :, None])[:, :, 0] + offset
             rows = first + np.arange(len(c.nodes))
-            values = matrix @ jacobian[:, :, : burn_components_before(self.problem, c.nodes).max()]
+            values = matrix @ jacobian[:, :, : controls_felt(self.problem, c.nodes).max()]
             blocks[c.keep].append(Cones(rows, values, constants))
             first += len(rows)
         return [_joined(cones) for cones in blocks.values() if cones]
@@ -128,7 +128,7 @@ class ChanceRows:
     `included` masks the facets in the convex program.
     """
 
-    with_factor = True
+    with_factor = condensed = True
     near = NEAR_LENGTH
     unit: Unit = "length"
     resolution = 0.0
@@ -169,16 +169,15 @@ class ChanceRows:
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """Cones of all facets, in a block for each number of burn components on which nodes depend."""
-        del lin
         blocks, carried = [], self.carried
-        components = burn_components_before(self.problem, self.nodes)
-        for p in np.unique(components):
-            nodes = np.flatnonzero(components == p)
+        felt = controls_felt(self.problem, self.nodes)
+        for p in np.unique(felt):
+            nodes = np.flatnonzero(felt == p)
             rows = np.flatnonzero(np.isin(carried.node, self.nodes[nodes]))
             if len(rows) == 0:  # the last node, looked at for its spread alone
                 continue
             pick = self.pick[rows][:, (3 * nodes[:, None] + np.arange(3)).ravel()]
-            c = self.problem.columns_before(int(p) // 3)
+            c = factor_columns_used(self.problem, self.nodes[nodes])
             spread = np.concatenate(
                 [s.factor_jacobian[nodes, :3, :c, :p], s.factor_constant[nodes, :3, :c, None]], -1
             )
@@ -190,7 +189,7 @@ class ChanceRows:
             room = -(pick @ mean.reshape(3 * len(nodes), -1))
             room[:, -1] += carried.offset[rows]
             blocks.append(triangular_cones(rows, room, spread))
-        return blocks + self.final.cones(s)
+        return blocks + self.final.cones(lin, s)
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
         """All facets in one block; their numbers are those of the facets."""

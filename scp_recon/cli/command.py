@@ -149,7 +149,8 @@ def _in_our_words(message: str, words: Sequence[str], known: Sequence[str]) -> s
     if match := re.fullmatch(r"argument (?:\S+/)?(\S+): (.*)", message, re.DOTALL):
         return f"{match[1]}: {match[2]}"
     if match := re.fullmatch(r"unrecognized arguments: (.*)", message, re.DOTALL):
-        near = difflib.get_close_matches(match[1].split()[0].partition("=")[0], known, n=1)
+        first = (match[1].split() or [""])[0].partition("=")[0]
+        near = difflib.get_close_matches(first, known, n=1)
         meant = f"; did you mean {near[0]}?" if near else ""
         return f"got {match[1]}; there is no such option or argument{meant}"
     if match := re.fullmatch(r"the following arguments are required: (.*)", message):

@@ -8,7 +8,7 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
-from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.problem.flyby import NO_GAINS, FlybyProblem, Iterate
 from scp_recon.physics.flow import FlowDerivatives, differentiate, propagate
 from scp_recon.physics.forces import ForceModel
 
@@ -46,7 +46,9 @@ class Dynamics:
     def _arcs(self, iterate: Iterate) -> FlowDerivatives:
         return differentiate(iterate.mean[:-1], self.durations, self.forces, self.substeps)
 
-    def close_defects(self, lin: Linearisation, burns: Array) -> Linearisation:
+    def close_defects(
+        self, lin: Linearisation, burns: Array, gains: Array = NO_GAINS
+    ) -> Linearisation:
         """Make a step of the linear model dynamically exact.
 
         Multiple-shooting Newton from the node means that the model at `lin` predicts: every
@@ -54,11 +56,11 @@ class Dynamics:
         `_may_change` lets it, by the least change that keeps the final state at the model's. Without
         it the final state's curvature, weighed by the penalty, rejects good steps (the Maratos effect;
         Nocedal & Wright, Numerical Optimization, section 15.5). Where Newton's method does not
-        converge the burns, shape (m, 3), are rolled out as they are.
+        converge the burns, shape (m, 3), are rolled out as they are. Gains do not move the mean.
         """
         problem = lin.problem
         free = _may_change(problem, burns)
-        iterate = Iterate(burns, step_mean(lin, burns))
+        iterate = Iterate(burns, step_mean(lin, burns), gains)
         goal = iterate.mean[-1]
         # What the conic solver leaves of a miss is its tolerance, not the model's promise.
         if np.abs(goal - problem.final_state).max() < SOLVER_MISS:
@@ -75,11 +77,13 @@ class Dynamics:
             miss = goal - constant - jacobian @ iterate.burns.ravel()
             correction = (free @ np.linalg.lstsq(jacobian @ free, miss)[0]).reshape(-1, 3)
             corrected = iterate.burns + correction
-            before, iterate = iterate, Iterate(corrected, step_mean(trial, corrected))
+            before = iterate
+            iterate = Iterate(corrected, step_mean(trial, corrected), gains)
             if defect < NEWTON_LAST:
                 moved = arcs.moved(iterate.mean[:-1] - before.mean[:-1])
                 return Linearisation(problem, iterate, moved)
-        return self.linearise(problem, Iterate(burns, self.rollout(problem.initial_state, burns)))
+        flown = self.rollout(problem.initial_state, burns)
+        return self.linearise(problem, Iterate(burns, flown, gains))
 
 
 def _may_change(problem: FlybyProblem, burns: Array) -> Array:

@@ -17,7 +17,8 @@ from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import Subproblem
 from formulations.registry import FULL, make_subproblem
 from formulations.rows.cones import Rows
-from formulations.rows.exact import FlightRows, NodeRows
+from formulations.rows.exact import NodeRows
+from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -26,6 +27,7 @@ from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.stages import (
     CHOICES_MAX,
+    HELD_STAGE,
     RESOLUTION,
     Observer,
     StageRunner,
@@ -43,8 +45,9 @@ The second figure is for starting at a solution of P2, which moves less than one
 FEW_LINES, LINES = 512, 4096
 """Directions, each taken both ways, in which a plan of whole flights looks: first, and finally."""
 
-COARSE, FINE = 1e-3, 1e-5
-"""Relative reduction of the merit at which their stages stop; sampling errs by more."""
+COARSE, FINE, FINE_WITH_GAINS = 1e-3, 1e-5, 1e-4
+"""Relative reduction of the merit at which their stages stop; sampling errs by more. Gains are many,
+and the merit is flat in them."""
 
 WEIGHT = 100.0
 """First penalty weight beside such a limit. Its multiplier may exceed the usual ten; and at a thousand,
@@ -128,9 +131,6 @@ class Planner:
             needs = f"the formulations {' and '.join(FULL)}, not with {formulation}"
             require_no_final_limit(mission, needs)
             require_open_loop(mission, needs)
-        if mission.scenario.policy.kind == "feedback":  # until subproblems carry gains
-            allowed = "must be 'open': plans with feedback cannot be made yet"
-            raise InputError("policy.kind", "'feedback'", allowed)
         self._formulation = formulation
         self._p2_rows: ChanceRows | None = None
         self._exact_rows: Sequence[tuple[str, Rows]] = ()
@@ -208,12 +208,12 @@ class Planner:
     @cached_property
     def p3_rows(self) -> DeterministicRows:
         """See `RowsSolver`."""
-        return DeterministicRows(self.mission.problem, self.p3_resolution)
+        return DeterministicRows(self.mission.problem.open_loop, self.p3_resolution)
 
     @cached_property
     def first_stage_rows(self) -> DeterministicRows:
         """P3's rows without the keep-out sets of a part of the flight."""
-        return DeterministicRows(without_parting_sets(self.mission.problem), RESOLUTION)
+        return DeterministicRows(without_parting_sets(self.mission.problem.open_loop), RESOLUTION)
 
     def p2_rows(
         self, facets: Facets, lin: Linearisation, clearance_m: float = CLEARANCE_M
@@ -230,9 +230,7 @@ class Planner:
         kept = self._kept.get(type(rows))
         if kept is None or kept.merit.rows is not rows:
             penalty = self.algorithm.penalty
-            kept = make_subproblem(
-                self.mission.problem, rows, self._formulation, self.solver, penalty
-            )
+            kept = make_subproblem(rows.problem, rows, self._formulation, self.solver, penalty)
             self._kept[type(rows)] = kept
         return kept
 
@@ -240,6 +238,7 @@ class Planner:
         """See `RowsSolver`. A plan of whole flights begins at one of nodes, then with few directions.
 
         Flights are never likelier than their nodes, so that where the nodes are infeasible so are they.
+        A plan with corrected burns begins at one without.
         Made once: drawing the directions takes time.
         """
         if self.formulation not in FULL:
@@ -248,12 +247,16 @@ class Planner:
         problem, target = self.mission.problem, self.target
         if not self._exact_rows and self.mission.scenario.risk.scope == "node":
             self._exact_rows = [("", NodeRows(problem, target))]
+            if problem.feedback is not None:
+                open_loop = NodeRows(problem.open_loop, target, COARSE)
+                self._exact_rows = [(".open", open_loop), *self._exact_rows]
         elif not self._exact_rows:
+            fine = FINE if problem.feedback is None else FINE_WITH_GAINS
             coarse = FlightRows(problem, target, FEW_LINES, COARSE)
             self._exact_rows = [
-                (".node", NodeRows(problem, target, COARSE)),
+                (".node", NodeRows(problem.open_loop, target, COARSE)),
                 (".coarse", coarse),
-                ("", FlightRows(problem, target, LINES, FINE, coarse)),
+                ("", FlightRows(problem, target, LINES, fine, coarse)),
             ]
         return self._exact_rows
 
@@ -262,6 +265,8 @@ class Planner:
     ) -> Stage:
         """See `RowsSolver`."""
         begin = perf_counter()
+        if isinstance(rows, FlightRows) and not name.endswith(HELD_STAGE):
+            rows.aim(start)
         subproblem = self.subproblem(rows)
         setup = perf_counter() - begin
         algorithm = self.algorithm.resolving(rows.resolution)

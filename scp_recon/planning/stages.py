@@ -171,7 +171,7 @@ class StageRunner:
         """
         self.mission = _without_words_on_burns(self.mission)
         while stage.result.status is Status.CONVERGED:
-            sizes = np.linalg.norm(stage.result.lin.iterate.burns, axis=1)
+            sizes = self._sizes(stage)
             small = (sizes > 0.0) & (sizes < self._dv_min)
             small[list(stage.result.lin.problem.raised)] = False
             if not small.any():
@@ -193,6 +193,16 @@ class StageRunner:
             stage = best
         return stage
 
+    @staticmethod
+    def _sizes(stage: Stage) -> Array:
+        """Root mean square of the burns' commanded sizes, shape (m,)."""
+        problem, iterate = stage.result.lin.problem, stage.result.lin.iterate
+        sizes = np.linalg.norm(iterate.burns, axis=1)
+        if problem.feedback is not None:
+            for j, burn in enumerate(problem.feedback.burns):
+                sizes[burn] = np.hypot(sizes[burn], np.linalg.norm(problem.gains_of(iterate, j)))
+        return np.asarray(sizes)
+
     @property
     def _dv_min(self) -> float:
         """The smallest burn that is executed, in the mission's units."""
@@ -201,17 +211,18 @@ class StageRunner:
     def _with_burns(self, stage: Stage, small: Booleans, raised: Booleans) -> Stage:
         """A stage again, its small burns held at zero, but for those that are raised."""
         dynamics, at = self.mission.dynamics, stage.result.lin.problem
-        burns, least = stage.result.lin.iterate.burns, self._dv_min
-        sizes = np.linalg.norm(burns, axis=1, keepdims=True)
+        iterate, least = stage.result.lin.iterate, self._dv_min
+        sizes = np.linalg.norm(iterate.burns, axis=1, keepdims=True)
         scale = np.where(raised[:, None], least / np.maximum(sizes, TINY), ~small[:, None])
-        burns = scale * burns
+        burns = scale * iterate.burns
+        gains = at.without_corrections(iterate.gains, np.flatnonzero(small & ~raised))
         problem = replace(
             at,
             held=tuple(np.flatnonzero(~burns.any(axis=1)).tolist()),
             raised=(*at.raised, *np.flatnonzero(raised).tolist()),
             dv_min=least,
         )
-        flown = Iterate(burns, dynamics.rollout(at.initial_state, burns))
+        flown = Iterate(burns, dynamics.rollout(at.initial_state, burns), gains)
         start = dynamics.linearise(problem, flown)
         name, rows = f"{stage.name.removesuffix(HELD_STAGE)}{HELD_STAGE}", stage.merit.rows
         if isinstance(rows, ChanceRows):
@@ -232,7 +243,7 @@ class StageRunner:
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearise at a guess, moved to the problem's initial state."""
-        problem, mean = self.mission.problem, guess.mean.copy()
+        problem, mean = self.mission.problem.open_loop, guess.mean.copy()
         mean[0] = problem.initial_state
         if not problem.coasts:
             mean[0, 3:] += guess.burns[0]
@@ -260,11 +271,13 @@ class StageRunner:
 
     def solve_exact(self, name: str, lin: Linearisation) -> Stage:
         """Solve P2 with the true probabilities, after quicker stages as long as they converge."""
+        feedback = self.mission.problem.feedback
         for way, rows in self.solver.exact_rows():
             stage = self.solve(name + way, rows, lin)
-            if stage.result.status is not Status.CONVERGED:
-                break
             lin = stage.result.lin
+            # What has no plan open loop may have one with corrections.
+            if stage.result.status is not Status.CONVERGED and rows.problem.feedback is feedback:
+                break
         return stage
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:
@@ -294,6 +307,7 @@ class StageRunner:
             KeyboardInterrupt: if it was interrupted.
         """
         observe = self.observe or (lambda *_: None)
+        start = start.known(rows.problem.feedback)
         stage = self.solver.solve(name, rows, start, self.mission.dynamics, observe)
         if judges is not None:
             stage = replace(stage, merit=MeritFunction(self.mission.problem, judges))

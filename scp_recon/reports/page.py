@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from formulations.rows.exact import FLIGHT
+from formulations.rows.exact_flight import FLIGHT
 from scp_recon.errors import version_of
 from scp_recon.physics.time_scales import instant, iso_utc, shown_utc
 from scp_recon.planning.plan import NOT_CHECKED

@@ -20,6 +20,7 @@ from scp_recon.scp.loop import (
     State,
     Timing,
     Trial,
+    controls_of,
     record_of,
     trial_step,
 )
@@ -328,7 +329,7 @@ class PTR(ExactPenalty):
         new, record = self._judged(subproblem, state, k, trial, accepted=accepted, radius=radius)
         # At the answer -p s is a subgradient of the convex model, which bounds what any step of no
         # component above one can gain: predicted + p (||s||_1 - ||s||^2).
-        moved = trial.answer.burns - state.lin.iterate.burns
+        moved = controls_of(trial.answer, state.lin) - state.lin.controls
         bound = trial.predicted + prox * float(np.abs(moved).sum() - (moved**2).sum())
         worth = self._worth(state.charge, record)
         stationary = trial.answer.accurate and not guess and bound <= worth

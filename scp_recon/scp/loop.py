@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import NamedTuple, Protocol, Self
 
+from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program.subproblem import (
     Penalty,
@@ -37,7 +38,7 @@ class Record:
         actual: reduction of the merit by the nonlinear dynamics.
         accepted: whether the step was accepted.
         trust_radius: bound on each burn component's change, in this iteration.
-        total_dv: of that iterate.
+        total_dv: its cost, the total delta-v or what stands for it beside corrections.
         max_violation: its largest violation of a constraint.
         max_defect: its largest defect of the dynamics and the final state.
         step: largest change of a burn component proposed.
@@ -238,11 +239,16 @@ def trial_step(
     if state.lin.is_dynamically_feasible and answer.merit > worst:
         raise SubproblemError(f"the answer is worse than no step: {answer.merit:g}")
     start = perf_counter()
-    lin = dynamics.close_defects(state.lin, answer.burns)
+    lin = dynamics.close_defects(state.lin, answer.burns, answer.gains)
     timing.linearise += perf_counter() - start
     merit = subproblem.merit(lin, state.charge)
-    step = float(abs(answer.burns - state.lin.iterate.burns).max())
+    step = float(abs(controls_of(answer, state.lin) - state.lin.controls).max())
     return Trial(answer, lin, merit, state.merit - answer.merit, state.merit - merit, step)
+
+
+def controls_of(answer: Step, lin: Linearisation) -> Array:
+    """Burns and gains of an answer in one vector."""
+    return lin.problem.controls(answer.burns, answer.gains)
 
 
 def _answer(
@@ -288,7 +294,7 @@ def record_of(
         actual=trial.actual if trial else 0.0,
         accepted=trial is not None and after.lin is trial.lin,
         trust_radius=before.radius,
-        total_dv=after.lin.iterate.total_dv,
+        total_dv=subproblem.merit.cost(after.lin),
         max_violation=max(float(v.max(initial=0.0)) for v in violations.values()),
         max_defect=defect,
         step=trial.step if trial else 0.0,

@@ -15,7 +15,7 @@ from scipy.special import ndtr, ndtri
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import StateConstraint
 from formulations.problem.regions import Ball
-from formulations.rows.exact import FLIGHT
+from formulations.rows.exact_flight import FLIGHT
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (

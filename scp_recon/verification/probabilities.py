@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from formulations.arrays import Array, Booleans, Indices
-from formulations.rows.exact import FLIGHT
+from formulations.rows.exact_flight import FLIGHT
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion
 from scp_recon.monte_carlo.observation_time import joint_margins

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.factor import propagate_factor
 from formulations.linearisation.linearisation import (
     Linearisation,
     LinearisationError,
     Sensitivity,
     condense,
     final_state_map,
-    propagate_factor,
     step_mean,
 )
 from formulations.problem.flyby import FlybyProblem, Iterate, Legs, factor_columns_used
@@ -58,7 +58,13 @@ def nonlinear(flyby: Flyby, burns: Array, defects: Array | float = 0.0) -> tuple
     """Mean and factor of the arcs themselves."""
     mean = flyby.waves.rollout(flyby.problem, burns, defects).mean
     stm = flyby.waves.derivatives(mean[:-1]).stm
-    return mean, propagate_factor(flyby.problem, flyby.problem.legs.compose(stm), burns)
+    return mean, factor_of(flyby.problem, stm, burns)
+
+
+def factor_of(problem: FlybyProblem, stm: Array, burns: Array) -> Array:
+    """The factor for the arcs' STMs, without corrections."""
+    every = problem.legs.compose(stm)
+    return propagate_factor(problem, every, Iterate(burns, np.zeros((len(every), 6)))).factor
 
 
 def some_burns(rng: np.random.Generator, problem: FlybyProblem) -> Array:
@@ -80,7 +86,7 @@ def test_the_factors_square_obeys_the_covariance_recursion(
 ) -> None:
     problem, burns = flyby.problem, some_burns(rng, flyby.problem)
     stm = rng.normal(size=(problem.n_nodes - 1, 6, 6))
-    lifted = covariance(propagate_factor(problem, problem.legs.compose(stm), burns))
+    lifted = covariance(factor_of(problem, stm, burns))
     errors, expected = problem.execution_errors, covariance(problem.initial_factor)
     for k in range(problem.n_nodes):
         if k > 0:
@@ -168,7 +174,7 @@ def test_without_curvature_the_factor_is_that_of_the_iterates_stms(
     lin = flyby.perturbed(rng, 0.3, 0.1)
     burns = some_burns(rng, flyby.problem)
     _, factor = applied(condense(lin, curvature=False), burns)
-    expected = propagate_factor(flyby.problem, flyby.problem.legs.compose(lin.arcs.stm), burns)
+    expected = factor_of(flyby.problem, lin.arcs.stm, burns)
     close(factor, expected)
 
 
@@ -233,7 +239,7 @@ def test_composed_arcs_give_the_condensed_map_at_their_nodes(
 
     mean = lin.iterate.mean[0].copy()
     mean[3:] += (burns[0] - lin.iterate.burns[0]) * (problem.burn_nodes[0] == 0)
-    factor = propagate_factor(problem, problem.legs.compose(lin.arcs.stm), burns)[0]
+    factor = factor_of(problem, lin.arcs.stm, burns)[0]
     for arc, (first, last) in enumerate(itertools.pairwise(nodes)):
         deviation = mean - lin.iterate.mean[first]
         bent = arcs.shift_stm[arc] + arcs.tensor[arc] @ deviation

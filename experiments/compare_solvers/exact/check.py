@@ -16,6 +16,7 @@ from scipy.stats import qmc
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate, factor_columns_used
+from formulations.risk.directions import Directions
 from formulations.rows.flight_probability import FlightProbability
 from formulations.rows.node_probability import joint_events
 from scp_recon.mission.mission import Mission
@@ -85,7 +86,9 @@ def _whole_flight(mission: Mission, lin: Linearisation) -> tuple[float, float]:
     for seed in range(SETS // 2):
         normal = _normal(dimension, DIRECTIONS, seed)
         directions = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-        g = FlightProbability(events, directions)(lin.iterate.mean[:, :3], lin.factor[:, :3])
+        g = FlightProbability(events, Directions(directions, np.ones(len(directions))))(
+            lin.iterate.mean[:, :3], lin.factor[:, :3]
+        )
         found.append(float(ndtr(g.value)))
     return _mean(np.array(found))
 

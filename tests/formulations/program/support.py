@@ -23,7 +23,8 @@ from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
 from formulations.program.subproblem import Penalty, PenaltyParameters, Step
 from formulations.rows.cones import Rows
-from formulations.rows.exact import FlightRows, NodeRows
+from formulations.rows.exact import NodeRows
+from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from tests.helpers import constrain, random_flyby
 

@@ -16,7 +16,7 @@ from formulations.program.condensed import (
     write_states,
 )
 from formulations.program.lifted import LiftedSubproblem
-from formulations.program.model import CompiledProgram, Model, write_model
+from formulations.program.model import CompiledProgram, Model, Shape, write_model
 from formulations.program.subproblem import Penalty
 from tests.helpers import generators, share_of_examples
 
@@ -30,13 +30,13 @@ SIZES = (
 
 
 def condensed_model(penalty: Penalty, _: str = "") -> Model:
-    return write_model(4, penalty, lambda burns: write_states(burns, SIZES))
+    return write_model(Shape(4), penalty, lambda burns: write_states(burns, SIZES))
 
 
 def lifted_model(penalty: Penalty, name: str) -> Model:
     lin = linearised(np.random.default_rng(1))
     subproblem = LiftedSubproblem(lin.problem, every_row(lin, name, 4), penalty, "CLARABEL")
-    return write_model(lin.problem.n_burns, penalty, partial(subproblem._states, lin))
+    return write_model(Shape(lin.problem.n_burns), penalty, partial(subproblem._states, lin))
 
 
 MODELS: dict[str, Callable[[Penalty], Model]] = {
@@ -125,4 +125,4 @@ def test_the_burns_are_those_of_the_variables_that_they_belong_to() -> None:
     for variable in (before, burns, sizes):
         first = program.form.var_id_to_col[variable.id]
         x[first : first + variable.size] = variable.value
-    assert compiled.burns(x) == pytest.approx(wanted.reshape(2, 3), rel=1e-6)
+    assert compiled.controls(x) == pytest.approx(wanted.ravel(), rel=1e-6)

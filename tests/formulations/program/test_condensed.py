@@ -62,8 +62,8 @@ class Told(CondensedSubproblem):
         self.told: list[Array] = []
         self.attempts: list[list[int]] = []
 
-    def _slack(self, burns: Array) -> Array:
-        return self.told.pop(0) if self.told else super()._slack(burns)
+    def _slack(self, controls: Array) -> Array:
+        return self.told.pop(0) if self.told else super()._slack(controls)
 
     def _solve(self, *arguments: Any) -> Step:
         self.attempts.append(self.taken)
@@ -148,7 +148,7 @@ def test_the_room_of_a_row_is_its_cones(lin: Linearisation) -> None:
         for row, values, constants in zip(cones.rows, cones.values, cones.constants, strict=True):
             y = values @ burns.reshape(-1)[: values.shape[1]] + constants
             expected[row] = y[0] - np.sqrt((y[1:] ** 2).sum())
-    assert subproblem._slack(burns) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert subproblem._slack(burns.ravel()) == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 def test_rows_far_from_binding_are_left_out_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:

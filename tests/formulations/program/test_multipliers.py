@@ -23,7 +23,8 @@ from formulations.problem.execution_errors import (
 from formulations.program.multipliers import adjoint, multipliers, primer, slope_left
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
-from formulations.rows.exact import FlightRows, NodeRows
+from formulations.rows.exact import NodeRows
+from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows
 from tests.helpers import constrain, generators, random_flyby, share_of_examples
 

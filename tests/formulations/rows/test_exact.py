@@ -16,7 +16,8 @@ from formulations.linearisation.linearisation import (
     final_state_map,
 )
 from formulations.rows.cones import Cones, Rows
-from formulations.rows.exact import BEND, FLIGHT, FlightRows, NodeRows, curved_cones
+from formulations.rows.exact import BEND, NodeRows, curved_cones
+from formulations.rows.exact_flight import FLIGHT, FlightRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan

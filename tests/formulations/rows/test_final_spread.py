@@ -47,12 +47,12 @@ def test_each_limit_is_one_row_after_the_others_with_the_root_of_the_summed_vari
         assert margins[name].margin == pytest.approx([expected], abs=1e-12)
     # The cones: exact in the burns, of the factor's affine model, wherever these are.
     s = condense(lin, np.array([0, last]))
-    cones = rows.cones(s)
+    cones = rows.cones(lin, s)
     assert [int(cone.rows[0]) for cone in cones] == [first + k for k in range(len(wanted))]
     burns = lin.iterate.burns + rng.normal(size=lin.iterate.burns.shape)
     factor = s.factor_constant[-1] + s.factor_jacobian[-1] @ burns.ravel()
     for cone, (name, limit) in zip(cones, wanted.items(), strict=True):
-        (y,) = cone.at(burns)
+        (y,) = cone.at(burns.ravel())
         assert cone.triangular
         assert y[0] == pytest.approx(limit, abs=1e-12)
         assert np.linalg.norm(y[1:]) == pytest.approx(np.linalg.norm(factor[PARTS[name]]), rel=1e-9)
@@ -97,4 +97,4 @@ def test_without_a_limit_nothing_is_added() -> None:
     before = Pulled(np.zeros((9, 3)), np.zeros((9, 3, 2)))
     rows = FinalSpread(lin.problem, 3)
     assert rows.pulled(before, lin, np.zeros(3)) is before
-    assert (rows.margins(lin), rows.cones(condense(lin))) == ({}, [])
+    assert (rows.margins(lin), rows.cones(lin, condense(lin))) == ({}, [])

@@ -12,12 +12,12 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
 from formulations.problem.regions import Ball, Cone
+from formulations.risk.directions import sphere_directions
 from formulations.risk.lines import Segments, kept_segments
 from formulations.rows.flight_probability import (
     PROBABILITY_MAX,
     FlightProbability,
     Limits,
-    sphere_directions,
 )
 from formulations.rows.node_probability import Event, node_quantiles
 from tests.helpers import random_unit, share_of_examples
@@ -238,20 +238,3 @@ def test_shares_of_flights_that_end_are_those_of_the_gradient() -> None:
     assert silent.any()
     assert np.all(found.by_mean[silent] == 0.0)
     assert np.all(found.by_factor[silent] == 0.0)
-
-
-# --- directions ---------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("dimension", [3, 9, 15])
-def test_directions_are_unit_vectors_spread_evenly(dimension: int) -> None:
-    u = sphere_directions(LINES, dimension)
-    assert u.shape == (LINES, dimension)
-    np.testing.assert_allclose(np.linalg.norm(u, axis=1), 1.0, rtol=1e-12)
-    np.testing.assert_allclose(u.mean(axis=0), 0.0, atol=2e-3)
-    np.testing.assert_allclose(u.T @ u / LINES, np.eye(dimension) / dimension, atol=5e-3)
-
-
-def test_directions_are_the_same_for_everyone() -> None:
-    np.testing.assert_array_equal(sphere_directions(64, 5), sphere_directions(64, 5))
-    np.testing.assert_array_equal(sphere_directions(64, 5), sphere_directions(128, 5)[:64])

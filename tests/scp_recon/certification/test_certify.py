@@ -16,7 +16,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
 from formulations.risk.strata import Allocation
-from formulations.rows.exact import FLIGHT
+from formulations.rows.exact_flight import FLIGHT
 from scp_recon.certification import flights
 from scp_recon.certification.certify import ROUNDS_MAX, certify
 from scp_recon.certification.flights import LOOK_WIDTH, certificate_of, kept_of, with_nodes_at

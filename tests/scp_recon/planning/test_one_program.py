@@ -39,7 +39,7 @@ class Watched:
 
 def watch(monkeypatch: pytest.MonkeyPatch) -> Watched:
     seen = Watched()
-    read = CompiledProgram.burns
+    read = CompiledProgram.controls
     compile_, solve, real = cp.Problem.get_problem_data, Clarabel.solve, clarabel.DefaultSolver
 
     def compiling(self: cp.Problem, *arguments: Any, **options: Any) -> Any:
@@ -77,7 +77,7 @@ def watch(monkeypatch: pytest.MonkeyPatch) -> Watched:
 
     monkeypatch.setattr(cp.Problem, "get_problem_data", compiling)
     monkeypatch.setattr(Clarabel, "solve", asking)
-    monkeypatch.setattr(CompiledProgram, "burns", reading)
+    monkeypatch.setattr(CompiledProgram, "controls", reading)
     monkeypatch.setattr(Qoco, "solve", never)
     monkeypatch.setattr(clarabel, "DefaultSolver", Given)
     condensed.compile_condensed.cache_clear()

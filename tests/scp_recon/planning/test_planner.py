@@ -16,7 +16,8 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import Subproblem
 from formulations.registry import make_subproblem
 from formulations.rows.cones import Rows
-from formulations.rows.exact import FlightRows, NodeRows
+from formulations.rows.exact import NodeRows
+from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess

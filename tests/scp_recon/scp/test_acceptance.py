@@ -20,7 +20,11 @@ STEP = 0.1
 def at(burns: float, *, flown: bool = True) -> Any:
     """A linearisation of which only the burns are known."""
     iterate = SimpleNamespace(burns=np.full((2, 3), burns), total_dv=1.0)
-    return SimpleNamespace(is_dynamically_feasible=flown, iterate=iterate)
+    controls = iterate.burns.ravel()
+    problem = SimpleNamespace(controls=lambda burns, _: burns.ravel())
+    return SimpleNamespace(
+        is_dynamically_feasible=flown, iterate=iterate, controls=controls, problem=problem
+    )
 
 
 class Merit:
@@ -28,6 +32,9 @@ class Merit:
 
     def violations(self, _: object) -> dict[str, Any]:
         return {"dynamics": np.zeros((1, 6)), "rows": np.zeros(1)}
+
+    def cost(self, _: object) -> float:
+        return 1.0
 
     def excess(self, _: object) -> Any:
         return np.zeros(7)

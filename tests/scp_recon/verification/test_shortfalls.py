@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from formulations.rows.exact import FLIGHT
+from formulations.rows.exact_flight import FLIGHT
 from scp_recon.certification.flights import Kept, certificate_of
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import proportion, successes_needed

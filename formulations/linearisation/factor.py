@@ -1,0 +1,249 @@
+"""The covariance factor along a flight and its derivatives, open loop or with corrected burns.
+
+Columns are the sources of errors: the initial state, each burn's execution, each measurement. With
+corrections K = U Xi of what measurements tell (`innovations`),
+
+    S <- S + B U Xi + B C(dv) + B D(U)    at a corrected burn,
+    E <- E + B C(dv) + B D(U),
+
+S the deviation's factor and E that of the estimate's error; C are the columns of the planned burn's
+errors, D those of the correction's. For given STMs S is affine in burns and gains but for D and for
+what burns do to Xi, both of second order in the execution errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from formulations.arrays import Array, Indices
+from formulations.linearisation.innovations import Innovation
+from formulations.problem.flyby import FlybyProblem, Iterate
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """The covariance factor of an iterate, and what its measurements tell.
+
+    Attributes:
+        factor: S at every node, after the burn where there is one, shape (n_nodes, 6, c).
+        innovations: of each measurement.
+        errors: E at the start of the leg in which each measurement is made, before it, (k, 6, c).
+        stm: from the last burn to each node, shape (n_nodes, 6, 6).
+        leg_errors: E after each leg's start, none of the leg's measurements made, (legs + 1, 6, c).
+    """
+
+    factor: Array
+    innovations: tuple[Innovation, ...]
+    errors: Array
+    stm: Array
+    leg_errors: Array
+
+
+def propagate_factor(problem: FlybyProblem, stm: Array, iterate: Iterate) -> Spread:
+    """Factors of deviation and estimate's error, from the STMs from the last burn to each node.
+
+    Columns of later burns and measurements are zero.
+    """
+    legs, feedback = problem.legs, problem.feedback
+    shape = len(problem.leg_starts), 6, problem.factor_columns
+    start, leg_errors, at_measurement = np.zeros(shape), np.zeros(shape), []
+    first = np.zeros(shape[1:])
+    first[:, : problem.first_factor.shape[1]] = problem.first_factor
+    innovations: list[Innovation] = []
+    columns = problem.execution_errors.columns(iterate.burns)
+
+    def measure(error: Array, leg: int) -> Array:
+        for j in measured_in(problem, leg):
+            assert feedback is not None
+            at_measurement.append(error)
+            there = stm[feedback.cut_offs[j]] @ error if leg >= 0 else error
+            _, own = problem.columns_of_correction(j)
+            innovations.append(Innovation.of(there, feedback.measurement[j], own))
+            error = innovations[-1].updated(error)
+        return error
+
+    start[0] = first
+    error = measure(first, -1)
+    for leg in range(len(start)):
+        if leg > 0:
+            start[leg] = stm[legs.ends[leg - 1]] @ start[leg - 1]
+            error = stm[legs.ends[leg - 1]] @ error
+        burn = leg - problem.coasts
+        if burn >= 0:
+            j = corrected(problem, burn)
+            if j is not None:
+                rows = np.vstack([one.rows for one in innovations[: j + 1]])
+                start[leg, 3:] += problem.gains_of(iterate, j) @ rows
+            for factor in (start[leg], error):
+                _add_errors(problem, iterate, burn, columns[burn], factor)
+        leg_errors[leg] = error
+        error = measure(error, leg)
+    factor = stm @ start[legs.of]
+    factor[problem.leg_starts] = start
+    errors = np.array(at_measurement).reshape(-1, *shape[1:])
+    return Spread(factor, tuple(innovations), errors, stm, leg_errors)
+
+
+def measured_in(problem: FlybyProblem, leg: int) -> Iterator[int]:
+    """Measurements made along a leg, its end included; -1 is before the first node's burn."""
+    if problem.feedback is None or leg >= len(problem.leg_starts) - 1:
+        return
+    low = problem.leg_starts[leg] if leg >= 0 else -1
+    high = problem.leg_starts[leg + 1] if leg >= 0 else 0
+    for j in np.flatnonzero(
+        (problem.feedback.cut_offs > low) & (problem.feedback.cut_offs <= high)
+    ):
+        yield int(j)
+
+
+def corrected(problem: FlybyProblem, burn: int) -> int | None:
+    """Number of a burn among the corrected ones; None if it is not."""
+    if problem.feedback is None or burn not in problem.feedback.burns:
+        return None
+    return int(np.searchsorted(problem.feedback.burns, burn))
+
+
+def _add_errors(
+    problem: FlybyProblem, iterate: Iterate, burn: int, columns: Array, factor: Array
+) -> None:
+    """Add a burn's errors of execution, and its correction's, to a factor (6, c) at its node."""
+    errors, j = problem.execution_errors, corrected(problem, burn)
+    factor[3:, problem.shared_columns] += columns[:, : errors.shared]
+    factor[3:, problem.columns_of_burn(burn)] = columns[:, errors.shared :]
+    if j is not None and iterate.gains.size:
+        own, _ = errors.correction_columns(problem.gains_of(iterate, j))
+        factor[3:, problem.columns_of_correction(j)[0]] = own
+
+
+class FactorSensitivity:
+    """Derivatives of the factor by all controls and, last, by closing the defects: by legs.
+
+    With P the STM from a leg's start, d(P S) = P dS + (T . dmu) S there.
+
+    Args:
+        problem: of the iterate.
+        iterate: burns, means and gains.
+        spread: its factors.
+        moved: deviations of the mean at the legs' starts by control, shape (legs + 1, 7, q).
+        bent: derivatives of the STMs from the legs' starts by the deviation there, shape
+            (n_nodes, 6, 6, 7); None if they are held.
+        gains: whether gains are among the controls, or held.
+    """
+
+    def __init__(
+        self,
+        problem: FlybyProblem,
+        iterate: Iterate,
+        spread: Spread,
+        moved: Array,
+        bent: Array | None,
+        *,
+        gains: bool,
+    ) -> None:
+        self._problem, self._iterate, self._spread = problem, iterate, spread
+        self._moved, self._bent, self._gains = moved, bent, gains
+        self._slopes = problem.execution_errors.jacobian(iterate.burns)
+        self._first = problem.controls_before if gains else 3 * np.arange(problem.n_burns + 1)
+        self._shape = 6, problem.factor_columns, moved.shape[-1]
+
+    def at(self, nodes: Indices) -> Array:
+        """The derivative at some nodes, shape (n, 6, c, q)."""
+        problem, starts = self._problem, self._problem.leg_starts
+        start = self._starts(int(nodes.max(initial=0)))
+        factors = self._spread.factor[starts]
+        legs = problem.legs.of[nodes]
+        derivative = self._reached(nodes, start[legs], factors[legs])
+        last = np.searchsorted(starts, nodes)
+        here = starts[last] == nodes
+        derivative[here] = start[last[here]]
+        return derivative
+
+    def _starts(self, last: int) -> Array:
+        """The derivative at the legs' starts up to a node, shape (legs + 1, 6, c, q)."""
+        problem, spread = self._problem, self._spread
+        starts = problem.leg_starts
+        start = np.zeros((len(starts), *self._shape))
+        d_error, d_rows = np.zeros(self._shape), np.zeros((0, *self._shape[1:]))
+        d_error, d_rows = self._measured(-1, d_error, d_rows)
+        error = spread.leg_errors[0]
+        for leg, node in enumerate(starts):
+            if node > last:
+                break
+            if leg > 0:
+                before = start[leg - 1 : leg], spread.factor[None, starts[leg - 1]]
+                start[leg] = self._reached(starts[leg : leg + 1], *before)[0]
+                if len(d_rows) or problem.feedback is not None:
+                    there = starts[leg : leg + 1]
+                    d_error = self._reached(there, d_error[None], error[None])[0]
+            burn = leg - problem.coasts
+            if burn >= 0:
+                self._corrected(burn, start[leg], d_rows)
+                self._add_errors(burn, start[leg])
+                self._add_errors(burn, d_error)
+            error = spread.leg_errors[leg]
+            for j in measured_in(problem, leg):
+                error = spread.innovations[j].updated(error)
+            d_error, d_rows = self._measured(leg, d_error, d_rows)
+        return start
+
+    def _reached(self, nodes: Indices, start: Array, factor: Array) -> Array:
+        """Derivatives at nodes of factors (n, 6, c) at their legs' starts, with those there."""
+        _, c, q = self._shape
+        derivative = self._spread.stm[nodes] @ start.reshape(-1, 6, c * q)
+        derivative = derivative.reshape(-1, 6, c, q)
+        if self._bent is not None:
+            legs = self._problem.legs.of[nodes]
+            d_stm = self._bent[nodes] @ self._moved[legs][:, None]  # (n, 6, 6, q)
+            derivative += factor[:, None].swapaxes(-1, -2) @ d_stm
+        return np.asarray(derivative)
+
+    def _measured(self, leg: int, d_error: Array, d_rows: Array) -> tuple[Array, Array]:
+        """Derivatives of E after a leg's measurements, at its start, and of all Xi so far."""
+        feedback, spread = self._problem.feedback, self._spread
+        for j in measured_in(self._problem, leg):
+            assert feedback is not None
+            one, error = spread.innovations[j], spread.errors[j]
+            there, node = d_error, feedback.cut_offs[j : j + 1]
+            if leg >= 0:
+                there = self._reached(node, d_error[None], error[None])[0]
+            rows = one.derivative(there)
+            d_error = one.updated_derivative(error, d_error, rows)
+            d_rows = np.concatenate([d_rows, rows])
+        return d_error, d_rows
+
+    def _corrected(self, burn: int, start: Array, d_rows: Array) -> None:
+        """Add the correction of a burn to the derivative (6, c, q) at its node."""
+        problem, j = self._problem, corrected(self._problem, burn)
+        if j is None:
+            return
+        gains, n = problem.gains_of(self._iterate, j), 6 * (j + 1)
+        start[3:] += np.einsum("an,ncq->acq", gains, d_rows[:n])
+        if not self._gains:
+            return
+        rows = np.vstack([one.rows for one in self._spread.innovations[: j + 1]])
+        for axis, by in enumerate(self._gain_controls(j).reshape(3, n)):
+            start[3 + axis][:, by] += rows.T
+
+    def _add_errors(self, burn: int, start: Array) -> None:
+        """Add the derivatives of a burn's errors of execution, and of its correction's."""
+        problem, errors = self._problem, self._problem.execution_errors
+        first, j = int(self._first[burn]), corrected(problem, burn)
+        slopes = self._slopes[burn]
+        place = slice(first, first + 3)
+        start[3:, problem.shared_columns, place] += slopes[:, : errors.shared]
+        start[3:, problem.columns_of_burn(burn), place] += slopes[:, errors.shared :]
+        if j is not None and self._gains:
+            _, of_gains = errors.correction_columns(problem.gains_of(self._iterate, j))
+            place = slice(first + 3, self._first[burn + 1])
+            own = of_gains.reshape(3, of_gains.shape[1], -1)
+            start[3:, problem.columns_of_correction(j)[0], place] += own
+
+    def _gain_controls(self, j: int) -> Indices:
+        """The controls that are gains of the corrected burn j, ascending."""
+        assert self._problem.feedback is not None
+        burn = int(self._problem.feedback.burns[j])
+        first, stop = self._problem.controls_before[burn : burn + 2]
+        return np.arange(first + 3, stop)

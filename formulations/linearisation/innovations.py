@@ -1,0 +1,70 @@
+"""What measurements tell: innovations of a Kalman filter along a plan, as rows of a covariance factor.
+
+Let E be the factor of the estimate's error and N that of the measurement's, in columns of its own. With
+Y = E + N and the triangular root W of Y Y',
+
+    Xi = W^-1 Y,    Xi Xi' = I,    E <- E - (E Xi')Xi.
+
+Xi w are the six independent standard normal numbers that the measurement adds to what is known; the
+second equation is the Kalman update. It multiplies from the right, and so commutes with the flow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from formulations.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Innovation:
+    """One measurement's innovation.
+
+    Attributes:
+        rows: Xi, shape (6, c).
+        root: W, lower triangular, shape (6, 6).
+        gain: E Xi' before the update, which is the Kalman gain times W, shape (6, 6).
+    """
+
+    rows: Array
+    root: Array
+    gain: Array
+
+    @classmethod
+    def of(cls, error: Array, measurement: Array, columns: slice) -> Innovation:
+        """That of a measurement with factor N (6, 6) in its columns, the estimate's error E (6, c)."""
+        measured = error.copy()
+        measured[:, columns] += measurement
+        root = np.asarray(np.linalg.cholesky(measured @ measured.T))
+        rows = np.asarray(solve_triangular(root, measured, lower=True))
+        return cls(rows, root, error @ rows.T)
+
+    def updated(self, error: Array) -> Array:
+        """An estimate's error (., c), here or anywhere along the flow, after the update."""
+        return np.asarray(error - (error @ self.rows.T) @ self.rows)
+
+    def derivative(self, d_error: Array) -> Array:
+        """Derivative of Xi, shape (6, c, q), by that of E.
+
+        From dW W^-1 = low(W^-1 d(YY') W^-T), with low the lower triangle and half of the diagonal.
+        """
+        c, q = d_error.shape[1:]
+        moved = solve_triangular(self.root, d_error.reshape(6, c * q), lower=True).reshape(6, c, q)
+        half = np.einsum("icq,jc->ijq", moved, self.rows)
+        low = np.tril(np.ones((6, 6)))[..., None] * (half + half.swapaxes(0, 1))
+        low[range(6), range(6)] *= 0.5
+        return np.asarray(moved - np.einsum("ijq,jc->icq", low, self.rows))
+
+    def updated_derivative(self, error: Array, d_error: Array, d_rows: Array) -> Array:
+        """Derivative of `updated` by those of E (., c) before it and of Xi."""
+        along = error @ self.rows.T
+        d_along = np.einsum("icq,jc->ijq", d_error, self.rows)
+        d_along += np.einsum("ic,jcq->ijq", error, d_rows)
+        return np.asarray(
+            d_error
+            - np.einsum("ijq,jc->icq", d_along, self.rows)
+            - np.einsum("ij,jcq->icq", along, d_rows)
+        )

@@ -1,0 +1,285 @@
+"""The row of P2 with exact risk of the whole flight: all limits hold at all nodes, with gradient.
+
+All positions of a flight are linear in few numbers: the state after the first burn and the velocities
+after the others. The law of a flight is therefore taken over these, however many sources of errors
+there are: fewer dimensions need fewer directions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import null_space, solve_triangular
+
+from formulations.arrays import Array
+from formulations.linearisation.adjoint import gradient
+from formulations.linearisation.linearisation import (
+    Linearisation,
+    Sensitivity,
+    condense,
+    final_state_map,
+)
+from formulations.problem.flyby import FlybyProblem, factor_columns_used
+from formulations.risk.directions import Directions, aimed_directions, sphere_directions
+from formulations.rows.cones import Cones, FinalSpread, Margins, Pulled, StateCones
+from formulations.rows.exact import ExactRows, bent_by_gains, curved_cones, on_states
+from formulations.rows.flight_probability import FlightProbability, Limits
+from formulations.rows.node_probability import Quantiles
+
+FLIGHT = "whole_flight"
+"""Name of the one chance constraint of `FlightRows`."""
+
+CURVATURE_LINES = 1024
+"""Directions that a flight's curvature is estimated from."""
+
+ENDS_MIN = 1e-9
+"""Density of the flights that a limit ends at an iterate, from which on it takes part in curvature."""
+
+APART = 0.05
+"""Change of a flight's g over which slopes are compared, in standard deviations."""
+
+LANCZOS = 4
+"""Directions of the gains in which slopes are compared."""
+
+REMEMBERED = 3
+"""Iterates whose probability is remembered: a stage ends and the next begins where one was."""
+
+CERTAIN = 1e-9
+"""Standard deviation that is added to each coordinate, so that certain ones have a direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class FlightValue:
+    """g = Phi^-1(P) of the whole flight, and its derivatives in means and factors at all nodes.
+
+    Attributes:
+        value: g.
+        limits: limits evaluated.
+        ends: share of the flights that each limit's node ends, in density.
+        by_mean: shape (n_nodes, 3).
+        by_factor: shape (n_nodes, 6, c).
+    """
+
+    value: float
+    limits: Limits
+    ends: Array
+    by_mean: Array
+    by_factor: Array
+
+
+class Coordinates:
+    """The numbers that a flight's positions up to a node are linear in, and their law's root.
+
+    Y are the rows of the covariance factor that belong to them, W the triangular root of Y Y'. With
+    R = W^-1 Y a factor S is (S R') R, so that S R' has its covariance in fewer columns.
+    """
+
+    def __init__(self, problem: FlybyProblem, last: int) -> None:
+        first, *later = problem.leg_starts[problem.leg_starts < last].tolist() or [0]
+        self._node = np.r_[[first] * 6, np.repeat(later, 3)].astype(np.intp)
+        self._row = np.r_[np.arange(6), np.tile([3, 4, 5], len(later))].astype(np.intp)
+        self.count, self.nodes = len(self._node), np.unique(self._node)
+
+    def __call__(
+        self, probability: FlightProbability, mean: Array, factor: Array, limits: Limits | None
+    ) -> FlightValue:
+        """G for means (n_nodes, 3) and factors (n_nodes, 6, c) at all nodes."""
+        root, rows = self._root(factor)
+        g = probability(mean, factor[:, :3] @ rows.T, limits)
+        by_mean, by_factor = np.zeros((len(mean), 3)), np.zeros(factor.shape)
+        np.add.at(by_mean, g.nodes, g.by_mean)
+        here = np.zeros((len(mean), 3, self.count))
+        np.add.at(here, g.nodes, g.by_factor)
+        by_factor[:, :3] = here @ rows
+        # What turning the coordinates does to directions that stay as they are: W has a derivative,
+        # W low(A + A') with A = W^-1 dY R', where W A is already counted.
+        turned = np.einsum("nir,nis->rs", factor[:, :3] @ rows.T, here)
+        turned = np.triu(turned.T - turned, 1)
+        by_own = solve_triangular(root, turned @ rows, lower=True, trans="T")
+        np.add.at(by_factor, (self._node, self._row), by_own)
+        return FlightValue(g.value, g.limits, g.ends, by_mean, by_factor)
+
+    def reduced(self, factor: Array) -> Array:
+        """Factors of the positions in fewer columns, S R', shape (n_nodes, 3, count)."""
+        return factor[:, :3] @ self._root(factor)[1].T
+
+    def _root(self, factor: Array) -> tuple[Array, Array]:
+        """W and R, by an orthogonal factorisation, which bears any ratio of standard deviations."""
+        own = factor[self._node, self._row]
+        across, up = np.linalg.qr(np.hstack([own, CERTAIN * np.eye(self.count)]).T)
+        sign = np.copysign(1.0, np.diag(up))
+        return (sign[:, None] * up).T, (across * sign).T[:, : own.shape[1]]
+
+
+class FlightRows(ExactRows):
+    """All joint constraints hold at all nodes of the flight with the required probability: one row.
+
+    The probability is estimated from a number of lines that is a power of two. Curvature begins as that
+    of rows from fewer lines, if these are given.
+    """
+
+    condensed = False
+
+    def __init__(
+        self,
+        problem: FlybyProblem,
+        probability: float,
+        lines: int,
+        resolution: float,
+        rough: FlightRows | None = None,
+    ) -> None:
+        super().__init__(problem, probability, resolution)
+        nodes = np.unique(np.concatenate([event.nodes for event in self.events]))
+        self.final = FinalSpread(problem, 1)
+        self._coordinates = Coordinates(problem, int(nodes[-1]))
+        felt = np.union1d(nodes, self._coordinates.nodes)
+        self._columns = factor_columns_used(problem, felt)
+        self.nodes = np.union1d(felt, self.final.nodes)
+        self.count = 1 + self.final.count
+        self._lines, self._begun = lines, rough
+        self._look(sphere_directions(lines, self._coordinates.count))
+
+    def _look(self, directions: Directions) -> None:
+        """Take probabilities over some directions from now on."""
+        few = Directions(*(part[:: max(1, self._lines // CURVATURE_LINES)] for part in directions))
+        self.probability = FlightProbability(self.events, directions)
+        self._rough = FlightProbability(self.events, few)
+        self._seen: list[tuple[Array, Array, FlightValue]] = []
+        self._bent: tuple[Array, Array, Array] | None = None
+
+    def aim(self, lin: Linearisation) -> None:
+        """Take probabilities over directions of which half are where an iterate's flights fail."""
+        mean, factor = lin.iterate.mean[:, :3], self._coordinates.reduced(lin.factor)
+
+        def failing(directions: Directions) -> Array:
+            return FlightProbability(self.events, directions).failing(mean, factor)
+
+        self._look(aimed_directions(self._lines, self._coordinates.count, failing))
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Margin of the whole flight, at the node where most flights break a limit."""
+        g = self.at(lin)
+        nodes = g.limits.nodes
+        worst = nodes[np.argmax(g.ends)] if len(nodes) else self.nodes[0]
+        own = {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.required]))}
+        return own | self.final.margins(lin)
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """One row in all controls."""
+        g, z = self.at(lin), lin.controls
+        slope, hessian = self._slope(lin, g), self._hessian(lin, g)
+        margin = np.array([g.value - self.required])
+        own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)
+        return [own, *self.final.cones(lin, s)]
+
+    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+        """The gradient acts on the mean and the factor of every node that may take part."""
+        g, own = self.at(lin), self.cones(lin, condense(lin, self.nodes, factor=False))[0]
+        by_mean = np.pad(g.by_mean, ((0, 0), (0, 3)))
+        by_factor = g.by_factor[:, :, : self._columns]
+        by_states = np.concatenate([by_mean[:, :, None], by_factor], axis=2)
+        row = np.zeros(len(self.nodes), dtype=np.intp)
+        return [
+            on_states(own, lin, row, self.nodes, by_states[self.nodes]),
+            *self.final.state_cones(),
+        ]
+
+    def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
+        """Derivatives of -g at all nodes; see `Rows.pulled`."""
+        g = self.at(lin)
+        own = Pulled(-prices[0] * g.by_mean, -prices[0] * g.by_factor)
+        return self.final.pulled(own, lin, prices)
+
+    def at(self, lin: Linearisation) -> FlightValue:
+        """G at an iterate."""
+        mean, factor = lin.iterate.mean[:, :3], lin.factor
+        for seen in self._seen:
+            if np.array_equal(seen[0], mean) and np.array_equal(seen[1], factor):
+                return seen[2]
+        found = self._coordinates(self.probability, mean, factor, None)
+        self._seen = [(mean, factor, found), *self._seen[: REMEMBERED - 1]]
+        return found
+
+    def _slope(self, lin: Linearisation, g: FlightValue) -> Array:
+        """dg/dz by all controls z, with the derivatives of means and factors at an iterate."""
+        return gradient(lin, g.by_mean, g.by_factor)
+
+    def _hessian(self, lin: Linearisation, g: FlightValue) -> Array:
+        """d2g/dz2 by all controls: by differences along some directions, else by `bent_by_gains`.
+
+        The differences are kept until the controls have moved so far that they tell something else.
+        """
+        z, own = lin.controls, self._bent_by_gains(lin, g)
+        slope = self._slope(lin, g)
+        free = _keeping_final_state(lin)
+        step = APART / max(float(np.linalg.norm(slope @ free)), APART)
+        if self._bent is None and self._begun is not None:
+            self._bent = self._begun._bent
+        if self._bent is None or np.linalg.norm((z - self._bent[0]) @ free) > step:
+            met = g.limits.at(g.ends > ENDS_MIN)
+            self._bent = z, *self._differences(lin, met, step, free, own)
+        _, along, left = self._bent
+        both = left @ along.T
+        return np.asarray(own + both + both.T - along @ (along.T @ left) @ along.T)
+
+    def _bent_by_gains(self, lin: Linearisation, g: FlightValue) -> Array:
+        """What `bent_by_gains` says of all nodes together, shape (controls, controls)."""
+        hessian = np.zeros((len(lin.controls), len(lin.controls)))
+        if self.problem.feedback is not None:
+            at, gains = np.unique(g.limits.nodes), self.problem.gain_controls
+            quantiles = Quantiles(np.zeros(len(at)), g.by_mean[at], g.by_factor[at, :3])
+            maps = condense(lin, at, factor=False, gains=False).mean_jacobian[:, :3]
+            bent = bent_by_gains(self.problem, quantiles, lin.factor[at, :3], maps)
+            hessian[np.ix_(gains, gains)] = bent.sum(axis=0)
+        return hessian
+
+    def _differences(
+        self, lin: Linearisation, met: Limits, step: float, free: Array, known: Array
+    ) -> tuple[Array, Array]:
+        """Directions V, orthonormal, and what a Hessian that is known lacks of T V, (controls, .) each.
+
+        T V by differences of slopes from few directions of flights, over steps long enough to average
+        out the kinks where a flight's first broken limit changes. The directions are those of the
+        burns, and of the gains those in which what is known lacks most: the slope's, and as Lanczos
+        goes on. All keep the final state.
+        """
+        nodes = np.union1d(met.nodes, self._coordinates.nodes)
+        s, burns = condense(lin, nodes), self.problem.burn_controls.ravel()
+
+        def slope(move: Array) -> Array:
+            mean, factor = lin.iterate.mean[:, :3].copy(), lin.factor.copy()
+            mean[nodes] += s.mean_jacobian[:, :3] @ move
+            factor[nodes] += s.factor_jacobian @ move
+            return self._slope(lin, self._coordinates(self._rough, mean, factor, met))
+
+        def differs(direction: Array) -> Array:
+            ahead, behind = slope(step * direction), slope(-step * direction)
+            return free @ (free.T @ ((ahead - behind) / (2.0 * step) - known @ direction))
+
+        of_burns = free[:, free[burns].any(axis=0)]
+        along = list(of_burns.T)
+        left = [differs(direction) for direction in along]
+        following = slope(np.zeros(len(lin.controls)))
+        following[burns] = 0.0
+        for _ in range(LANCZOS if self.problem.feedback is not None else 0):
+            basis = np.array(along)
+            following = following - basis.T @ (basis @ following)
+            size = float(np.linalg.norm(following))
+            if size < ENDS_MIN:
+                break
+            along.append(following / size)
+            left.append(differs(along[-1]))
+            following = left[-1].copy()
+        return np.array(along).T, np.array(left).T
+
+
+def _keeping_final_state(lin: Linearisation) -> Array:
+    """Orthonormal directions of the controls that keep the final state, shape (controls, .)."""
+    problem = lin.problem
+    kept = null_space(final_state_map(lin)[1])
+    gains = problem.gain_controls
+    free = np.zeros((len(lin.controls), kept.shape[1] + len(gains)))
+    free[problem.burn_controls.ravel(), : kept.shape[1]] = kept
+    free[gains, kept.shape[1] + np.arange(len(gains))] = 1.0
+    return free
