@@ -24,7 +24,6 @@ from formulations.problem.facets import quantile
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.rows.cones import (
     Cones,
-    FinalSpread,
     Margins,
     Pulled,
     StateCones,
@@ -34,6 +33,7 @@ from formulations.rows.cones import (
     pulled_at,
     triangular_cones,
 )
+from formulations.rows.corrected_burns import FurtherRows
 from formulations.rows.node_probability import Quantiles, joint_events, node_quantiles
 
 BINDING = 1.0
@@ -145,9 +145,9 @@ class NodeRows(ExactRows):
     def __init__(self, problem: FlybyProblem, probability: float, resolution: float = 0.0) -> None:
         super().__init__(problem, probability, resolution)
         self.node = np.concatenate([event.nodes for event in self.events])
-        self.final = FinalSpread(problem, len(self.node))
-        self.nodes = np.union1d(self.node, self.final.nodes)
-        self.count = len(self.node) + self.final.count
+        self.further = FurtherRows(problem, len(self.node))
+        self.nodes = np.union1d(self.node, self.further.nodes)
+        self.count = len(self.node) + self.further.count
         self._first = np.cumsum([0, *(len(event.nodes) for event in self.events)])
         self._seen: tuple[Linearisation, Quantiles] | None = None
 
@@ -157,7 +157,7 @@ class NodeRows(ExactRows):
         return {
             event.name: Margins(event.nodes, part)
             for event, part in zip(self.events, parts, strict=True)
-        } | self.final.margins(lin)
+        } | self.further.margins(lin)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """Cones in a block for each number of burn components on which nodes depend."""
@@ -171,26 +171,26 @@ class NodeRows(ExactRows):
             if len(near):
                 hessian[near] = self._hessian(rows[near], s, lin, p)
             blocks.append(curved_cones(rows, g.value[rows] - self.required, slope, hessian, z[:p]))
-        return blocks + self.final.cones(lin, s)
+        return blocks + self.further.cones(lin, s)
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
         """The gradient of each row acts on the mean and the factor of its node."""
         g = self._at(lin)
         used = factor_columns_used(self.problem, np.unique(self.node))
         gradient = np.concatenate([g.by_mean[:, :, None], g.by_factor[:, :, :used]], axis=2)
-        own = self.cones(lin, condense(lin, self.nodes))[: -self.final.count or None]
+        own = self.cones(lin, condense(lin, self.nodes))[: -self.further.count or None]
         return [
             on_states(
                 block, lin, np.arange(len(block.rows)), self.node[block.rows], gradient[block.rows]
             )
             for block in own
-        ] + self.final.state_cones()
+        ] + self.further.state_cones(lin)
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Derivatives of -g at each row's node; see `Rows.pulled`."""
         g, own = self._at(lin), -prices[: len(self.node)]
         parts = own[:, None] * g.by_mean, own[:, None, None] * g.by_factor
-        return self.final.pulled(pulled_at(self.problem, self.node, *parts), lin, prices)
+        return self.further.pulled(pulled_at(self.problem, self.node, *parts), lin, prices)
 
     def _at(self, lin: Linearisation) -> Quantiles:
         """The quantiles g of all rows at an iterate."""

@@ -22,7 +22,8 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
 from formulations.risk.directions import Directions, aimed_directions, sphere_directions
-from formulations.rows.cones import Cones, FinalSpread, Margins, Pulled, StateCones
+from formulations.rows.cones import Cones, Margins, Pulled, StateCones
+from formulations.rows.corrected_burns import FurtherRows
 from formulations.rows.exact import ExactRows, bent_by_gains, curved_cones, on_states
 from formulations.rows.flight_probability import FlightProbability, Limits
 from formulations.rows.node_probability import Quantiles
@@ -131,12 +132,12 @@ class FlightRows(ExactRows):
     ) -> None:
         super().__init__(problem, probability, resolution)
         nodes = np.unique(np.concatenate([event.nodes for event in self.events]))
-        self.final = FinalSpread(problem, 1)
+        self.further = FurtherRows(problem, 1)
         self._coordinates = Coordinates(problem, int(nodes[-1]))
         felt = np.union1d(nodes, self._coordinates.nodes)
         self._columns = factor_columns_used(problem, felt)
-        self.nodes = np.union1d(felt, self.final.nodes)
-        self.count = 1 + self.final.count
+        self.nodes = np.union1d(felt, self.further.nodes)
+        self.count = 1 + self.further.count
         self._lines, self._begun = lines, rough
         self._look(sphere_directions(lines, self._coordinates.count))
 
@@ -163,7 +164,7 @@ class FlightRows(ExactRows):
         nodes = g.limits.nodes
         worst = nodes[np.argmax(g.ends)] if len(nodes) else self.nodes[0]
         own = {FLIGHT: Margins(np.array([worst]), np.array([g.value - self.required]))}
-        return own | self.final.margins(lin)
+        return own | self.further.margins(lin)
 
     def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
         """One row in all controls."""
@@ -171,7 +172,7 @@ class FlightRows(ExactRows):
         slope, hessian = self._slope(lin, g), self._hessian(lin, g)
         margin = np.array([g.value - self.required])
         own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)
-        return [own, *self.final.cones(lin, s)]
+        return [own, *self.further.cones(lin, s)]
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
         """The gradient acts on the mean and the factor of every node that may take part."""
@@ -182,14 +183,14 @@ class FlightRows(ExactRows):
         row = np.zeros(len(self.nodes), dtype=np.intp)
         return [
             on_states(own, lin, row, self.nodes, by_states[self.nodes]),
-            *self.final.state_cones(),
+            *self.further.state_cones(lin),
         ]
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Derivatives of -g at all nodes; see `Rows.pulled`."""
         g = self.at(lin)
         own = Pulled(-prices[0] * g.by_mean, -prices[0] * g.by_factor)
-        return self.final.pulled(own, lin, prices)
+        return self.further.pulled(own, lin, prices)
 
     def at(self, lin: Linearisation) -> FlightValue:
         """G at an iterate."""

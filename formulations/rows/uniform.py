@@ -19,7 +19,6 @@ from formulations.rows.cones import (
     NEAR_LENGTH,
     POSITION,
     Cones,
-    FinalSpread,
     Margins,
     Pulled,
     StateCones,
@@ -29,6 +28,7 @@ from formulations.rows.cones import (
     pulled_at,
     triangular_cones,
 )
+from formulations.rows.corrected_burns import FurtherRows
 
 
 class DeterministicRows:
@@ -138,9 +138,9 @@ class ChanceRows:
         self.facets = facets
         self.included = included
         self.carried = facets.chosen(included)
-        self.final = FinalSpread(problem, len(self.carried.node))
-        self.nodes = np.union1d(self.carried.node, self.final.nodes)
-        self.count = len(self.carried.node) + self.final.count
+        self.further = FurtherRows(problem, len(self.carried.node))
+        self.nodes = np.union1d(self.carried.node, self.further.nodes)
+        self.count = len(self.carried.node) + self.further.count
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins b - a'mu - q ||S'a|| of the included facets."""
@@ -151,7 +151,7 @@ class ChanceRows:
         return {
             c.name: Margins(self.carried.node[first:last], margin[first:last])
             for c, first, last in zip(self.problem.constraints, ends, ends[1:], strict=False)
-        } | self.final.margins(lin)
+        } | self.further.margins(lin)
 
     def missed(self, lin: Linearisation, tolerance: float) -> Booleans:
         """Facets left out of the program that the iterate violates by more than `tolerance`."""
@@ -189,14 +189,13 @@ class ChanceRows:
             room = -(pick @ mean.reshape(3 * len(nodes), -1))
             room[:, -1] += carried.offset[rows]
             blocks.append(triangular_cones(rows, room, spread))
-        return blocks + self.final.cones(lin, s)
+        return blocks + self.further.cones(lin, s)
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:
         """All facets in one block; their numbers are those of the facets."""
-        del lin
         carried, n = self.carried, len(self.carried.node)
         if n == 0:
-            return self.final.state_cones()
+            return self.further.state_cones(lin)
         columns = factor_columns_used(self.problem, np.unique(carried.node))
         d = 1 + columns
         y = np.arange(n * d).reshape(n, 1, d)
@@ -205,7 +204,7 @@ class ChanceRows:
         constants = carried.offset[:, None] * np.eye(1, d)
         places = placed(y, carried.node[:, None, None], POSITION, np.arange(d))
         own = StateCones(np.arange(n), places, entries, np.zeros((n, d, 0)), constants)
-        return [own, *self.final.state_cones()]
+        return [own, *self.further.state_cones(lin)]
 
     def pulled(self, lin: Linearisation, prices: Array) -> Pulled:
         """Derivatives of a'mu + q ||S'a||: a by the mean, q a (S'a)' / ||S'a|| by the factor."""
@@ -215,4 +214,4 @@ class ChanceRows:
         weighted = prices[: len(node), None] * carried.normal
         along = (carried.quantile / size)[:, None] * spread
         by_factor = weighted[:, :, None] * along[:, None]
-        return self.final.pulled(pulled_at(self.problem, node, weighted, by_factor), lin, prices)
+        return self.further.pulled(pulled_at(self.problem, node, weighted, by_factor), lin, prices)

@@ -20,6 +20,7 @@ from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.risk.strata import Counted
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY, Margins
+from formulations.rows.corrected_burns import BATTERY, SIZE
 from formulations.rows.uniform import DeterministicRows
 from scp_recon.errors import Named
 from scp_recon.mission.grid import Units
@@ -34,7 +35,7 @@ Unit = Literal["m", "m/s", "sigma"]
 NOT_CHECKED = "not checked"
 """What is said of a plan that was not verified yet."""
 NO_BURN = f" {'0':>10}"
-BURN_LIMITS = ("dv_max", "dv_battery")
+BURN_LIMITS = ("dv_max", "dv_battery", SIZE, BATTERY)
 
 
 def scales(units: Units) -> dict[Unit, float]:

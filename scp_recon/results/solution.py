@@ -36,7 +36,6 @@ from scp_recon.results.facts import (
     adapter,
 )
 from scp_recon.results.figures import (
-    FINAL_SIGMAS,
     ConstraintResult,
     Figures,
     Violation,
@@ -306,7 +305,7 @@ def _risk(plan: Plan) -> Risk | None:
                 sigma=(rows.margin + ndtri(plan.target)).tolist(),
             )
             for name, rows in margins.items()
-            if name not in {final for final, _, _ in FINAL_SIGMAS}
+            if plan.final.unit(name) == "sigma"
         ],
     )
 

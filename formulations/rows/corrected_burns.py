@@ -1,0 +1,222 @@
+"""Limits that corrected burns keep with a probability each, and all rows that follow a problem's others.
+
+A corrected burn commands v + U xi. With the probability p of `Feedback` it is no larger than `dv_max`,
+and with p it is outside the battery's double cone. Margins are quantiles, in units of speed,
+
+    dv_max - r,  P(|v + U xi| <= r) = p,      t,  P(inside(v + U xi) > -t) = 1 - p,
+
+the signed distance to the cone being that of `regions` and the two nappes added up. They equal the
+distances to the limits where there is no correction, and are tame where probabilities are not: the
+quantile of a ball scales with v and U.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from formulations.arrays import Array, Indices
+from formulations.linearisation.linearisation import Linearisation, Sensitivity
+from formulations.problem.feedback import Feedback
+from formulations.problem.flyby import FlybyProblem
+from formulations.problem.regions import Ball, Cone
+from formulations.risk.lines import normal_density
+from formulations.rows.cones import Cones, FinalSpread, Margins, Pulled, StateCones
+from formulations.rows.node_probability import LEAST, Event, Quantiles, node_quantiles
+
+SIZE, BATTERY = "dv_max_corrected", "dv_battery_corrected"
+
+CERTAIN = 1e-9
+"""Standard deviation that is added to each component, so that certain burns have a gradient."""
+
+SCALE = 1e6
+"""Of velocities in `node_quantiles`, whose own addition then does not count."""
+
+BEYOND = 4.0
+"""Deviations beyond the quantile within which a margin is looked for."""
+
+STEPS, CLOSE = 60, 1e-10
+"""Most steps of Newton's method to a margin, and what is near enough, in standard deviations."""
+
+ROUNDING = 1e-15
+"""Of a margin, over the largest velocities: steps below it lead nowhere."""
+
+
+class Level(NamedTuple):
+    """Phi^-1 of the probability to keep limits by x, shape (n,), and its derivative by x, negative."""
+
+    quantile: Quantiles
+    by_x: Array
+
+
+LevelAt = Callable[[Array, Array, Array], Level]
+"""Of velocities (n, 3), factors (n, 3, c) and x (n,)."""
+
+
+class CorrectedBurns:
+    """Rows of the corrected burns' limits, each a cone in the controls; `first` rows come before."""
+
+    def __init__(self, problem: FlybyProblem, first: int) -> None:
+        self._problem, self._first = problem, first
+        limits, feedback = 1 + int(problem.dv_cone > 0.0), problem.feedback
+        self.count = 0 if feedback is None else limits * len(feedback.burns)
+        self._seen: tuple[Linearisation, dict[str, Quantiles]] | None = None
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Margins at the corrected burns' nodes, in units of speed."""
+        feedback = self._problem.feedback
+        if feedback is None:
+            return {}
+        nodes = self._problem.burn_nodes[feedback.burns]
+        return {name: Margins(nodes, at.value) for name, at in self._at(lin).items()}
+
+    def cones(self, lin: Linearisation) -> list[Cones]:
+        """A block for each row, exact to first order.
+
+        Bent like the margin of a half-space, distance less q ||a'U||, a the direction of the limit.
+        """
+        problem, feedback = self._problem, self._problem.feedback
+        if feedback is None:
+            return []
+        q, z, blocks = float(ndtri(feedback.probability)), lin.controls, []
+        for at in self._at(lin).values():
+            for j, burn in enumerate(feedback.burns):
+                first, p = problem.controls_before[burn : burn + 2]
+                gains = problem.gains_of(lin.iterate, j)
+                by_gains = at.by_factor[j, :, : gains.shape[1]]
+                along = at.by_mean[j] @ gains
+                # ||a'U|| with the certain part, which keeps the derivative finite.
+                spread = np.hypot(np.linalg.norm(along), CERTAIN)
+                values = np.zeros((1, 1 + gains.shape[1], p))
+                values[0, 0, first : first + 3] = at.by_mean[j]
+                own = by_gains + q * np.outer(at.by_mean[j], along) / spread
+                values[0, 0, first + 3 :] = own.ravel()
+                tail = np.einsum("i,cd->cid", q * at.by_mean[j], np.eye(gains.shape[1]))
+                values[0, 1:, first + 3 :] = tail.reshape(gains.shape[1], -1)
+                constants = np.zeros((1, 1 + gains.shape[1]))
+                constants[0, 0] = at.value[j] + q * spread - values[0, 0] @ z[:p]
+                blocks.append(Cones(np.array([self._first + len(blocks)]), values, constants))
+        return blocks
+
+    def _at(self, lin: Linearisation) -> dict[str, Quantiles]:
+        """Margins and their derivatives by the burns and their gains."""
+        if self._seen is None or self._seen[0] is not lin:
+            feedback = self._problem.feedback
+            assert feedback is not None
+            problem, which = self._problem, feedback.burns
+            burns, factor = lin.iterate.burns[which], _factors(problem, lin)
+            sizes = np.linalg.norm(burns, axis=1)
+            found = {SIZE: _margins(_within_size, -sizes, burns, factor, feedback)}
+            found[SIZE].value[:] += problem.dv_max
+            if problem.dv_cone > 0.0:
+                level = _off_cone(problem.sun[which], problem.dv_cone)
+                off = problem.burn_margins(lin.iterate.burns)["dv_battery"][which]
+                found[BATTERY] = _margins(level, off, burns, factor, feedback)
+            self._seen = lin, found
+        return self._seen[1]
+
+
+def _factors(problem: FlybyProblem, lin: Linearisation) -> Array:
+    """Gains of all corrected burns, padded, and the certain part; shape (k, 3, 6 k + 3)."""
+    assert problem.feedback is not None
+    k = len(problem.feedback.burns)
+    factor = np.zeros((k, 3, 6 * k + 3))
+    factor[:, :, 6 * k :] = CERTAIN * np.eye(3)
+    for j in range(k):
+        factor[j, :, : 6 * (j + 1)] = problem.gains_of(lin.iterate, j)
+    return factor
+
+
+def _within_size(velocity: Array, factor: Array, x: Array) -> Level:
+    """Of sizes up to -x: the ball is held and velocity and factor are scaled to it."""
+    n, scale = len(velocity), SCALE / -x
+    ball = Event("", np.arange(n), (Ball(np.zeros((n, 3)), SCALE),), ())
+    v, s = scale[:, None] * velocity, scale[:, None, None] * factor
+    g = node_quantiles(ball, v, s)
+    by_x = -np.einsum("ni,ni->n", g.by_mean, v) / x
+    by_x -= np.einsum("nic,nic->n", g.by_factor, s) / x
+    own = scale[:, None] * g.by_mean, scale[:, None, None] * g.by_factor
+    return Level(Quantiles(g.value, *own), by_x)
+
+
+def _off_cone(sun: Array, half_angle: float) -> LevelAt:
+    """Of velocities farther than x from both nappes: they are held, and velocities moved to them."""
+    axes, n = np.concatenate([sun, -sun]), len(sun)
+    nappes = Event("", np.arange(2 * n), (), (Cone(np.zeros((2 * n, 3)), axes, half_angle),))
+
+    def level(velocity: Array, factor: Array, x: Array) -> Level:
+        moved = np.tile(x, 2)[:, None] / np.sin(half_angle) * axes
+        both = SCALE * (np.tile(velocity, (2, 1)) + moved), SCALE * np.tile(factor, (2, 1, 1))
+        each = node_quantiles(nappes, *both)
+        g = each.value.reshape(2, n)
+        missed = ndtr(-g).sum(axis=0)
+        seen = (missed > LEAST) & (missed < 1.0 - LEAST)
+        both_held = -ndtri(np.clip(missed, LEAST, 1.0 - LEAST))
+        value = np.where(seen, both_held, g.min(axis=0))
+        nearest = np.arange(2)[:, None] == g.argmin(axis=0)
+        share = SCALE * np.where(seen, normal_density(g) / normal_density(both_held), nearest)
+        by_mean = share[..., None] * each.by_mean.reshape(2, n, 3)
+        by_factor = share[..., None, None] * each.by_factor.reshape(2, *factor.shape)
+        by_x = np.einsum("lni,lni->n", by_mean, axes.reshape(2, n, 3)) / np.sin(half_angle)
+        return Level(Quantiles(value, by_mean.sum(axis=0), by_factor.sum(axis=0)), by_x)
+
+    return level
+
+
+def _margins(
+    level: LevelAt, certain: Array, velocity: Array, factor: Array, feedback: Feedback
+) -> Quantiles:
+    """The x that are kept with the probability, and derivatives: Newton's method, bracketed.
+
+    It begins a little below the margins of the nominal burns, `certain`.
+    """
+    q, spread = float(ndtri(feedback.probability)), np.linalg.norm(factor, axis=(1, 2))
+    reach = np.linalg.norm(velocity, axis=1) + (abs(q) + BEYOND) * spread
+    low, high, x = -reach, reach, certain - 0.5 * q * spread
+    for _ in range(STEPS):
+        g, by_x = level(velocity, factor, x)
+        off = g.value - q
+        open_ = np.abs(off) > np.maximum(CLOSE, ROUNDING * reach * np.abs(by_x))
+        if not open_.any():
+            break
+        high, low = np.where(off < 0.0, x, high), np.where(off > 0.0, x, low)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            following = x - off / by_x
+        inside = (following > low) & (following < high)
+        x = np.where(open_, np.where(inside, following, 0.5 * (low + high)), x)
+    return Quantiles(x, -g.by_mean / by_x[:, None], -g.by_factor / by_x[:, None, None])
+
+
+class FurtherRows:
+    """Rows after all others of a problem: `FinalSpread`, then `CorrectedBurns`.
+
+    `first` is the number of rows before. Each row has a block of its own in `cones`.
+    """
+
+    def __init__(self, problem: FlybyProblem, first: int) -> None:
+        self._final = FinalSpread(problem, first)
+        self._burns = CorrectedBurns(problem, first + self._final.count)
+        self.nodes: Indices = self._final.nodes
+        self.count = self._final.count + self._burns.count
+
+    def margins(self, lin: Linearisation) -> dict[str, Margins]:
+        """Of both."""
+        return self._final.margins(lin) | self._burns.margins(lin)
+
+    def cones(self, lin: Linearisation, s: Sensitivity) -> list[Cones]:
+        """One cone per row, in all controls; the last node of `s` is that of `nodes`, if any."""
+        return self._final.cones(lin, s) + self._burns.cones(lin)
+
+    def state_cones(self, lin: Linearisation) -> list[StateCones]:
+        """Of both; those of burns have no entry of a state."""
+        none = np.zeros((4, 0), dtype=np.intp), np.zeros(0)
+        return self._final.state_cones() + [
+            StateCones(one.rows, *none, one.values, one.constants) for one in self._burns.cones(lin)
+        ]
+
+    def pulled(self, others: Pulled, lin: Linearisation, prices: Array) -> Pulled:
+        """Pull of the other rows and of the final spread's: burns do not pull at states."""
+        return self._final.pulled(others, lin, prices)

@@ -1,0 +1,144 @@
+"""Limits of corrected burns: kept by draws with the probability, with true derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from formulations.arrays import Array
+from formulations.linearisation.linearisation import Linearisation, condense
+from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.rows.corrected_burns import BATTERY, SIZE, CorrectedBurns, FurtherRows
+from formulations.rows.uniform import DeterministicRows
+from tests.helpers import Flyby, generators, random_flyby, share_of_examples
+
+Case = tuple[FlybyProblem, Flyby, np.random.Generator]
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> Case:
+    """A flyby whose corrected burns may be limited to about their size, or point near the Sun."""
+    rng = draw(generators)
+    flyby = random_flyby(rng, burns=draw(st.integers(2, 4))).corrected(rng)
+    feedback = flyby.problem.feedback
+    assert feedback is not None
+    problem = replace(
+        flyby.problem,
+        feedback=replace(feedback, probability=draw(st.floats(0.6, 0.995))),
+        dv_max=float(rng.uniform(0.3, 3.0)),
+    )
+    return problem, flyby, rng
+
+
+def at(case: Case, controls: Array) -> Linearisation:
+    """About burns and gains; where they lead to does not matter to the rows."""
+    problem, flyby, _ = case
+    burns, gains = controls[problem.burn_controls], controls[problem.gain_controls]
+    mean = flyby.waves.rollout(problem, flyby.burns).mean
+    return flyby.waves.linearise(problem, Iterate(burns, mean, gains))
+
+
+def some_controls(case: Case, spread: float) -> Array:
+    problem, flyby, rng = case
+    controls = spread * rng.normal(size=problem.controls_before[-1])
+    controls[problem.burn_controls] = flyby.burns
+    return controls
+
+
+@given(cases(), st.floats(0.01, 0.3))
+def test_margins_are_quantiles_of_the_distance_to_the_limits(case: Case, spread: float) -> None:
+    """Of drawn commands the required share keeps the limit when it is moved by the margin."""
+    problem, _, rng = case
+    feedback, lin = problem.feedback, at(case, some_controls(case, spread))
+    assert feedback is not None
+    p, draws = feedback.probability, 10_000
+    found = CorrectedBurns(problem, 0).margins(lin)
+    xi = rng.normal(size=(draws, 6 * len(feedback.burns)))
+    error = 5.0 * np.sqrt(p * (1.0 - p) / draws)
+    for j, burn in enumerate(feedback.burns):
+        gains = problem.gains_of(lin.iterate, j)
+        commands = lin.iterate.burns[burn] + xi[:, : gains.shape[1]] @ gains.T
+        sizes = np.linalg.norm(commands, axis=1)
+        held = np.mean(sizes <= problem.dv_max - found[SIZE].margin[j])
+        assert held == pytest.approx(p, abs=error)
+        along, across = commands @ problem.sun[burn], np.cross(commands, problem.sun[burn])
+        distance = np.cos(problem.dv_cone) * np.linalg.norm(across, axis=1)
+        both = np.stack([distance - np.sin(problem.dv_cone) * sign * along for sign in (1.0, -1.0)])
+        failing = np.mean(both < found[BATTERY].margin[j], axis=1).sum()
+        assert failing == pytest.approx(1.0 - p, abs=2.0 * error)
+
+
+@given(cases(), st.floats(0.01, 0.3))
+def test_rows_have_the_margins_value_and_derivative(case: Case, spread: float) -> None:
+    problem, _, rng = case
+    controls, h = some_controls(case, spread), 1e-5
+    direction, rows = rng.normal(size=controls.shape), CorrectedBurns(problem, 0)
+
+    def margins(step: float) -> Array:
+        found = rows.margins(at(case, controls + step * direction)).values()
+        return np.concatenate([one.margin for one in found])
+
+    def model(step: float) -> Array:
+        y = [block.at(controls + step * direction)[0] for block in blocks]
+        return np.array([one[0] - np.linalg.norm(one[1:]) for one in y])
+
+    blocks = rows.cones(at(case, controls))
+    assert [block.rows.item() for block in blocks] == list(range(rows.count))
+    np.testing.assert_allclose(model(0.0), margins(0.0), atol=1e-8)
+    slope, expected = ((f(h) - f(-h)) / (2.0 * h) for f in (model, margins))
+    np.testing.assert_allclose(slope, expected, rtol=1e-3, atol=2e-3)
+
+
+@given(cases())
+def test_without_corrections_margins_are_those_of_the_burns(case: Case) -> None:
+    """And the rows know what the first gains will cost: they have a kink there."""
+    problem, _, rng = case
+    feedback, controls = problem.feedback, some_controls(case, 0.0)
+    assert feedback is not None
+    lin, rows = at(case, controls), CorrectedBurns(problem, 0)
+    of_burns = problem.burn_margins(lin.iterate.burns)
+    found = rows.margins(lin)
+    for name, plain in ((SIZE, "dv_max"), (BATTERY, "dv_battery")):
+        np.testing.assert_allclose(found[name].margin, of_burns[plain][feedback.burns], atol=1e-8)
+    moved = controls.copy()
+    moved[problem.gain_controls] = 1e-4 * rng.normal(size=feedback.size)
+    after = np.concatenate([one.margin for one in rows.margins(at(case, moved)).values()])
+    y = [block.at(moved)[0] for block in rows.cones(lin)]
+    model = np.array([one[0] - np.linalg.norm(one[1:]) for one in y])
+    # Midway between the nappes either may be the nearer one.
+    along = np.einsum("ni,ni->n", lin.iterate.burns, problem.sun)[feedback.burns]
+    clear = np.concatenate([np.full(len(along), True), np.abs(along) > 0.01])
+    np.testing.assert_allclose(model[clear], after[clear], atol=1e-5)
+
+
+@settings(max_examples=share_of_examples(10))
+@given(cases())
+def test_they_follow_the_final_spread_and_need_no_states(case: Case) -> None:
+    problem = replace(case[0], final_spread=(0.1, None))
+    case = problem, *case[1:]
+    lin = at(case, some_controls(case, 0.1))
+    rows, own = FurtherRows(problem, 3), CorrectedBurns(problem, 4)
+    assert list(rows.margins(lin))[1:] == list(own.margins(lin))
+    assert rows.count == 1 + own.count
+    blocks = rows.cones(lin, condense(lin))
+    assert [block.rows.item() for block in blocks] == list(range(3, 3 + rows.count))
+    for block, lifted in zip(blocks[1:], rows.state_cones(lin)[1:], strict=True):
+        assert lifted.places.shape == (4, 0)
+        np.testing.assert_array_equal(lifted.burns, block.values)
+        np.testing.assert_array_equal(lifted.constants, block.constants)
+
+
+def test_a_zero_burn_without_corrections_is_at_the_apex_and_open_loops_have_no_rows() -> None:
+    rng = np.random.default_rng(1)
+    flyby = random_flyby(rng).corrected(rng)
+    case = flyby.problem, flyby, rng
+    lin = at(case, np.zeros(flyby.problem.controls_before[-1]))
+    found = CorrectedBurns(flyby.problem, 0).margins(lin)
+    np.testing.assert_allclose(found[SIZE].margin, flyby.problem.dv_max, atol=1e-8)
+    np.testing.assert_allclose(found[BATTERY].margin, 0.0, atol=1e-7)
+    assert CorrectedBurns(flyby.problem.open_loop, 0).count == 0
+    assert DeterministicRows(flyby.problem).count == 0
