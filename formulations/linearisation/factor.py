@@ -152,7 +152,7 @@ class FactorSensitivity:
     def at(self, nodes: Indices) -> Array:
         """The derivative at some nodes, shape (n, 6, c, q)."""
         problem, starts = self._problem, self._problem.leg_starts
-        start = self._starts(int(nodes.max(initial=0)))
+        start, _ = self._starts(int(nodes.max(initial=0)))
         factors = self._spread.factor[starts]
         legs = problem.legs.of[nodes]
         derivative = self._reached(nodes, start[legs], factors[legs])
@@ -161,8 +161,19 @@ class FactorSensitivity:
         derivative[here] = start[last[here]]
         return derivative
 
-    def _starts(self, last: int) -> Array:
-        """The derivative at the legs' starts up to a node, shape (legs + 1, 6, c, q)."""
+    def kicks(self) -> Array:
+        """The derivative of what each burn adds to the factor at its node, shape (m, 6, c, q)."""
+        problem, d_rows = self._problem, np.zeros((0, *self._shape[1:]))
+        if problem.feedback is not None:
+            _, d_rows = self._starts(problem.n_nodes)
+        kicks = np.zeros((problem.n_burns, *self._shape))
+        for burn, kick in enumerate(kicks):
+            self._corrected(burn, kick, d_rows)
+            self._add_errors(burn, kick)
+        return kicks
+
+    def _starts(self, last: int) -> tuple[Array, Array]:
+        """The derivatives at the legs' starts up to a node, (legs + 1, 6, c, q), and of Xi."""
         problem, spread = self._problem, self._spread
         starts = problem.leg_starts
         start = np.zeros((len(starts), *self._shape))
@@ -187,7 +198,7 @@ class FactorSensitivity:
             for j in measured_in(problem, leg):
                 error = spread.innovations[j].updated(error)
             d_error, d_rows = self._measured(leg, d_error, d_rows)
-        return start
+        return start, d_rows
 
     def _reached(self, nodes: Indices, start: Array, factor: Array) -> Array:
         """Derivatives at nodes of factors (n, 6, c) at their legs' starts, with those there."""

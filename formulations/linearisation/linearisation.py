@@ -216,6 +216,16 @@ def condense(
     )
 
 
+def factor_kicks(lin: Linearisation) -> Array:
+    """What burns and corrections add to the factor, differentiated as in `condense`: (m, 6, c, nz + 1).
+
+    By the controls and, last, by closing the defects, which innovations feel.
+    """
+    moved = _by_controls(lin)
+    legs = FactorSensitivity(lin.problem, lin.iterate, lin.spread, moved, lin.bent, gains=True)
+    return legs.kicks()
+
+
 def _by_controls(lin: Linearisation) -> Array:
     """Deviations of the mean at the legs' starts, shape (legs + 1, 7, controls + 1): none by gains."""
     own, controls = lin.burn_sensitivity, lin.problem.controls_before[-1]

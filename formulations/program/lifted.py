@@ -3,7 +3,9 @@
     mu_{k+1} = mu^_{k+1} + A_k (mu_k - mu^_k) + d_k + B (dv_i - dv^_i)
     S_{k+1}  = [A_k S_k + (T_k . (mu_k - mu^_k)) S^_k, B (C^_i + C'^_i . (dv_i - dv^_i))]
 
-with hats for the iterate, d for its defects and C for the columns of a burn's errors. Nodes are those
+with hats for the iterate, d for its defects and C for the columns of a burn's errors. Corrections add
+B (U Xi) and their own errors' columns, linearised; what controls do to the innovations Xi is eliminated
+as in the condensed form. Nodes are those
 that a constraint or a burn touches; the arcs between are composed, which is exact to the order of the
 linearisation and keeps the program a tenth of its size. The dynamics are one product of a block-sparse
 parameter with all states stacked (every mean, then every factor, row-major), so that the sparsity is
@@ -29,6 +31,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import (
     Linearisation,
     LinearisationError,
+    factor_kicks,
     require_finite,
 )
 from formulations.problem.flyby import FlybyProblem, factor_columns_used
@@ -73,13 +76,13 @@ class LiftedSubproblem(ConvexSubproblem):
             self._solver = FallbackSolver(self._name, SETTINGS)
         self._at, self._model, self._compiled = lin, model, None
 
-    def _states(self, lin: Linearisation, burns: cp.Variable) -> StateModel:
-        """Final state, rows and equations of the dynamics, in the states and the burns."""
+    def _states(self, lin: Linearisation, controls: cp.Variable) -> StateModel:
+        """Final state, rows and equations of the dynamics, in the states and the controls."""
         states, miss = cp.Variable(self._dynamics.size), cp.Variable(6)
-        equations = self._dynamics.equations(lin, burns, states, miss)
+        equations = self._dynamics.equations(lin, controls, states, miss)
         cones = self.rows.state_cones(lin)
         self._buffers = np.concatenate([np.zeros(0, np.intp), *(block.rows for block in cones)])
-        rows = [write_row(one, self._dynamics.index(one.places), states, burns) for one in cones]
+        rows = [write_row(one, self._dynamics.index(one.places), states, controls) for one in cones]
         return StateModel(miss, rows, equations, {})
 
     def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
@@ -122,7 +125,7 @@ class LiftedDynamics:
         return np.where(j == 0, row, self._mean_size + row * self._columns + j - 1)
 
     def equations(
-        self, lin: Linearisation, burns: cp.Variable, states: cp.Variable, miss: cp.Variable
+        self, lin: Linearisation, controls: cp.Variable, states: cp.Variable, miss: cp.Variable
     ) -> list[cp.Constraint]:
         """The dynamics about an iterate, and the miss of the final state.
 
@@ -138,12 +141,12 @@ class LiftedDynamics:
         step = sp.csr_array((entries, self._pattern()), shape=(len(self._ends), self.size))
         closing = np.r_[arcs.shift.ravel(), (arcs.shift_stm[:n] @ factor[:n]).ravel()]
         here = np.r_[lin.iterate.mean[self._nodes].ravel(), factor.ravel()]
-        kicks, moved = self._kicks(lin), burns - lin.iterate.burns.ravel()
+        (kicks, closed), moved = self._kicks(lin), controls - lin.controls
         off, starts, ends = states - here, self._starts, self._ends
         final = slice(self._mean_size - 6, self._mean_size)
         return [
-            off[starts] == kicks[starts] @ moved,
-            off[ends] == step @ off + kicks[ends] @ moved + closing,
+            off[starts] == kicks[starts] @ moved + closed[starts],
+            off[ends] == step @ off + kicks[ends] @ moved + closing + closed[ends],
             states[final] == lin.problem.final_state + miss,
         ]
 
@@ -163,25 +166,22 @@ class LiftedDynamics:
         rows = np.concatenate([mean_row.ravel(), factor_row.ravel(), factor_row.ravel()])
         return rows, np.concatenate([mean_entry.ravel(), own.ravel(), from_mean.ravel()])
 
-    def _kicks(self, lin: Linearisation) -> sp.csr_array:
-        """What burns add: B dv to means and B C'^_i . dv to factors, shape (states, 3 m)."""
-        problem, c = self._problem, self._columns
-        m, node = problem.n_burns, np.searchsorted(self._nodes, problem.burn_nodes)
-        row, by = 6 * node[:, None] + 3 + np.arange(3), np.arange(3 * m).reshape(m, 3)
-        shape = self.size, 3 * m
-        kicks = sp.csr_array((np.ones(3 * m), (row.ravel(), by.ravel())), shape=shape)
-        if c == 0:
-            return kicks
-        shared = problem.shared_columns
-        columns = np.array([np.r_[shared, problem.columns_of_burn(i)] for i in range(m)])[:, None]
-        slopes = problem.execution_errors.jacobian(lin.iterate.burns)
-        state = self._mean_size + row[:, :, None] * c + columns
-        carried = (columns < c) & (node <= self._factor_arcs)[:, None, None]
-        kept, rows, cols = (
-            np.broadcast_to(part, slopes.shape)
-            for part in (carried[..., None], state[..., None], by[:, None, None])
-        )
-        return kicks + sp.csr_array((slopes[kept], (rows[kept], cols[kept])), shape=shape)
+    def _kicks(self, lin: Linearisation) -> tuple[sp.csr_array, Array]:
+        """What controls add to means and factors at burns, (states, nz), and closing the defects.
+
+        Of the means B dv; of the factors B C'^_i . dv, and what `factor_kicks` says of corrections.
+        """
+        problem, c, controls = self._problem, self._columns, len(lin.controls)
+        node, shape = np.searchsorted(self._nodes, problem.burn_nodes), (self.size, controls + 1)
+        row, by = 6 * node[:, None] + 3 + np.arange(3), problem.burn_controls
+        kicks = sp.csr_array((np.ones(by.size), (row.ravel(), by.ravel())), shape=shape)
+        if c > 0:
+            felt = node <= self._factor_arcs
+            added = factor_kicks(lin)[felt, 3:, :c]
+            state = self._mean_size + row[felt, :, None] * c + np.arange(c)
+            filled = np.nonzero(added)
+            kicks += sp.csr_array((added[filled], (state[filled[:3]], filled[3])), shape=shape)
+        return kicks[:, :-1], kicks[:, [-1]].toarray().ravel()
 
 
 @dataclass(frozen=True)
@@ -229,12 +229,12 @@ def compose(lin: Linearisation, nodes: Indices) -> ComposedArcs:
 
 
 def write_row(
-    block: StateCones, index: Indices, states: cp.Variable, burns: cp.Variable
+    block: StateCones, index: Indices, states: cp.Variable, controls: cp.Variable
 ) -> cp.Expression:
     """The y of a block's cones, shape (n, d); `index` has the state at each of its places."""
     shape = block.constants.size, states.size
     y = sp.csr_array((block.entries, (block.places[0], index)), shape=shape) @ states
     if block.burns.size:
         p = block.burns.shape[2]
-        y = y + block.burns.reshape(-1, p) @ burns[:p]
+        y = y + block.burns.reshape(-1, p) @ controls[:p]
     return cp.reshape(y, block.constants.shape, order="C") + block.constants

@@ -1,4 +1,4 @@
-"""Limits that corrected burns keep with a probability each, and all rows that follow a problem's others.
+"""Limits that corrected burns keep with a probability each, and all rows after a problem's others.
 
 A corrected burn commands v + U xi. With the probability p of `Feedback` it is no larger than `dv_max`,
 and with p it is outside the battery's double cone. Margins are quantiles, in units of speed,
