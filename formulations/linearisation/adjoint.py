@@ -86,7 +86,7 @@ class _Backward:
         feedback, spread = self._problem.feedback, self._lin.spread
         for j in reversed(list(measured_in(self._problem, leg))):
             assert feedback is not None
-            d_error, there = _before(
+            d_error, there = pulled_before(
                 spread.innovations[j], spread.errors[j], d_error, self._rows[j]
             )
             if leg < 0:
@@ -121,8 +121,13 @@ class _Backward:
         self._rows[: j + 1] += (gains.T @ d_start[3:]).reshape(j + 1, 6, -1)
 
 
-def _before(one: Innovation, error: Array, d_error: Array, d_rows: Array) -> tuple[Array, Array]:
-    """Pulls at E at the leg's start and at the measurement, from those at E after it and at Xi."""
+def pulled_before(
+    one: Innovation, error: Array, d_error: Array, d_rows: Array
+) -> tuple[Array, Array]:
+    """Pulls at E before a measurement, from those at E after it and at Xi, in two parts.
+
+    The first is at E where `error` is, the second where it is measured.
+    """
     along, pulled = error @ one.rows.T, d_error @ one.rows.T
     d_rows = d_rows - pulled.T @ error - along.T @ d_error
     low = np.tril(d_rows @ one.rows.T)

@@ -180,7 +180,9 @@ class LiftedDynamics:
             added = factor_kicks(lin)[felt, 3:, :c]
             state = self._mean_size + row[felt, :, None] * c + np.arange(c)
             filled = np.nonzero(added)
-            kicks += sp.csr_array((added[filled], (state[filled[:3]], filled[3])), shape=shape)
+            kicks = kicks + sp.csr_array(
+                (added[filled], (state[filled[:3]], filled[3])), shape=shape
+            )
         return kicks[:, :-1], kicks[:, [-1]].toarray().ravel()
 
 

@@ -8,9 +8,11 @@ adjoint of the dynamics reads
     psi_k = A_k' psi_{k+1} + sum_ij T_k[i, j, :] (Psi_{k+1} S_k')[i, j] + dL/dmu_k at the node itself,
     Psi_k = A_k' Psi_{k+1} + dL/dS_k at the node itself.
 
-A burn dv added at node k changes the least total delta-v by ||dv|| - p_k'dv + o(||dv||) with the primer
+Corrected burns feel the errors E of estimates too, whose adjoint Omega obeys what Psi does and adds to
+psi in the same way; corrections pull at it through the innovations of `linearisation.innovations`.
+A burn dv added at node k changes the least cost by ||dv|| - p_k'dv + o(||dv||) with the primer
 
-    p_k = -B'psi_k - sum over the columns that all burns share of C'(B'Psi_k).
+    p_k = -B'psi_k - sum over the columns that all burns share of C'B'(Psi_k + Omega_k).
 
 Where p_k'u <= 1 for every allowed direction u, no small burn helps. The new burn's own errors count at
 second order, as long as they shrink with it and the position is uncertain. J. Breakwell's and
@@ -20,15 +22,19 @@ with the final state as the only constraint.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from formulations.arrays import Array, Booleans
+from formulations.linearisation.adjoint import pulled_before
 from formulations.linearisation.linearisation import (
     Linearisation,
     condense,
     final_state_map,
 )
+from formulations.problem.cost import cost
 from formulations.problem.flyby import FlybyProblem
 from formulations.rows.cones import Rows
 
@@ -36,6 +42,8 @@ BINDING = 1e-5
 """Slack up to which a constraint counts as active."""
 VANISHED = 1e-6
 """Size of a burn, nondimensional, below which its direction is rounding."""
+TINY = 1e-300
+"""Stands for zero in a quotient."""
 MISS = 6
 """Multipliers of the final state's miss, which come first."""
 BURN_LIMITS = 3
@@ -45,92 +53,149 @@ BURN_LIMITS = 3
 def multipliers(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> Array:
     """Multipliers m of the miss and of every violation, in the order of `MeritFunction.excess`.
 
-    Non-negative multipliers, except for the miss, that make grad(total delta-v) + J'm least at a
+    Non-negative multipliers, except for the miss, that make grad(cost) + J'm least at a
     solution; J are the derivatives of the excess without inactive constraints. Shape
     (6 + 3 m + rows,). A burn that is held, raised or vanished, where its size has no
     derivative, is left out. Nocedal & Wright, Numerical Optimization, 2006, eq. (12.34).
     """
-    burns = lin.iterate.burns
-    sizes = np.linalg.norm(burns, axis=1)
-    there = _free(lin, sizes)
-    directions = burns / np.maximum(sizes, VANISHED)[:, None]
-    jacobian, room = _excess_slopes(problem, rows, lin, directions)
+    there, slope = _free(problem, lin), cost(problem, lin.iterate).gradient
+    jacobian, room = _excess_slopes(problem, rows, lin)
     counts = np.concatenate([np.full(6, True), room < BINDING])
     prices = np.zeros(len(counts))
     if there.any():
         low = np.concatenate([np.full(6, -np.inf), np.zeros(len(room))])[counts]
-        matrix, goal = jacobian[counts][:, there].T, -directions.ravel()[there]
+        matrix, goal = jacobian[counts][:, there].T, -slope[there]
         prices[counts] = lsq_linear(matrix, goal, (low, np.inf), method="bvls").x
     return prices
 
 
 def slope_left(problem: FlybyProblem, rows: Rows, lin: Linearisation, prices: Array) -> float:
-    """Largest component of grad(total delta-v) + J'm, without vanished burns: 0 at an optimum."""
-    burns = lin.iterate.burns
+    """Largest component of grad(cost) + J'm, without vanished burns: 0 at an optimum."""
+    jacobian, _ = _excess_slopes(problem, rows, lin)
+    left = np.abs(cost(problem, lin.iterate).gradient + jacobian.T @ prices)
+    return float(left[_free(problem, lin)].max(initial=0.0))
+
+
+def _free(problem: FlybyProblem, lin: Linearisation) -> Booleans:
+    """Controls along which the cost has a derivative that vanishes at an optimum, shape (controls,).
+
+    A burn's limits have a kink where it vanishes, and so has the cost; that of its gains has one where
+    burn and gains vanish together or, where corrections cost nothing, the gains alone.
+    """
+    at, feedback = lin.problem, problem.feedback
+    free = np.zeros(len(lin.controls), dtype=np.bool_)
+    apart = feedback is None or feedback.cost == "nominal"
+    for burn in np.setdiff1d(np.arange(at.n_burns), (*at.held, *at.raised)):
+        first, stop = at.controls_before[burn : burn + 2]
+        own = slice(first, first + 3), slice(first + 3 if apart else first, stop)
+        fired, corrected = (np.linalg.norm(lin.controls[part]) > VANISHED for part in own)
+        free[first:stop] = np.repeat([fired, corrected], [3, stop - first - 3])
+    return free
+
+
+def _excess_slopes(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> tuple[Array, Array]:
+    """Derivatives by all controls, (6 + 3 m + rows, controls), and slack without the miss's."""
+    burns, m, controls = lin.iterate.burns, problem.n_burns, len(lin.controls)
+    by_burn, every = np.zeros((3, m, controls)), np.arange(m)[:, None]
     sizes = np.linalg.norm(burns, axis=1)
-    directions = burns / np.maximum(sizes, VANISHED)[:, None]
-    jacobian, _ = _excess_slopes(problem, rows, lin, directions)
-    left = np.abs(directions.ravel() + jacobian.T @ prices)
-    return float(left[_free(lin, sizes)].max(initial=0.0))
-
-
-def _free(lin: Linearisation, sizes: Array) -> Booleans:
-    """Burn components along which the cost has a derivative that vanishes at an optimum, (3 m,)."""
-    held = np.isin(np.arange(len(sizes)), (*lin.problem.held, *lin.problem.raised))
-    return np.repeat((sizes > VANISHED) & ~held, 3)
-
-
-def _excess_slopes(
-    problem: FlybyProblem, rows: Rows, lin: Linearisation, directions: Array
-) -> tuple[Array, Array]:
-    """Derivatives by all burns' components, (6 + 3 m + rows, 3 m), and slack without the miss's."""
-    burns, m = lin.iterate.burns, len(directions)
-    by_burn = np.zeros((3, m, m, 3))
-    every = np.arange(m)
-    by_burn[0, every, every] = directions
+    by_burn[0, every, problem.burn_controls] = burns / np.maximum(sizes, VANISHED)[:, None]
     for nappe, cone in enumerate(problem.burn_cones, start=1):
         planes = cone.facets(cone.across(burns), cone.half_angle)
-        by_burn[nappe, every, every] = -planes.normal
+        by_burn[nappe, every, problem.burn_controls] = -planes.normal
     limits = problem.burn_margins(burns)["dv_max"], *(-c.inside(burns) for c in problem.burn_cones)
-    slopes, slack = np.zeros((rows.count, burns.size)), np.empty(rows.count)
+    miss = np.zeros((MISS, controls))
+    miss[:, problem.burn_controls.ravel()] = final_state_map(lin)[1]
+    slopes, slack = np.zeros((rows.count, controls)), np.empty(rows.count)
     for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.condensed)):
         p, y = cones.values.shape[2], cones.at(lin.controls)
         size = np.linalg.norm(y[:, 1:], axis=1)
-        tail = y[:, 1:] / np.maximum(size, 1e-300)[:, None]
+        tail = y[:, 1:] / np.maximum(size, TINY)[:, None]
         slack[cones.rows] = y[:, 0] - size
         slopes[cones.rows, :p] = np.einsum("nd,ndp->np", tail, cones.values[:, 1:])
         slopes[cones.rows, :p] -= cones.values[:, 0]
-    jacobian = np.vstack([final_state_map(lin)[1], by_burn.reshape(3 * m, 3 * m), slopes])
+    jacobian = np.vstack([miss, by_burn.reshape(BURN_LIMITS * m, controls), slopes])
     return jacobian, np.concatenate([*limits, slack])
 
 
 def primer(rows: Rows, lin: Linearisation, prices: Array) -> Array:
     """The primer at every node, (n_nodes, 3), of an optimum whose errors shrink with the burns."""
-    by_mean, by_factor = adjoint(rows, lin, prices)
+    adjoints = adjoint(rows, lin, prices)
     errors = lin.problem.execution_errors
     unit = errors.jacobian(np.zeros((1, 3)))[0, :, : errors.shared]
-    shared = by_factor[:, 3:, lin.problem.shared_columns]
-    return -by_mean[:, 3:] - np.einsum("nis,isj->nj", shared, unit)
+    both = adjoints.by_factor + adjoints.by_error
+    shared = both[:, 3:, lin.problem.shared_columns]
+    return -adjoints.by_mean[:, 3:] - np.einsum("nis,isj->nj", shared, unit)
 
 
-def adjoint(rows: Rows, lin: Linearisation, prices: Array) -> tuple[Array, Array]:
-    """Derivatives psi of the Lagrangian by the means, (n_nodes, 6), and Psi by the factors, (., 6, c).
+class Adjoints(NamedTuple):
+    """Derivatives of the Lagrangian at every node, after a burn and a measurement there.
 
-    Prices are in the order of `multipliers`.
+    Attributes:
+        by_mean: psi, by the means, shape (n_nodes, 6).
+        by_factor: Psi, by the factors S, shape (n_nodes, 6, c).
+        by_error: Omega, by the factors E of the estimates' errors, shape (n_nodes, 6, c).
     """
+
+    by_mean: Array
+    by_factor: Array
+    by_error: Array
+
+
+def adjoint(rows: Rows, lin: Linearisation, prices: Array) -> Adjoints:
+    """The adjoints; prices are in the order of `multipliers`."""
     problem, arcs = lin.problem, lin.arcs
     first = MISS + BURN_LIMITS * problem.n_burns
     here, here_factor = rows.pulled(lin, prices[first:])
     columns = problem.factor_columns if rows.with_factor else 0
     by_mean = np.zeros((problem.n_nodes, 6))
-    by_factor = np.zeros((problem.n_nodes, 6, columns))
+    by_factor, by_error = np.zeros((2, problem.n_nodes, 6, columns))
     by_mean[:, :3] = here
     by_mean[-1] += prices[:MISS]
     by_factor[:, : here_factor.shape[1], : here_factor.shape[2]] = here_factor
+    knowledge = _Knowledge(lin)
     for k in range(problem.n_nodes - 2, -1, -1):
         by_mean[k] += by_mean[k + 1] @ arcs.stm[k]
         if columns:
             bent = by_factor[k + 1] @ lin.factor[k].T
-            by_mean[k] += np.einsum("ijl,ij->l", arcs.tensor[k], bent)
             by_factor[k] += arcs.stm[k].T @ by_factor[k + 1]
-    return by_mean, by_factor
+            if problem.feedback is not None:
+                before = knowledge.before(k + 1, by_factor[k + 1], by_error[k + 1])
+                bent += before @ knowledge.error(k).T
+                by_error[k] = arcs.stm[k].T @ before
+            by_mean[k] += np.einsum("ijl,ij->l", arcs.tensor[k], bent)
+    return Adjoints(by_mean, by_factor, by_error)
+
+
+class _Knowledge:
+    """Estimates' errors E along a flight, and what corrections and measurements pull at them."""
+
+    def __init__(self, lin: Linearisation) -> None:
+        self._lin, self._problem = lin, lin.problem
+        k = 0 if lin.problem.feedback is None else len(lin.problem.feedback.burns)
+        self._rows = np.zeros((k, 6, lin.problem.factor_columns))
+
+    def error(self, node: int, measurement: int | None = None) -> Array:
+        """E at a node (6, c), after a burn there, or before one of the measurements there."""
+        problem, spread = self._problem, self._lin.spread
+        feedback, starts = problem.feedback, problem.leg_starts
+        assert feedback is not None
+        after = measurement is None
+        leg = int(np.searchsorted(starts, node, side="right" if after else "left")) - 1
+        error, first = spread.leg_errors[leg], starts[leg]
+        made = np.searchsorted(feedback.cut_offs, node, side="right") if after else measurement
+        for j in np.flatnonzero(feedback.cut_offs[:made] > first):
+            error = spread.innovations[j].updated(error)
+        return error if node == first else np.asarray(spread.stm[node] @ error)
+
+    def before(self, node: int, by_factor: Array, by_error: Array) -> Array:
+        """Omega as it is before a node's measurements and burn, from Psi and Omega after them."""
+        problem, feedback = self._problem, self._problem.feedback
+        assert feedback is not None
+        for j in np.flatnonzero(problem.burn_nodes[feedback.burns] == node).tolist():
+            gains = problem.gains_of(self._lin.iterate, j)
+            self._rows[: j + 1] += (gains.T @ by_factor[3:]).reshape(j + 1, 6, -1)
+        for j in np.flatnonzero(feedback.cut_offs == node)[::-1].tolist():
+            one, error = self._lin.spread.innovations[j], self.error(node, j)
+            along, there = pulled_before(one, error, by_error, self._rows[j])
+            by_error = along + there
+        return by_error

@@ -81,7 +81,8 @@ class CorrectedBurns:
         problem, feedback = self._problem, self._problem.feedback
         if feedback is None:
             return []
-        q, z, blocks = float(ndtri(feedback.probability)), lin.controls, []
+        q, z = float(ndtri(feedback.probability)), lin.controls
+        blocks: list[Cones] = []
         for at in self._at(lin).values():
             for j, burn in enumerate(feedback.burns):
                 first, p = problem.controls_before[burn : burn + 2]
