@@ -1,0 +1,104 @@
+"""The policy that a plan with feedback flies: gains of its corrected burns on estimated states, in SI.
+
+At a cut-off the state is measured, y. A Kalman filter along the plan corrects what it predicts,
+
+    x <- x + K (y - x),    K = P R^-1,
+
+with R the covariance of the measurement's error and P that of the estimate's after the update; x is the
+estimated deviation from the plan. Until the next cut-off it is carried along by the plan's
+state-transition matrices, and each commanded correction is added to its velocity. The corrected burn is
+the planned one and gains times the estimates of its own cut-off and of all earlier ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from formulations.arrays import Array
+from formulations.linearisation.linearisation import Linearisation
+from scp_recon.mission.mission import Mission
+
+LEARNT = 1e-10
+"""Share of an estimate's largest change below which nothing is learnt in a direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Correction of one burn; J2000, m and m/s.
+
+    Attributes:
+        burn: number of the burn, from 0, among those that are planned.
+        cut_off_s: time of its measurement past the epoch, before a burn at that time.
+        gains: on the estimated deviations from the plan at the cut-offs so far, of this correction and
+            of all before it, the earliest first, shape (cut-offs, 3, 6).
+        measurement_covariance: of the measured state, shape (6, 6).
+        estimate_covariance: of the estimated state's error after the update, shape (6, 6).
+    """
+
+    burn: int
+    cut_off_s: float
+    gains: Array
+    measurement_covariance: Array
+    estimate_covariance: Array
+
+    @property
+    def kalman_gain(self) -> Array:
+        """K = P R^-1, shape (6, 6)."""
+        return np.asarray(np.linalg.solve(self.measurement_covariance, self.estimate_covariance).T)
+
+
+Policy = tuple[Correction, ...]
+"""Corrections in the order of their cut-offs and burns; none where all burns are fixed."""
+
+
+def policy_of(mission: Mission, lin: Linearisation) -> Policy:
+    """The policy at an iterate of a mission's problem; none where it is solved without feedback.
+
+    The iterate's gains act on innovations xi, of which the estimate takes G xi = K (y - x). So they are
+    a lower block triangular map of the estimates.
+    """
+    problem, spread = lin.problem, lin.spread
+    feedback = problem.feedback
+    if feedback is None:
+        return ()
+    state, speed = mission.units.state, mission.units.speed_m_s
+    square = np.outer(state, state)
+    nodes = feedback.cut_offs.tolist()
+    # Innovations by estimates; estimates just before each cut-off, by those at all earlier ones.
+    count = len(nodes)
+    innovations, policy = np.zeros((6 * count, 6 * count)), []
+    for j, burn in enumerate(feedback.burns.tolist()):
+        own = slice(6 * j, 6 * j + 6)
+        change = np.eye(6, 6 * count, 6 * j)
+        if j:
+            change[:, own.start - 6 : own.start] = -transition(lin.arcs.stm, nodes[j - 1], nodes[j])
+        for i, before in enumerate(feedback.burns[:j].tolist()):
+            node = int(problem.burn_nodes[before])
+            if nodes[j - 1] <= node < nodes[j]:
+                correction = problem.gains_of(lin.iterate, i) @ innovations[: 6 * i + 6]
+                change -= transition(lin.arcs.stm, node, nodes[j])[:, 3:] @ correction
+        one = spread.innovations[j]
+        innovations[own] = np.linalg.pinv(one.gain, LEARNT) @ change
+        gains = problem.gains_of(lin.iterate, j) @ innovations[: own.stop, : own.stop]
+        error = one.updated(spread.stm[nodes[j]] @ spread.errors[j])
+        measurement = feedback.measurement[j]
+        policy.append(
+            Correction(
+                burn=burn,
+                cut_off_s=float(mission.times_s[nodes[j]]),
+                gains=speed * gains.reshape(3, j + 1, 6).swapaxes(0, 1) / state,
+                measurement_covariance=measurement @ measurement.T * square,
+                estimate_covariance=error @ error.T * square,
+            )
+        )
+    return tuple(policy)
+
+
+def transition(stm: Array, first: int, last: int) -> Array:
+    """The state-transition matrix from one node to another, from those of the arcs (n - 1, 6, 6)."""
+    product = np.eye(6)
+    for arc in stm[first:last]:
+        product = arc @ product
+    return product
