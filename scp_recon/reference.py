@@ -30,7 +30,7 @@ from scp_recon.mission.checks.intervals import (
     Interval,
 )
 from scp_recon.planning import plan, primer
-from scp_recon.results import facts, figures
+from scp_recon.results import corrections, facts, figures
 from scp_recon.results.solution import HASH, SCHEMA
 from scp_recon.scenario.json_schema import field_descriptions, json_schema
 from scp_recon.simulation.vehicle import check_vehicle
@@ -92,7 +92,7 @@ def scenario_page() -> str:
 
 def solution_page() -> str:
     """Every key of a solution file."""
-    modules = (plan, strata, primer, grid, facts, figures)
+    modules = (plan, strata, primer, grid, corrections, facts, figures)
     kinds = {name: kind for module in modules for name, kind in vars(module).items()}
     parts = [
         "# Keys of a solution file",
@@ -101,7 +101,10 @@ def solution_page() -> str:
     ]
     head = {
         "schema": ("text", f"`{SCHEMA}`."),
-        HASH: ("text", "SHA-256 of `scenario` and `burns` as they were written; see there."),
+        HASH: (
+            "text",
+            "SHA-256 of `scenario`, `burns` and corrections as they were written; see there.",
+        ),
     }
     rows = [(f"`{key}`", *words) for key, words in head.items()]
     for root in (figures.Figures, facts.Facts):

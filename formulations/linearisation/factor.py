@@ -87,6 +87,18 @@ def propagate_factor(problem: FlybyProblem, stm: Array, iterate: Iterate) -> Spr
     return Spread(factor, tuple(innovations), errors, stm, leg_errors)
 
 
+def knowledge(problem: FlybyProblem, spread: Spread) -> Array:
+    """Factor of the estimate's error at every node, after its measurement and burn, (n_nodes, 6, c)."""
+    error = spread.stm @ spread.leg_errors[problem.legs.of]
+    error[problem.leg_starts] = spread.leg_errors
+    for leg, end in enumerate(problem.legs.ends):
+        for j in measured_in(problem, leg):
+            assert problem.feedback is not None
+            after = slice(problem.feedback.cut_offs[j], end)
+            error[after] = spread.innovations[j].updated(error[after])
+    return np.asarray(error)
+
+
 def measured_in(problem: FlybyProblem, leg: int) -> Iterator[int]:
     """Measurements made along a leg, its end included; -1 is before the first node's burn."""
     if problem.feedback is None or leg >= len(problem.leg_starts) - 1:

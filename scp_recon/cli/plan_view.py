@@ -25,8 +25,10 @@ from scp_recon.physics.time_scales import instant, iso_utc
 from scp_recon.planning.plan import Plan
 from scp_recon.reports.tables import (
     ITERATION_COLUMNS,
+    burn_limits_table,
     burns_table,
     constraints_table,
+    corrections_table,
     iteration_row,
     mean_margins_table,
     probabilities_table,
@@ -119,6 +121,7 @@ def show_solution(console: Console, solution: Solution) -> None:
             f"{solution.timing_s.conic_solver:.2f} s in the conic solver",
         )
     )
+    _show_policy(console, solution)
     for stage in solution.stages:
         if stage.meaning:
             show_line(console, f"{stage.name}: {stage.meaning}", "dim")
@@ -128,6 +131,21 @@ def show_solution(console: Console, solution: Solution) -> None:
     if solution.starts is not None:
         console.print()
         console.print(terminal(starts_table(solution.starts)))
+
+
+def _show_policy(console: Console, solution: Solution) -> None:
+    """Corrected burns, what is known at their cut-offs, and what they cost."""
+    corrections, policy = corrections_table(solution), solution.policy
+    if policy is None:
+        return
+    console.print()
+    console.print(terminal(corrections))
+    show_line(console, corrections.note, "dim")
+    show_line(
+        console,
+        f"commanded delta-v, by the normal law: mean {policy.mean_m_s:.6f} m/s, "
+        f"99 % {policy.dv99_m_s:.6f} m/s; of the plan itself {solution.total_dv_m_s:.6f} m/s",
+    )
 
 
 def frame_and_time(scenario: Scenario) -> str:
@@ -169,6 +187,10 @@ def show_verification(
     probabilities = probabilities_table(v, mission.scenario.risk.p_chance)
     console.print(terminal(probabilities))
     show_line(console, probabilities.note, "dim")
+    if v.burn_limits:
+        limits = burn_limits_table(v, mission.scenario.risk.p_chance)
+        console.print(terminal(limits))
+        show_line(console, limits.note, "dim")
     show_warnings(console, warnings)
     show_verdict(console, "verified", v.failed)
     if v.missed is not None:

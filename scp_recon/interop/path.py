@@ -21,7 +21,8 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import interpolate
 from scp_recon.results.solution import Solution
-from scp_recon.verification.reintegration import DEFECT_LIMIT_M, Spread, integrated
+from scp_recon.verification.closed_loop import Spread
+from scp_recon.verification.reintegration import DEFECT_LIMIT_M, integrated
 
 WITHIN_M = 0.01
 """Largest distance of straight lines between neighbours from the flight, m."""
@@ -84,7 +85,7 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
     """
     nodes, firing = np.array(solution.nodes.t_s), [burn.t_s for burn in solution.burns]
     begin, state = float(nodes[0]), mission.initial_state.copy()
-    spread = Spread.before_burns(mission)
+    spread = Spread.before_burns(mission, solution.corrections).measured(begin)
     back = _flight(mission, state, begin, begin - MARGIN_S)
     coasts = [_sampled(back, np.array([begin - MARGIN_S, begin]), spread.covariance)]
     # Each time at which a coast ends, and the burn there; the first may begin with one.
@@ -98,13 +99,23 @@ def fly_path(mission: Mission, solution: Solution) -> FlownPath:
                 coasts = [_joined(coasts[0], coast)]
             else:
                 coasts.append(coast)
-            state, spread = flown(end)[:6], spread.carried(flown(end)[6:].reshape(6, 6))
+            state, spread = flown(end)[:6], _carried(spread, flown, begin, end)
         if burn is not None:
             state[3:] += burn
-            begin, spread = end, spread.after_burn(mission, burn)
+            begin, spread = end, spread.after_burn(burn, firing.index(end))
     path = FlownPath(tuple(coasts))
     _check(path, solution)
     return path
+
+
+def _carried(spread: Spread, flown: OdeSolution, begin: float, end: float) -> Spread:
+    """The spread at the end of a coast, with the measurements on the way, those at its end included."""
+    stm, cut_offs = np.eye(6), [one.cut_off_s for one in spread.policy]
+    for time in [*(cut_off for cut_off in cut_offs if begin < cut_off < end), end]:
+        there = flown(time)[6:].reshape(6, 6)
+        spread = spread.carried(np.asarray(there @ np.linalg.inv(stm))).measured(time)
+        stm = there
+    return spread
 
 
 def _joined(one: Coast, other: Coast) -> Coast:

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from formulations.arrays import Array
+from formulations.linearisation.factor import knowledge
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
@@ -293,6 +294,16 @@ class Plan:
         factor = self.final.result.lin.factor * self.mission.units.state[:, None]
         return _read_only(factor @ factor.transpose(0, 2, 1))
 
+    @cached_property
+    def known(self) -> Array:
+        """Covariances of the estimated states' errors at the nodes, shape (n, 6, 6).
+
+        After the measurement and the burn there, if any. Without measurements they are `covariances`.
+        """
+        lin = self.final.result.lin
+        factor = knowledge(lin.problem, lin.spread) * self.mission.units.state[:, None]
+        return _read_only(factor @ factor.transpose(0, 2, 1))
+
     @property
     def total_dv_m_s(self) -> float:
         """Sum of the burns' sizes, m/s."""
@@ -363,8 +374,8 @@ def ended(plan: Plan, status: Status) -> Plan:
     return replace(plan, final=replace(plan.final, result=result))
 
 
-def _to_the_bit(iterate: Iterate) -> tuple[bytes, bytes]:
-    return iterate.burns.tobytes(), iterate.mean.tobytes()
+def _to_the_bit(iterate: Iterate) -> tuple[bytes, bytes, bytes]:
+    return iterate.burns.tobytes(), iterate.mean.tobytes(), iterate.gains.tobytes()
 
 
 def _read_only(array: Array) -> Array:

@@ -20,6 +20,7 @@ from scp_recon.physics.flow import differentiate
 from scp_recon.physics.forces import ForceModel
 from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.plan import Plan, Provenance
+from scp_recon.results.corrections import stored_policy
 from scp_recon.results.figures import strange_times
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
@@ -128,7 +129,7 @@ class FlownPlan:
             problem=plan.final.problem,
             method=_method(made),
             status=plan.status.value.name,
-            plan_hash=plan_hash(mission.scenario, burns_of_plan(plan)),
+            plan_hash=plan_hash(mission.scenario, burns_of_plan(plan), stored_policy(plan)),
             failed=(),
             warnings=mission.warnings,
         )

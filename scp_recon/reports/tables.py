@@ -16,6 +16,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.physics.time_scales import instant, shown_utc
 from scp_recon.planning.plan import Starts
+from scp_recon.results.corrections import sigmas
 from scp_recon.results.facts import Burn, IterationRecord, Verification
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Cell, Column, Table
@@ -66,6 +67,51 @@ def burns_table(solution: Solution) -> Table:
             for number, burn in enumerate(solution.burns, start=1 + solution.scenario.burns_flown)
         ),
         key="burns",
+    )
+
+
+def corrections_table(solution: Solution) -> Table:
+    """Corrected burns and what is known at their cut-offs; no rows where burns are fixed."""
+    corrections = solution.policy.corrections if solution.policy is not None else []
+    nominal = [solution.burns_m_s[one.burn] for one in solution.corrections]
+    return Table.of(
+        "Corrected burns",
+        (
+            "burn",
+            Column("cut-off", "s"),
+            Column("nominal", "m/s", ".6f"),
+            Column("correction, 1 sigma", "m/s", ".6f"),
+            *(
+                Column(f"{what} known {when}", unit, form)
+                for when in ("before", "after")
+                for what, unit, form in (("position", "m", ".2f"), ("velocity", "m/s", ".2e"))
+            ),
+        ),
+        (
+            [
+                str(c.burn),
+                c.cut_off_s,
+                float(np.linalg.norm(burn)),
+                c.sigma_m_s,
+                *sigmas(np.array(c.predicted_covariance)),
+                *sigmas(np.array(c.estimate_covariance)),
+            ]
+            for c, burn in zip(corrections, nominal, strict=True)
+        ),
+        key="corrections",
+        note="Known before and after the measurement at the cut-off: roots of the summed variances of "
+        "the estimate's errors.",
+    )
+
+
+def burn_limits_table(v: Verification, required: float) -> Table:
+    """Probabilities that corrected burns keep their limits, each for itself."""
+    return Table.of(
+        "Limits on corrected burns",
+        ("burn", "limit", Column("probability", form=".4f"), AT, Column("required", form="g")),
+        ([str(b.burn), b.name, b.probability, b.t_s, required] for b in v.burn_limits),
+        key="burn_limits",
+        note="As they are commanded, by the normal law of the corrections.",
     )
 
 
@@ -143,6 +189,7 @@ def reintegration_table(mission: Mission, v: Verification) -> Table:
                 unit or "1",
             ]
             for figure, (name, unit) in FIGURES.items()
+            if getattr(v, figure) is not None
         ),
         key="reintegration",
     )

@@ -91,8 +91,10 @@ def tables_of(subject: Subject, budget: Budget) -> list[Table]:
     burns, v = tables.burns_table(solution), solution.verification
     total = burns.columns[-1].cell(solution.total_dv_m_s)
     found = [burns.with_rows([["total", "", "", "", "", "", total]]), budget_table(budget)]
+    found.append(tables.corrections_table(solution))
     if v is not None:
-        found.append(tables.probabilities_table(v, solution.scenario.risk.p_chance))
+        required = solution.scenario.risk.p_chance
+        found += [tables.probabilities_table(v, required), tables.burn_limits_table(v, required)]
     found.append(tables.constraints_table(solution))
     if v is not None:
         found.append(tables.mean_margins_table(mission, v))

@@ -19,6 +19,7 @@ from scipy.special import ndtri
 from formulations.arrays import Array
 from scp_recon.planning.plan import Certificate, Parent, Starts
 from scp_recon.planning.primer import PrimerHistory
+from scp_recon.results.corrections import StoredPolicy
 from scp_recon.scenario.fields import Line, Number, Probability, ScenarioWarning, Speed
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.loop import Timing
@@ -49,12 +50,15 @@ class Nodes:
     Attributes:
         t_s: times of the n nodes past the epoch.
         state: position in m and velocity in m/s, n x 6.
-        covariance: of these, n x 6 x 6.
+        covariance: of these, n x 6 x 6: how far flights are off the mean.
+        knowledge: covariance of the estimated state's errors, of a plan with feedback, n x 6 x 6: after
+            the measurement where one is made on the node.
     """
 
     t_s: list[Number]
     state: list[list[Number]]
     covariance: list[list[list[Number]]]
+    knowledge: list[list[list[Number]]] | None = None
 
     def __post_init__(self) -> None:
         """Refuse times that do not ascend, and arrays of other shapes."""
@@ -63,10 +67,14 @@ class Nodes:
             raise ValueError("nodes.t_s must be at least two ascending times")
         if len(self.state) != n or any(len(state) != 6 for state in self.state):
             raise ValueError(f"nodes.state must hold 6 numbers for each of {n} times")
-        rows = [row for matrix in self.covariance for row in matrix]
-        square = all(len(matrix) == 6 for matrix in self.covariance)
-        if len(self.covariance) != n or not square or any(len(row) != 6 for row in rows):
-            raise ValueError(f"nodes.covariance must hold 6 by 6 numbers for each of {n} times")
+        for name in ("covariance", "knowledge"):
+            matrices = getattr(self, name)
+            if matrices is None:
+                continue
+            rows = [row for matrix in matrices for row in matrix]
+            square = all(len(matrix) == 6 for matrix in matrices)
+            if len(matrices) != n or not square or any(len(row) != 6 for row in rows):
+                raise ValueError(f"nodes.{name} must hold 6 by 6 numbers for each of {n} times")
 
 
 @dataclass(frozen=True)
@@ -264,6 +272,27 @@ class JointProbability:
 
 
 @dataclass(frozen=True)
+class BurnLimit:
+    """Probability that a corrected burn, as it is commanded, keeps a limit on burns.
+
+    Attributes:
+        burn: its number.
+        name: of the limit.
+        t_s: time of the burn.
+        probability: by the normal law of the correction.
+    """
+
+    burn: int
+    name: Line
+    t_s: float
+    probability: Probability
+
+    def __str__(self) -> str:
+        """As checks name it."""
+        return f"P({self.name} of burn {self.burn})"
+
+
+@dataclass(frozen=True)
 class FinalMiss:
     """Miss of the final state, where too few burns are left to meet it.
 
@@ -324,6 +353,8 @@ class Verification:
             same.
         covariance_error: largest error of a stored covariance, relative to its largest entry in scaled
             units.
+        knowledge_error: largest error of a stored covariance of estimates, likewise; absent without
+            feedback.
         mean_margins: every original constraint on the mean, between the nodes too.
         samples: flights of the Monte Carlo simulation.
         confidence: of its Clopper-Pearson intervals.
@@ -331,6 +362,7 @@ class Verification:
         failed: names of failed checks, among them a status other than converged.
         missed: miss of the final state where too few burns are left to meet it; reported, no check.
         final_sigmas: limits on the covariance after the last burn; absent from older files.
+        burn_limits: limits on corrected burns, with feedback.
         ok: whether no check failed.
     """
 
@@ -346,6 +378,8 @@ class Verification:
     failed: list[str]
     missed: FinalMiss | None = None
     final_sigmas: tuple[FinalSigma, ...] = ()
+    burn_limits: tuple[BurnLimit, ...] = ()
+    knowledge_error: float | None = None
     ok: bool
 
     @property
@@ -390,6 +424,7 @@ class Facts:
         stages: one for each run of the SCP.
         facets: of P2, absent from P3 and with exact risk.
         risk: of an exact plan.
+        policy: of a plan with feedback; absent from others.
         starts: of a plan that is the best of several starts.
         parent: of a plan made in flight.
         primer: of a converged plan whose errors shrink with the burns; absent from older files.
@@ -421,6 +456,7 @@ class Facts:
     stages: list[StageSummary]
     facets: FacetTable | None = None
     risk: Risk | None = None
+    policy: StoredPolicy | None = None
     starts: Starts | None = None
     parent: Parent | None = None
     primer: PrimerHistory | None = None
@@ -435,6 +471,11 @@ class Facts:
         """Refuse burns whose number is not the scenario's."""
         if len(self.burns) != len(self.scenario.burn_times_s):
             raise ValueError("there must be as many burns as the scenario has firing times to plan")
+        numbers = range(
+            1 + self.scenario.burns_flown, 1 + self.scenario.burns_flown + len(self.burns)
+        )
+        if self.policy is not None and any(c.burn not in numbers for c in self.policy.corrections):
+            raise ValueError("policy.corrections must be of burns that are planned")
 
 
 @cache

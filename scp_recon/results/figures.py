@@ -24,6 +24,7 @@ from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning.plan import Unit, scales
+from scp_recon.results.corrections import StoredPolicy
 from scp_recon.results.facts import FacetTable, Facts, Risk
 from scp_recon.scenario.fields import Line, Number
 from scp_recon.scp.status import Status
@@ -327,6 +328,20 @@ def strange_times(
         and np.array_equal(nodes[mission.burn_nodes], firing),
     }
     return [name for name, does in agree.items() if not does]
+
+
+def is_strange(mission: Mission, policy: StoredPolicy | None) -> bool:
+    """Whether corrected burns and their cut-offs are not those of a mission; none never are."""
+    if policy is None:
+        return False
+    feedback, flown = mission.feedback, mission.scenario.burns_flown
+    if feedback is None:
+        return True
+    burns = [correction.burn - 1 - flown for correction in policy.corrections]
+    cut_offs = [correction.cut_off_s for correction in policy.corrections]
+    return burns != feedback.burns.tolist() or not np.allclose(
+        cut_offs, mission.times_s[feedback.cut_offs], rtol=0.0, atol=TIME_ERROR_S
+    )
 
 
 def disagreements(mission: Mission, facts: Facts, carried: Figures) -> list[str]:

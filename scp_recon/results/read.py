@@ -24,6 +24,7 @@ from scp_recon.results.figures import (
     ConstraintResult,
     Figures,
     disagreements,
+    is_strange,
     strange_times,
 )
 from scp_recon.results.runs import resolve_run
@@ -202,7 +203,7 @@ def _hash_as_written(data: dict[str, Any], solution: Solution) -> str:
     tables.pop("navigation", None)
     if lead != OLDER_LEAD_S:
         tables["schedule"][OLDER_LEAD] = lead
-    return hash_of(tables, solution.burns)
+    return hash_of(tables, solution.burns, solution.policy)
 
 
 def _with_quantiles(
@@ -234,6 +235,8 @@ def _strange(solution: Solution) -> list[str]:
     assert solution.carried is not None
     units, expected, facets = solution.carried.units, solution.units, solution.facets
     found = strange_times(solution.mission, [b.t_s for b in solution.burns], solution.nodes.t_s)
+    if solution.policy is not None and is_strange(solution.mission, solution.policy):
+        found.append("policy.corrections")
     if facets is not None and max(facets.node, default=0) >= len(solution.mission.times_s):
         found.append("facets.node")
     if not np.allclose([units.length_m, units.time_s], [expected.length_m, expected.time_s]):

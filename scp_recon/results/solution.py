@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from scp_recon.mission.grid import Units
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.plan import NOT_CHECKED, Plan, Provenance, Stage
 from scp_recon.planning.primer import primer_of
+from scp_recon.results.corrections import StoredPolicy, policy_in, stored_policy
 from scp_recon.results.facts import (
     Burn,
     EventProbability,
@@ -44,6 +45,7 @@ from scp_recon.results.figures import (
     finite,
     total_dv,
 )
+from scp_recon.results.policy import Policy
 from scp_recon.scenario.schema import Scenario
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
@@ -115,6 +117,11 @@ class Solution(Facts):
         return burns_of(self)
 
     @property
+    def corrections(self) -> Policy:
+        """Corrections of the burns as arrays; none where all burns are fixed before departure."""
+        return policy_in(self.policy, self.scenario.burns_flown)
+
+    @property
     def executed(self) -> list[tuple[int, Burn]]:
         """Burns that are not zero, each with its number in the flight."""
         numbered = enumerate(self.burns, start=1 + self.scenario.burns_flown)
@@ -128,8 +135,8 @@ class Solution(Facts):
 
     @property
     def plan_hash(self) -> str:
-        """SHA-256, hexadecimal, of scenario and burns alone, to the last bit."""
-        return plan_hash(self.scenario, self.burns)
+        """SHA-256, hexadecimal, of scenario, burns and corrections alone, to the last bit."""
+        return plan_hash(self.scenario, self.burns, self.policy)
 
     def with_verification(self, verification: Verification | None) -> Solution:
         """The same plan with a verification; its resolved mission is kept."""
@@ -174,17 +181,21 @@ def _resolved(solution: Solution, mission: Mission | None) -> Solution:
     return solution
 
 
-def plan_hash(scenario: Scenario, burns: Sequence[Burn]) -> str:
+def plan_hash(scenario: Scenario, burns: Sequence[Burn], policy: StoredPolicy | None) -> str:
     """See `Solution.plan_hash`."""
-    return hash_of(scenario.model_dump(mode="json", exclude_defaults=True), burns)
+    return hash_of(scenario.model_dump(mode="json", exclude_defaults=True), burns, policy)
 
 
-def hash_of(tables: Mapping[str, Any], burns: Sequence[Burn]) -> str:
-    """SHA-256 of burns and of a scenario's tables without its defaults."""
-    plan = {
+def hash_of(
+    tables: Mapping[str, Any], burns: Sequence[Burn], policy: StoredPolicy | None = None
+) -> str:
+    """SHA-256 of burns, corrections if any, and of a scenario's tables without its defaults."""
+    plan: dict[str, Any] = {
         "scenario": tables,
         "burns": [{"t_s": burn.t_s, "dv_m_s": burn.dv_m_s} for burn in burns],
     }
+    if policy is not None:
+        plan["corrections"] = [asdict(correction) for correction in policy.corrections]
     canonical = json.dumps(plan, sort_keys=True, allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
@@ -209,6 +220,7 @@ def require_whole_flight(scenario: Scenario, entry: str) -> None:
 def make_solution(plan: Plan) -> Solution:
     """Collect a plan's facts, in SI, not yet verified."""
     mission, outcome = plan.mission, plan.final.result.status.value
+    policy = stored_policy(plan)
     solution = Solution(
         **vars(plan.provenance),
         status=outcome.name,
@@ -220,10 +232,12 @@ def make_solution(plan: Plan) -> Solution:
             t_s=mission.times_s.tolist(),
             state=plan.states.tolist(),
             covariance=plan.covariances.tolist(),
+            knowledge=plan.known.tolist() if policy is not None else None,
         ),
         stages=[_summary(mission, stage) for stage in plan.stages],
         facets=_facet_table(mission, plan.final),
         risk=_risk(plan),
+        policy=policy,
         starts=plan.starts,
         parent=plan.parent,
         primer=primer_of(plan),

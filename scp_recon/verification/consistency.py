@@ -39,11 +39,14 @@ from scp_recon.results.figures import (
     disagreements,
     figures_of,
     is_converged,
+    is_strange,
     strange_times,
 )
 from scp_recon.results.solution import Solution
 
 FACET_ERROR = 1e-9
+MEASUREMENT_ERROR = 1e-6
+"""Of a covariance, relative in scaled units."""
 POINTS, SEED = 2**15, 7
 """Of a scrambled Sobol net. On plans per node for 0.70, 0.90 and 0.99 it errs by 4e-4 at most, where as
 many draws have a standard error of up to 2.5e-3; the planner's quadrature is good to 1e-6."""
@@ -69,11 +72,27 @@ def inconsistencies(mission: Mission, solution: Solution) -> list[str]:
             found.append("risk")
     elif solution.problem == "P2" and not _are_sound(mission, solution.facets):
         return [*found, "facets"]
+    if not _is_policy(mission, solution):
+        found.append("policy.corrections")
     if solution.carried is not None:
         found += disagreements(mission, solution, solution.carried)
     if is_converged(solution) and figures_of(mission, solution).violation.by_constraint:
         found.append("violation")
     return list(dict.fromkeys(found))
+
+
+def _is_policy(mission: Mission, solution: Solution) -> bool:
+    """Whether a plan corrects the burns that its scenario does, by measurements as good as there."""
+    feedback = mission.feedback
+    if solution.policy is None:
+        return feedback is None or solution.problem == "P3" or not is_converged(solution)
+    if feedback is None or is_strange(mission, solution.policy):
+        return False
+    given = np.array([c.measurement_covariance for c in solution.policy.corrections])
+    given /= np.outer(mission.units.state, mission.units.state)
+    expected = feedback.measurement @ feedback.measurement.swapaxes(1, 2)
+    size = np.abs(expected).max(axis=(1, 2), keepdims=True)
+    return bool(np.all(np.abs(given - expected) <= MEASUREMENT_ERROR * size))
 
 
 def _are_sound(mission: Mission, facets: FacetTable | None) -> bool:

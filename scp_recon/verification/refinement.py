@@ -31,7 +31,9 @@ def covariance_error(plan: Plan) -> float:
     mission, at = plan.mission, plan.final.result.lin
     dynamics = replace(mission.dynamics, substeps=2 * mission.arc_substeps)
     burns, halved = at.iterate.burns, dynamics.linearise(at.problem, at.iterate)
-    flown = dynamics.linearise(at.problem, Iterate(burns, step_mean(halved, burns)))
+    flown = dynamics.linearise(
+        at.problem, Iterate(burns, step_mean(halved, burns), at.iterate.gains)
+    )
     coarse, fine = (lin.factor @ lin.factor.transpose(0, 2, 1) for lin in (at, flown))
     return reintegration.relative_error(coarse, fine) / (1.0 - 0.5**ORDER)
 

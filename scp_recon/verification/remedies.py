@@ -17,7 +17,8 @@ SHOWN_S = 1.0
 INTEGRATION = 1e4
 """Times its limit that an error of integration is not: ten times finer steps would not mend it."""
 STATUS, GRID, BETWEEN, BURNS, SHORT = "status", "grid", "between nodes", "burns", "short"
-CERTIFICATE, SPREAD, CONTRADICTION = "certificate", "spread", "contradiction"
+CERTIFICATE, SPREAD, COMMANDS = "certificate", "spread", "commands"
+CONTRADICTION = "contradiction"
 REMEDIES = {
     STATUS: "{remedy}",
     GRID: "integration errs: set grid.step_max_s={step:g}, and plan again",
@@ -29,6 +30,8 @@ REMEDIES = {
     "uncertainty.execution_error, or plan again on a smaller grid.step_max_s",
     SPREAD: "flights spread more: raise the limit in boundary, or lower "
     "uncertainty.execution_error",
+    COMMANDS: "corrections break it too often: raise burns.dv_max_m_s or take a smaller "
+    'battery.delta_v_cone_deg, or set policy.kind="open"',
     CONTRADICTION: "the file contradicts its own scenario and burns: plan again, from it as init",
 }
 """One line for each kind of check that can fail."""
@@ -62,6 +65,8 @@ def kind_of(name: str, mission: Mission, verification: Verification) -> str:
         return GRID if getattr(verification, name) < INTEGRATION * limits[name] else CONTRADICTION
     if name in {final for final, _, _ in FINAL_SIGMAS}:
         return SPREAD
+    if name in {str(limit) for limit in verification.burn_limits}:
+        return COMMANDS
     worst = {f"P({p.name})": (SHORT, p.worst_t_s) for p in verification.probabilities}
     worst |= {m.name: (BURNS, m.worst_t_s) for m in verification.mean_margins}
     if name not in worst:  # a part of the file
@@ -73,5 +78,5 @@ def kind_of(name: str, mission: Mission, verification: Verification) -> str:
 def _step_s(mission: Mission, verification: Verification) -> float:
     """The spacing of nodes at which every figure of the integration is within its limit, s."""
     limits = limits_of(mission)
-    excess = max(getattr(verification, name) / limit for name, limit in limits.items())
+    excess = max((getattr(verification, name) or 0.0) / limit for name, limit in limits.items())
     return finer_step_s(mission, excess)

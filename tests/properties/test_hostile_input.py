@@ -399,7 +399,9 @@ EDITS: dict[str, Callable[[dict[str, Any]], object]] = {
     "a node beyond all": lambda s: s["facets"]["node"].__setitem__(0, 10**30),
     "a node too many": lambda s: s["facets"]["node"].__setitem__(0, len(s["nodes"]["t_s"])),
     "a burn at another time": lambda s: s["burns"][1].update(t_s=8001.0),
-    "two nodes": lambda s: s["nodes"].update({k: v[:: len(v) - 1] for k, v in s["nodes"].items()}),
+    "two nodes": lambda s: s["nodes"].update(
+        {k: v and v[:: len(v) - 1] for k, v in s["nodes"].items()}
+    ),
     "a node at another time": lambda s: s["nodes"]["t_s"].__setitem__(1, 1.0),
     "no unit of length": lambda s: s["units"].update(length_m=0.0),
     "a large unit of length": lambda s: s["units"].update(length_m=1e308),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from scp_recon.mission.mission import Mission
-from scp_recon.results.facts import Verification
+from scp_recon.results.facts import BurnLimit, Verification
 from scp_recon.results.figures import FINAL_SIGMAS
 from scp_recon.results.solution import HASH, Solution
 from scp_recon.scp.status import Status
@@ -21,6 +21,7 @@ def test_every_check_has_a_remedy(mission: Mission, verification: Verification) 
     v = verification
     between = replace(v.mean_margins[-1], worst_t_s=float(mission.times_s[:2].mean()))
     v = replace(v, mean_margins=[*v.mean_margins[:-1], between])
+    v = replace(v, burn_limits=(BurnLimit(2, "dv_max", 8000.0, 0.5),))
     at_nodes = [p for p in v.probabilities if min(abs(mission.times_s - p.worst_t_s)) < 1.0]
     found = {
         "status": {"status"},
@@ -30,6 +31,7 @@ def test_every_check_has_a_remedy(mission: Mission, verification: Verification) 
         "short": {f"P({p.name})" for p in at_nodes},
         "burns": {"dv_max"},
         "spread": {name for name, _, _ in FINAL_SIGMAS},
+        "commands": {"P(dv_max of burn 2)"},
         "contradiction": {HASH, "facets", "violation", "nodes.t_s", "risk", "total_dv_m_s"},
     }
     assert found.keys() == REMEDIES.keys()

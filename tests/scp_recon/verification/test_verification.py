@@ -342,7 +342,8 @@ def test_constraints_are_checked_between_the_nodes(mission: Mission, solution: S
 
     def thin(data: dict[str, Any]) -> None:
         data["nodes"] = {
-            name: [values[k] for k in keep.tolist()] for name, values in data["nodes"].items()
+            name: values and [values[k] for k in keep.tolist()]
+            for name, values in data["nodes"].items()
         }
 
     thinned = changed(solution, thin)

@@ -1,0 +1,168 @@
+"""How flights spread and what is known of them, by recursions that share no code with the planner.
+
+Of a flight that is d off its plan let x be the estimate, by a Kalman filter along the plan, and
+e = d - x its error. The covariance of e, x, a bias that burns share, and the estimates at all cut-offs
+so far is one matrix, which linear maps take along:
+
+    between events    e <- Phi e,               x <- Phi x
+    measurement       e <- e - K (e + n),       x <- x + K (e + n),    K = P (P + R)^-1
+    burn              e <- e + B (errors),      x <- x + B c
+
+with P the covariance of e, R that of the measurement's error n, and c the gains times the estimates.
+
+Without corrections x is zero, and e the deviation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from formulations.arrays import Array
+from formulations.problem.execution_errors import VANISHED
+from scp_recon.mission.mission import Mission
+from scp_recon.results.policy import Correction, Policy
+from scp_recon.scenario.uncertainty import Gates
+
+ERROR, ESTIMATE, BIAS, MEMORY = slice(0, 6), slice(6, 12), 12, 13
+"""Places in the joint vector; the estimates at cut-offs begin at the last."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a cut-off tells: covariances of the estimate's error before and after it, shape (6, 6)."""
+
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True)
+class Spread:
+    """The joint covariance of a flight, and what its cut-offs told; SI, J2000.
+
+    Attributes:
+        mission: that is flown.
+        policy: its corrections.
+        joint: of e, x, bias, and estimates at k cut-offs, shape (13 + 6 k, 13 + 6 k).
+        known: of each cut-off so far.
+    """
+
+    mission: Mission
+    policy: Policy
+    joint: Array
+    known: tuple[Known, ...] = ()
+
+    @classmethod
+    def before_burns(cls, mission: Mission, policy: Policy = ()) -> Spread:
+        """Spread of the initial state, with nothing learnt."""
+        joint = np.zeros((MEMORY, MEMORY))
+        joint[ERROR, ERROR] = mission.initial_factor @ mission.initial_factor.T
+        joint[BIAS, BIAS] = 1.0
+        return cls(mission, policy, joint)
+
+    @property
+    def covariance(self) -> Array:
+        """Of the deviation from the plan, shape (6, 6)."""
+        both = self.joint[ERROR] + self.joint[ESTIMATE]
+        return np.asarray(both[:, ERROR] + both[:, ESTIMATE])
+
+    @property
+    def knowledge(self) -> Array:
+        """Of the estimate's error, shape (6, 6)."""
+        return self.joint[ERROR, ERROR]
+
+    @property
+    def commands(self) -> Array:
+        """Covariance of the corrections whose cut-offs are past, shape (3 k, 3 k)."""
+        gains = np.zeros((3 * len(self.known), len(self.joint)))
+        for j, correction in enumerate(self.policy[: len(self.known)]):
+            gains[3 * j : 3 * j + 3] = self._by_memory(correction)
+        return gains @ self.joint @ gains.T
+
+    def carried(self, stm: Array) -> Spread:
+        """Over an arc with an STM (6, 6)."""
+        carry = np.eye(len(self.joint))
+        carry[ERROR, ERROR] = carry[ESTIMATE, ESTIMATE] = stm
+        return replace(self, joint=carry @ self.joint @ carry.T)
+
+    def measured(self, time_s: float) -> Spread:
+        """After the measurement at a time, if there is one."""
+        spread = self
+        for correction in self.policy[len(self.known) :]:
+            if correction.cut_off_s == time_s:
+                spread = spread._measured(correction.measurement_covariance)
+        return spread
+
+    def _measured(self, errors: Array) -> Spread:
+        size, before = len(self.joint), self.knowledge
+        gain = cho_solve(cho_factor(before + errors), before).T
+        update, noise = np.eye(size + 6, size), np.zeros((size + 6, 6))
+        update[ERROR, ERROR] -= gain
+        update[ESTIMATE, ERROR] = gain
+        noise[ERROR], noise[ESTIMATE] = -gain, gain
+        update[size:], noise[size:] = update[ESTIMATE], noise[ESTIMATE]
+        joint = update @ self.joint @ update.T + noise @ errors @ noise.T
+        return replace(self, joint=joint, known=(*self.known, Known(before, joint[ERROR, ERROR])))
+
+    def after_burn(self, burn: Array, number: int) -> Spread:
+        """After a burn, m/s, shape (3,), its number from 0, with its correction if it has one.
+
+        The errors of executing a correction have its second moment, and depend on nothing else.
+        """
+        change, added = np.eye(len(self.joint)), np.zeros((3, 3))
+        gates, fraction = self.mission.scenario.uncertainty.gates, 0.0
+        if gates is None:
+            fraction = self.mission.scenario.uncertainty.execution_error or 0.0
+            added += np.diag((fraction * burn) ** 2)
+        else:
+            added += gates_covariance(gates, burn)
+            change[3:6, BIAS] = gates.magnitude_bias * burn
+        for correction in self.policy:
+            if correction.burn == number:
+                gains = self._by_memory(correction)
+                change[9:12] += gains
+                command = gains @ self.joint @ gains.T
+                added += _error_of_correction(gates, fraction, command)
+        joint = change @ self.joint @ change.T
+        joint[3:6, 3:6] += added
+        return replace(self, joint=joint)
+
+    def _by_memory(self, correction: Correction) -> Array:
+        """Gains of a correction on the joint vector, shape (3, 13 + 6 k)."""
+        gains = np.zeros((3, len(self.joint)))
+        blocks = np.hstack(list(correction.gains))
+        gains[:, MEMORY : MEMORY + blocks.shape[1]] = blocks
+        return gains
+
+
+def _error_of_correction(gates: Gates | None, fraction: float, command: Array) -> Array:
+    """Covariance that executing corrections adds, from theirs (3, 3), with the planner's bound.
+
+    By Gates p_p^2 tr(C) I + (s_p^2 + b^2 - p_p^2) C, the second term only where it adds.
+    """
+    if gates is None:
+        return fraction**2 * np.diag(np.diag(command))
+    across = gates.pointing_proportional_rad**2
+    along = gates.magnitude_proportional**2 + gates.magnitude_bias**2
+    return across * np.trace(command) * np.eye(3) + max(along - across, 0.0) * command
+
+
+def gates_covariance(gates: Gates, burn: Array) -> Array:
+    """Covariance Q of a burn, m/s, shape (3, 3), with the planner's bound below its fixed error."""
+    size = float(np.linalg.norm(burn))
+    if size == 0.0:
+        return np.zeros((3, 3))
+    fixed = np.array([gates.magnitude_fixed_m_s, gates.pointing_fixed_m_s])
+    proportional = np.array([gates.magnitude_proportional, gates.pointing_proportional_rad])
+    bound = float(fixed.max())
+    if bound > 0.0:
+        vanished = VANISHED * bound
+        executed = 1.0 - (1.0 - min(size / vanished, 1.0) ** 2) ** 3
+        x = np.clip((size**2 - vanished**2) / (bound**2 - vanished**2), 0.0, 1.0)
+        direction = float(np.polyval([6.0, -15.0, 10.0, 0.0, 0.0, 0.0], x))
+        fixed = np.sqrt(executed) * (bound - direction * (bound - fixed))
+    along, across = fixed**2 + (proportional * size) ** 2
+    unit = burn / size
+    return across * np.eye(3) + (along - across) * np.outer(unit, unit)

@@ -1,0 +1,314 @@
+"""Plans with feedback: the verification flies their corrections anew, and finds what was changed."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+from scipy.special import ndtr
+
+from formulations.problem.flyby import Iterate
+from formulations.problem.regions import Ball, Cone
+from formulations.program.subproblem import MeritFunction
+from formulations.rows.node_probability import Event, node_quantiles
+from formulations.rows.uniform import DeterministicRows
+from scp_recon.cli.command import WIDE
+from scp_recon.cli.plan_view import show_solution, show_verification
+from scp_recon.errors import InputError
+from scp_recon.interop.path import fly_path
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan, Provenance, Stage
+from scp_recon.planning.planner import plan
+from scp_recon.results.facts import Verification
+from scp_recon.results.read import parse_solution, read_solution
+from scp_recon.results.solution import FILE_NAME, HASH, Solution, make_solution
+from scp_recon.scp.algorithms import SCvx
+from scp_recon.scp.loop import Result, Timing
+from scp_recon.scp.status import Status
+from scp_recon.verification.reintegration import limits_of, verify
+from tests.scenarios import COARSE
+from tests.scp_recon.support import fly_few, mission_of
+
+MEASURED = (
+    COARSE,
+    'policy.kind="feedback"',
+    "navigation.sigma_position_m=10",
+    "navigation.sigma_velocity_m_s=0.0005",
+)
+EXPECTED = 'policy.cost="expected"'
+"""A plan for the mean takes few iterations."""
+BURNS_M_S = np.array(
+    [
+        [-0.0084, 0.0505, 0.0130],
+        [-0.0073, 0.0162, -0.0047],
+        [-0.0002, 0.0002, -0.0001],
+        [-0.0124, 0.0368, -0.0065],
+    ]
+)
+LAST_TOO = "boundary.final_sigma_velocity_m_s=0.5"
+"""So that the last burn is corrected."""
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    mission = mission_of(*MEASURED, EXPECTED, "navigation.lead_s=3600")
+    return make_solution(plan(mission, initial_guess.cold(mission)))
+
+
+@pytest.fixture(scope="module")
+def verification(solution: Solution) -> Verification:
+    return checked(solution)
+
+
+def checked(solution: Solution, mission: Mission | None = None) -> Verification:
+    with pytest.MonkeyPatch.context() as patch:
+        fly_few(patch)
+        return verify(mission or solution.mission, solution)
+
+
+def with_gains(*overrides: str) -> Solution:
+    """Given burns, and gains that nobody would choose: every estimate so far matters to every burn."""
+    mission = mission_of(*MEASURED, *overrides)
+    assert mission.feedback is not None
+    guess = initial_guess.from_burns(mission, BURNS_M_S)
+    gains = np.random.default_rng(1).normal(scale=5e-3, size=mission.feedback.size)
+    lin = mission.dynamics.linearise(mission.problem, Iterate(guess.burns, guess.mean, gains))
+    merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
+    result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
+    stage = Stage("P3", result, merit, None, SCvx().feasible)
+    made = Provenance("none", "none", "none", "given", "none")
+    return make_solution(Plan(mission, made, (stage,), stage, Timing(), 0.0))
+
+
+def gates(magnitude: float, bias: float) -> str:
+    return (
+        "uncertainty.gates={magnitude_fixed_m_s=0.002, pointing_fixed_m_s=0.0005, "
+        f"magnitude_proportional={magnitude}, pointing_proportional_rad=0.02, magnitude_bias={bias}}}"
+    )
+
+
+# --- a right policy -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("overrides", "burns"),
+    [
+        (("navigation.lead_s=0",), [2, 3]),
+        (("navigation.lead_s=3600", LAST_TOO), [2, 3, 4]),
+        # The state is measured twice before burn 2 is done, which no estimate may know of.
+        (("navigation.lead_s=20000", LAST_TOO), [3, 4]),
+        (("navigation.lead_s=3600", gates(0.03, 0.0)), [2, 3]),
+        (("navigation.lead_s=3600", gates(0.01, 0.0)), [2, 3]),
+        (("navigation.lead_s=3600", gates(0.03, 0.02)), [2, 3]),
+    ],
+    ids=["none", "hour", "long", "along", "across", "bias"],
+)
+def test_the_closed_loop_is_that_of_the_corrections_alone(
+    overrides: tuple[str, ...], burns: list[int]
+) -> None:
+    given = with_gains(*overrides)
+    v = checked(given)
+    limits = limits_of(given.mission)
+    assert given.policy is not None
+    assert [correction.burn for correction in given.policy.corrections] == burns
+    assert v.covariance_error <= limits["covariance_error"]
+    assert v.knowledge_error is not None
+    assert v.knowledge_error <= limits["knowledge_error"]
+    assert not {name for name in v.failed if name.startswith("policy")}
+    # What was checked is not what flies without corrections, or knows nothing of them.
+    loose = replace(given.policy.corrections[0], gain=[[[0.0] * 6] * 3])
+    policy = replace(given.policy, corrections=[loose, *given.policy.corrections[1:]])
+    assert "covariance_error" in checked(replace(given, policy=policy)).failed
+
+
+def test_a_plan_with_feedback_is_confirmed(verification: Verification) -> None:
+    """But for flights, which are judged by flights."""
+    assert [name for name in verification.failed if not name.startswith("P(")] == []
+    assert [(b.burn, b.name) for b in verification.burn_limits] == [
+        (burn, name) for burn in (2, 3) for name in ("dv_max", "dv_battery")
+    ]
+
+
+def test_knowledge_is_no_more_than_dispersion_and_less_after_a_measurement(
+    solution: Solution,
+) -> None:
+    known = np.array(solution.nodes.knowledge)
+    scale = np.outer(solution.mission.units.state, solution.mission.units.state)
+    spread = np.array(solution.nodes.covariance)
+    assert solution.policy is not None
+    for correction in solution.policy.corrections:
+        before, after = (
+            np.array(given)
+            for given in (correction.predicted_covariance, correction.estimate_covariance)
+        )
+        assert np.linalg.eigvalsh((before - after) / scale).min() > -1e-9
+        assert np.trace(after / scale) < 0.9 * np.trace(before / scale)
+        node = solution.nodes.t_s.index(correction.cut_off_s)
+        np.testing.assert_allclose(known[node] / scale, after / scale, atol=1e-12)
+    first = solution.nodes.t_s.index(solution.policy.corrections[0].cut_off_s)
+    np.testing.assert_allclose(known[:first], spread[:first], rtol=1e-12)
+    assert np.all(
+        np.trace(known[first:] / scale, axis1=1, axis2=2)
+        < np.trace(spread[first:] / scale, axis1=1, axis2=2)
+    )
+
+
+def test_an_exported_path_spreads_as_the_nodes_do() -> None:
+    given = with_gains("navigation.lead_s=20000", LAST_TOO)
+    stored = dict(zip(given.nodes.t_s, np.array(given.nodes.covariance), strict=True))
+    scale = np.outer(given.mission.units.state, given.mission.units.state)
+    seen = 0
+    for coast in fly_path(given.mission, given).coasts:
+        # A node with a burn has two states in the path; the file has the one after it.
+        for time, covariance in zip(coast.times_s[:-1], coast.covariances[:-1], strict=True):
+            if time in stored:
+                expected = stored[time] / scale
+                assert np.abs(covariance / scale - expected).max() < 1e-6 * np.abs(expected).max()
+                seen += 1
+    assert seen >= len(stored) - 1
+
+
+# --- limits on corrected burns ------------------------------------------------------------------
+
+
+def test_limits_on_corrected_burns_are_those_of_normal_commands(solution: Solution) -> None:
+    """Against the integrals along contours that the planner has for balls and cones."""
+    mission = solution.mission
+    stricter = mission_of(
+        *MEASURED,
+        EXPECTED,
+        "navigation.lead_s=3600",
+        "burns.dv_max_m_s=0.02",
+        "battery.delta_v_cone_deg=55",
+    )
+    v = checked(solution, stricter)
+    lin = plan(mission, initial_guess.cold(mission)).final.result.lin
+    speed, burn = mission.units.speed_m_s, solution.burns_m_s[1]
+    factor = speed * lin.problem.gains_of(lin.iterate, 0)
+    sun, angle = stricter.sun_direction(np.array([8000.0])), np.array([np.deg2rad(55.0)])
+    limits: dict[str, list[tuple[tuple[Any, ...], tuple[Any, ...]]]] = {
+        "dv_max": [((Ball(np.zeros((1, 3)), np.array([0.02])),), ())],
+        "dv_battery": [((), (Cone(np.zeros((1, 3)), way * sun, angle[0]),)) for way in (1.0, -1.0)],
+    }
+    for name, events in limits.items():
+        broken = sum(
+            float(
+                ndtr(
+                    -node_quantiles(
+                        Event(name, np.zeros(1, int), *event),
+                        burn[None] / speed,
+                        factor[None] / speed,
+                    ).value[0]
+                )
+            )
+            for event in events
+        )
+        (found,) = (b for b in v.burn_limits if (b.burn, b.name) == (2, name))
+        assert 0.01 < broken < 0.99
+        assert found.probability == pytest.approx(1.0 - broken, abs=2e-3)
+
+
+# --- a policy that was changed ------------------------------------------------------------------
+
+Change = Callable[[dict[str, Any]], None]
+
+
+def scaled(*path: str | int, by: float = 1.01) -> Change:
+    """One number of the policy, or of the nodes, multiplied."""
+
+    def change(data: dict[str, Any]) -> None:
+        for key in path[:-1]:
+            data = data[key]  # type: ignore[index]
+        data[path[-1]] *= by  # type: ignore[index]
+
+    return change
+
+
+FIRST = ("policy", "corrections", 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (scaled(*FIRST, "gain", 0, 1, 3), "covariance_error"),
+        (scaled("policy", "corrections", 1, "gain", 0, 1, 3, by=1.5), "policy.corrections"),
+        (scaled(*FIRST, "estimate_covariance", 2, 2), "knowledge_error"),
+        (scaled(*FIRST, "predicted_covariance", 4, 4), "knowledge_error"),
+        (scaled("nodes", "knowledge", 30, 0, 0), "knowledge_error"),
+        (scaled("nodes", "covariance", 60, 0, 0), "covariance_error"),
+        (scaled(*FIRST, "measurement_covariance", 0, 0), "policy.corrections"),
+        (scaled(*FIRST, "sigma_m_s"), "policy.corrections"),
+        (scaled(*FIRST, "cut_off_s"), "policy.corrections"),
+        (scaled("policy", "mean_m_s"), "policy.mean_m_s"),
+        (scaled("policy", "dv99_m_s"), "policy.dv99_m_s"),
+        (lambda data: data.update(policy=None), "policy.corrections"),
+        (lambda data: data["policy"]["corrections"].pop(), "policy.corrections"),
+        (lambda data: data["nodes"].update(knowledge=None), "knowledge_error"),
+    ],
+)
+def test_what_was_changed_is_named(solution: Solution, change: Change, named: str) -> None:
+    data = json.loads(solution.text())
+    change(data)
+    assert named in checked(parse_solution(data, "a solution")).failed
+
+
+def test_it_is_read_back_and_a_changed_gain_is_another_plan(
+    solution: Solution, verification: Verification, tmp_path: Path
+) -> None:
+    written = solution.with_verification(verification)
+    written.write(tmp_path)
+    read = read_solution(tmp_path)
+    assert read == written
+    for ours, theirs in zip(read.corrections, solution.corrections, strict=True):
+        np.testing.assert_array_equal(ours.gains, theirs.gains)
+    data = json.loads(written.text())
+    scaled(*FIRST, "gain", 0, 0, 0)(data)
+    (tmp_path / FILE_NAME).write_text(json.dumps(data))
+    doubted = read_solution(tmp_path)
+    assert doubted.verification is not None
+    assert HASH in doubted.verification.failed
+    scaled(*FIRST, "cut_off_s")(data)
+    (tmp_path / FILE_NAME).write_text(json.dumps(data))
+    with pytest.raises(InputError, match=r"policy\.corrections"):
+        read_solution(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda p: p["corrections"].reverse(), "ascending burns"),
+        (lambda p: p["corrections"][0]["gain"].append(p["corrections"][0]["gain"][0]), "one block"),
+        (lambda p: p["corrections"][0]["gain"][0].pop(), "3 by 6"),
+        (lambda p: p["corrections"][0]["estimate_covariance"].pop(), "6 by 6"),
+        (lambda p: p["corrections"][1].update(burn=9), "burns that are planned"),
+    ],
+)
+def test_a_policy_of_another_shape_is_refused(
+    solution: Solution, change: Change, told: str
+) -> None:
+    data = json.loads(solution.text())
+    change(data["policy"])
+    with pytest.raises(InputError, match=told):
+        parse_solution(data, "a solution")
+
+
+def test_the_terminal_tells_the_policy(solution: Solution, verification: Verification) -> None:
+    shown = io.StringIO()
+    console = Console(file=shown, width=WIDE)
+    show_solution(console, solution)
+    show_verification(console, solution.mission, solution, verification)
+    text = shown.getvalue()
+    assert solution.policy is not None
+    assert f"99 % {solution.policy.dv99_m_s:.6f} m/s" in text
+    assert "correction, 1 sigma" in text
+    assert "dv_battery" in text.partition("probability")[2]
+    (row,) = (line.split() for line in text.splitlines() if line.split()[:2] == ["2", "4400"])
+    assert float(row[3]) == pytest.approx(solution.policy.corrections[0].sigma_m_s, abs=1e-6)
