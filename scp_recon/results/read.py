@@ -102,9 +102,9 @@ def _validated(kind: TypeAdapter[Any], data: Any, named: str) -> Any:
 def read_solution(path: Path) -> Solution:
     """Read a solution file, or the one in a folder; `runs/latest` is that of the last finished run.
 
-    A file whose scenario or burns were changed after it was written, or whose figures do not follow
-    from its facts, is read as not verified, with a warning: its margins and its verification are of
-    another plan.
+    A file whose scenario, burns or corrections were changed after it was written, or whose figures do
+    not follow from its facts, is read as not verified, with a warning: its margins and its verification
+    are of another plan.
 
     Raises:
         InputError: if the file is missing, damaged, of another version, or its parts contradict
@@ -135,7 +135,7 @@ def read_solution(path: Path) -> Solution:
             solution,
             file,
             [HASH],
-            "a scenario or burns that were changed after it was written",
+            "a scenario, burns or corrections that were changed after it was written",
             "expected those it was planned with: its margins are of another plan",
         )
     assert solution.carried is not None

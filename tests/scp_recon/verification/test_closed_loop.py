@@ -14,6 +14,7 @@ import pytest
 from rich.console import Console
 from scipy.special import ndtr
 
+from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from formulations.problem.regions import Ball, Cone
 from formulations.program.subproblem import MeritFunction
@@ -24,6 +25,7 @@ from scp_recon.cli.plan_view import show_solution, show_verification
 from scp_recon.errors import InputError
 from scp_recon.interop.path import fly_path
 from scp_recon.mission.mission import Mission
+from scp_recon.physics.geometry import angle
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import plan
@@ -33,7 +35,9 @@ from scp_recon.results.solution import FILE_NAME, HASH, Solution, make_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Result, Timing
 from scp_recon.scp.status import Status
+from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.reintegration import limits_of, verify
+from scp_recon.verification.remedies import COMMANDS, kind_of
 from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few, mission_of
 
@@ -53,6 +57,7 @@ BURNS_M_S = np.array(
         [-0.0124, 0.0368, -0.0065],
     ]
 )
+CROSSED = (*MEASURED, "navigation.lead_s=3600")
 LAST_TOO = "boundary.final_sigma_velocity_m_s=0.5"
 """So that the last burn is corrected."""
 
@@ -60,7 +65,14 @@ LAST_TOO = "boundary.final_sigma_velocity_m_s=0.5"
 @pytest.fixture(scope="module")
 def solution() -> Solution:
     mission = mission_of(*MEASURED, EXPECTED, "navigation.lead_s=3600")
-    return make_solution(plan(mission, initial_guess.cold(mission)))
+    found = plan(mission, initial_guess.cold(mission))
+    # Its primer is not what is tested here.
+    return make_solution(replace(found, provenance=replace(found.provenance, method="none")))
+
+
+@pytest.fixture(scope="module")
+def crossed() -> Solution:
+    return with_gains("navigation.lead_s=3600")
 
 
 @pytest.fixture(scope="module")
@@ -74,13 +86,18 @@ def checked(solution: Solution, mission: Mission | None = None) -> Verification:
         return verify(mission or solution.mission, solution)
 
 
+def some_gains(mission: Mission) -> Array:
+    """On innovations, nondimensional."""
+    assert mission.feedback is not None
+    return np.random.default_rng(1).normal(scale=5e-3, size=mission.feedback.size)
+
+
 def with_gains(*overrides: str) -> Solution:
     """Given burns, and gains that nobody would choose: every estimate so far matters to every burn."""
     mission = mission_of(*MEASURED, *overrides)
-    assert mission.feedback is not None
     guess = initial_guess.from_burns(mission, BURNS_M_S)
-    gains = np.random.default_rng(1).normal(scale=5e-3, size=mission.feedback.size)
-    lin = mission.dynamics.linearise(mission.problem, Iterate(guess.burns, guess.mean, gains))
+    at = Iterate(guess.burns, guess.mean, some_gains(mission))
+    lin = mission.dynamics.linearise(mission.problem, at)
     merit = MeritFunction(mission.problem, DeterministicRows(mission.problem))
     result = Result(Status.MAX_ITERATIONS, lin, (), Timing())
     stage = Stage("P3", result, merit, None, SCvx().feasible)
@@ -123,10 +140,6 @@ def test_the_closed_loop_is_that_of_the_corrections_alone(
     assert v.knowledge_error is not None
     assert v.knowledge_error <= limits["knowledge_error"]
     assert not {name for name in v.failed if name.startswith("policy")}
-    # What was checked is not what flies without corrections, or knows nothing of them.
-    loose = replace(given.policy.corrections[0], gain=[[[0.0] * 6] * 3])
-    policy = replace(given.policy, corrections=[loose, *given.policy.corrections[1:]])
-    assert "covariance_error" in checked(replace(given, policy=policy)).failed
 
 
 def test_a_plan_with_feedback_is_confirmed(verification: Verification) -> None:
@@ -179,41 +192,36 @@ def test_an_exported_path_spreads_as_the_nodes_do() -> None:
 # --- limits on corrected burns ------------------------------------------------------------------
 
 
-def test_limits_on_corrected_burns_are_those_of_normal_commands(solution: Solution) -> None:
+def test_limits_on_corrected_burns_are_those_of_normal_commands(crossed: Solution) -> None:
     """Against the integrals along contours that the planner has for balls and cones."""
-    mission = solution.mission
-    stricter = mission_of(
-        *MEASURED,
-        EXPECTED,
-        "navigation.lead_s=3600",
-        "burns.dv_max_m_s=0.02",
-        "battery.delta_v_cone_deg=55",
-    )
-    v = checked(solution, stricter)
-    lin = plan(mission, initial_guess.cold(mission)).final.result.lin
-    speed, burn = mission.units.speed_m_s, solution.burns_m_s[1]
-    factor = speed * lin.problem.gains_of(lin.iterate, 0)
-    sun, angle = stricter.sun_direction(np.array([8000.0])), np.array([np.deg2rad(55.0)])
-    limits: dict[str, list[tuple[tuple[Any, ...], tuple[Any, ...]]]] = {
-        "dv_max": [((Ball(np.zeros((1, 3)), np.array([0.02])),), ())],
-        "dv_battery": [((), (Cone(np.zeros((1, 3)), way * sun, angle[0]),)) for way in (1.0, -1.0)],
+    speed, burn = crossed.units.speed_m_s, crossed.burns_m_s[1:2]
+    factor = some_gains(crossed.mission)[:18].reshape(1, 3, 6)
+    sun = crossed.mission.sun_direction(np.array([8000.0]))
+    off = np.rad2deg(angle(burn, sun))
+    off = float(np.minimum(off, 180.0 - off)[0]) - 2.0
+    stricter = mission_of(*CROSSED, "burns.dv_max_m_s=0.019", f"battery.delta_v_cone_deg={off}")
+    v = checked(crossed, stricter)
+    apex, half, none = np.zeros((1, 3)), np.array([0]), ()
+    cones = [Cone(apex, way * sun, float(np.deg2rad(off))) for way in (1.0, -1.0)]
+    limits = {
+        "dv_max": [Event("size", half, (Ball(apex, np.array([0.019 / speed])),), none)],
+        "dv_battery": [Event("cone", half, none, (cone,)) for cone in cones],
     }
     for name, events in limits.items():
-        broken = sum(
-            float(
-                ndtr(
-                    -node_quantiles(
-                        Event(name, np.zeros(1, int), *event),
-                        burn[None] / speed,
-                        factor[None] / speed,
-                    ).value[0]
-                )
-            )
-            for event in events
-        )
+        quantiles = [node_quantiles(event, burn / speed, factor).value[0] for event in events]
+        broken = float(ndtr(-np.array(quantiles)).sum())
         (found,) = (b for b in v.burn_limits if (b.burn, b.name) == (2, name))
-        assert 0.01 < broken < 0.99
-        assert found.probability == pytest.approx(1.0 - broken, abs=2e-3)
+        assert 0.01 < broken < 0.5
+        assert found.probability == pytest.approx(1.0 - broken, abs=1e-3)
+        assert (str(found) in v.failed) == (found.probability < 0.7)
+
+
+def test_a_limit_that_corrections_break_is_named(crossed: Solution) -> None:
+    """With what would do about it."""
+    stricter = mission_of(*CROSSED, "burns.dv_max_m_s=0.018")
+    v = checked(crossed, stricter)
+    assert "P(dv_max of burn 2)" in v.failed
+    assert kind_of("P(dv_max of burn 2)", stricter, v) == COMMANDS
 
 
 # --- a policy that was changed ------------------------------------------------------------------
@@ -232,32 +240,56 @@ def scaled(*path: str | int, by: float = 1.01) -> Change:
     return change
 
 
-FIRST = ("policy", "corrections", 0)
+FIRST, SECOND = ("policy", "corrections", 0), ("policy", "corrections", 1)
+
+
+def changed(solution: Solution, *changes: Change) -> Solution:
+    data = json.loads(solution.text())
+    for change in changes:
+        change(data)
+    return parse_solution(data, "a solution")
 
 
 @pytest.mark.parametrize(
-    ("change", "named"),
+    ("changes", "named"),
     [
-        (scaled(*FIRST, "gain", 0, 1, 3), "covariance_error"),
-        (scaled("policy", "corrections", 1, "gain", 0, 1, 3, by=1.5), "policy.corrections"),
-        (scaled(*FIRST, "estimate_covariance", 2, 2), "knowledge_error"),
-        (scaled(*FIRST, "predicted_covariance", 4, 4), "knowledge_error"),
-        (scaled("nodes", "knowledge", 30, 0, 0), "knowledge_error"),
-        (scaled("nodes", "covariance", 60, 0, 0), "covariance_error"),
-        (scaled(*FIRST, "measurement_covariance", 0, 0), "policy.corrections"),
-        (scaled(*FIRST, "sigma_m_s"), "policy.corrections"),
-        (scaled(*FIRST, "cut_off_s"), "policy.corrections"),
-        (scaled("policy", "mean_m_s"), "policy.mean_m_s"),
-        (scaled("policy", "dv99_m_s"), "policy.dv99_m_s"),
-        (lambda data: data.update(policy=None), "policy.corrections"),
-        (lambda data: data["policy"]["corrections"].pop(), "policy.corrections"),
-        (lambda data: data["nodes"].update(knowledge=None), "knowledge_error"),
+        ([scaled(*FIRST, "gain", 0, 1, 3)], ["covariance_error"]),
+        ([scaled(*SECOND, "gain", 0, 1, 3)], ["covariance_error"]),
+        ([scaled(*FIRST, "estimate_covariance", 2, 2)], ["knowledge_error"]),
+        ([scaled(*SECOND, "predicted_covariance", 4, 4)], ["knowledge_error"]),
+        ([scaled("nodes", "knowledge", 30, 0, 0)], ["knowledge_error"]),
+        (
+            [
+                scaled("policy", "mean_m_s"),
+                scaled("policy", "dv99_m_s"),
+                scaled(*FIRST, "sigma_m_s"),
+            ],
+            ["policy.corrections", "policy.mean_m_s", "policy.dv99_m_s"],
+        ),
     ],
 )
-def test_what_was_changed_is_named(solution: Solution, change: Change, named: str) -> None:
-    data = json.loads(solution.text())
-    change(data)
-    assert named in checked(parse_solution(data, "a solution")).failed
+def test_what_was_changed_is_named(
+    crossed: Solution, changes: list[Change], named: list[str]
+) -> None:
+    assert set(named) <= set(checked(changed(crossed, *changes)).failed)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        scaled(*FIRST, "measurement_covariance", 0, 0),
+        scaled(*FIRST, "cut_off_s"),
+        lambda data: data["policy"]["corrections"].pop(),
+    ],
+)
+def test_a_policy_of_another_scenario_is_named(crossed: Solution, change: Change) -> None:
+    assert "policy.corrections" not in inconsistencies(crossed.mission, crossed)
+    assert "policy.corrections" in inconsistencies(crossed.mission, changed(crossed, change))
+
+
+def test_a_plan_that_lost_its_policy_is_named(solution: Solution) -> None:
+    failed = checked(replace(solution, policy=None)).failed
+    assert {"policy.corrections", "covariance_error"} <= set(failed)
 
 
 def test_it_is_read_back_and_a_changed_gain_is_another_plan(
