@@ -42,6 +42,9 @@ BINDING = 1.0
 DIFFERENCE = 1e-5
 """Step of the differences that give a node's curvature, in units of speed."""
 
+CURVED_MAX = 18
+"""Directions in which a row is curved at most: those of most curvature."""
+
 BEND = 3.0
 """c: standard deviations over which a row bends before it goes on straight."""
 
@@ -53,16 +56,17 @@ def curved_cones(rows: Indices, margin: Array, slope: Array, hessian: Array, z: 
         rows: index of each row's buffer, shape (r,).
         margin: at z, shape (r,).
         slope: shape (r, p).
-        hessian: shape (r, p, p); only its negative part is used.
+        hessian: shape (r, p, p); of its negative part the most is used.
         z: burns about which the rows are made, shape (p,).
     """
     r, p = slope.shape
     curvature, axes = np.linalg.eigh(-0.5 * (hessian + hessian.swapaxes(1, 2)))
+    curvature, axes = curvature[:, -CURVED_MAX:], axes[:, :, -CURVED_MAX:]
     bend = np.sqrt(BEND * np.maximum(curvature, 0.0))[:, :, None] * axes.swapaxes(1, 2)
-    curved = np.any(bend, axis=(1, 2))
-    tail = np.zeros((r, p + 1, p + 1))
-    tail[:, :p, :p], tail[:, :p, p] = bend, -bend @ z
-    tail[curved, p, p] = BEND
+    curved, d = np.any(bend, axis=(1, 2)), bend.shape[1]
+    tail = np.zeros((r, d + 1, p + 1))
+    tail[:, :d, :p], tail[:, :d, p] = bend, -bend @ z
+    tail[curved, d, p] = BEND
     head = np.column_stack([slope, margin - slope @ z + BEND * curved])
     return triangular_cones(rows, head, tail)
 
@@ -149,7 +153,7 @@ class NodeRows(ExactRows):
         self.nodes = np.union1d(self.node, self.further.nodes)
         self.count = len(self.node) + self.further.count
         self._first = np.cumsum([0, *(len(event.nodes) for event in self.events)])
-        self._seen: tuple[Linearisation, Quantiles] | None = None
+        self._seen: list[tuple[Linearisation, Quantiles]] = []
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins by joint constraint, at its nodes."""
@@ -194,10 +198,13 @@ class NodeRows(ExactRows):
 
     def _at(self, lin: Linearisation) -> Quantiles:
         """The quantiles g of all rows at an iterate."""
-        if self._seen is None or self._seen[0] is not lin:
-            mean, factor = lin.iterate.mean[self.node, :3], lin.factor[self.node, :3]
-            self._seen = lin, self._quantiles(np.arange(len(self.node)), mean, factor)
-        return self._seen[1]
+        for seen, found in self._seen:
+            if seen is lin:
+                return found
+        mean, factor = lin.iterate.mean[self.node, :3], lin.factor[self.node, :3]
+        found = self._quantiles(np.arange(len(self.node)), mean, factor)
+        self._seen = [*self._seen[-1:], (lin, found)]  # an iterate, and the step that is tried
+        return found
 
     def _quantiles(self, rows: Indices, mean: Array, factor: Array) -> Quantiles:
         """The quantiles g of ascending rows, with a mean (r, 3) and factor (r, 3, c) for each."""

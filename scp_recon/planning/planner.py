@@ -249,7 +249,8 @@ class Planner:
             self._exact_rows = [("", NodeRows(problem, target))]
             if problem.feedback is not None:
                 open_loop = NodeRows(problem.open_loop, target, COARSE)
-                self._exact_rows = [(".open", open_loop), *self._exact_rows]
+                closed = NodeRows(problem, target, FINE_WITH_GAINS)
+                self._exact_rows = [(".open", open_loop), ("", closed)]
         elif not self._exact_rows:
             fine = FINE if problem.feedback is None else FINE_WITH_GAINS
             coarse = FlightRows(problem, target, FEW_LINES, COARSE)
