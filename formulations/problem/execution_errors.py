@@ -61,12 +61,22 @@ class ExecutionErrors(ABC):
         """
 
     def execute(self, burns: Array, draws: Array) -> Array:
-        """Burns (m, 3) as executed, for standard normal draws (n, shared + m own), shape (n, m, 3)."""
-        columns, own = self.columns(burns), draws[:, self.shared :]
-        own = own.reshape(len(draws), len(burns), self.own)
-        errors = np.einsum("mik,nmk->nmi", columns[:, :, self.shared :], own)
-        errors += np.einsum("mik,nk->nmi", columns[:, :, : self.shared], draws[:, : self.shared])
+        """Burns as executed, for standard normal draws (n, shared + m own), shape (n, m, 3).
+
+        The burns, shape (m, 3), are those of all draws; or each draw has its own, shape (n, m, 3).
+        """
+        columns = self.columns(burns.reshape(-1, 3)).reshape(*burns.shape, -1)
+        own = draws[:, self.shared :].reshape(len(draws), -1, self.own)
+        errors = np.einsum("...ik,...k->...i", columns[..., self.shared :], own)
+        errors += np.einsum(
+            "...ik,...k->...i", columns[..., : self.shared], draws[:, None, : self.shared]
+        )
         return burns + errors
+
+    def draws_of_burn(self, draws: Array, burn: int) -> Array:
+        """Those of some draws (n, shared + m own) that one burn feels, shape (n, shared + own)."""
+        first = self.shared + burn * self.own
+        return np.hstack([draws[:, : self.shared], draws[:, first : first + self.own]])
 
     def draws(self, burns: int) -> int:
         """Number of standard normal draws for a number of burns."""
@@ -117,7 +127,7 @@ class ComponentwiseErrors(ExecutionErrors):
 
     def execute(self, burns: Array, draws: Array) -> Array:
         """See `ExecutionErrors.execute`."""
-        return burns * (1.0 + self.fraction * draws.reshape(-1, *burns.shape))
+        return burns * (1.0 + self.fraction * draws.reshape(-1, *burns.shape[-2:]))
 
 
 @dataclass(frozen=True)

@@ -311,10 +311,10 @@ class FlybyProblem:
         return (self.miss_weight or 0.0) * float(np.abs(defects[-1]).sum())
 
     def burn_margins(self, burns: Array) -> dict[str, Array]:
-        """Margins of the limits on the burns, >= 0 where satisfied, (m,) each."""
+        """Margins of the limits on burns (m, ..., 3), >= 0 where satisfied, (m, ...) each."""
         toward, away = (-cone.inside(burns) for cone in self.burn_cones)
         return {
-            "dv_max": self.dv_max - np.linalg.norm(burns, axis=1),
+            "dv_max": self.dv_max - np.linalg.norm(burns, axis=-1),
             "dv_battery": np.minimum(toward, away),
         }
 

@@ -12,8 +12,10 @@ from formulations.arrays import Array
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
+from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
+from scp_recon.results.policy import Policy
 
 TruthModel = Literal["planner", "harmonics"]
 ErrorModel = Literal["componentwise", "gates"]
@@ -21,6 +23,9 @@ Flow = Callable[[Array, Array, float, float], tuple[Array, Array]]
 
 BLOCK = 1000
 """Flights drawn from one seed: a flight is the same however many others are flown, and where."""
+
+NAVIGATION = 4
+"""Stream of the measurements' random numbers, so that all others are those of flights without them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +36,14 @@ class Flights:
         times_s: sampled times, shape (n,).
         states: J2000, m and m/s, after the burns, shape (n, flights, 6).
         burns_m_s: executed burns, shape (flights, m, 3).
+        commanded_m_s: commanded burns, of the same shape.
         closest_m: smallest distance from the body's centre at the ends of steps, shape (flights,).
     """
 
     times_s: Array
     states: Array
     burns_m_s: Array
+    commanded_m_s: Array
     closest_m: Array
 
 
@@ -50,17 +57,31 @@ def fly_block(
     seed: int = 0,
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
+    policy: Policy = (),
 ) -> Flights:
     """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly_draws`."""
-    sources = number_of_sources(mission, burns_m_s, errors)
-    draws = draw(seed, block, sources)[:flights]
-    return fly_draws(mission, burns_m_s, times_s, draws, truth=truth, errors=errors)
+    draws = draw_flights(mission, burns_m_s, seed, block, errors, policy)[:flights]
+    return fly_draws(mission, burns_m_s, times_s, draws, truth=truth, errors=errors, policy=policy)
 
 
 def number_of_sources(mission: Mission, burns_m_s: Array, errors: ErrorModel | None = None) -> int:
-    """Number of standard normal numbers that a flight draws."""
+    """Number of standard normal numbers that a flight draws besides those of its measurements."""
     model = errors_of_kind(mission.scenario, errors)
     return mission.initial_factor.shape[1] + model.draws(len(burns_m_s))
+
+
+def draw_flights(
+    mission: Mission,
+    burns_m_s: Array,
+    seed: int,
+    block: int,
+    errors: ErrorModel | None = None,
+    policy: Policy = (),
+) -> Array:
+    """The draws of a block of flights, shape (BLOCK, sources): see `fly_draws`."""
+    draws = draw(seed, block, number_of_sources(mission, burns_m_s, errors))
+    measured = draw(seed, block, MEASURED * len(policy), NAVIGATION)
+    return np.hstack([draws, measured]) if policy else draws
 
 
 def draw(seed: int, block: int, sources: int, *stream: int) -> Array:
@@ -76,22 +97,30 @@ def fly_draws(
     *,
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
+    policy: Policy = (),
 ) -> Flights:
     """Fly draws of the errors, shape (flights, sources), with planned burns, shape (m, 3).
+
+    The draws are those of the initial state, of the burns' execution, and of the measurements.
 
     The initial state is Gaussian about the mission's. A burn is executed with the scenario's errors:
     dv (1 + beta w) by component with w standard normal (Echigo et al., eq. 3), or Gates' model.
     With `errors` = "gates" Gates' model replaces the former by its isotropic counterpart: errors of
     beta in magnitude and of beta rad about each axis across. The dynamics are a point mass with J2,
     or the mission's `truth_field` turning with the body. Integration steps depend on the burns' times
-    alone; states at the ascending `times_s` are interpolated.
+    alone; states at the ascending `times_s` are interpolated. A policy corrects burns, of which the
+    errors are those of the commanded burn.
 
     Raises:
         InputError: if the scenario's errors have no such counterpart.
     """
     initial, flights = mission.initial_factor.shape[1], len(draws)
     state = mission.initial_state + draws[:, :initial] @ mission.initial_factor.T
-    executed = errors_of_kind(mission.scenario, errors).execute(burns_m_s, draws[:, initial:])
+    model = errors_of_kind(mission.scenario, errors)
+    draws, measured = np.hsplit(draws[:, initial:], [model.draws(len(burns_m_s))])
+    executed = model.execute(burns_m_s, draws)
+    commanded = np.tile(burns_m_s, (flights, 1, 1))
+    loop = ClosedLoop(mission, burns_m_s, policy, measured)
     fly = _flow(mission, truth)
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
@@ -101,9 +130,17 @@ def fly_draws(
     states = np.empty((len(times_s), 6, flights))
     r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
     closest2 = np.full(flights, np.inf)
+    for _ in loop.due(-np.inf, stops[0]):
+        loop.measure(np.concatenate([r, v]))
     for k, stop in enumerate(stops.tolist()):
         if stop in burn_at:
-            v = v + executed[:, burn_at[stop]].T
+            burn = burn_at[stop]
+            correction = loop.correction(burn)
+            if correction is not None:
+                commanded[:, burn] += correction
+                own = model.draws_of_burn(draws, burn)
+                executed[:, burn] = model.execute(commanded[:, burn : burn + 1], own)[:, 0]
+            v = v + executed[:, burn].T
         states[times_s == stop] = np.concatenate([r, v])
         closest2 = np.minimum(closest2, np.einsum("in,in->n", r, r))
         if stop < stops[-1]:
@@ -112,8 +149,11 @@ def fly_draws(
             for row in range(looks[k], np.searchsorted(times_s, stops[k + 1])):
                 share = (times_s[row] - stop) / duration
                 states[row, :3], states[row, 3:] = interpolate((r, v), end, duration, share)
+            for time in loop.due(stop, stops[k + 1]):
+                share = (time - stop) / duration
+                loop.measure(np.concatenate(interpolate((r, v), end, duration, share)))
             r, v = end
-    return Flights(times_s, np.moveaxis(states, 1, 2), executed, np.sqrt(closest2))
+    return Flights(times_s, np.moveaxis(states, 1, 2), executed, commanded, np.sqrt(closest2))
 
 
 def sample_positions(

@@ -16,8 +16,9 @@ import numpy.typing as npt
 from formulations.arrays import Array, Booleans, Indices
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.monte_carlo.sampling import BLOCK, draw, fly_draws, number_of_sources
+from scp_recon.monte_carlo.sampling import BLOCK, draw_flights, fly_draws
 from scp_recon.physics.flow import interpolate
+from scp_recon.results.policy import Policy
 
 Counts = npt.NDArray[np.int64]
 State = tuple[Array, Array]
@@ -62,18 +63,18 @@ def kept_flights(
     samples: int,
     seed: int,
     progress: Callable[[int], None] | None = None,
+    policy: Policy = (),
 ) -> KeptFlights:
     """Fly a plan's burns, J2000, m/s, shape (m, 3), with the planner's dynamics and count limits kept.
 
-    `progress` is called with the number flown so far after each block.
+    A policy corrects the burns. `progress` is called with the number flown so far after each block.
     """
     nodes, looks = mission.times_s, looks_of(mission)
-    sources = number_of_sources(mission, burns_m_s)
     blocks = []
     for begun in range(0, samples, BLOCK):
         flights = min(BLOCK, samples - begun)
-        draws = draw(seed, begun // BLOCK, sources)[:flights]
-        blocks.append(looked_at(mission, burns_m_s, looks, draws))
+        draws = draw_flights(mission, burns_m_s, seed, begun // BLOCK, policy=policy)[:flights]
+        blocks.append(looked_at(mission, burns_m_s, looks, draws, policy))
         if progress:
             progress(begun + flights)
     names = blocks[0].at_looks
@@ -155,9 +156,11 @@ def _margins(mission: Mission, times: Array, position: Array, names: list[str]) 
     return {name: found[name] for name in names}
 
 
-def looked_at(mission: Mission, burns_m_s: Array, looks: Array, draws: Array) -> LookedAt:
+def looked_at(
+    mission: Mission, burns_m_s: Array, looks: Array, draws: Array, policy: Policy = ()
+) -> LookedAt:
     """Fly draws of the errors, shape (flights, sources), and see what they keep."""
-    flown = fly_draws(mission, burns_m_s, looks, draws)
+    flown = fly_draws(mission, burns_m_s, looks, draws, policy=policy)
     states, flights = flown.states, len(draws)
     window = np.isin(looks, _times(mission, looks, ""))
     margins = _margins(mission, looks, states[..., :3], [SAFETY])
@@ -247,16 +250,19 @@ def _between(
 
 @dataclass(frozen=True)
 class WholeFlights:
-    """Flies draws of the errors with a plan's burns, J2000, m/s, shape (m, 3)."""
+    """Flies draws of the errors with a plan's burns, J2000, m/s, shape (m, 3), and its policy."""
 
     mission: Mission
     burns_m_s: Array
+    policy: Policy = ()
 
     def positions(self, draws: Array) -> Array:
         """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
         mission = self.mission
-        return fly_draws(mission, self.burns_m_s, mission.times_s, draws).states[..., :3]
+        times, policy = mission.times_s, self.policy
+        return fly_draws(mission, self.burns_m_s, times, draws, policy=policy).states[..., :3]
 
     def looked_at(self, draws: Array) -> LookedAt:
         """What they keep at the nodes and between them."""
-        return looked_at(self.mission, self.burns_m_s, looks_of(self.mission), draws)
+        looks = looks_of(self.mission)
+        return looked_at(self.mission, self.burns_m_s, looks, draws, self.policy)

@@ -1,0 +1,168 @@
+"""Flights that correct their burns: the closed loop's normal law, and open loop to the last bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from formulations.arrays import Array
+from formulations.linearisation.linearisation import Linearisation
+from formulations.problem.flyby import Iterate
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.sampling import (
+    BLOCK,
+    Flights,
+    draw,
+    draw_flights,
+    fly_block,
+    number_of_sources,
+)
+from scp_recon.results.policy import Policy, policy_of
+from scp_recon.results.solution import Solution
+from tests.scp_recon.support import mission_of
+
+BLOCKS = 8
+SPREAD = 0.08
+"""Of sampled variances of six components over the true ones: three standard deviations of the extreme
+ones among so many flights."""
+
+
+class Case(NamedTuple):
+    """A mission of small errors, a linearisation with gains, and their policy."""
+
+    mission: Mission
+    lin: Linearisation
+    burns_m_s: Array
+    policy: Policy
+
+    def fly(self, times_s: Array, block: int = 0) -> Flights:
+        mission, burns = self.mission, self.burns_m_s
+        return fly_block(mission, burns, times_s, block, policy=self.policy)
+
+
+def case_of(lead_s: float, solution: Solution, size: float = 0.03, kind: str = "feedback") -> Case:
+    """With random gains, whose corrections have `size` of the errors' usual effect.
+
+    The lead of 17,500 s has a cut-off before an earlier burn, that of 8000 s one at departure.
+    """
+    mission = mission_of(
+        *("uncertainty.initial_sigma_fraction=1e-4", "uncertainty.execution_error=3e-4"),
+        *("navigation.sigma_position_m=0.5", "navigation.sigma_velocity_m_s=3e-5"),
+        *(f"policy.kind={kind}", f"navigation.lead_s={lead_s}"),
+        *("boundary.final_sigma_velocity_m_s=1", "risk.allocation=exact"),
+    )
+    problem, speed = mission.problem, mission.units.speed_m_s
+    burns = solution.burns_m_s / speed
+    count = 0 if problem.feedback is None else problem.feedback.size
+    gains = size * 1e-3 / speed * np.random.default_rng(1).normal(size=count)
+    mean = mission.dynamics.rollout(problem.initial_state, burns)
+    lin = mission.dynamics.linearise(problem, Iterate(burns, mean, gains))
+    return Case(mission, lin, solution.burns_m_s, policy_of(mission, lin))
+
+
+def whitened(sampled: Array, factor: Array) -> Array:
+    """Eigenvalues of sampled deviations' (n, 6) covariance over that of a factor (6, c)."""
+    root = np.linalg.cholesky(factor @ factor.T)
+    values: Array = np.linalg.svd(np.linalg.solve(root, sampled.T), compute_uv=False)
+    return values**2 / len(sampled)
+
+
+@pytest.mark.parametrize(
+    ("kind", "lead_s"), [("open", 0.0), *(("feedback", t) for t in (0.0, 3600.0, 8000.0, 17_500.0))]
+)
+def test_flights_of_small_errors_have_the_closed_loops_covariance(
+    kind: str, lead_s: float, solution: Solution
+) -> None:
+    case = case_of(lead_s, solution, kind=kind)
+    mission, lin = case.mission, case.lin
+    nodes = [*mission.window_nodes[[0, -1]], mission.burn_nodes[2], len(mission.times_s) - 1]
+    times = mission.times_s[nodes]
+    flown = [case.fly(times, block) for block in range(BLOCKS)]
+    states = np.concatenate([one.states for one in flown], axis=1) / mission.units.state
+    commanded = np.concatenate([one.commanded_m_s for one in flown]) - case.burns_m_s
+    for row, node in enumerate(nodes):
+        found = whitened(states[row] - lin.iterate.mean[node], lin.factor[node])
+        np.testing.assert_allclose(found, 1.0, atol=SPREAD)
+    for j, one in enumerate(case.policy):
+        gains = lin.problem.gains_of(lin.iterate, j) * mission.units.speed_m_s
+        found = whitened(commanded[:, one.burn], gains)
+        np.testing.assert_allclose(found, 1.0, atol=SPREAD)
+
+
+def test_without_gains_flights_are_those_of_open_loop_to_the_last_bit(solution: Solution) -> None:
+    case = case_of(3600.0, solution, size=0.0)
+    assert len(case.policy) == 3
+    times = case.mission.times_s
+    corrected = case.fly(times)
+    alone = fly_block(case.mission, case.burns_m_s, times, 0)
+    np.testing.assert_array_equal(corrected.states, alone.states)
+    np.testing.assert_array_equal(corrected.burns_m_s, alone.burns_m_s)
+
+
+def test_measurements_draw_from_a_stream_of_their_own(solution: Solution) -> None:
+    case = case_of(3600.0, solution)
+    mission, burns = case.mission, case.burns_m_s
+    sources = number_of_sources(mission, burns)
+    draws = draw_flights(mission, burns, 5, 2, policy=case.policy)
+    assert draws.shape == (BLOCK, sources + 18)
+    np.testing.assert_array_equal(draws[:, :sources], draw(5, 2, sources))
+    assert len(np.unique(draws)) == draws.size
+
+
+def test_errors_of_execution_are_those_of_the_commanded_burn(solution: Solution) -> None:
+    case = case_of(3600.0, solution, size=300.0)
+    mission, burns = case.mission, case.burns_m_s
+    flown = case.fly(mission.times_s[-1:])
+    model = mission.problem.execution_errors
+    first, sources = mission.initial_factor.shape[1], number_of_sources(mission, burns)
+    executed = model.execute(flown.commanded_m_s, draw(0, 0, sources)[:, first:])
+    np.testing.assert_array_equal(flown.burns_m_s, executed)
+    assert np.ptp(flown.commanded_m_s[:, 0], axis=0).max() == 0.0
+    assert np.std(flown.commanded_m_s[:, 1:], axis=0).min() > 1e-3
+
+
+def test_what_policies_store_gives_kalmans_gain(solution: Solution) -> None:
+    """P R^-1 is the gain of the covariances before the update."""
+    case = case_of(3600.0, solution)
+    units = case.mission.units.state
+    for one, innovation in zip(case.policy, case.lin.spread.innovations, strict=True):
+        gain = np.linalg.solve(innovation.root.T, innovation.gain.T).T
+        np.testing.assert_allclose(
+            one.kalman_gain / units[:, None] * units, gain, rtol=1e-6, atol=1e-9
+        )
+
+
+def test_flights_count_what_corrected_burns_break(solution: Solution) -> None:
+    """Each limit and each burn for itself; a burn beyond its limit is flown as it is commanded."""
+    case = case_of(3600.0, solution, size=30.0)
+    mission, burns = case.mission, case.burns_m_s
+    flown = fly_many(FlightConfig(mission, burns, policy=case.policy), samples=BLOCK)
+    commanded = case.fly(mission.times_s[-1:]).commanded_m_s
+    sizes = np.linalg.norm(commanded, axis=2)
+    kept = (sizes <= mission.scenario.burns.dv_max_m_s).sum(axis=0)[[1, 2, 3]]
+    np.testing.assert_array_equal(flown.limits["dv_max"], kept)
+    assert 0 < kept[0] < BLOCK
+    toward = np.einsum("nmi,mi->nm", commanded, mission.problem.sun) / sizes
+    inside = np.abs(toward) > np.cos(mission.problem.dv_cone)
+    np.testing.assert_array_equal(flown.limits["dv_battery"], BLOCK - inside.sum(axis=0)[[1, 2, 3]])
+    total = sizes.sum(axis=1)
+    assert flown.commanded_dv.mean().value == pytest.approx(total.mean())
+    quantile = flown.commanded_dv.quantile(0.99)
+    assert quantile.low < np.quantile(total, 0.99) < quantile.high
+
+
+def test_a_measurement_of_nothing_corrects_nothing(solution: Solution) -> None:
+    """An estimate that never leaves zero leaves the burns as they are."""
+    case = case_of(3600.0, solution)
+    blind = tuple(
+        replace(one, measurement_covariance=1e24 * one.measurement_covariance)
+        for one in case.policy
+    )
+    flown = case._replace(policy=blind).fly(case.mission.times_s[-1:])
+    off = flown.commanded_m_s - case.burns_m_s
+    np.testing.assert_allclose(off, 0.0, atol=1e-9)
+    assert off.any()
