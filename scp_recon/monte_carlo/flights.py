@@ -22,6 +22,7 @@ from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, TruthModel, fly_block
+from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
@@ -31,6 +32,8 @@ LOOK_STEP_S = 60.0
 """Longest spacing of the times at which the window is looked at; crossings are then bisected."""
 
 TIME_BIN_S, DISTANCE_BIN_M = 0.5, 0.1
+DV_BIN = 1e-5
+"""Of commanded delta-v, over the most that is expected."""
 LIMITS = Limits(seconds=3600.0)
 """Limits of a block, which takes a second or less: one that takes longer hangs."""
 TERMINAL_KEPT = 5000
@@ -39,15 +42,16 @@ TERMINAL_KEPT = 5000
 PARTIAL, FLOWN = "montecarlo_partial.jsonl", "flights"
 COUNTS = ("samples", "whole", "full")
 SUMS = ("terminal", "terminal_sum", "terminal_outer")
-TALLIES = ("entry", "exit", "closest", "executed_dv")
-"""Fields of a `FlightTally` kept as numbers, as lists, and by their own fields."""
+BY_NAME = ("node_counts", "limits")
+TALLIES = ("entry", "exit", "closest", "executed_dv", "commanded_dv")
+"""Fields of a `FlightTally` kept as numbers, as lists, as lists by name, and by their own fields."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlightConfig:
     """Planned burns to fly, J2000, m/s, shape (m, 3), the true dynamics, and the seed of all draws.
 
-    Burns are executed with the scenario's errors if `errors` is None.
+    Burns are executed with the scenario's errors if `errors` is None. A policy corrects them.
 
     Raises:
         InputError: if seed, truth or errors are unknown, or cannot be flown in this scenario.
@@ -58,6 +62,7 @@ class FlightConfig:
     seed: int = 0
     truth: TruthModel = "planner"
     errors: ErrorModel | None = None
+    policy: Policy = ()
 
     def __post_init__(self) -> None:
         """Refuse inputs with which flights would fail, and another body's gravity."""
@@ -90,6 +95,8 @@ class FlightBlock:
     whole: int
     closest_m: Array
     executed_dv_m_s: Array
+    commanded_dv_m_s: Array
+    limits: dict[str, npt.NDArray[np.int64]]
     terminal: Array
 
 
@@ -107,6 +114,11 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
         seed=config.seed,
         truth=config.truth,
         errors=config.errors,
+        policy=config.policy,
+    )
+    corrected = [one.burn for one in config.policy]
+    margins = mission.problem.burn_margins(
+        flown.commanded_m_s.swapaxes(0, 1) / mission.units.speed_m_s
     )
     seen, nothing = flown.states[:-1], np.zeros(0)
     held = time_held(mission, looks, seen) if len(looks) else {}
@@ -125,6 +137,8 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
         whole=int(whole.sum()),
         closest_m=flown.closest_m,
         executed_dv_m_s=np.linalg.norm(flown.burns_m_s, axis=2).sum(axis=1),
+        commanded_dv_m_s=np.linalg.norm(flown.commanded_m_s, axis=2).sum(axis=1),
+        limits={name: (margin[corrected] >= 0.0).sum(axis=1) for name, margin in margins.items()},
         terminal=flown.states[-1],
     )
 
@@ -139,7 +153,8 @@ class FlightTally:
         entry, exit: first and last time at which all hold, of the flights in which they ever do.
         node_counts: flights in which each joint constraint holds, by time.
         whole: flights that keep every limit on the position at every sampled time.
-        closest, executed_dv: smallest distance from the body's centre, total delta-v.
+        closest, executed_dv, commanded_dv: smallest distance from the body's centre, total delta-v.
+        limits: flights in which each corrected burn keeps each limit on burns, shape (k,).
         terminal: final states of the first flights.
     """
 
@@ -153,6 +168,8 @@ class FlightTally:
     whole: int = 0
     closest: Tally = field(init=False)
     executed_dv: Tally = field(init=False)
+    commanded_dv: Tally = field(init=False)
+    limits: dict[str, npt.NDArray[np.int64]] = field(default_factory=dict)
     terminal: Array = field(default_factory=lambda: np.empty((0, 6)))
     terminal_sum: Array = field(default_factory=lambda: np.zeros(6))
     terminal_outer: Array = field(default_factory=lambda: np.zeros((6, 6)))
@@ -169,6 +186,9 @@ class FlightTally:
         self.entry = self.exit = Tally.empty(first, last, TIME_BIN_S)
         self.closest = Tally.empty(0.0, far, DISTANCE_BIN_M)
         self.executed_dv = Tally.empty(0.0, 3.0 * max(planned, 1e-9), planned / 1e4 or 1e-9)
+        # However small the planned burns are, corrected ones may be as large as their limit.
+        most = planned + self.config.mission.scenario.burns.dv_max_m_s * len(self.config.burns_m_s)
+        self.commanded_dv = Tally.empty(0.0, most, most * DV_BIN)
 
     def add(self, block: FlightBlock) -> None:
         """Count a block; blocks must come in order, so that sums round the same way every time."""
@@ -185,6 +205,9 @@ class FlightTally:
         self.whole += block.whole
         self.closest = self.closest.add(block.closest_m)
         self.executed_dv = self.executed_dv.add(block.executed_dv_m_s)
+        self.commanded_dv = self.commanded_dv.add(block.commanded_dv_m_s)
+        for name, counts in block.limits.items():
+            self.limits[name] = self.limits.get(name, np.zeros_like(counts)) + counts
         room = TERMINAL_KEPT - len(self.terminal)
         self.terminal = np.vstack([self.terminal, block.terminal[: max(room, 0)]])
         deviation = block.terminal - self.config.mission.final_state
@@ -303,8 +326,12 @@ def _taken_apart(flown: FlightTally) -> dict[str, Any]:
         **{name: getattr(flown, name).tolist() for name in SUMS},
         **{name: _tally(getattr(flown, name)) for name in TALLIES},
         "held": {name: _tally(tally) for name, tally in flown.held.items()},
-        "node_counts": {name: counts.tolist() for name, counts in flown.node_counts.items()},
+        **{name: _lists(getattr(flown, name)) for name in BY_NAME},
     }
+
+
+def _lists(counts: Mapping[str, npt.NDArray[np.int64]]) -> dict[str, list[int]]:
+    return {name: each.tolist() for name, each in counts.items()}
 
 
 def _tally(tally: Tally) -> dict[str, Any]:
@@ -334,5 +361,6 @@ def _put_together(row: Mapping[str, Any], config: FlightConfig) -> FlightTally:
     for name in TALLIES:
         setattr(flown, name, tally(getattr(flown, name), row[name]))
     flown.held = {name: tally(empty, row["held"][name]) for name, empty in flown.held.items()}
-    flown.node_counts = {name: np.array(counts) for name, counts in row["node_counts"].items()}
+    for name in BY_NAME:
+        setattr(flown, name, {key: np.array(counts) for key, counts in row[name].items()})
     return flown

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.special import chdtri
 
+from formulations.arrays import Array
 from scp_recon.files import write_atomically
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
 from scp_recon.monte_carlo.flights import FlightTally
@@ -27,6 +28,8 @@ COMPONENTS = ("x", "y", "z", "vx", "vy", "vz")
 """Of the final state, J2000."""
 ONE_SIGMA, TWO_SIGMA, CLOSEST = 0.15866, 0.02275, 0.003
 """Lower normal tails at one and two sigma; the paper's quantile of the closest approach."""
+MOST = 0.99
+"""Quantile of the commanded delta-v."""
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -158,10 +161,42 @@ class Terminal(Section):
     Attributes:
         sigma_ratio: sampled over predicted sigma, by component.
         normality: of each component.
+        sigma_position_m: root of the position's summed variances; null in older files.
+        sigma_velocity_m_s: the same of the velocity.
     """
 
     sigma_ratio: ByName[Interval]
     normality: ByName[Normality]
+    sigma_position_m: Interval | None = None
+    sigma_velocity_m_s: Interval | None = None
+
+
+class CorrectedBurn(Section):
+    """Probability that a corrected burn, as it is commanded, keeps each limit on burns.
+
+    Attributes:
+        burn: its number in the flight, from 1.
+        cut_off_s: of its measurement, past the epoch.
+        limits: by name, each for itself.
+    """
+
+    burn: Annotated[int, Field(ge=1)]
+    cut_off_s: float
+    limits: ByName[Interval]
+
+
+class Commanded(Section):
+    """What a policy of feedback commands.
+
+    Attributes:
+        mean_dv_m_s: of the sum of the commanded burns' sizes.
+        dv99_m_s: its 99 % quantile, between two order statistics.
+        burns: that are corrected.
+    """
+
+    mean_dv_m_s: Interval
+    dv99_m_s: Interval
+    burns: list[CorrectedBurn]
 
 
 class Summary(File):
@@ -183,6 +218,7 @@ class Summary(File):
         whole_flight: probability that a flight keeps every limit throughout.
         closest_m: least distance from the body's centre.
         executed_dv_m_s: sum of the executed burns' sizes.
+        commanded: burns as they are commanded, with feedback; absent without.
         terminal: final state.
     """
 
@@ -201,6 +237,7 @@ class Summary(File):
     whole_flight: Interval | None = None
     closest_m: ClosestApproach
     executed_dv_m_s: Spread
+    commanded: Commanded | None = None
     terminal: Terminal
 
     @model_validator(mode="after")
@@ -288,6 +325,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         ),
         executed_dv_m_s=Spread(**_spread(flown.executed_dv)),
         terminal=_terminal(flown, solution),
+        **({"commanded": _commanded(flown)} if config.policy else {}),
     )
 
 
@@ -320,6 +358,25 @@ def _held(flown: FlightTally, name: str) -> Held:
     )
 
 
+def _commanded(flown: FlightTally) -> Commanded:
+    first = 1 + flown.config.mission.scenario.burns_flown
+    return Commanded(
+        mean_dv_m_s=_interval(flown.commanded_dv.mean()),
+        dv99_m_s=_interval(flown.commanded_dv.quantile(MOST)),
+        burns=[
+            CorrectedBurn(
+                burn=first + one.burn,
+                cut_off_s=one.cut_off_s,
+                limits={
+                    name: _interval(proportion(int(counts[j]), flown.samples))
+                    for name, counts in flown.limits.items()
+                },
+            )
+            for j, one in enumerate(flown.config.policy)
+        ],
+    )
+
+
 def _spread(tally: Tally) -> dict[str, Any]:
     if not tally.samples:
         return {"samples": 0}
@@ -340,12 +397,11 @@ def _terminal(flown: FlightTally, solution: Solution) -> Terminal:
     """
     from scipy.stats import normaltest  # half a second to import, for reports only
 
-    n, kept = flown.samples, flown.terminal
+    n, kept, covariance = flown.samples, flown.terminal, flown.terminal_covariance()
     predicted = np.diag(np.array(solution.nodes.covariance[-1]))
     spread = np.flatnonzero((predicted > 0.0) & (kept.std(axis=0) > 0.0))
-    ratios = np.sqrt(np.diag(flown.terminal_covariance())[spread] / predicted[spread])
-    ends = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
-    low, high = (float(np.sqrt(chdtri(n - 1, 1.0 - p) / (n - 1))) for p in ends)
+    ratios = np.sqrt(np.diag(covariance)[spread] / predicted[spread])
+    low, high = _ends(n - 1)
     levels = (np.arange(1, 100) / 100.0).tolist()
     kept = kept[:, spread]
     standard = (kept - kept.mean(axis=0)) / kept.std(axis=0, ddof=1)
@@ -364,7 +420,30 @@ def _terminal(flown: FlightTally, solution: Solution) -> Terminal:
             )
             for i, name in enumerate(names)
         },
+        sigma_position_m=_size(covariance[:3, :3], n),
+        sigma_velocity_m_s=_size(covariance[3:, 3:], n),
     )
+
+
+def _size(covariance: Array, samples: int) -> Interval:
+    """Root of a sampled covariance's trace.
+
+    A trace is distributed as about chi-squared over its degrees of freedom, of which Welch and
+    Satterthwaite say how many it has.
+    """
+    trace = float(np.trace(covariance))
+    if trace <= 0.0:
+        return Interval(value=0.0, low=0.0, high=0.0)
+    low, high = _ends((samples - 1) * trace**2 / float(np.sum(covariance**2)))
+    size = float(np.sqrt(trace))
+    return Interval(value=size, low=size / low, high=size / high)
+
+
+def _ends(freedom: float) -> tuple[float, float]:
+    """What divides a sampled sigma at the lower and the upper end of its interval."""
+    tails = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
+    low, high = (float(np.sqrt(chdtri(freedom, 1.0 - p) / freedom)) for p in tails)
+    return low, high
 
 
 def required_probability(solution: Solution) -> float | None:
@@ -389,6 +468,11 @@ def shortfalls(summary: Summary, solution: Solution) -> list[str]:
         if name != ALL and _judged(lowest, solution) < required:
             value, at = lowest.estimate.value, lowest.worst_t_s
             found.append(f"{name} {value:.4f} at {at:.0f} s, required {required:g}")
+    for burn in summary.commanded.burns if summary.commanded else ():
+        for name, kept in burn.limits.items():
+            if _judged(kept, solution) < required:
+                value = kept.estimate.value
+                found.append(f"{name} of burn {burn.burn} {value:.4f}, required {required:g}")
     whole = summary.whole_flight
     flights = solution.scenario.risk.scope == "flight"
     if flights and whole is not None and _judged(whole, solution) < required:

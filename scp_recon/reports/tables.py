@@ -23,7 +23,7 @@ from scp_recon.results.table import Cell, Column, Table
 from scp_recon.verification.reintegration import FIGURES, limits_of
 
 if TYPE_CHECKING:
-    from scp_recon.monte_carlo.summary import Interval, Summary
+    from scp_recon.monte_carlo.summary import Commanded, Interval, Summary
     from scp_recon.simulation.record import FlightSummary
 
 AT = Column("at", "s", ".0f")
@@ -274,6 +274,26 @@ def flown_probabilities_table(summary: Summary, required: float | None) -> Table
         )
     columns = ("joint constraint", "lowest probability", AT, Column("required", form="g"))
     return Table.of("Lowest probabilities", columns, rows)
+
+
+def corrected_burns_table(commanded: Commanded, required: float | None) -> Table:
+    """How often each corrected burn keeps each limit on burns, with intervals."""
+    return Table.of(
+        "Corrected burns as commanded",
+        (
+            "burn",
+            Column("cut-off", "s", "g"),
+            "limit",
+            "probability that it holds",
+            Column("required", form="g"),
+        ),
+        (
+            [str(burn.burn), burn.cut_off_s, name, interval_cell(kept, 4), required]
+            for burn in commanded.burns
+            for name, kept in burn.limits.items()
+        ),
+        key="corrected_burns",
+    )
 
 
 def called(constraint: str) -> str:

@@ -38,6 +38,7 @@ from scp_recon.monte_carlo.summary import (
     too_wide,
 )
 from scp_recon.reports.tables import (
+    corrected_burns_table,
     flown_probabilities_table,
     interval_cell,
     legs_table,
@@ -145,6 +146,8 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
     if summary.held_s:
         console.print(terminal(observation_times_table(summary)))
     console.print(terminal(flown_probabilities_table(summary, asked)))
+    if summary.commanded is not None:
+        console.print(terminal(corrected_burns_table(summary.commanded, asked)))
     for label, spread, digits in (
         ("all hold from", summary.entry_s, 0),
         ("all hold until", summary.exit_s, 0),
@@ -152,6 +155,13 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
         ("executed delta-v m/s", summary.executed_dv_m_s, 5),
     ):
         _show_spread(console, label, spread, digits)
+    if summary.commanded is not None:
+        mean, most = summary.commanded.mean_dv_m_s, summary.commanded.dv99_m_s
+        console.print(
+            f"commanded delta-v m/s {interval_cell(mean, 5).text}; "
+            f"99 % of flights at most {interval_cell(most, 5).text}",
+            highlight=False,
+        )
     worst = interval_cell(summary.closest_m.worst, 1).text
     console.print(f"closest approach, 0.3 % quantile: {worst} m", highlight=False)
     _show_terminal(console, summary.terminal)
@@ -173,6 +183,10 @@ def _show_terminal(console: Console, terminal: Terminal) -> None:
     if not terminal.sigma_ratio:
         console.print("final state: no component spreads", highlight=False)
         return
+    if terminal.sigma_position_m is not None and terminal.sigma_velocity_m_s is not None:
+        position = interval_cell(terminal.sigma_position_m, 2).text
+        velocity = interval_cell(terminal.sigma_velocity_m_s, 5).text
+        console.print(f"final dispersion: {position} m, {velocity} m/s", highlight=False)
     ratios = ", ".join(
         f"{name} {interval_cell(r, 3).text}" for name, r in terminal.sigma_ratio.items()
     )

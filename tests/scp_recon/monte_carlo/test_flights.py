@@ -97,9 +97,9 @@ def test_command_writes_a_summary_beside_the_solution(
 def test_without_uncertainty_nothing_spreads_and_the_report_is_json(
     mission: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    none = {"initial_sigma_fraction": 0.0, "execution_error": 0.0}
+    known = {"initial_sigma_fraction": 0.0, "execution_error": 0.0}
     certain = Mission.from_scenario(
-        mission.scenario.model_copy(update={"uncertainty": Uncertainty(**none)})
+        mission.scenario.model_copy(update={"uncertainty": Uncertainty(**known)})
     )
     make_solution(plan(certain, initial_guess.cold(certain))).write(tmp_path)
     assert montecarlo.main([str(tmp_path), "--samples", "50"]) == 0
@@ -109,7 +109,9 @@ def test_without_uncertainty_nothing_spreads_and_the_report_is_json(
 
     text = (tmp_path / FILE_NAME).read_text("utf-8")
     report = json.loads(text, parse_constant=no_constant)
-    assert report["terminal"] == {"sigma_ratio": {}, "normality": {}}
+    none = dict.fromkeys(("value", "low", "high"), 0.0)
+    sizes = {"sigma_position_m": none, "sigma_velocity_m_s": none}
+    assert report["terminal"] == {"sigma_ratio": {}, "normality": {}, **sizes}
     assert "no component spreads" in capsys.readouterr().out
 
 
