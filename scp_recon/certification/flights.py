@@ -29,6 +29,7 @@ from scp_recon.monte_carlo.estimates import (
 from scp_recon.monte_carlo.law import Law, fly_strata, survey
 from scp_recon.monte_carlo.whole_flight import KeptFlights, WholeFlights, kept_flights
 from scp_recon.planning.plan import Certificate, Plan
+from scp_recon.results.policy import Policy, policy_of
 
 LOOK_WIDTH, ROUND_WIDTH = 0.97, 1.5
 """Widths of intervals of flights in strata over those of plain flights: a look's is no wider. A round's
@@ -164,7 +165,7 @@ def _fly(
         if found is not None:
             return found
     seen = partial(watch, step, plan, samples) if watch else None
-    flown = kept_flights(plan.mission, plan.burns_m_s, samples, seed, seen)
+    flown = kept_flights(plan.mission, plan.burns_m_s, samples, seed, seen, _policy(plan))
     return kept_of(plan.mission, flown), flown.touched_s
 
 
@@ -173,7 +174,7 @@ def _fly_strata(
 ) -> tuple[Kept, Array] | None:
     """Fly in strata of the law's margin; None where so many plain flights are quicker."""
     law = Law.of(plan.final.result.lin, plan.mission.units.length_m)
-    flights = WholeFlights(plan.mission, plan.burns_m_s)
+    flights = WholeFlights(plan.mission, plan.burns_m_s, _policy(plan))
     known = survey(law, flights, seed)
     reached = look_interval(round((1.0 - known.failed) * samples), samples)
     widths = width * (reached.value - reached.low), width * (reached.high - reached.value)
@@ -184,3 +185,7 @@ def _fly_strata(
     worth = flown.whole.equivalent
     at_nodes, throughout = ((1.0 - of.failed) * worth for of in (flown.at_nodes, flown.whole))
     return Kept(at_nodes, throughout, worth, flown.whole), flown.touched_s
+
+
+def _policy(plan: Plan) -> Policy:
+    return policy_of(plan.mission, plan.final.result.lin)

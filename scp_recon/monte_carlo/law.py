@@ -53,8 +53,11 @@ class Law:
 
     @classmethod
     def of(cls, lin: Linearisation, length_m: float) -> Law:
-        """The law at an iterate, with a column for each number that its flights draw."""
-        mean, factor = lin.iterate.mean[:, :3], lin.factor[:, :3]
+        """The law at an iterate, with a column for each number that its flights draw.
+
+        Errors of executing a correction are products of two numbers, and have no column.
+        """
+        mean, factor = lin.iterate.mean[:, :3], _drawn(lin)[:, :3]
         events = joint_events(lin.problem.constraints)
         return cls(mean, factor, limits_within(events, mean, REACH * factor), length_m)
 
@@ -86,6 +89,20 @@ class Law:
         signed += [(-1.0, limit) for limit in self.limits.outer]
         parts = [sign * limit.region.inside(positions(limit.nodes)) for sign, limit in signed]
         return self.length_m * np.concatenate(parts).min(axis=0) if parts else np.array(np.inf)
+
+
+def _drawn(lin: Linearisation) -> Array:
+    """The factor's columns of what flights draw, in their order, shape (n_nodes, 6, sources)."""
+    problem, factor = lin.problem, lin.factor
+    if problem.feedback is None:
+        return factor
+    drawn = [factor[..., : problem.shared_columns.stop]]
+    drawn += [factor[..., problem.columns_of_burn(burn)] for burn in range(problem.n_burns)]
+    for j, measurement in enumerate(problem.feedback.measurement):
+        # Flights draw with the triangular root of the measurement's covariance.
+        turned = np.linalg.solve(np.linalg.cholesky(measurement @ measurement.T), measurement)
+        drawn.append(factor[..., problem.columns_of_correction(j)[1]] @ turned.T)
+    return np.concatenate(drawn, axis=2)
 
 
 class Flights(Protocol):

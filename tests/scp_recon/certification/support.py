@@ -17,6 +17,7 @@ from scp_recon.monte_carlo.whole_flight import KeptFlights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
+from scp_recon.results.policy import Policy
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
 
@@ -81,6 +82,7 @@ class World:
         samples: int,
         seed: int,
         progress: Callable[[int], None] | None = None,
+        _policy: Policy = (),
     ) -> KeptFlights:
         """Flights of the plan with such burns."""
         aim = np.linalg.norm(burns_m_s) / np.linalg.norm(self.real.burns_m_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
+from scp_recon.monte_carlo.law import Law
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
     Flights,
@@ -21,10 +23,12 @@ from scp_recon.monte_carlo.sampling import (
     fly_block,
     number_of_sources,
 )
+from scp_recon.monte_carlo.whole_flight import WholeFlights
 from scp_recon.results.policy import Policy, policy_of
 from scp_recon.results.solution import Solution
 from tests.scp_recon.support import mission_of
 
+SIGMAS = "navigation.sigma_position_m=0.5", "navigation.sigma_velocity_m_s=3e-5"
 BLOCKS = 8
 SPREAD = 0.08
 """Of sampled variances of six components over the true ones: three standard deviations of the extreme
@@ -45,7 +49,12 @@ class Case(NamedTuple):
 
 
 def case_of(
-    lead_s: float, solution: Solution, *words: str, size: float = 0.03, kind: str = "feedback"
+    lead_s: float,
+    solution: Solution,
+    *words: str,
+    size: float = 0.03,
+    kind: str = "feedback",
+    measured: Sequence[str] = SIGMAS,
 ) -> Case:
     """With random gains, whose corrections have `size` of the errors' usual effect.
 
@@ -53,7 +62,7 @@ def case_of(
     """
     mission = mission_of(
         *("uncertainty.initial_sigma_fraction=1e-4", "uncertainty.execution_error=3e-4"),
-        *("navigation.sigma_position_m=0.5", "navigation.sigma_velocity_m_s=3e-5"),
+        *measured,
         *(f"policy.kind={kind}", f"navigation.lead_s={lead_s}"),
         *("boundary.final_sigma_velocity_m_s=1", "risk.allocation=exact", *words),
     )
@@ -93,6 +102,26 @@ def test_flights_of_small_errors_have_the_closed_loops_covariance(
         gains = lin.problem.gains_of(lin.iterate, j) * mission.units.speed_m_s
         found = whitened(commanded[:, one.burn], gains)
         np.testing.assert_allclose(found, 1.0, atol=SPREAD)
+
+
+@pytest.mark.parametrize("frame", ["", "rtn"])
+def test_the_law_has_the_numbers_that_corrected_flights_draw(
+    solution: Solution, frame: str
+) -> None:
+    """Positions by its columns are those flown, but for what executing corrections adds."""
+    along = np.diag([0.5, 0.2, 1.0, 3e-5, 1e-5, 6e-5]) ** 2
+    along[0, 4] = along[4, 0] = -0.9 * np.sqrt(along[0, 0] * along[4, 4])
+    case = case_of(3600.0, solution)
+    if frame:
+        words = f"navigation.covariance={along.tolist()}", f"navigation.frame={frame}"
+        case = case_of(3600.0, solution, *words, measured=())
+    mission, law = case.mission, Law.of(case.lin, case.mission.units.length_m)
+    draws = draw_flights(mission, case.burns_m_s, 0, 0, policy=case.policy)[:50]
+    assert draws.shape[1] == law.sources
+    flights = WholeFlights(mission, case.burns_m_s, case.policy)
+    flown = flights.positions(draws) / law.length_m - law.mean[:, None]
+    linear = np.einsum("nic,fc->nfi", law.factor, draws)
+    np.testing.assert_allclose(flown, linear, atol=0.03 * np.abs(linear).max())
 
 
 def test_without_gains_flights_are_those_of_open_loop_to_the_last_bit(solution: Solution) -> None:
