@@ -29,8 +29,9 @@ from formulations.rows.node_probability import LEAST, Event, Quantiles, node_qua
 
 SIZE, BATTERY = "dv_max_corrected", "dv_battery_corrected"
 
-CERTAIN = 1e-9
-"""Standard deviation that is added to each component, so that certain burns have a gradient."""
+CERTAIN, LEAN = 1e-9, 1e-6
+"""Standard deviation that is added to each component, so that certain burns have a gradient, and its
+least share in the correction's, so that corrections along a line have one."""
 
 SCALE = 1e6
 """Of velocities in `node_quantiles`, whose own addition then does not count."""
@@ -125,9 +126,10 @@ def _factors(problem: FlybyProblem, lin: Linearisation) -> Array:
     assert problem.feedback is not None
     k = len(problem.feedback.burns)
     factor = np.zeros((k, 3, 6 * k + 3))
-    factor[:, :, 6 * k :] = CERTAIN * np.eye(3)
     for j in range(k):
-        factor[j, :, : 6 * (j + 1)] = problem.gains_of(lin.iterate, j)
+        gains = problem.gains_of(lin.iterate, j)
+        factor[j, :, : 6 * (j + 1)] = gains
+        factor[j, :, 6 * k :] = max(CERTAIN, LEAN * float(np.linalg.norm(gains))) * np.eye(3)
     return factor
 
 
