@@ -65,9 +65,7 @@ LAST_TOO = "boundary.final_sigma_velocity_m_s=0.5"
 @pytest.fixture(scope="module")
 def solution() -> Solution:
     mission = mission_of(*MEASURED, EXPECTED, "navigation.lead_s=3600")
-    found = plan(mission, initial_guess.cold(mission))
-    # Its primer is not what is tested here.
-    return make_solution(replace(found, provenance=replace(found.provenance, method="none")))
+    return make_solution(plan(mission, initial_guess.cold(mission)))
 
 
 @pytest.fixture(scope="module")
