@@ -157,7 +157,12 @@ def fly_draws(
 
 
 def sample_positions(
-    mission: Mission, burns_m_s: Array, times_s: Array, samples: int, seed: int = 0
+    mission: Mission,
+    burns_m_s: Array,
+    times_s: Array,
+    samples: int,
+    seed: int = 0,
+    policy: Policy = (),
 ) -> Array:
     """Positions of flights with the planner's dynamics, J2000, m, shape (times, samples, 3)."""
     blocks = [
@@ -168,6 +173,7 @@ def sample_positions(
             first // BLOCK,
             flights=min(BLOCK, samples - first),
             seed=seed,
+            policy=policy,
         ).states[..., :3]
         for first in range(0, samples, BLOCK)
     ]

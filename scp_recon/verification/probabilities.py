@@ -14,6 +14,7 @@ from scp_recon.monte_carlo.sampling import fly_block, sample_positions
 from scp_recon.monte_carlo.whole_flight import SAFETY
 from scp_recon.results.facts import FinalSigma, JointProbability, Risk
 from scp_recon.results.figures import FINAL_SIGMAS, final_sigma_limits
+from scp_recon.results.policy import Policy
 from scp_recon.results.solution import Solution
 
 SAMPLES, SEED = 10_000, 0
@@ -81,7 +82,9 @@ def _bears_out(required: float, risk: Risk, probabilities: list[JointProbability
     return bool(-ERRORS * error - BETWEEN * (1.0 - required) <= off <= ERRORS * error)
 
 
-def joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability]:
+def joint_probabilities(
+    mission: Mission, burns: Array, policy: Policy = ()
+) -> list[JointProbability]:
     """Estimate joint probabilities by Monte Carlo, in the window at nodes and between, safety at nodes.
 
     And of whole flights, where they are what was asked.
@@ -91,7 +94,7 @@ def joint_probabilities(mission: Mission, burns: Array) -> list[JointProbability
     between = (window[:-1, None] + step * np.arange(1, SAMPLED_PARTS_PER_ARC)).ravel()
     observed = np.union1d(window, between)
     times = np.union1d(observed, mission.times_s)
-    positions = sample_positions(mission, burns, times, SAMPLES, SEED)
+    positions = sample_positions(mission, burns, times, SAMPLES, SEED, policy)
     seen = np.searchsorted(times, observed)
     kept = held(mission, times, positions, seen)
     found = [_worst(name, at, those) for name, (at, those) in kept.items()]
@@ -134,13 +137,17 @@ def _worst(name: str, times: Array, holds: Booleans) -> JointProbability:
     return JointProbability(name, float(times[at]), *proportion(int(counts[at]), holds.shape[1]))
 
 
-def flown_sigmas(mission: Mission, burns: Array, seed: int) -> list[FinalSigma]:
+def flown_sigmas(
+    mission: Mission, burns: Array, seed: int, policy: Policy = ()
+) -> list[FinalSigma]:
     """The roots of nonlinear flights, with the standard error of their number."""
     limits, found = final_sigma_limits(mission), []
     if not limits:
         return []
     end = mission.times_s[-1:]
-    blocks = [fly_block(mission, burns, end, number, seed=seed) for number in range(BLOCKS)]
+    blocks = [
+        fly_block(mission, burns, end, number, seed=seed, policy=policy) for number in range(BLOCKS)
+    ]
     states = np.concatenate([flown.states[-1] for flown in blocks])
     for name, part, unit in FINAL_SIGMAS:
         if name in limits:

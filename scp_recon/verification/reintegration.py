@@ -84,12 +84,12 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     final = np.abs(flown.states[-1] - mission.final_state)
     missed = None if mission.must_meet else final_miss(mission, final)
     margins = [*_burn_margins(mission, burns), *_mean_margins(mission, flown)]
-    probabilities = joint_probabilities(mission, burns)
+    probabilities = joint_probabilities(mission, burns, policy)
     figures = {
         "terminal_position_error_m": _finite(np.linalg.norm(final[:3])),
         "terminal_velocity_error_m_s": _finite(np.linalg.norm(final[3:])),
         "max_defect": _finite(defects.max()),
-        "sample_error_m": _sample_error(mission, burns),
+        "sample_error_m": _sample_error(mission, burns, policy),
         "covariance_error": _covariance_error(mission, stored, flown.covariances[at_nodes]),
     }
     if policy:
@@ -110,7 +110,7 @@ def verify(mission: Mission, solution: Solution) -> Verification:
     sigmas: list[FinalSigma] = []
     if solution.problem == "P2":
         failed += shortfalls(mission, solution, probabilities)
-        sigmas = flown_sigmas(mission, burns, SEED)
+        sigmas = flown_sigmas(mission, burns, SEED, policy)
         failed += exceeded(sigmas)
     return Verification(
         **figures,
@@ -233,10 +233,10 @@ def variational_rate(y: Array, forces: ForceModel) -> Array:
     return np.concatenate([y[3:6], columns.real[:, 0], stm_rate.ravel()])
 
 
-def _sample_error(mission: Mission, burns: Array) -> float:
+def _sample_error(mission: Mission, burns: Array, policy: Policy) -> float:
     """Largest difference of some sampled flights from the adaptive integration of the same, m."""
     times = mission.times_s[[0, *mission.window_nodes, -1]]
-    sampled = fly_block(mission, burns, times, 0, flights=FLIGHTS_CHECKED, seed=SEED)
+    sampled = fly_block(mission, burns, times, 0, flights=FLIGHTS_CHECKED, seed=SEED, policy=policy)
     errors = []
     for i, executed in enumerate(sampled.burns_m_s):
         initial = sampled.states[0, i].copy()
