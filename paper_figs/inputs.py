@@ -146,7 +146,8 @@ def own_plan(home: Path) -> Runs:
 
 
 def _fly(mission: Mission, solution: Solution) -> Summary:
-    return summarise(fly_many(FlightConfig(mission, solution.burns_m_s), samples=FLIGHTS), solution)
+    config = FlightConfig(mission, solution.burns_m_s, policy=solution.corrections)
+    return summarise(fly_many(config, samples=FLIGHTS), solution)
 
 
 def _flown(folder: Path, key: str, label: str) -> Flown:

@@ -179,8 +179,8 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
 
 
 def _config(plan: Opened, options: FlyOptions) -> FlightConfig:
-    burns = plan.solution.burns_m_s
-    return FlightConfig(plan.mission, burns, options.seed, options.truth, options.errors)
+    burns, policy = plan.solution.burns_m_s, plan.solution.corrections
+    return FlightConfig(plan.mission, burns, options.seed, options.truth, options.errors, policy)
 
 
 def _fly(

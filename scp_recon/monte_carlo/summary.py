@@ -304,7 +304,9 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
     """
     config = flown.config
     same_burns = np.array_equal(config.burns_m_s, solution.burns_m_s)
-    if not same_burns or config.mission.scenario != solution.scenario:
+    gains, planned = ([one.gains for one in of] for of in (config.policy, solution.corrections))
+    same_gains = len(gains) == len(planned) and all(map(np.array_equal, gains, planned))
+    if not same_burns or not same_gains or config.mission.scenario != solution.scenario:
         raise ValueError("the flights are of another plan than the solution's")
     return Summary(
         plan_hash=solution.plan_hash,

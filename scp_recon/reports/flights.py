@@ -66,12 +66,13 @@ class Flown:
 def fly(subject: Subject, samples: int = SAMPLES) -> Flown:
     """Fly a plan at its nodes' times and at even ones in the window."""
     mission, burns = subject.mission, subject.solution.burns_m_s
+    policy = subject.solution.corrections
     first, last = subject.window_s
     times = np.union1d(mission.times_s, subject.looks_s(LOOKS_IN_WINDOW))
     positions, executed = [], []
     for number in range(-(-samples // BLOCK)):
         flights = min(BLOCK, samples - number * BLOCK)
-        block = fly_block(mission, burns, times, number, flights=flights, seed=SEED)
+        block = fly_block(mission, burns, times, number, flights=flights, seed=SEED, policy=policy)
         positions.append(block.states[..., :3])
         executed.append(np.linalg.norm(block.burns_m_s, axis=2))
     window = np.flatnonzero((times >= first) & (times <= last))

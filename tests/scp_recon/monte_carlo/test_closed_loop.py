@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,9 @@ import pytest
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
+from formulations.program.subproblem import MeritFunction
+from formulations.rows.uniform import DeterministicRows
+from scp_recon.cli.commands import montecarlo
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.law import Law
@@ -23,9 +27,13 @@ from scp_recon.monte_carlo.sampling import (
     fly_block,
     number_of_sources,
 )
+from scp_recon.monte_carlo.summary import read_summary, summarise
 from scp_recon.monte_carlo.whole_flight import WholeFlights
+from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.results.policy import Policy, policy_of
-from scp_recon.results.solution import Solution
+from scp_recon.results.solution import Solution, make_solution
+from scp_recon.scp.loop import Result, Timing
+from scp_recon.scp.status import Status
 from tests.scp_recon.support import mission_of
 
 SIGMAS = "navigation.sigma_position_m=0.5", "navigation.sigma_velocity_m_s=3e-5"
@@ -198,3 +206,48 @@ def test_a_measurement_of_nothing_corrects_nothing(solution: Solution) -> None:
     off = flown.commanded_m_s - case.burns_m_s
     np.testing.assert_allclose(off, 0.0, atol=1e-9)
     assert off.any()
+
+
+@pytest.fixture(scope="module")
+def corrected(solution: Solution) -> Solution:
+    """A plan's file with gains."""
+    case = case_of(3600.0, solution)
+    merit = MeritFunction(case.lin.problem, DeterministicRows(case.lin.problem))
+    stage = Stage("P2", Result(Status.CONVERGED, case.lin, (), Timing()), merit, None, 1e-6)
+    provenance = Provenance("condensed", "scvx", "clarabel", "given")
+    return make_solution(Plan(case.mission, provenance, (stage,), stage, Timing(), 0.0))
+
+
+def test_the_command_flies_what_the_file_stores(
+    corrected: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    corrected.write(tmp_path)
+    montecarlo.main([str(tmp_path), "--samples=2000"])
+    shown = capsys.readouterr().out
+    assert "dv_battery" in shown
+    assert "commanded delta-v m/s" in shown
+    commanded = read_summary(tmp_path).commanded
+    assert commanded is not None
+    assert [burn.burn for burn in commanded.burns] == [2, 3, 4]
+    flown = [
+        np.linalg.norm(
+            fly_block(
+                corrected.mission,
+                corrected.burns_m_s,
+                corrected.mission.times_s[-1:],
+                block,
+                policy=corrected.corrections,
+            ).commanded_m_s,
+            axis=2,
+        ).sum(axis=1)
+        for block in range(2)
+    ]
+    assert commanded.mean_dv_m_s.value == pytest.approx(np.mean(flown), rel=1e-9)
+    assert commanded.dv99_m_s.value == pytest.approx(np.quantile(flown, 0.99), abs=2e-5)
+    assert commanded.dv99_m_s.low < np.quantile(flown, 0.99) < commanded.dv99_m_s.high
+
+
+def test_flights_of_other_gains_are_another_plans(corrected: Solution) -> None:
+    open_loop = FlightConfig(corrected.mission, corrected.burns_m_s)
+    with pytest.raises(ValueError, match="another plan"):
+        summarise(fly_many(open_loop, samples=20), corrected)
