@@ -24,6 +24,7 @@ from formulations.problem.execution_errors import (
 from formulations.problem.feedback import Cost
 from formulations.program.multipliers import adjoint, multipliers, primer, slope_left
 from formulations.program.subproblem import MeritFunction
+from formulations.registry import make_subproblem
 from formulations.rows.cones import Rows
 from formulations.rows.corrected_burns import CorrectedBurns
 from formulations.rows.exact import NodeRows
@@ -185,3 +186,37 @@ def test_multipliers_are_the_best_signed_ones_of_what_binds(
     assert found[6:].min() >= -1e-12
     assert np.abs(against[np.abs(found) > 1e-6]).max() < scale
     assert np.all(against[6:][binding[6:]] > -scale)
+
+
+def test_where_steps_end_that_lower_the_merit_the_slope_left_certifies_burns_and_gains() -> None:
+    """From 0.94 at a start of random gains."""
+    rng = np.random.default_rng(11)
+    flyby = random_flyby(rng, nodes=5, burns=3, curvature=0.01)
+    flyby = constrain(rng, flyby, ("in",)).corrected(rng, "expected")
+    problem = flyby.problem
+    assert problem.feedback is not None
+    quieter = replace(problem.feedback, measurement=0.3 * problem.feedback.measurement)
+    problem = replace(problem, feedback=quieter)
+
+    def flown(burns: Array, gains: Array) -> Linearisation:
+        iterate = replace(flyby.waves.rollout(problem, burns), gains=gains)
+        return flyby.waves.linearise(problem, iterate)
+
+    def left(lin: Linearisation) -> float:
+        return slope_left(problem, rows, lin, multipliers(problem, rows, lin))
+
+    lin = flown(flyby.burns, 0.1 * rng.normal(size=quieter.size))
+    rows = every_row(lin, "P2", 6)
+    subproblem, weight, radius = make_subproblem(problem, rows), 30.0, 0.3
+    assert left(lin) > 0.5
+    for _ in range(16):
+        subproblem.update(lin)
+        step = subproblem.solve(radius, weight)
+        before, after = subproblem.merit(lin, weight), flown(step.burns, step.gains)
+        gained = before - subproblem.merit(after, weight)
+        if gained > 0.1 * (before - step.merit):
+            lin = after
+        radius = radius / 3.0 if gained < 0.1 * (before - step.merit) else min(2.0 * radius, 1.0)
+    assert subproblem.merit.worst_violation(lin) < 1e-9
+    assert np.abs(lin.iterate.gains).max() > 0.01
+    assert left(lin) < 2e-4
