@@ -175,6 +175,8 @@ QUICK = {
     f"{SOLVE} --set 'boundary.frame=\"j2000\"'": P3,
     f"{SOLVE} --out DIR": Quick(IN_P3),
     f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": Quick("--certify no"),
+    f"{SOLVE} --set 'policy.kind=\"feedback\"' --set navigation.lead_s=0 "
+    "--set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005": PLAIN,
     f"{EXACT} --objective probability --dv-budget 0.115": Quick(
         "--certify no", less=(("scp_recon.api.planning.Search", lambda s: partial(s, close=1.0)),)
     ),

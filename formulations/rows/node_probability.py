@@ -35,6 +35,10 @@ SPREAD_MIN = 1e-6
 counts as no violation. Without it a flight that cannot err would have no gradient."""
 
 
+ROUNDING = 1e-14
+"""Share of the variance that rounding may take from a direction across it."""
+
+
 class Quantiles(NamedTuple):
     """g at n nodes, (n,), its derivatives in mean position, (n, 3), and in factor, (n, 3, c)."""
 
@@ -120,7 +124,10 @@ def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
         ValueError: if the event's limits are not nested.
     """
     event.check_nested()
-    covariance = factor @ factor.swapaxes(1, 2) + SPREAD_MIN**2 * np.eye(3)
+    covariance = factor @ factor.swapaxes(1, 2)
+    # A spread in one direction alone leaves nothing but rounding across it.
+    least = SPREAD_MIN**2 + ROUNDING * np.trace(covariance, axis1=1, axis2=2)
+    covariance += least[:, None, None] * np.eye(3)
     normals, offsets = event.facets(position)
     sigmas = np.sqrt(np.einsum("lni,nij,lnj->ln", normals, covariance, normals))
     values = (offsets - np.einsum("lni,ni->ln", normals, position)) / sigmas
