@@ -44,7 +44,12 @@ TINY = 1e-300
 
 
 class Valued(NamedTuple):
-    """A function of all controls and its gradient by them, shape (controls,)."""
+    """A function of all controls.
+
+    Attributes:
+        value: at an iterate.
+        gradient: by the controls, shape (controls,).
+    """
 
     value: float
     gradient: Array

@@ -264,7 +264,7 @@ class FlightRows(ExactRows):
         following = slope(np.zeros(len(lin.controls)))
         following[burns] = 0.0
         for _ in range(LANCZOS if self.problem.feedback is not None else 0):
-            basis = np.array(along)
+            basis = np.reshape(along, (-1, len(lin.controls)))
             following = following - basis.T @ (basis @ following)
             size = float(np.linalg.norm(following))
             if size < ENDS_MIN:
@@ -272,7 +272,8 @@ class FlightRows(ExactRows):
             along.append(following / size)
             left.append(differs(along[-1]))
             following = left[-1].copy()
-        return np.array(along).T, np.array(left).T
+        shape = -1, len(lin.controls)
+        return np.reshape(along, shape).T, np.reshape(left, shape).T
 
 
 def _keeping_final_state(lin: Linearisation) -> Array:

@@ -11,6 +11,21 @@ from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 
 
+def felt_cut_offs_s(scenario: Scenario, window_s: tuple[float, float]) -> dict[int, float]:
+    """`cut_offs_s` of the burns that the window feels, or limits at the end.
+
+    A burn after the window serves only to make up for what an earlier correction spends, by the sum's
+    99 % quantile: the merit is flat in such gains, and not convex where the burn itself is small. With
+    none before the window's end, all.
+    """
+    found, boundary = cut_offs_s(scenario), scenario.boundary
+    limits = boundary.final_sigma_position_m, boundary.final_sigma_velocity_m_s
+    if limits != (None, None):
+        return found
+    times = scenario.burn_times_s
+    return {burn: at for burn, at in found.items() if times[burn] < window_s[1]} or found
+
+
 def cut_offs_s(scenario: Scenario) -> dict[int, float]:
     """Cut-off of each corrected burn, s, by its number from 0 among the burns to be planned.
 

@@ -21,7 +21,7 @@ from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.checks import check_plausible, check_scene, check_state, check_window
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
-from scp_recon.mission.feedback import check_feedback, cut_offs_s
+from scp_recon.mission.feedback import check_feedback, felt_cut_offs_s
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import Scene, execution_errors, truth_field
 from scp_recon.mission.schedule import (
@@ -106,7 +106,7 @@ class Mission:
         execution_errors(scenario)
         warnings += check_state(scene)
         initial, start = scene.initial_state, scenario.start_s
-        burns_s = *scenario.burn_times_s, *cut_offs_s(scenario).values()
+        burns_s = *scenario.burn_times_s, *felt_cut_offs_s(scenario, window).values()
         fixed = start, *burns_s, *window, *scenario.grid.nodes_s
         return cls(
             scenario=scenario,
@@ -201,7 +201,7 @@ class Mission:
     @cached_property
     def feedback(self) -> Feedback | None:
         """What corrected burns know, nondimensional; None where there are none."""
-        cut_offs = cut_offs_s(self.scenario)
+        cut_offs = felt_cut_offs_s(self.scenario, self.schedule.window_s)
         if not cut_offs:
             return None
         nodes = np.searchsorted(self.times_s, list(cut_offs.values()))
