@@ -9,6 +9,7 @@ from pathlib import Path
 from scp_recon.api.inputs import scenario_of
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanObserver, plan_mission
+from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult, explain_failure
 from scp_recon.passes.design import Designer, Trial
@@ -88,6 +89,7 @@ def design_options(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
     Raises:
         InputError: if flights cannot certify it.
     """
+    require_open_loop(scenario, "solve and montecarlo; not yet with design")
     exact = scenario.risk.allocation == "exact"
     options = PlanOptions(facet_rounds=0 if exact else FACET_ROUNDS, certify=certify)
     options.check(scenario)

@@ -20,6 +20,7 @@ from scp_recon.errors import (
     whole_number,
 )
 from scp_recon.files import check_writable, only_run_in, unwritable
+from scp_recon.mission.feedback import require_open_loop
 from scp_recon.monte_carlo.flights import (
     LIMITS,
     SAMPLES_MAX,
@@ -232,5 +233,6 @@ def simulate(
     solution = solution_of(plan)
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
     require_whole_flight(solution.scenario, "plan")
+    require_open_loop(solution.scenario, "solve and montecarlo; not yet with simulate")
     flight = simulation.simulate(solution, craft, seed, progress=progress)
     return records.make_record(flight, solution, seed)

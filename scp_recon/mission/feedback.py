@@ -88,6 +88,16 @@ def check_feedback(scenario: Scenario) -> None:
         )
 
 
+def require_open_loop(scenario: Scenario, needs: str) -> None:
+    """Refuse feedback where gains do not go.
+
+    Raises:
+        InputError: if the policy is feedback.
+    """
+    if scenario.policy.kind == "feedback":
+        raise InputError("policy.kind", "'feedback'", f"goes with {needs}")
+
+
 def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
     """Warn of burns that feedback would correct if their cut-off did not precede departure."""
     scenario = scene.scenario

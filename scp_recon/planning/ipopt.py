@@ -19,6 +19,7 @@ from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError, option
+from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import acceleration
@@ -26,7 +27,6 @@ from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import (
     CLEARANCE_M,
     require_no_final_limit,
-    require_open_loop,
     screened,
 )
 from scp_recon.planning.stages import Observer, StageRunner
@@ -81,7 +81,7 @@ def plan(
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
     require_no_final_limit(mission, f"{option('method', 'scp')} only")
-    require_open_loop(mission, f"{option('method', 'scp')} only")
+    require_open_loop(mission.scenario, f"{option('method', 'scp')} only")
     arcs = casadi_arcs(mission.dynamics)
     runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
     algorithm = "interior point, elastic" if elastic else "interior point"

@@ -21,6 +21,7 @@ from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
+from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
@@ -130,7 +131,7 @@ class Planner:
         if formulation not in FULL:
             needs = f"the formulations {' and '.join(FULL)}, not with {formulation}"
             require_no_final_limit(mission, needs)
-            require_open_loop(mission, needs)
+            require_open_loop(mission.scenario, needs)
         self._formulation = formulation
         self._p2_rows: ChanceRows | None = None
         self._exact_rows: Sequence[tuple[str, Rows]] = ()
@@ -305,13 +306,3 @@ def require_no_final_limit(mission: Mission, needs: str) -> None:
     for name, limit in limits.items():
         if limit is not None:
             raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")
-
-
-def require_open_loop(mission: Mission, needs: str) -> None:
-    """Refuse feedback for a method that has no gains.
-
-    Raises:
-        InputError: if the mission's policy is feedback.
-    """
-    if mission.scenario.policy.kind == "feedback":
-        raise InputError("policy.kind", "'feedback'", f"goes with {needs}")

@@ -13,6 +13,7 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, shortened
+from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import execution_errors
@@ -108,13 +109,22 @@ class FlownPlan:
             InputError: if it is none of these, or cannot be used.
         """
         if isinstance(given, Plan):
-            return cls._of_plan(given, name or "a plan")
+            return cls._of_plan(given, name or "a plan").checked()
         if not isinstance(given, Solution | str | Path):
             raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
         if isinstance(given, Solution):
-            return cls._of_solution(given, name or "a solution")
+            return cls._of_solution(given, name or "a solution").checked()
         home = resolve_run(Path(given))  # runs/latest will point to another
-        return cls._of_solution(read_solution(home), name or str(home))
+        return cls._of_solution(read_solution(home), name or str(home)).checked()
+
+    def checked(self) -> FlownPlan:
+        """Itself, if it can be continued.
+
+        Raises:
+            InputError: if it has corrected burns.
+        """
+        require_open_loop(self.mission.scenario, "solve and montecarlo; not yet with replan")
+        return self
 
     @classmethod
     def _of_plan(cls, plan: Plan, name: str) -> FlownPlan:

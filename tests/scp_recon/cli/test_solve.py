@@ -193,7 +193,7 @@ BAD_INPUT = [
     (["--set", "burns.times_s=[0, 12000, 25000, 34842]"], ["burns.times_s.1", "12000", "rule"]),
     (["--scenario", "{bad}/none.toml"], ["none.toml", "no such file"]),
     (["--scenario", "{bad}/words.toml"], ["words.toml", "TOML"]),
-    (["--scenario", "{bad}"], ["directory"]),
+    (["--scenario", "{bad}"], ["folder"]),
     (["--init", "{bad}/none.json"], ["none.json", "no such file"]),
     (["--init", "{bad}/words.json"], ["words.json", "JSON"]),
     (["--init", "{bad}/other.json"], ["other.json", "something/1"]),

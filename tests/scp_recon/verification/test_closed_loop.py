@@ -20,6 +20,7 @@ from formulations.problem.regions import Ball, Cone
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.node_probability import Event, node_quantiles
 from formulations.rows.uniform import DeterministicRows
+from scp_recon.api.flights import simulate
 from scp_recon.cli.command import WIDE
 from scp_recon.cli.plan_view import show_solution, show_verification
 from scp_recon.errors import InputError
@@ -29,6 +30,7 @@ from scp_recon.physics.geometry import angle
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import plan
+from scp_recon.replanning.flown import FlownPlan
 from scp_recon.results.facts import Verification
 from scp_recon.results.read import parse_solution, read_solution
 from scp_recon.results.solution import FILE_NAME, HASH, Solution, make_solution
@@ -43,6 +45,7 @@ from tests.scp_recon.support import fly_few, mission_of
 
 MEASURED = (
     COARSE,
+    "boundary.final_sigma_position_m=5000",  # which the burn after the window is corrected for
     'policy.kind="feedback"',
     "navigation.sigma_position_m=10",
     "navigation.sigma_velocity_m_s=0.0005",
@@ -352,3 +355,11 @@ def test_the_terminal_tells_the_policy(solution: Solution, verification: Verific
     assert "dv_battery" in text.partition("probability")[2]
     (row,) = (line.split() for line in text.splitlines() if line.split()[:2] == ["2", "4400"])
     assert float(row[3]) == pytest.approx(solution.policy.corrections[0].sigma_m_s, abs=1e-6)
+
+
+def test_what_cannot_correct_burns_refuses_the_plan(solution: Solution) -> None:
+    with pytest.raises(InputError, match=r"^policy\.kind: .*not yet with replan"):
+        FlownPlan.of(solution)
+    pytest.importorskip("Basilisk")
+    with pytest.raises(InputError, match=r"^policy\.kind: .*not yet with simulate"):
+        simulate(solution)
