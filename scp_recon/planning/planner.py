@@ -56,6 +56,10 @@ which comes next, what the probability of whole flights cannot resolve would hid
 """
 
 
+ITERATIONS_WITH_GAINS = 100
+"""Limit of a stage's iterations where burns are corrected: twice the usual one."""
+
+
 def plan(
     mission: Mission,
     guess: Iterate,
@@ -120,8 +124,10 @@ class Planner:
         self.formulation: Final = formulation
         self.solver: Final = solver
         self.algorithm_name: Final = algorithm
-        weight = {"weight": WEIGHT} if has_final_limit(mission) else {}
-        self.algorithm: Algorithm = ALGORITHMS[algorithm](**weight)
+        special: dict[str, float] = {"weight": WEIGHT} if has_final_limit(mission) else {}
+        if mission.problem.feedback is not None:
+            special["max_iterations"] = ITERATIONS_WITH_GAINS
+        self.algorithm: Algorithm = ALGORITHMS[algorithm](**special)
         if self.algorithm.penalty == "augmented" and not mission.must_meet:
             raise InputError(
                 "algorithm",
@@ -267,7 +273,12 @@ class Planner:
     ) -> Stage:
         """See `RowsSolver`."""
         begin = perf_counter()
-        if isinstance(rows, FlightRows) and not name.endswith(HELD_STAGE):
+        # A stage that holds burns looks where the one before it did.
+        if (
+            isinstance(rows, FlightRows)
+            and rows.problem.feedback is not None
+            and not name.endswith(HELD_STAGE)
+        ):
             rows.aim(start)
         subproblem = self.subproblem(rows)
         setup = perf_counter() - begin

@@ -308,7 +308,7 @@ class PTR(ExactPenalty):
     ACCEPT = 0.1
     GROW = 4.0
     FREE = 1e3
-    ROUNDING = 1e-8
+    ROUNDING = 1e-7
 
     def step(
         self, subproblem: Subproblem, dynamics: Dynamics, state: State, k: int, timing: Timing

@@ -62,7 +62,8 @@ def test_every_row_has_a_solution_and_a_report(finished: tuple[Path, str]) -> No
     for key in KEYS:
         assert read_solution(out / key).problem in ("P3", "P2")
         assert (out / key / "montecarlo.json").exists()
-        assert sum(line.startswith(key) for line in printed.splitlines()) == 1
+        # More than one where flights take so long that their progress is told.
+        assert any(line.startswith(f"{key} ") for line in printed.splitlines())
 
 
 def test_planned_rows_lie_above_the_osiris_rex_rows_in_mean_and_worst_one_sigma(
