@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.factor import corrected, measured_in
+from formulations.linearisation.factor import after_measurements, corrected, measured_in
 from formulations.linearisation.innovations import Innovation
 from formulations.linearisation.linearisation import Linearisation
 
@@ -60,7 +60,7 @@ class _Backward:
                 parts = d_start[leg][None], start[leg - 1 : leg], d_mean[leg, None, :6]
                 d_mean[leg - 1] += self._bent(here, *parts)[0]
                 d_start[leg - 1] += stm.T @ d_start[leg]
-                before = self._after_measurements(leg - 1)
+                before = after_measurements(problem, spread, leg - 1)
                 none = np.zeros((1, 6))
                 d_mean[leg - 1] += self._bent(here, d_error[None], before[None], none)[0]
                 d_error = stm.T @ d_error
@@ -72,14 +72,6 @@ class _Backward:
         pulled = np.einsum("nij,ni->nj", maps, by_mean)
         both = by_factor @ start.swapaxes(1, 2)
         return np.asarray(pulled + np.einsum("nijl,nij->nl", self._lin.bent[nodes], both))
-
-    def _after_measurements(self, leg: int) -> Array:
-        """The estimate's error at a leg's start, after the leg's measurements."""
-        spread = self._lin.spread
-        error = spread.leg_errors[leg]
-        for j in measured_in(self._problem, leg):
-            error = spread.innovations[j].updated(error)
-        return error
 
     def _measured(self, leg: int, d_error: Array, d_mean: Array) -> Array:
         """Pull at the estimate's error before a leg's measurements, from that after them."""

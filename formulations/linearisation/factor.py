@@ -99,6 +99,14 @@ def knowledge(problem: FlybyProblem, spread: Spread) -> Array:
     return np.asarray(error)
 
 
+def after_measurements(problem: FlybyProblem, spread: Spread, leg: int) -> Array:
+    """Factor E of the estimate's error at a leg's start, after all the leg's measurements, (6, c)."""
+    error = spread.leg_errors[leg]
+    for j in measured_in(problem, leg):
+        error = spread.innovations[j].updated(error)
+    return error
+
+
 def measured_in(problem: FlybyProblem, leg: int) -> Iterator[int]:
     """Measurements made along a leg, its end included; -1 is before the first node's burn."""
     if problem.feedback is None or leg >= len(problem.leg_starts) - 1:
@@ -191,24 +199,21 @@ class FactorSensitivity:
         start = np.zeros((len(starts), *self._shape))
         d_error, d_rows = np.zeros(self._shape), np.zeros((0, *self._shape[1:]))
         d_error, d_rows = self._measured(-1, d_error, d_rows)
-        error = spread.leg_errors[0]
         for leg, node in enumerate(starts):
             if node > last:
                 break
             if leg > 0:
                 before = start[leg - 1 : leg], spread.factor[None, starts[leg - 1]]
                 start[leg] = self._reached(starts[leg : leg + 1], *before)[0]
-                if len(d_rows) or problem.feedback is not None:
+                if problem.feedback is not None:
                     there = starts[leg : leg + 1]
+                    error = after_measurements(problem, spread, leg - 1)
                     d_error = self._reached(there, d_error[None], error[None])[0]
             burn = leg - problem.coasts
             if burn >= 0:
                 self._corrected(burn, start[leg], d_rows)
                 self._add_errors(burn, start[leg])
                 self._add_errors(burn, d_error)
-            error = spread.leg_errors[leg]
-            for j in measured_in(problem, leg):
-                error = spread.innovations[j].updated(error)
             d_error, d_rows = self._measured(leg, d_error, d_rows)
         return start, d_rows
 

@@ -228,12 +228,8 @@ def factor_kicks(lin: Linearisation) -> Array:
 
 def _by_controls(lin: Linearisation) -> Array:
     """Deviations of the mean at the legs' starts, shape (legs + 1, 7, controls + 1): none by gains."""
-    own, controls = lin.burn_sensitivity, lin.problem.controls_before[-1]
-    if own.shape[-1] == controls + 1:
-        return own
-    every = np.zeros((*own.shape[:2], controls + 1))
-    every[..., np.r_[lin.problem.burn_controls.ravel(), controls]] = own
-    return every
+    own = lin.burn_sensitivity
+    return np.concatenate([lin.problem.by_controls(own[..., :-1]), own[..., -1:]], axis=-1)
 
 
 def _composed_tensor(lin: Linearisation, last: int) -> Array:

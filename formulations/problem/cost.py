@@ -13,7 +13,6 @@ that at the iterate value and gradient are those over the draws.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +20,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
 from formulations.problem.flyby import FlybyProblem, Iterate
+from formulations.risk.directions import normal_points
 from formulations.risk.lines import normal_density
 
 PROBABILITY = 0.99
@@ -153,7 +153,7 @@ def _sizes(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, _Slopes]:
     feedback = problem.feedback
     assert feedback is not None
     k = len(feedback.burns)
-    draws = normal_draws(6 * k)
+    draws = normal_points(DRAWS, 6 * k)
     sizes = np.linalg.norm(iterate.burns, axis=1)
     fixed = np.zeros(problem.controls_before[-1])
     fixed[problem.burn_controls] = iterate.burns / np.maximum(sizes, TINY)[:, None]
@@ -182,16 +182,3 @@ def _quantile(values: Array, width: float) -> float:
         if abs(at - before) < 1e-13 * width:
             break
     return at
-
-
-@lru_cache(maxsize=8)
-def normal_draws(dimension: int) -> Array:
-    """Quasi-random standard normal vectors, shape (DRAWS, dimension), always the same."""
-    from scipy.stats import qmc  # half a second to import
-
-    points = qmc.Sobol(dimension, scramble=True, rng=SEED).random(DRAWS)
-    return np.asarray(ndtri(points))
-
-
-SEED = 20200121
-"""Seed of the scrambling."""

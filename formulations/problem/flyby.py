@@ -277,6 +277,12 @@ class FlybyProblem:
             controls[self.gain_controls] = gains
         return controls
 
+    def by_controls(self, by_burns: Array) -> Array:
+        """Derivatives by all controls (..., controls), from those by burns alone (..., 3 m)."""
+        every = np.zeros((*by_burns.shape[:-1], self.controls_before[-1]))
+        every[..., self.burn_controls.ravel()] = by_burns
+        return every
+
     def without_corrections(self, gains: Array, burns: Indices) -> Array:
         """The gains with those of some burns set to zero."""
         if self.feedback is None or not gains.size:

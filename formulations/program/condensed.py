@@ -122,9 +122,8 @@ class CondensedSubproblem(ConvexSubproblem):
             raise SubproblemError(str(error)) from error
         self._at, self._cones = lin, self.rows.cones(lin, s)
         constant, by_burns = final_state_map(lin)
-        jacobian = np.zeros((6, len(lin.controls)))
-        jacobian[:, lin.problem.burn_controls.ravel()] = by_burns
-        self._final = {"miss_jacobian": jacobian, "miss": constant - lin.problem.final_state}
+        miss = constant - lin.problem.final_state
+        self._final = {"miss_jacobian": lin.problem.by_controls(by_burns), "miss": miss}
         self._slots = self._slots or [min(SLOTS, 2 * len(cones.rows)) for cones in self._cones]
         slack = self._slack(lin.controls)
         self._active[:] = False

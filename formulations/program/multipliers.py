@@ -103,8 +103,7 @@ def _excess_slopes(problem: FlybyProblem, rows: Rows, lin: Linearisation) -> tup
         planes = cone.facets(cone.across(burns), cone.half_angle)
         by_burn[nappe, every, problem.burn_controls] = -planes.normal
     limits = problem.burn_margins(burns)["dv_max"], *(-c.inside(burns) for c in problem.burn_cones)
-    miss = np.zeros((MISS, controls))
-    miss[:, problem.burn_controls.ravel()] = final_state_map(lin)[1]
+    miss = problem.by_controls(final_state_map(lin)[1])
     slopes, slack = np.zeros((rows.count, controls)), np.empty(rows.count)
     for cones in rows.cones(lin, condense(lin, rows.nodes, factor=rows.condensed)):
         p, y = cones.values.shape[2], cones.at(lin.controls)

@@ -16,6 +16,7 @@ above two, and the estimate has no bias.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ def sphere_directions(count: int, dimension: int) -> Directions:
 
     The count is a power of two.
     """
-    return Directions(_onto_sphere(_normal(count, dimension)), np.ones(count))
+    return Directions(_onto_sphere(normal_points(count, dimension)), np.ones(count))
 
 
 def aimed_directions(
@@ -58,7 +59,7 @@ def aimed_directions(
         dimension: d.
         failing: probability that a flight fails on each of some lines, shape (count,).
     """
-    normal, eye = _normal(count, dimension), np.eye(dimension)
+    normal, eye = normal_points(count, dimension), np.eye(dimension)
     even, half = _onto_sphere(normal[: count // 2]), count // 2
     matrix, found = eye, Directions(_onto_sphere(normal), np.ones(count))
     for _ in range(ROUNDS):
@@ -86,10 +87,17 @@ def _fitted(unit: Array, share: Array) -> Array:
     return np.asarray(matrix / np.linalg.det(matrix) ** (1.0 / dimension))
 
 
-def _normal(count: int, dimension: int) -> Array:
+@lru_cache(maxsize=8)
+def normal_points(count: int, dimension: int) -> Array:
+    """Quasi-random standard normal vectors, shape (count, dimension), always the same.
+
+    The count is a power of two.
+    """
     from scipy.stats import qmc  # half a second to import
 
-    return np.asarray(ndtri(qmc.Sobol(dimension, scramble=True, rng=SEED).random(count)))
+    points = np.asarray(ndtri(qmc.Sobol(dimension, scramble=True, rng=SEED).random(count)))
+    points.flags.writeable = False
+    return points
 
 
 def _onto_sphere(vectors: Array) -> Array:
