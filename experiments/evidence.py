@@ -32,13 +32,13 @@ UNKNOWN = "unknown"
 """Hash of evidence that was measured before there were hashes."""
 DATA = ("scp_recon.data", "scp_recon.simulation.data")
 ABOVE = ("scp_recon.api", "scp_recon.cli", "experiments.harness", "experiments.evidence")
-"""What a study's figures do not depend on: the shell around it."""
+"""Modules that a study's figures do not depend on: the shell around it."""
 
 Records = Sequence[Mapping[str, Any]]
 
 
 class Source(NamedTuple):
-    """What makes a file of evidence.
+    """The command and the sources that make a file of evidence.
 
     Attributes:
         command: after `python -m`, without `--out`.
@@ -156,7 +156,7 @@ class Evidence:
         return write_atomically(path, text)
 
     def changes(self, source: Source) -> list[str]:
-        """What has changed since it was made; empty where it is up to date."""
+        """Sources that have changed since it was made; empty where it is up to date."""
         newer, found = _code(source)
         if self.sources == UNKNOWN:
             return ["measured before sources were hashed"]

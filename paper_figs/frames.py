@@ -1,4 +1,4 @@
-"""The frames of `docs/frames.md`."""
+"""Draw the frames of `docs/frames.md`."""
 
 from __future__ import annotations
 

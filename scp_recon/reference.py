@@ -1,4 +1,4 @@
-"""Writes the reference pages from the code: `python -m scp_recon.reference docs/reference`.
+"""Write the reference pages from the code: `python -m scp_recon.reference docs/reference`.
 
 Commands come from their parsers, entries and keys from the types that validate them with the
 descriptions that stand beside them, warnings from the rows and functions that raise them.

@@ -1,4 +1,4 @@
-"""What measurements tell: innovations of a Kalman filter along a plan, as rows of a covariance factor.
+"""Innovations of measurements, by a Kalman filter along a plan, as rows of a covariance factor.
 
 Let E be the factor of the estimate's error and N that of the measurement's, in columns of its own. With
 Y = E + N and the triangular root W of Y Y',

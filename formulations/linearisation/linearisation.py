@@ -88,7 +88,7 @@ class Linearisation:
 
     @cached_property
     def cost(self) -> Valued:
-        """What is minimised, and its gradient by the controls."""
+        """The objective and its gradient by the controls."""
         return cost(self.problem, self.iterate)
 
     @cached_property
@@ -217,7 +217,7 @@ def condense(
 
 
 def factor_kicks(lin: Linearisation) -> Array:
-    """What burns and corrections add to the factor, differentiated as in `condense`: (m, 6, c, nz + 1).
+    """Columns that burns add to the factor, differentiated as in `condense`: (m, 6, c, nz + 1).
 
     By the controls and, last, by closing the defects, which innovations feel.
     """

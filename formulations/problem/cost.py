@@ -1,4 +1,4 @@
-"""What a plan costs: the burns' sizes, or with corrected burns their mean or their 99 % quantile.
+"""Cost of a plan: the sum of the burns' sizes; with corrected burns its mean or its 99 % quantile.
 
 The law of the commanded sizes, sum_i |v_i + U_i xi|, depends on burns v and gains U alone. Mean and
 quantile are taken over fixed quasi-random draws of xi, and are smooth functions of both. The convex
@@ -56,7 +56,7 @@ class Valued(NamedTuple):
 
 
 def cost(problem: FlybyProblem, iterate: Iterate) -> Valued:
-    """What is minimised: the total delta-v, as the problem's feedback counts it."""
+    """The total delta-v that is minimised, as the problem's feedback counts it."""
     feedback = problem.feedback
     if feedback is None or feedback.cost == "nominal" or not iterate.gains.any():
         return formula(problem, iterate)
@@ -169,7 +169,7 @@ def _sizes(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, _Slopes]:
 
 
 def _quantile(values: Array, width: float) -> float:
-    """Where the smoothed distribution of some values reaches `PROBABILITY`: Newton, bracketed."""
+    """Quantile of `PROBABILITY` of the smoothed distribution of some values: Newton, bracketed."""
     low, high = float(values.min()) - 10.0 * width, float(values.max()) + 10.0 * width
     at = float(np.quantile(values, PROBABILITY))
     for _ in range(60):

@@ -1,4 +1,4 @@
-"""What is learnt before each burn, and the gains that act on it: the policy of corrected burns.
+"""The policy of corrected burns: measurements before each burn, and the gains that act on them.
 
 At the cut-off before a corrected burn the state is measured, with errors independent from cut-off to
 cut-off. A linear Kalman filter along the plan turns the measurement into an innovation xi ~ N(0, I_6),
@@ -44,7 +44,7 @@ class Feedback:
 
     @cached_property
     def first_gain(self) -> Indices:
-        """Where the gains of each corrected burn begin among all, and their number, shape (k + 1,)."""
+        """Index of each corrected burn's first gain, and the number of gains, shape (k + 1,)."""
         return np.cumsum([0, *(18 * (j + 1) for j in range(len(self.burns)))])
 
     @property

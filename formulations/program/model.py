@@ -66,7 +66,7 @@ class Model:
 
 
 class Shape(NamedTuple):
-    """What a program's controls are.
+    """The controls of a program.
 
     Attributes:
         burns: their number m.
@@ -107,7 +107,7 @@ class Shape(NamedTuple):
 def write_cost(
     shape: Shape, controls: cp.Variable, size: cp.Variable
 ) -> tuple[cp.Expression, dict[str, cp.Parameter]]:
-    """What is minimised: the sizes' sum, or with corrections its mean or its 99 % quantile.
+    """The objective: the sum of the burns' sizes, or with corrections its mean or its 99 % quantile.
 
     See `formulations.problem.cost`; the sizes' spread is linearised.
     """

@@ -48,7 +48,7 @@ Counts = tuple[int, int, int, int, int, int]
 
 @dataclass(frozen=True)
 class Allocation:
-    """How draws are sorted and flown, fixed before any is drawn.
+    """Strata of draws and the flights in each, fixed before any is drawn.
 
     Attributes:
         draws: expected number.
@@ -83,7 +83,7 @@ class Allocation:
 
 @dataclass(frozen=True)
 class Counted:
-    """What came of an allocation, by stratum.
+    """Counts of an allocation, by stratum.
 
     Attributes:
         allocation: that was flown.
@@ -194,7 +194,7 @@ def _density(shape: Array, at: Array) -> Array:
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known before draws are allocated.
+    """Statistics that are known before draws are allocated.
 
     Attributes:
         near: margin by the law beyond which no flight should end unlike it, m.

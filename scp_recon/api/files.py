@@ -218,7 +218,7 @@ def _require_some(plans: tuple[object, ...]) -> None:
 
 
 class Exported(NamedTuple):
-    """What was exported.
+    """The files of an export.
 
     Attributes:
         files: that were written.

@@ -1,1 +1,1 @@
-"""Plans whose promise is what nonlinear flights reach."""
+"""Certify plans: the probability that they promise is reached by nonlinear flights."""

@@ -162,7 +162,7 @@ def _low(plan: Plan) -> float:
 
 
 def _law(plan: Plan) -> float:
-    """What the plan reaches by the normal law, as a quantile: nothing may bind by far."""
+    """The plan's probability by the normal law, as a quantile: nothing may bind by far."""
     assert plan.target is not None
     return float(ndtri(plan.target)) + max(slack(plan), 0.0)
 
@@ -238,7 +238,7 @@ class Aiming:
         self.learn(law, at_nodes, samples)
 
     def next(self) -> float:
-        """What to aim at, so that a look passes with the probability of `SURE`."""
+        """The target at which a look passes with the probability of `SURE`."""
         above = min(self.needed + SURE * self._deviation, 1.0 - 0.5 / self.fresh)
         return float(np.clip(ndtr(ndtri(above) + self.loss), LEAST, MOST))
 

@@ -80,7 +80,7 @@ class Kept(NamedTuple):
 
 
 def kept_of(mission: Mission, flown: KeptFlights) -> Kept:
-    """What the scope asks for."""
+    """Counts of flights that keep the limits of the required scope."""
     if mission.scenario.risk.scope == "flight":
         return Kept(flown.whole_at_nodes, flown.whole, flown.samples)
     at_nodes = min(int(counts.min()) for counts in flown.at_nodes.values())
@@ -119,7 +119,7 @@ def look_at(
 
 
 def certificate_of(kept: Kept, look: int, rounds: int) -> Certificate:
-    """What the flights of a look come to."""
+    """Result of the flights of a look."""
     return Certificate(
         flown_of(kept),
         look_seed(look),

@@ -56,7 +56,7 @@ EXIT_STATUSES = {
     "predicts; files are written",
     "130": "interrupted: the best plan so far is written",
 }
-"""What a command's exit status means."""
+"""The meaning of each exit status."""
 DOCUMENT = "scp_recon.command/1"
 SCRIPT = "scp-recon"
 WIDE = 200

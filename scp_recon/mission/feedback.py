@@ -1,4 +1,4 @@
-"""Which burns a policy of feedback corrects, and when the states are measured that they act on."""
+"""Choose the burns that feedback corrects, and the cut-offs at which states are measured."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class ClosedLoop:
         self._estimates.append(predicted + one.kalman_gain @ innovation)
 
     def correction(self, burn: int) -> Array | None:
-        """What is commanded besides the planned burn, shape (flights, 3); None if it has no gains."""
+        """Correction of a planned burn, shape (flights, 3); None if it has no gains."""
         for one in self._policy:
             if one.burn == burn and one.gains.any():
                 known = zip(one.gains, self._estimates, strict=False)

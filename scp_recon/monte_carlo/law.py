@@ -113,13 +113,13 @@ class Flights(Protocol):
         ...
 
     def looked_at(self, draws: Array, /) -> LookedAt:
-        """What they keep at the nodes and between them."""
+        """Limits that the flights keep, at the nodes and between them."""
         ...
 
 
 @dataclass(frozen=True)
 class StratifiedFlights:
-    """What came of flights in strata of the law's margin.
+    """Result of flights in strata of the law's margin.
 
     Attributes:
         whole: of verdicts at all times.

@@ -186,7 +186,7 @@ class CorrectedBurn(Section):
 
 
 class Commanded(Section):
-    """What a policy of feedback commands.
+    """Statistics of the burns that a policy of feedback commands.
 
     Attributes:
         mean_dv_m_s: of the sum of the commanded burns' sizes.
@@ -442,7 +442,7 @@ def _size(covariance: Array, samples: int) -> Interval:
 
 
 def _ends(freedom: float) -> tuple[float, float]:
-    """What divides a sampled sigma at the lower and the upper end of its interval."""
+    """Divisor of a sampled sigma at the lower and the upper end of its interval."""
     tails = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
     low, high = (float(np.sqrt(chdtri(freedom, 1.0 - p) / freedom)) for p in tails)
     return low, high

@@ -117,7 +117,7 @@ def _less_likely(times: Array, fall: Counts) -> Array:
 
 @dataclass(frozen=True)
 class LookedAt:
-    """What some flights keep: counts at looks and between, and flights that keep everything.
+    """Limits that some flights keep: counts at looks and between, and flights that keep everything.
 
     Attributes:
         at_looks: flights that keep each joint constraint at its looks, shape (n,).
@@ -263,6 +263,6 @@ class WholeFlights:
         return fly_draws(mission, self.burns_m_s, times, draws, policy=policy).states[..., :3]
 
     def looked_at(self, draws: Array) -> LookedAt:
-        """What they keep at the nodes and between them."""
+        """Limits that the flights keep, at the nodes and between them."""
         looks = looks_of(self.mission)
         return looked_at(self.mission, self.burns_m_s, looks, draws, self.policy)

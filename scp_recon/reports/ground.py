@@ -90,7 +90,7 @@ def around(axis: Array, angle: float) -> Array:
 
 
 def first_hit(start: Array, ray: Array, shape: Shape) -> Array:
-    """Where rays first meet the surface; NaN where none does.
+    """First points at which rays meet the surface; NaN where none does.
 
     The surface is taken for one that every direction from the centre meets once: looked for in even
     steps through the sphere around it, and halved. Rays are unit vectors (..., 3) that start outside.

@@ -1,4 +1,4 @@
-"""From plans to the file: everything worked out, put on the page, written whole or not at all."""
+"""Write a report of plans: compute its contents and write the page whole or not at all."""
 
 from __future__ import annotations
 

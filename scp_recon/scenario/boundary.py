@@ -108,7 +108,7 @@ class Boundary(Section):
 
 
 class Design(Section):
-    """What `python -m scp_recon design` may choose besides the phases of boundary.home."""
+    """Quantities that `python -m scp_recon design` may choose besides the phases of boundary.home."""
 
     departure_s: tuple[Moment, Moment] | None = None
     """Earliest and latest first burn in s past epoch.tdb; the epoch itself if left out."""

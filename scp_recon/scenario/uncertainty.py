@@ -1,6 +1,6 @@
-"""How well states and burns are known, and what is done about it in flight.
+"""The tables `[uncertainty]`, `[navigation]`, `[policy]` and `[in_flight]`.
 
-The tables `[uncertainty]`, `[navigation]`, `[policy]` and `[in_flight]`.
+They say how well states and burns are known, and how burns are corrected in flight.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How flights spread and what is known of them, by recursions that share no code with the planner.
+"""Compute covariances of flights and of their estimates; shares no code with the planner.
 
 Of a flight that is d off its plan let x be the estimate, by a Kalman filter along the plan, and
 e = d - x its error. The covariance of e, x, a bias that burns share, and the estimates at all cut-offs
@@ -32,7 +32,7 @@ ERROR, ESTIMATE, BIAS, MEMORY = slice(0, 6), slice(6, 12), 12, 13
 
 @dataclass(frozen=True)
 class Known:
-    """What a cut-off tells: covariances of the estimate's error before and after it, shape (6, 6)."""
+    """Covariances of the estimate's error before and after a cut-off, shape (6, 6)."""
 
     before: Array
     after: Array

@@ -1,4 +1,4 @@
-"""What corrected burns command: whether they keep their limits, and what they cost, by draws.
+"""Draw the commands of corrected burns: the probability of each limit on them, and their cost.
 
 The corrections are jointly normal, with the covariance that the verification's own recursion gives.
 """

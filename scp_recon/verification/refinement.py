@@ -1,4 +1,4 @@
-"""A finer grid where the planner's integration errs: by how much it does, and how fine it has to be.
+"""Estimate the planner's integration error, and the grid that is fine enough where it is too large.
 
 The planner takes steps of a fixed length, by default 232 s at most. They are short enough about Bennu;
 where a flight turns faster they are not, and the covariances that it carries differ from those that the

@@ -1,4 +1,4 @@
-"""Runs every check of a mission: units, axes, and entries that contradict each other.
+"""Run every check of a mission: units, axes, and entries that contradict each other.
 
 An entry that can also be computed is checked against the computed value. Values that no flight about
 a small body can have, such as kilometres in place of metres, are refused before any work. Unlikely

@@ -1,1 +1,1 @@
-"""Computes entries of a scenario from others, subject by subject."""
+"""Compute entries of a scenario from others, subject by subject."""
