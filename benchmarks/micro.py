@@ -14,7 +14,6 @@ from formulations.registry import make_subproblem
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, run_block
-from scp_recon.physics.flow import differentiate
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
@@ -37,14 +36,12 @@ def fresh(lin: Linearisation) -> Linearisation:
 
 
 def test_first_derivatives_of_all_arcs(benchmark: Any, mission: Mission, planned: Plan) -> None:
-    dynamics, mean = mission.dynamics, planned.final.result.lin.iterate.mean[:-1]
-    benchmark(differentiate, mean, dynamics.durations, dynamics.forces, dynamics.substeps)
+    benchmark(mission.flow.differentiate, planned.final.result.lin.iterate.mean[:-1])
 
 
 def test_second_derivatives_of_all_arcs(benchmark: Any, mission: Mission, planned: Plan) -> None:
-    dynamics, mean = mission.dynamics, planned.final.result.lin.iterate.mean[:-1]
-    arguments = mean, dynamics.durations, dynamics.forces, dynamics.substeps
-    benchmark(lambda: differentiate(*arguments).tensor)
+    mean = planned.final.result.lin.iterate.mean[:-1]
+    benchmark(lambda: mission.flow.differentiate(mean).tensor)
 
 
 def test_condense(benchmark: Any, planned: Plan) -> None:

@@ -90,7 +90,7 @@ def measuring(mission: Mission, chosen: Mapping[str, Variant]) -> Callable[[str]
     free = [stage for stage in found.stages if not stage.name.endswith(HELD_STAGE)]
     start = free[-1].result.lin  # where no burn is held at zero
     facets = choose_facets(mission.problem, mission.polytopes, start.iterate.mean, start.factor)
-    arcs = casadi_arcs(mission.dynamics)
+    arcs = casadi_arcs(mission.flow)
 
     def measure(name: str) -> Record:
         solver = IpoptStages(mission, arcs, chosen[name])

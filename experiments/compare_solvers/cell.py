@@ -22,6 +22,7 @@ from experiments.compare_solvers.cases import (
     start_of,
 )
 from experiments.compare_solvers.exact.check import check, rolled_out
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import choose_facets
 from formulations.problem.flyby import FlybyProblem
@@ -32,7 +33,6 @@ from scp_recon.api.planning import plan_mission
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Provenance
 from scp_recon.planning.planner import CLEARANCE_M, Planner, screened
@@ -250,7 +250,7 @@ def _solver_of_rows(mission: Mission, method: Method) -> RowsSolver:
         from scp_recon.planning.ipopt import IpoptStages, casadi_arcs
 
         variant = BY_UNO if method.solver == UNO else VARIANTS[method.formulation]
-        arcs = casadi_arcs(mission.dynamics)
+        arcs = casadi_arcs(mission.flow)
         return IpoptStages(mission, arcs, variant, method.algorithm == "elastic")
     unguarded = Unguarded(mission.problem) if method.algorithm == UNGUARDED else None
     name = "scvx" if unguarded else method.algorithm  # of the same penalty

@@ -32,7 +32,8 @@ from formulations.arrays import Array, Indices
 from formulations.linearisation.factor import FactorSensitivity, Spread, propagate_factor
 from formulations.problem.cost import Valued, cost
 from formulations.problem.feedback import Feedback
-from formulations.problem.flyby import ArcDerivatives, FlybyProblem, Iterate
+from formulations.problem.flow import ArcDerivatives
+from formulations.problem.flyby import FlybyProblem, Iterate
 
 DYNAMICALLY_FEASIBLE = 1e-9
 """Largest defect of an arc that obeys the dynamics."""

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -14,22 +14,6 @@ from formulations.arrays import Array, Indices
 from formulations.problem.execution_errors import ExecutionErrors
 from formulations.problem.feedback import Feedback
 from formulations.problem.regions import Cone, Region
-
-
-class ArcDerivatives(Protocol):
-    """End states (n, 6), STMs (n, 6, 6) and second-order tensors (n, 6, 6, 6) of all arcs."""
-
-    @property
-    def state(self) -> Array:
-        """End states."""
-
-    @property
-    def stm(self) -> Array:
-        """State-transition matrices dF_i/dx_j of every arc k, shape (n - 1, 6, 6)."""
-
-    @property
-    def tensor(self) -> Array:
-        """Second derivatives d2F_i/dx_j dx_l of every arc k, shape (n - 1, 6, 6, 6)."""
 
 
 @dataclass(frozen=True, eq=False)

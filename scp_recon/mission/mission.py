@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.facets import Polytopes
 from formulations.problem.feedback import Feedback
 from formulations.problem.flyby import FlybyProblem
@@ -35,7 +36,7 @@ from scp_recon.mission.schedule import (
 )
 from scp_recon.mission.windows import scan_step_s
 from scp_recon.physics import geometry
-from scp_recon.physics.dynamics import Dynamics
+from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel, cannonball_srp
 from scp_recon.physics.frames import Rotation
 from scp_recon.physics.harmonics import HarmonicField
@@ -313,12 +314,15 @@ class Mission:
         return Polytopes(shape, 4 if choice.cone == "paper" else choice.cone)
 
     @cached_property
-    def dynamics(self) -> Dynamics:
+    def flow(self) -> GridFlow:
         """Nondimensional flow map of the grid's arcs."""
         forces = self.forces.in_units(self.units.length_m, self.units.time_s)
-        return Dynamics(
-            forces, np.diff(self.times_s) / self.units.time_s, self.arc_substeps, self.burn_nodes
-        )
+        return GridFlow(forces, np.diff(self.times_s) / self.units.time_s, self.arc_substeps)
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """The same with the burns."""
+        return Dynamics(self.flow, self.burn_nodes)
 
     @property
     def arc_substeps(self) -> int:

@@ -57,6 +57,34 @@ ARCS_AT_ONCE = 32
 """Arcs per batch of second-order sensitivities, so that a batch stays in the processor's cache."""
 
 
+@dataclass(frozen=True, eq=False)
+class GridFlow:
+    """The `formulations.problem.flow.Flow` of a grid's arcs, in the units of `forces`.
+
+    Attributes:
+        forces: acceleration of the spacecraft.
+        durations: of the arcs, shape (n,).
+        substeps: Runge-Kutta steps per arc.
+    """
+
+    forces: ForceModel
+    durations: Array
+    substeps: int
+
+    @property
+    def arcs(self) -> int:
+        """Number of arcs."""
+        return len(self.durations)
+
+    def propagate(self, state: Array, arc: int) -> Array:
+        """Carry states (..., 6) along one arc."""
+        return propagate(state, self.durations[arc], self.forces, self.substeps)
+
+    def differentiate(self, state: Array) -> FlowDerivatives:
+        """Derivatives of all arcs, from their starts (n, 6)."""
+        return differentiate(state, self.durations, self.forces, self.substeps)
+
+
 class _Stages(NamedTuple):
     """Stages of one Runge-Kutta step.
 

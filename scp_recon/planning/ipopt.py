@@ -10,6 +10,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.nlp.program import Arcs, Start
 from formulations.nlp.solve import VARIANTS, NlpOutcome, NlpResult, Variant, solve_nlp
@@ -21,7 +22,7 @@ from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError, option
 from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.dynamics import Dynamics
+from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import acceleration
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import (
@@ -42,22 +43,22 @@ class NlpStage(Stage):
     runs: tuple[NlpResult, ...]
 
 
-def casadi_arcs(dynamics: Dynamics) -> Arcs:
+def casadi_arcs(flow: GridFlow) -> Arcs:
     """The flow map of `flow.propagate` over CasADi symbols: same forces, scheme and substeps."""
     state, duration = ca.SX.sym("x", 6), ca.SX.sym("h")
-    h = duration / dynamics.substeps
+    h = duration / flow.substeps
 
     def rate(y: ca.SX) -> ca.SX:
-        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], dynamics.forces))
+        return ca.vertcat(y[3:], *acceleration(y[0], y[1], y[2], flow.forces))
 
     y = state
-    for _ in range(dynamics.substeps):
+    for _ in range(flow.substeps):
         k1 = rate(y)
         k2 = rate(y + 0.5 * h * k1)
         k3 = rate(y + 0.5 * h * k2)
         k4 = rate(y + h * k3)
         y = y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    return Arcs(ca.Function("flow", [state, duration], [y]), dynamics.durations)
+    return Arcs(ca.Function("flow", [state, duration], [y]), flow.durations)
 
 
 def plan(
@@ -82,7 +83,7 @@ def plan(
     """
     require_no_final_limit(mission, f"{option('method', 'scp')} only")
     require_open_loop(mission.scenario, f"{option('method', 'scp')} only")
-    arcs = casadi_arcs(mission.dynamics)
+    arcs = casadi_arcs(mission.flow)
     runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
     algorithm = "interior point, elastic" if elastic else "interior point"
     provenance = Provenance(variant, algorithm, "IPOPT", init, "ipopt")

@@ -11,6 +11,7 @@ from typing import Final, Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
@@ -23,7 +24,6 @@ from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.stages import (

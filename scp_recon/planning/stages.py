@@ -17,6 +17,7 @@ from typing import Literal, Protocol
 import numpy as np
 
 from formulations.arrays import Array, Booleans
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.facets import Facets, choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate
@@ -25,7 +26,6 @@ from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.dynamics import Dynamics
 from scp_recon.planning.initial_guess import ballistic, circular
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.scenario.fields import ScenarioWarning

@@ -11,9 +11,9 @@ from typing import ClassVar, Self
 
 import numpy as np
 
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program.subproblem import Penalty, PenaltyParameters, Subproblem, SubproblemError
-from scp_recon.physics.dynamics import Dynamics
 from scp_recon.scp.loop import (
     Algorithm,
     Record,

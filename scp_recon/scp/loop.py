@@ -15,6 +15,7 @@ from time import perf_counter
 from typing import NamedTuple, Protocol, Self
 
 from formulations.arrays import Array
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.program.subproblem import (
     Penalty,
@@ -23,7 +24,6 @@ from formulations.program.subproblem import (
     Subproblem,
     SubproblemError,
 )
-from scp_recon.physics.dynamics import Dynamics
 from scp_recon.scp.status import Status
 
 

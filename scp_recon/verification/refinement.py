@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import step_mean
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.grid import NODES_MAX
@@ -29,7 +30,8 @@ AIM = 0.5
 def covariance_error(plan: Plan) -> float:
     """Estimate the largest relative error of a plan's covariances by its steps, from steps of half."""
     mission, at = plan.mission, plan.final.result.lin
-    dynamics = replace(mission.dynamics, substeps=2 * mission.arc_substeps)
+    halves = replace(mission.flow, substeps=2 * mission.flow.substeps)
+    dynamics = Dynamics(halves, mission.burn_nodes)
     burns, halved = at.iterate.burns, dynamics.linearise(at.problem, at.iterate)
     flown = dynamics.linearise(
         at.problem, Iterate(burns, step_mean(halved, burns), at.iterate.gains)

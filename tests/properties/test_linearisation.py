@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.factor import propagate_factor
 from formulations.linearisation.linearisation import (
     Linearisation,
@@ -22,7 +23,7 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.problem.flyby import FlybyProblem, Iterate, Legs, factor_columns_used
 from formulations.program.lifted import compose
-from scp_recon.physics.dynamics import Dynamics
+from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import ForceModel
 from tests.helpers import Arcs, Flyby, generators, random_flyby, random_rotation
 
@@ -184,7 +185,7 @@ def test_condense_is_the_derivative_of_a_keplerian_arc_with_oblateness(
 ) -> None:
     forces = ForceModel(1.0, 0.01, random_rotation(rng)[0], 0.01 * rng.normal(size=3))
     nodes = np.array([0, 3, 8])
-    dynamics = Dynamics(forces, rng.uniform(0.05, 0.15, 8), 2, nodes)
+    dynamics = Dynamics(GridFlow(forces, rng.uniform(0.05, 0.15, 8), 2), nodes)
     # Nearly circular, so that no arc comes near the singular centre.
     state = np.concatenate([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0] + 0.05 * rng.normal(size=3)])
     burns = 0.05 * rng.normal(size=(3, 3))

@@ -19,12 +19,12 @@ import pytest
 from hypothesis import HealthCheck, Phase, assume, given, settings
 
 from formulations.arrays import Array
+from formulations.linearisation.dynamics import Dynamics
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import PenaltyParameters, Subproblem
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.dynamics import Dynamics
 from scp_recon.physics.forces import ForceModel, acceleration
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan, Stage, plan
@@ -76,14 +76,14 @@ def arc(state: Array, duration: float, forces: ForceModel, substeps: int) -> tup
 
 def fly(mission: Mission, burns: Array) -> tuple[Array, Array]:
     """Means (nodes, n, 6) and covariances (nodes, n, 6, 6) of n plans, burns (n, m, 3)."""
-    problem, dynamics, n = mission.problem, mission.dynamics, len(burns)
+    problem, flow, n = mission.problem, mission.flow, len(burns)
     mean = np.broadcast_to(problem.initial_state, (n, 6))
     covariance = np.broadcast_to(problem.initial_factor @ problem.initial_factor.T, (n, 6, 6))
     means, covariances = [], []
     for k in range(problem.n_nodes):
         if k > 0:
-            duration = float(dynamics.durations[k - 1])
-            mean, stm = arc(mean, duration, dynamics.forces, dynamics.substeps)
+            duration = float(flow.durations[k - 1])
+            mean, stm = arc(mean, duration, flow.forces, flow.substeps)
             covariance = stm @ covariance @ stm.swapaxes(1, 2)
         for burn in burns.swapaxes(0, 1)[problem.burn_nodes == k]:
             mean = mean + np.pad(burn, ((0, 0), (3, 0)))

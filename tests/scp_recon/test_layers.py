@@ -86,6 +86,7 @@ FLOORS = (
     "formulations.program",
     "formulations.nlp",
     "formulations.registry",
+    "scp_recon.scp",  # of any flow: below the physics of one
     "scp_recon.errors",
     "scp_recon.files",
     "scp_recon.jobs",
@@ -94,7 +95,6 @@ FLOORS = (
     "scp_recon.physics",
     "scp_recon.mission",
     "scp_recon.drafting",
-    "scp_recon.scp",
     "scp_recon.planning",
     "scp_recon.results",
     "scp_recon.monte_carlo",

@@ -7,6 +7,7 @@ but along directions that no search has seen.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from formulations.arrays import Array, Indices
+from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate, factor_columns_used
 from formulations.risk.directions import Directions
@@ -21,7 +23,6 @@ from formulations.rows.flight_probability import FlightProbability
 from formulations.rows.node_probability import joint_events
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import joint_margins
-from scp_recon.physics.dynamics import Dynamics
 
 FINER = 4
 SEED = 71
@@ -54,8 +55,8 @@ def check(mission: Mission, burns_m_s: Array) -> Checked:
     """Judge burns, m/s, shape (m, 3)."""
     units, problem = mission.units, mission.problem
     burns = burns_m_s / units.speed_m_s
-    usual = mission.dynamics
-    fine = Dynamics(usual.forces, usual.durations, FINER * usual.substeps, usual.burn_nodes)
+    finer = replace(mission.flow, substeps=FINER * mission.flow.substeps)
+    fine = Dynamics(finer, mission.burn_nodes)
     end = fine.rollout(problem.initial_state, burns)[-1]
     miss = float(np.abs(end - problem.final_state).max())
     lin = rolled_out(mission, burns)

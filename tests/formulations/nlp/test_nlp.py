@@ -75,7 +75,7 @@ class Case:
     def of(cls, *overrides: str) -> Case:
         mission = Mission.from_scenario(load_scenario(None, overrides))
         return cls(
-            mission, plan(mission, initial_guess.cold(mission)), ipopt.casadi_arcs(mission.dynamics)
+            mission, plan(mission, initial_guess.cold(mission)), ipopt.casadi_arcs(mission.flow)
         )
 
     @property
@@ -139,12 +139,12 @@ def within(value: Array) -> Any:
 
 
 def test_casadi_flies_the_planners_arcs(coarse: Case) -> None:
-    lin, dynamics = coarse.near(1), coarse.mission.dynamics
-    assert dynamics.substeps > 1
+    lin, flow = coarse.near(1), coarse.mission.flow
+    assert flow.substeps > 1
     start = lin.iterate.mean[:-1]
-    durations = dynamics.durations[None]
+    durations = flow.durations[None]
     end = np.array(coarse.arcs.flow.map(len(start))(start.T, durations)).T
-    expected = propagate(start, dynamics.durations, dynamics.forces, dynamics.substeps)
+    expected = propagate(start, flow.durations, flow.forces, flow.substeps)
     assert end == pytest.approx(expected, rel=1e-12, abs=1e-13)
     stm = ca.Function("stm", *_stm(coarse.arcs)).map(len(start))(start.T, durations)
     blocks = np.hsplit(np.array(stm), len(start))

@@ -68,7 +68,7 @@ def test_problem_is_the_scenario_in_units_of_gm_and_the_initial_radius(mission: 
     assert np.rad2deg(problem.dv_cone) == pytest.approx(23.3)
     assert problem.execution_errors == ComponentwiseErrors(0.08)
     np.testing.assert_allclose(problem.sun, mission.sun_direction(scenario.burns.times_s))
-    durations = mission.dynamics.durations * units.time_s
+    durations = mission.flow.durations * units.time_s
     np.testing.assert_allclose(durations, np.diff(mission.times_s), rtol=1e-12)
     # Sigma_t0 = 1e-4 diag(x0 o x0), x0 in J2000.
     factor, x0 = problem.initial_factor * units.state[:, None], mission.initial_state

@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_bvp
 
 from formulations.arrays import Array
-from formulations.problem.flyby import Iterate
+from formulations.linearisation.dynamics import Dynamics
 from formulations.rows.uniform import DeterministicRows
 from scp_recon.mission.mission import Mission
-from scp_recon.physics.dynamics import Dynamics
-from scp_recon.physics.flow import FlowDerivatives
+from scp_recon.physics.flow import FlowDerivatives, GridFlow
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
@@ -42,23 +41,22 @@ def plan(planner: Planner) -> Plan:
 
 
 @dataclass(frozen=True, eq=False)
-class Kicked(Dynamics):
-    """Dynamics in which the flight is pushed at the end of one arc, whatever the burns."""
+class Kicked(GridFlow):
+    """A flow in which the flight is pushed at the end of one arc, whatever the burns."""
 
     arc: int
     kick: Array
 
-    def _arcs(self, iterate: Iterate) -> FlowDerivatives:
-        found = super()._arcs(iterate)
+    def differentiate(self, state: Array) -> FlowDerivatives:
+        found = super().differentiate(state)
         found.state[self.arc, 3:] += self.kick
         return found
 
 
 def least_dv(planner: Planner, plan: Plan, node: int, kick: Array) -> float:
     """Least delta-v of the burns with the plan's own constraints, where a kick is given away."""
-    dynamics = planner.mission.dynamics
-    own = {name: getattr(dynamics, name) for name in Dynamics.__dataclass_fields__}
-    kicked = Kicked(**own, arc=node - 1, kick=kick)
+    mission = planner.mission
+    kicked = Dynamics(Kicked(**vars(mission.flow), arc=node - 1, kick=kick), mission.burn_nodes)
     lin = plan.final.result.lin
     start = kicked.close_defects(kicked.linearise(lin.problem, lin.iterate), lin.iterate.burns)
     subproblem = planner.subproblem(plan.final.merit.rows)

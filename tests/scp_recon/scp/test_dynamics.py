@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from formulations.linearisation import dynamics
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
 from scp_recon.mission.mission import Mission
-from scp_recon.physics import dynamics
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import Plan
 from tests.scp_recon.support import burns_of, fly

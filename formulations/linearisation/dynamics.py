@@ -1,4 +1,4 @@
-"""Propagate the mean over a grid of arcs with impulsive burns at some nodes."""
+"""Fly a grid of arcs with impulsive burns at some nodes: rollout, derivatives, exact steps."""
 
 from __future__ import annotations
 
@@ -8,43 +8,34 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation, final_state_map, step_mean
+from formulations.problem.flow import Flow
 from formulations.problem.flyby import NO_GAINS, FlybyProblem, Iterate
-from scp_recon.physics.flow import FlowDerivatives, differentiate, propagate
-from scp_recon.physics.forces import ForceModel
 
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Flow map of a grid, in the units of `forces`."""
+    """Flow map of a grid with its burns, in the units of the flow."""
 
-    forces: ForceModel
-    """Acceleration of the spacecraft."""
-    durations: Array
-    """Of the arcs, shape (n,)."""
-    substeps: int
-    """Runge-Kutta steps per arc."""
+    flow: Flow
+    """The motion between burns."""
     burn_nodes: Indices
     """Node of each burn, shape (m,)."""
 
     def rollout(self, initial_state: Array, burns: Array) -> Array:
         """Node states after the burns: initial (..., 6), burns (..., m, 3) to (n + 1, ..., 6)."""
         burn_at = dict(zip(self.burn_nodes.tolist(), range(len(self.burn_nodes)), strict=True))
-        states = np.empty((len(self.durations) + 1, *initial_state.shape))
+        states = np.empty((self.flow.arcs + 1, *initial_state.shape))
         states[0] = initial_state
         for k in range(len(states)):
             if k > 0:
-                duration = self.durations[k - 1]
-                states[k] = propagate(states[k - 1], duration, self.forces, self.substeps)
+                states[k] = self.flow.propagate(states[k - 1], k - 1)
             if k in burn_at:
                 states[k, ..., 3:] += burns[..., burn_at[k], :]
         return states
 
     def linearise(self, problem: FlybyProblem, iterate: Iterate) -> Linearisation:
         """An iterate with the derivatives of all its arcs."""
-        return Linearisation(problem, iterate, self._arcs(iterate))
-
-    def _arcs(self, iterate: Iterate) -> FlowDerivatives:
-        return differentiate(iterate.mean[:-1], self.durations, self.forces, self.substeps)
+        return Linearisation(problem, iterate, self.flow.differentiate(iterate.mean[:-1]))
 
     def close_defects(
         self, lin: Linearisation, burns: Array, gains: Array = NO_GAINS
@@ -66,8 +57,7 @@ class Dynamics:
         if np.abs(goal - problem.final_state).max() < SOLVER_MISS:
             goal = problem.final_state
         for _ in range(NEWTON_MAX):
-            arcs = self._arcs(iterate)
-            trial = Linearisation(problem, iterate, arcs)
+            trial = self.linearise(problem, iterate)
             defect = np.abs(trial.defects[:-1]).max()
             if defect < NEWTON_TOLERANCE:
                 return trial
@@ -80,7 +70,7 @@ class Dynamics:
             before = iterate
             iterate = Iterate(corrected, step_mean(trial, corrected), gains)
             if defect < NEWTON_LAST:
-                moved = arcs.moved(iterate.mean[:-1] - before.mean[:-1])
+                moved = trial.arcs.moved(iterate.mean[:-1] - before.mean[:-1])
                 return Linearisation(problem, iterate, moved)
         flown = self.rollout(problem.initial_state, burns)
         return self.linearise(problem, Iterate(burns, flown, gains))
