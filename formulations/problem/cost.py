@@ -148,6 +148,11 @@ class _Slopes(NamedTuple):
         return np.asarray(gradient)
 
 
+def total_sizes(problem: FlybyProblem, iterate: Iterate) -> Array:
+    """The sum of the commanded burns' sizes at every draw, shape (DRAWS,)."""
+    return _sizes(problem, iterate)[0]
+
+
 def _sizes(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, _Slopes]:
     """The sum of the burns' sizes at every draw, shape (DRAWS,), and its derivatives."""
     feedback = problem.feedback
