@@ -15,10 +15,9 @@ from functools import partial
 from time import process_time
 from typing import Any
 
-from experiments.harness import Findings, Record, Session, Study, option, records, view
+from experiments.harness import Findings, Record, Session, Study, fly_plan, option, records, view
 from scp_recon.api.planning import plan
 from scp_recon.jobs.job import Job
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Plan
 from scp_recon.results.table import Column, Table, Value
@@ -74,7 +73,7 @@ def with_costs(rows: Sequence[Record]) -> list[Record]:
 
 def record(kind: str, p: float, found: Plan, flights: int, processor_s: float) -> Record:
     """Fly a plan: a row of its cost and the probability reached; the time is that of all its rounds."""
-    flown = fly_many(FlightConfig(found.mission, found.burns_m_s, SEED), samples=flights)
+    flown = fly_plan(found, flights, SEED)
     node = min(flown.worst_probability(name)[1].value for name in flown.node_counts if name != ALL)
     reached = found.certificate
     converged = found.status is Status.CONVERGED

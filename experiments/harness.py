@@ -39,8 +39,12 @@ from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Executor, Job, Key, Work
 from scp_recon.jobs.store import Store, code
 from scp_recon.jobs.store import run as run_jobs
+from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.flights import FlightConfig, FlightTally, fly_many
 from scp_recon.planning import initial_guess
+from scp_recon.planning.plan import Plan
+from scp_recon.results.policy import policy_of
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.results.table import Cell, Column, Table
@@ -267,13 +271,22 @@ def plan_or_default(solution: Path | None) -> Solution:
     """The plan in a folder, or the default scenario's from a cold start.
 
     Raises:
-        InputError: if the folder has no plan.
+        InputError: if the folder has no plan, or one whose burns are corrected in flight.
     """
     if solution is not None:
-        return read_solution(solution)
+        found = read_solution(solution)
+        require_open_loop(found.scenario, "solve and montecarlo; not yet with this study")
+        return found
     mission = Mission.from_scenario(load_scenario())
     plan = plan_mission(mission, initial_guess.cold(mission), PlanOptions(), init="cold")
     return make_solution(plan)
+
+
+def fly_plan(plan: Plan, samples: int, seed: int) -> FlightTally:
+    """Fly a plan with errors, its burns corrected as it says."""
+    policy = policy_of(plan.mission, plan.final.result.lin)
+    config = FlightConfig(plan.mission, plan.burns_m_s, seed, policy=policy)
+    return fly_many(config, samples=samples)
 
 
 def records(rows: Sequence[Record]) -> Table:

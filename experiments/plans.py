@@ -23,12 +23,11 @@ from typing import Any
 import numpy as np
 
 from experiments.frontier import EXACT, TANGENT
-from experiments.harness import Findings, Record, Session, Study, option, records
+from experiments.harness import Findings, Record, Session, Study, fly_plan, option, records
 from scp_recon.api.designing import design
 from scp_recon.api.planning import plan
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
-from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Certificate, Plan
 from scp_recon.results.solution import make_solution
@@ -131,7 +130,7 @@ def record(found: Plan, processor_s: float) -> Record:
     if found.status is not Status.CONVERGED:
         return row
     checked = verify(found.mission, solution)
-    flown = fly_many(FlightConfig(found.mission, found.burns_m_s, SEED), samples=FLIGHTS)
+    flown = fly_plan(found, FLIGHTS, SEED)
     node = {n: flown.worst_probability(n)[1].value for n in flown.node_counts if n != ALL}
     lowest = min(node, key=lambda name: node[name])
     return row | {

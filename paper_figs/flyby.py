@@ -89,7 +89,8 @@ def _name_burns(axes: Axes, mission: Mission, solution: Solution) -> None:
 
 def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
     seen, times = partial(seen_from_sun, mission), mission.times_s
-    samples = seen(sample_positions(mission, solution.burns_m_s, times, PATHS_SHOWN, SEED))
+    burns, policy = solution.burns_m_s, solution.corrections
+    samples = seen(sample_positions(mission, burns, times, PATHS_SHOWN, SEED, policy))
     axes.plot(samples[..., 0], samples[..., 1], color="0.75", lw=0.4, alpha=0.5, zorder=1)
     axes.plot([], [], color="0.6", lw=1, label=f"{PATHS_SHOWN} sampled flights")
     mean = seen(np.array(solution.nodes.state)[:, :3])
@@ -110,7 +111,7 @@ def _draw_path(axes: Axes, mission: Mission, solution: Solution) -> None:
 def _draw_histories(panels: Sequence[Axes], mission: Mission, solution: Solution) -> None:
     first, last = mission.schedule.window_s
     times = np.linspace(first, last, 61)
-    quantities = observed(mission, solution.burns_m_s, times)
+    quantities = observed(solution, times)
     for axes, quantity in zip(panels, quantities, strict=True):
         shade_bands(axes, times, quantity.sampled)
         axes.plot(times, quantity.plan, color="k", lw=1.2, label="plan")

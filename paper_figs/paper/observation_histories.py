@@ -18,8 +18,8 @@ def draw(runs: Runs) -> Figure:
     mission = runs.plan.mission
     first, last = mission.schedule.window_s
     times = np.linspace(first - BEFORE_AND_AFTER_S, last + BEFORE_AND_AFTER_S, 107)
-    distance, emission, phase = observed(mission, runs.plan.solution.burns_m_s, times)
-    others = observed(mission, runs.reference.solution.burns_m_s, times, samples=1)
+    distance, emission, phase = observed(runs.plan.solution, times)
+    others = observed(runs.reference.solution, times, samples=1)
     with page(5.6) as figure:
         panels = figure.subplots(3, 1, sharex=True)
         order = ((emission, others[1]), (phase, others[2]), (distance, others[0]))

@@ -10,6 +10,7 @@ from formulations.arrays import Array
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import measured
 from scp_recon.monte_carlo.sampling import sample_positions
+from scp_recon.results.solution import Solution
 from scp_recon.scenario.uncertainty import Uncertainty
 
 SAMPLES, SEED = 2000, 1
@@ -33,12 +34,11 @@ class Quantity:
     limits: list[float]
 
 
-def observed(
-    mission: Mission, burns_m_s: Array, times_s: Array, samples: int = SAMPLES
-) -> list[Quantity]:
+def observed(solution: Solution, times_s: Array, samples: int = SAMPLES) -> list[Quantity]:
     """Site distance (m), emission and phase (deg) at times of the flight, shape (n,)."""
-    plan = measured(mission, times_s, planned_positions(mission, burns_m_s, times_s))
-    flights = sample_positions(mission, burns_m_s, times_s, samples, SEED)
+    mission, burns, policy = solution.mission, solution.burns_m_s, solution.corrections
+    plan = measured(mission, times_s, planned_positions(mission, burns, times_s))
+    flights = sample_positions(mission, burns, times_s, samples, SEED, policy)
     sampled, limits = measured(mission, times_s, flights), mission.scenario.observation
     looks = (
         ("site distance (m)", 1.0, (limits.site_distance_min_m, limits.site_distance_max_m)),

@@ -51,7 +51,8 @@ def paths(runs: Runs) -> Paths:
     mission, burns = runs.plan.mission, runs.plan.solution.burns_m_s
     times = np.linspace(0.0, mission.times_s[-1], TIMES)
     edges = np.array(mission.schedule.window_s)
-    sampled = sample_positions(mission, burns, mission.times_s, PATHS, SEED)
+    policy = runs.plan.solution.corrections
+    sampled = sample_positions(mission, burns, mission.times_s, PATHS, SEED, policy)
     return Paths(
         times,
         planned_positions(mission, burns, times) / 1000.0,

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from experiments import frontier
+from experiments import frontier, harness
 from experiments.__main__ import STUDIES, main, module_of
-from experiments.harness import Claim, Findings, Record, Study, report
+from experiments.harness import Claim, Findings, Record, Study, plan_or_default, report
+from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
 from scp_recon.results.table import Table
+from scp_recon.scenario.load import load_scenario
 
 from .support import session_in
 
@@ -44,6 +47,16 @@ def test_a_number_out_of_its_range_exits_with_two(words: str) -> None:
     with pytest.raises(SystemExit) as stop:
         main(words.split())
     assert stop.value.code == 2
+
+
+def test_a_study_refuses_a_plan_that_it_would_fly_open_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measured = {"navigation.sigma_position_m": 10.0, "navigation.sigma_velocity_m_s": 5e-4}
+    scenario = load_scenario().replace({"policy.kind": "feedback", **measured})
+    monkeypatch.setattr(harness, "read_solution", lambda _: SimpleNamespace(scenario=scenario))
+    with pytest.raises(InputError, match=r"policy.kind: got 'feedback'; goes with"):
+        plan_or_default(Path("of_one_s_own"))
 
 
 def test_a_study_is_one_document_or_silent(

@@ -30,15 +30,18 @@ from paper_figs.paper import (
     cone_polytopes,
     control_history,
     observation_geometry,
+    observation_histories,
     tables,
     trajectories,
 )
 from paper_figs.registry import EVERYTHING, FIGURES, TABLES, Item
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo import sampling
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
-from scp_recon.results.solution import make_solution
+from scp_recon.results.policy import Policy
+from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.load import load_scenario
 from tests.scenarios import COARSE
 from tests.scp_recon.support import mission_of
@@ -108,6 +111,31 @@ def test_a_plan_of_one_s_own_is_drawn_without_the_paper_s_table(
     assert written == {"parameters.md", "captions.md", f"trajectories{PICTURES[0]}"}
     assert "ballistic arc" in (tmp_path / "out" / "captions.md").read_text("utf-8")
     assert own_runs.plan.summary.is_of(own_runs.plan.solution)
+
+
+class Told(tuple[Any, ...]):
+    """A policy without corrections that is known again."""
+
+
+def test_whatever_flies_a_plan_corrects_its_burns(
+    runs: Runs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Solution, "corrections", Told())
+    fly, told = sampling.fly_draws, list[bool]()
+
+    def seen(mission: Mission, *args: Any, policy: Policy = (), **how: Any) -> Any:
+        if mission.initial_factor.any():  # else nothing errs
+            told.append(isinstance(policy, Told))
+        return fly(mission, *args, policy=policy, **how)
+
+    monkeypatch.setattr(sampling, "fly_draws", seen)
+    monkeypatch.setattr(inputs, "FLIGHTS", SAMPLES)
+    for draw in (trajectories.paths, observation_histories.draw):
+        draw(runs)
+    flyby.draw(runs.plan.solution)
+    inputs._fly(runs.plan.mission, runs.plan.solution)
+    assert len(told) > 3
+    assert all(told)
 
 
 # --- what they say ------------------------------------------------------------------------------
