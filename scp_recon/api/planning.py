@@ -14,7 +14,7 @@ from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.api.inputs import scenario_of
 from scp_recon.api.options import PlanOptions
-from scp_recon.certification.certify import certify
+from scp_recon.certification.certify import AimedPlanning, certify
 from scp_recon.certification.flights import Watch
 from scp_recon.certification.largest import LEAST, Search, largest_promise
 from scp_recon.errors import InputError, option, shortened
@@ -127,14 +127,14 @@ class _ByScp:
             **self.known,
         )
 
-    def aiming(self, init: str) -> Callable[[Mission, Iterate, float], Plan]:
+    def aiming(self, init: str) -> AimedPlanning:
         """Plans that aim at a probability, as rounds of flights and searches ask for them."""
         make_plan = self.make_plan
         return lambda mission, start, target: make_plan(
             mission, start, target=target, init=init, observe=self.observe
         )
 
-    def from_one(self, mission: Mission, start: Iterate, init: str) -> Plan:
+    def from_one(self, mission: Mission, start: Iterate | Plan, init: str) -> Plan:
         """Plan from one start, and certify if required."""
         if not self.options.is_certified(mission.scenario):
             return self.make_plan(mission, start, init=init, observe=self.observe)
@@ -155,8 +155,8 @@ class _ByScp:
         )
         if not self.options.is_certified(mission.scenario) or best.status is not Status.CONVERGED:
             return best
-        mission, start = best.mission, from_burns(best.mission, best.burns_m_s)
-        return replace(self.from_one(mission, start, best.provenance.init), starts=best.starts)
+        certified = self.from_one(best.mission, best, best.provenance.init)
+        return replace(certified, starts=best.starts)
 
     def largest(self, mission: Mission, start: Iterate, init: str) -> Plan:
         """The plan of the largest probability within the budget.

@@ -35,7 +35,6 @@ from scp_recon.monte_carlo.estimates import (
     look_flights,
     successes_needed,
 )
-from scp_recon.planning.initial_guess import from_burns
 from scp_recon.planning.plan import Plan, as_interrupted
 from scp_recon.scp.status import Status
 
@@ -44,16 +43,16 @@ ROUNDS_MAX = 6
 BINDING = 0.01
 """Standard deviations between aim and law, up to which a constraint binds."""
 
-AimedPlanning = Callable[[Mission, Iterate, float], Plan]
-"""A plan of a mission from a start, aiming at a probability."""
+AimedPlanning = Callable[[Mission, Iterate | Plan, float], Plan]
+"""A plan of a mission from a start, or another plan, aiming at a probability."""
 
 
 def certify(
-    mission: Mission, start: Iterate, make_plan: AimedPlanning, watch: Watch | None = None
+    mission: Mission, start: Iterate | Plan, make_plan: AimedPlanning, watch: Watch | None = None
 ) -> Plan:
     """Plan so that flights of which planning knows nothing reach the required probability.
 
-    The mission's allocation is exact. Plans after the first start at the last one's burns, on the grid
+    The mission's allocation is exact. Plans after the first go on from the last one, on the grid
     that it was made on. Ctrl-C ends with the best plan so far, marked as interrupted.
 
     Returns:
@@ -76,7 +75,7 @@ class _Certification:
     """State of one certification: where it plans, the last plan, and the plans flown and looked at."""
 
     mission: Mission
-    start: Iterate
+    start: Iterate | Plan
     make_plan: AimedPlanning
     watch: Watch | None
     made: Plan | None = None
@@ -112,7 +111,7 @@ class _Certification:
         if plan.status is Status.INTERRUPTED and self.made is not None:
             raise KeyboardInterrupt
         if plan.status is Status.CONVERGED:
-            self.made, self.mission = plan, plan.mission
+            self.made, self.start, self.mission = plan, plan, plan.mission
         return plan
 
     def _aims_well(self, plan: Plan) -> bool:
@@ -135,14 +134,13 @@ class _Certification:
         return False
 
     def _learn(self, plan: Plan, kept: Kept, touched_s: Array) -> bool:
-        """Take in what flights reached, and plan from there; whether the nodes are close enough."""
+        """Take in what flights reached; whether the nodes are close enough."""
         close = kept.are_close(self.asked)
         if close:
             self.aiming.learn(_law(plan), kept.throughout, kept.samples)
         else:
             self.aiming.begin_again(_law(plan), kept.at_nodes, kept.samples)
             self.mission = with_nodes_at(plan.mission, touched_s)
-        self.start = from_burns(self.mission, plan.burns_m_s, "certify")
         return close
 
     def _without(self, plan: Plan) -> Plan:

@@ -62,7 +62,7 @@ ITERATIONS_WITH_GAINS = 100
 
 def plan(
     mission: Mission,
-    guess: Iterate,
+    guess: Iterate | Plan,
     *,
     problem: Literal["P3", "P2"] = "P2",
     formulation: str = FORMULATION,
@@ -145,7 +145,7 @@ class Planner:
 
     def plan(
         self,
-        guess: Iterate,
+        guess: Iterate | Plan,
         *,
         problem: Literal["P3", "P2"] = "P2",
         facet_rounds: int = 0,
@@ -156,19 +156,25 @@ class Planner:
     ) -> Plan:
         """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
 
-        The guess may have defects. Unless `once`, a stage that does not converge is tried from other
-        starts: see `StageRunner.plan`. In each of `facet_rounds` the facets are chosen again at the
-        solution and P2 is solved again; a round is kept only if it is better (`standing`), so that
-        facets cannot cycle. Facets that leave nothing feasible are always chosen again, up to
-        `choices` times. Burns too small to execute are left out or raised
-        (`StageRunner.executable`). The observer is called after each iteration with the stage's
-        name and the record.
+        The guess may have defects. Exact risk goes on from a plan with its last stage, burns and gains
+        at once, and from the plan's burns where that does not converge. Unless `once`, a stage that
+        does not converge is tried from other starts: see `StageRunner.plan`. In each of `facet_rounds`
+        the facets are chosen again at the solution and P2 is solved again; a round is kept only if it
+        is better (`standing`), so that facets cannot cycle. Facets that leave nothing feasible are
+        always chosen again, up to `choices` times. Burns too small to execute are left out or raised
+        (`StageRunner.executable`). The observer is called after each iteration with the stage's name
+        and the record.
         """
         runner = StageRunner(self.mission, self, observe, facet_rounds, choices)
-        plan = runner.run(
-            lambda: runner.executable(runner.plan(guess, problem, once=once)),
-            self._provenance(init),
-        )
+
+        def work() -> Stage:
+            stage = runner.go_on(guess) if isinstance(guess, Plan) and problem == "P2" else None
+            if stage is None:
+                start = runner.flown(guess) if isinstance(guess, Plan) else guess
+                stage = runner.plan(start, problem, once=once)
+            return runner.executable(stage)
+
+        plan = runner.run(work, self._provenance(init))
         return replace(plan, target=self._target)
 
     def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:

@@ -26,7 +26,7 @@ from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
-from scp_recon.planning.initial_guess import ballistic, circular
+from scp_recon.planning.initial_guess import ballistic, circular, from_burns
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scp.algorithms import SCvx
@@ -147,6 +147,24 @@ class StageRunner:
             if finals[-1].result.status is Status.CONVERGED:
                 break
         return max(finals, key=standing)
+
+    def flown(self, last: Plan) -> Iterate:
+        """Burns and gains of a plan on this mission's nodes."""
+        mission, gains = self.mission, last.final.result.lin.iterate.gains
+        return replace(from_burns(mission, last.burns_m_s), gains=gains)
+
+    def go_on(self, last: Plan) -> Stage | None:
+        """Solve P2 with exact risk from a plan, without the stages that lead to one.
+
+        Returns:
+            The stage; None if it did not converge, or if risk is not exact.
+        """
+        if self.mission.scenario.risk.allocation != "exact":
+            return None
+        _, rows = self.solver.exact_rows()[-1]
+        start = self.mission.dynamics.linearise(rows.problem, self.flown(last))
+        stage = self.solve("P2", rows, start)
+        return stage if stage.result.status is Status.CONVERGED else None
 
     def choose_again(self, stage: Stage) -> Stage:
         """The best of P2 with facets chosen where the last try ended, until one converges.

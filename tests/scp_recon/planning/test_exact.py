@@ -73,6 +73,20 @@ def test_more_probability_costs_more_and_whole_flights_more_than_nodes() -> None
         assert found("flight", p).total_dv_m_s > found("node", p).total_dv_m_s
 
 
+@pytest.mark.parametrize("scope", ["node", "flight"])
+def test_a_plan_goes_on_from_another_with_its_last_stage_alone(scope: str) -> None:
+    near, end = found(scope, 0.9), found(scope, 0.99)
+    on = plan(end.mission, near)
+    assert {stage.name for stage in on.stages} <= {"P2", "P2.held"}
+    assert on.total_dv_m_s == pytest.approx(end.total_dv_m_s, rel=1e-4)
+
+
+def test_other_risk_begins_at_a_plan_s_burns() -> None:
+    uniform = plan(mission_of(), found("node", 0.9))
+    assert uniform.status is Status.CONVERGED
+    assert [stage.name for stage in uniform.stages] == ["P3", "P2"]
+
+
 @pytest.mark.parametrize("algorithm", sorted(set(ALGORITHMS) - {"scvx"}))
 def test_all_algorithms_find_the_same(algorithm: str) -> None:
     other = found("node", 0.9, algorithm)
