@@ -122,7 +122,10 @@ def plan_left(
         once=settled,
     )
     warnings = tuple(dict.fromkeys((*plan.mission.warnings, *mission.warnings)))
-    parent = Parent(flown.name, flown.plan_hash, mission.scenario.start_s)
+    at_s = mission.scenario.start_s
+    commanded = flown.commanded(mission.initial_state, at_s)
+    told = None if commanded is None else tuple(commanded.tolist())
+    parent = Parent(flown.name, flown.plan_hash, at_s, told)
     plan = replace(plan, mission=replace(plan.mission, warnings=warnings), parent=parent)
     if plan.status is Status.CONVERGED and flown.is_lost(plan.states[-1] - mission.final_state):
         return ended(plan, Status.LOST)

@@ -135,6 +135,8 @@ def show_solution(console: Console, solution: Solution) -> None:
 
 def _show_policy(console: Console, solution: Solution) -> None:
     """Corrected burns, what is known at their cut-offs, and what they cost."""
+    if solution.by_policy is not None:
+        show_line(console, solution.by_policy)
     corrections, policy = corrections_table(solution), solution.policy
     if policy is None:
         return

@@ -29,15 +29,17 @@ def felt_cut_offs_s(scenario: Scenario, window_s: tuple[float, float]) -> dict[i
 def cut_offs_s(scenario: Scenario) -> dict[int, float]:
     """Cut-off of each corrected burn, s, by its number from 0 among the burns to be planned.
 
-    Corrected are the burns whose cut-off is where planning begins or later, but for the first of the
-    whole flight, and for the last where `boundary.final_sigma_velocity_m_s` does not limit what it
-    leaves: nothing else feels its correction. None with the policy "open".
+    Corrected are the burns whose cut-off is at the epoch or later, in flight later than the state
+    delivered, which is what is known until then; but for the first of the whole flight, and for the
+    last where `boundary.final_sigma_velocity_m_s` does not limit what it leaves: nothing else feels its
+    correction. None with the policy "open".
     """
     start, lead = scenario.start_s, scenario.navigation.lead_s
+    earliest = start + (-SAME_S if scenario.in_flight is None else SAME_S)
     return {
         burn: max(time - lead, start)
         for burn, time in _correctable(scenario).items()
-        if time - lead >= start - SAME_S
+        if time - lead >= earliest
     }
 
 
@@ -99,8 +101,13 @@ def require_open_loop(scenario: Scenario, needs: str) -> None:
 
 
 def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
-    """Warn of burns that feedback would correct if their cut-off did not precede departure."""
+    """Warn of burns that feedback would correct if their cut-off did not precede departure.
+
+    In flight there are none: what precedes the state that was delivered is known.
+    """
     scenario = scene.scenario
+    if scenario.in_flight is not None:
+        return
     corrected = cut_offs_s(scenario)
     for burn, time in _correctable(scenario).items():
         if burn not in corrected:

@@ -211,11 +211,14 @@ class Parent:
         name: its file, or words for it.
         plan_hash: its hash.
         at_s: time of the state from which the new one was made, past the epoch.
+        commanded_m_s: the next burn as its policy alone would command it from that state, J2000; None
+            of a plan without corrections, and where gains act on earlier estimates too.
     """
 
     name: Line
     plan_hash: Line
     at_s: float
+    commanded_m_s: tuple[Number, Number, Number] | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -13,7 +13,6 @@ from scipy.special import chdtrc, chdtri  # of chi-squared; scipy.stats takes ha
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError, one_of, option, shortened, whole_number
-from scp_recon.mission.scene import execution_errors
 from scp_recon.replanning.flown import Prediction
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
@@ -131,18 +130,22 @@ class Delivery:
             flown[number - 1] = burn.tolist()
         return [list(burn) for burn in flown]
 
-    def strange_burns(self, scenario: Scenario, planned: Array) -> Iterator[ScenarioWarning]:
+    def strange_burns(
+        self, scenario: Scenario, planned: Array, kicks: Array
+    ) -> Iterator[ScenarioWarning]:
         """Measured burns that are far from those of the plan that is flown, shape (m, 3), m/s.
+
+        `kicks` are the factors of their covariances, corrections included, shape (m, 3, c).
 
         Raises:
             InputError: if one is no burn of this flight in metres per second.
         """
-        errors, first = execution_errors(scenario), scenario.burns_flown + 1
+        first = scenario.burns_flown + 1
         for number, burn in sorted(self.measured.items()):
             if not 0 <= number - first < len(planned):
                 continue
             expected = planned[number - first]
-            sigma = float(np.linalg.norm(errors.columns(expected[None])[0]))
+            sigma = float(np.linalg.norm(kicks[number - first]))
             off = float(np.linalg.norm(burn - expected))
             size, planned_size = float(np.linalg.norm(burn)), float(np.linalg.norm(expected))
             if size > max(UNITS_RATIO_MAX * planned_size, scenario.burns.dv_max_m_s):

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from formulations.arrays import Array, Indices
+from formulations.arrays import Array
+from formulations.linearisation.factor import knowledge
 from formulations.linearisation.linearisation import Linearisation
 from formulations.problem.flyby import Iterate
 from scp_recon.errors import InputError, shortened
-from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units
 from scp_recon.mission.mission import Mission
-from scp_recon.mission.scene import execution_errors
 from scp_recon.physics.flow import differentiate
 from scp_recon.physics.forces import ForceModel
 from scp_recon.planning.method import ScpMethod, scp_method
 from scp_recon.planning.plan import Plan, Provenance
 from scp_recon.results.corrections import stored_policy
-from scp_recon.results.figures import strange_times
+from scp_recon.results.figures import is_strange, strange_times
+from scp_recon.results.policy import Policy, policy_of, with_policy
 from scp_recon.results.read import read_solution
 from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import Solution, burns_of_plan, plan_hash
@@ -58,10 +59,10 @@ class Prediction:
             state, factor = arc.state[0], arc.stm[0] @ factor
         return Prediction(state, factor)
 
-    def burnt(self, burn: Array, errors: Array, columns: Indices) -> Prediction:
-        """After a burn in m/s, shape (3,), whose errors (3, k) go into those columns of the factor."""
+    def burnt(self, burn: Array, kick: Array) -> Prediction:
+        """After a burn in m/s, shape (3,), that adds `kick` (3, c) to the factor."""
         factor = self.factor.copy()
-        factor[3:, columns] += errors
+        factor[3:] += kick
         return Prediction(self.state + np.r_[np.zeros(3), burn], factor)
 
 
@@ -72,10 +73,7 @@ class FlownPlan:
     Attributes:
         name: what the new plan's file calls it.
         mission: its.
-        burns_m_s: its burns, shape (m, 3).
-        times_s: its nodes, shape (n,).
-        states: means there, after the burns, J2000, m and m/s, shape (n, 6).
-        factors: S with S S' the covariances there, shape (n, 6, c).
+        lin: linearised there, with the gains of its corrected burns.
         problem: with uncertainty, or without it.
         method: how it was made, as far as that can be done again.
         status: how it ended.
@@ -86,10 +84,7 @@ class FlownPlan:
 
     name: str
     mission: Mission
-    burns_m_s: Array
-    times_s: Array
-    states: Array
-    factors: Array
+    lin: Linearisation
     problem: Literal["P3", "P2"]
     method: ScpMethod
     status: str
@@ -109,22 +104,13 @@ class FlownPlan:
             InputError: if it is none of these, or cannot be used.
         """
         if isinstance(given, Plan):
-            return cls._of_plan(given, name or "a plan").checked()
+            return cls._of_plan(given, name or "a plan")
         if not isinstance(given, Solution | str | Path):
             raise InputError("plan", shortened(given), "must be a plan, a solution or its file")
         if isinstance(given, Solution):
-            return cls._of_solution(given, name or "a solution").checked()
+            return cls._of_solution(given, name or "a solution")
         home = resolve_run(Path(given))  # runs/latest will point to another
-        return cls._of_solution(read_solution(home), name or str(home)).checked()
-
-    def checked(self) -> FlownPlan:
-        """Itself, if it can be continued.
-
-        Raises:
-            InputError: if it has corrected burns.
-        """
-        require_open_loop(self.mission.scenario, "solve and montecarlo; not yet with replan")
-        return self
+        return cls._of_solution(read_solution(home), name or str(home))
 
     @classmethod
     def _of_plan(cls, plan: Plan, name: str) -> FlownPlan:
@@ -132,10 +118,7 @@ class FlownPlan:
         return cls(
             name=name,
             mission=mission,
-            burns_m_s=plan.burns_m_s,
-            times_s=plan.times_s,
-            states=plan.states,
-            factors=plan.final.result.lin.factor * mission.units.state[:, None],
+            lin=plan.final.result.lin,
             problem=plan.final.problem,
             method=_method(made),
             status=plan.status.value.name,
@@ -154,14 +137,14 @@ class FlownPlan:
         units, states = mission.units, np.array(solution.nodes.state)
         path = Iterate(solution.burns_m_s / units.speed_m_s, states / units.state)
         lin = mission.dynamics.linearise(mission.problem, path)
+        if solution.policy is None or is_strange(mission, solution.policy):
+            lin = lin.known(None)
+        lin = with_policy(mission, lin, solution.corrections)
         failed = () if solution.verification is None else solution.verification.failed
         return cls(
             name=name,
             mission=mission,
-            burns_m_s=solution.burns_m_s,
-            times_s=np.array(solution.nodes.t_s),
-            states=states,
-            factors=lin.factor * units.state[:, None],
+            lin=lin,
             problem=solution.problem,
             method=_method(solution),
             status=solution.status,
@@ -170,11 +153,73 @@ class FlownPlan:
             warnings=solution.warnings,
         )
 
-    def columns_of(self, burn: int) -> Indices:
-        """The factors' columns of one burn's errors, those first that all burns share."""
-        problem = self.mission.problem
-        every = np.arange(problem.factor_columns)
-        return np.r_[every[problem.shared_columns], every[problem.columns_of_burn(burn)]]
+    @property
+    def times_s(self) -> Array:
+        """Its nodes, shape (n,)."""
+        return self.mission.times_s
+
+    @cached_property
+    def burns_m_s(self) -> Array:
+        """Its burns, shape (m, 3)."""
+        return self.lin.iterate.burns * self.mission.units.speed_m_s
+
+    @cached_property
+    def states(self) -> Array:
+        """Means at the nodes, after the burns, J2000, m and m/s, shape (n, 6)."""
+        return self.lin.iterate.mean * self.mission.units.state
+
+    @cached_property
+    def factors(self) -> Array:
+        """S with S S' the covariances there, shape (n, 6, c)."""
+        return self.lin.factor * self.mission.units.state[:, None]
+
+    @cached_property
+    def kicks(self) -> Array:
+        """What each burn adds to the factor of the velocity, corrections included, shape (m, 3, c)."""
+        nodes, first = self.lin.problem.burn_nodes, self.lin.problem.initial_factor
+        before = np.zeros_like(self.lin.factor[nodes])
+        before[:, :, : first.shape[1]] = first
+        later = nodes > 0
+        arcs = nodes[later] - 1
+        before[later] = self.lin.arcs.stm[arcs] @ self.lin.factor[arcs]
+        kicks = self.lin.factor[nodes, 3:] - before[:, 3:]
+        return np.asarray(kicks * self.mission.units.speed_m_s)
+
+    @cached_property
+    def policy(self) -> Policy:
+        """Its corrections; none where all burns are fixed."""
+        return policy_of(self.mission, self.lin)
+
+    def known_at(self, at_s: float) -> Array | None:
+        """Covariance (6, 6) of the estimate that its filter has at a time; None if it has no filter."""
+        if not self.policy:
+            return None
+        factors = knowledge(self.lin.problem, self.lin.spread) * self.mission.units.state[:, None]
+        return self._carried(factors, at_s).covariance
+
+    def commanded(self, state: Array, at_s: float) -> Array | None:
+        """The next burn as its policy alone would command it, m/s, shape (3,).
+
+        From an estimate (6,), J2000, m and m/s, at a time not after that burn's cut-off: by its
+        deviation from the path, carried there. None of a plan without corrections, and where gains act on estimates at
+        earlier cut-offs too, which no delivery tells.
+        """
+        burn = sum(time <= at_s for time in self.mission.scenario.burn_times_s)
+        for one in self.policy:
+            if one.burn == burn:
+                if one.gains[:-1].any():
+                    return None
+                planned = self._carried(self.factors, at_s)
+                apart = Prediction(planned.state, (state - planned.state)[:, None])
+                apart = apart.carried(max(one.cut_off_s - at_s, 0.0), self.mission.forces)
+                return np.asarray(self.burns_m_s[burn] + one.gains[-1] @ apart.factor[:, 0])
+        return self.burns_m_s[burn] if self.policy else None
+
+    def _carried(self, factors: Array, at_s: float) -> Prediction:
+        """Its path at a time, after a burn there, and factors of its nodes carried there."""
+        node = int(np.searchsorted(self.times_s, at_s, side="right")) - 1
+        last = Prediction(self.states[node], factors[node])
+        return last.carried(at_s - self.times_s[node], self.mission.forces)
 
     def is_lost(self, miss: Array) -> bool:
         """Whether a miss of the final state is beyond three sigma of the plan's own final dispersion.
@@ -248,14 +293,14 @@ def predict(flown: FlownPlan, at_s: float, measured: Mapping[int, Array]) -> Pre
     node = int(np.searchsorted(times, again[0][0] if again else at_s, side="right")) - 1
     now, state = times[node], Prediction(flown.states[node], flown.factors[node])
     if again:
-        errors, i = execution_errors(scenario).columns(flown.burns_m_s), again[0][1]
+        i = again[0][1]
         took = measured[i + first] - flown.burns_m_s[i]
-        state = state.burnt(took, -errors[i], flown.columns_of(i))
+        state = state.burnt(took, -flown.kicks[i])
         for time, i in burns:
             if time > now:
                 known = measured.get(i + first)
                 burn = flown.burns_m_s[i] if known is None else known
-                kept = errors[i] if known is None else 0.0 * errors[i]
-                state = state.carried(time - now, forces).burnt(burn, kept, flown.columns_of(i))
+                kick = flown.kicks[i] if known is None else np.zeros_like(flown.kicks[i])
+                state = state.carried(time - now, forces).burnt(burn, kick)
                 now = time
     return state.carried(at_s - now, forces)

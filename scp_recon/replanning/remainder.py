@@ -47,6 +47,9 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
             f"must not be before {before.start_s:g} s past its epoch, where the plan begins",
         )
     burns = delivery.burns_flown(before, flown.burns_m_s)
+    known = flown.known_at(at) if delivery.covariance is None else None
+    if known is not None:
+        delivery = replace(delivery, covariance=known, covariance_frame="j2000")
     data: dict[str, Any] = before.model_dump(mode="json", exclude_none=True)
     data["in_flight"] = {
         "at_s": at,
@@ -81,7 +84,7 @@ def mission_left(flown: FlownPlan, delivery: Delivery, overrides: Sequence[str] 
         *renamed,
         *flown.warnings,
         *flown.strange(),
-        *delivery.strange_burns(before, flown.burns_m_s),
+        *delivery.strange_burns(before, flown.burns_m_s, flown.kicks),
         *delivery.strange_state(
             mission.initial_state, mission.initial_factor, predicted, mission.units.state
         ),

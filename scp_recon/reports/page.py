@@ -117,6 +117,7 @@ def _remarks(subject: Subject, status: Status) -> tuple[str, ...]:
     if solution.verification is not None:
         lines = what_next(subject.mission, solution, solution.verification)
         said += [f"next: {line}" for line in (*lines, *solution.advice, *_surplus(subject))]
+    said += [] if solution.by_policy is None else [solution.by_policy]
     risk = solution.risk
     if risk is not None and risk.certificate is None:
         said.append("not certified by flights: the normal law alone promises the probability")

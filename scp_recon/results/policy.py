@@ -12,7 +12,8 @@ the planned one and gains times the estimates of its own cut-off and of all earl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,22 +67,15 @@ def policy_of(mission: Mission, lin: Linearisation) -> Policy:
     state, speed = mission.units.state, mission.units.speed_m_s
     square = np.outer(state, state)
     nodes = feedback.cut_offs.tolist()
-    # Innovations by estimates; estimates just before each cut-off, by those at all earlier ones.
-    count = len(nodes)
-    innovations, policy = np.zeros((6 * count, 6 * count)), []
+    # Innovations and corrections, by the estimates at all cut-offs.
+    estimates = np.eye(6 * len(nodes)).reshape(-1, 6, 6 * len(nodes))
+    innovations, corrections, policy = np.zeros((6 * len(nodes), 6 * len(nodes))), [], []
     for j, burn in enumerate(feedback.burns.tolist()):
-        own = slice(6 * j, 6 * j + 6)
-        change = np.eye(6, 6 * count, 6 * j)
-        if j:
-            change[:, own.start - 6 : own.start] = -transition(lin.arcs.stm, nodes[j - 1], nodes[j])
-        for i, before in enumerate(feedback.burns[:j].tolist()):
-            node = int(problem.burn_nodes[before])
-            if nodes[j - 1] <= node < nodes[j]:
-                correction = problem.gains_of(lin.iterate, i) @ innovations[: 6 * i + 6]
-                change -= transition(lin.arcs.stm, node, nodes[j])[:, 3:] @ correction
-        one = spread.innovations[j]
-        innovations[own] = np.linalg.pinv(one.gain, LEARNT) @ change
-        gains = problem.gains_of(lin.iterate, j) @ innovations[: own.stop, : own.stop]
+        stop = 6 * j + 6
+        one, change = spread.innovations[j], estimates[j] - _predicted(lin, estimates, corrections)
+        innovations[6 * j : stop] = np.linalg.pinv(one.gain, LEARNT) @ change
+        corrections.append(problem.gains_of(lin.iterate, j) @ innovations[:stop])
+        gains = corrections[j][:, :stop]
         error = one.updated(spread.stm[nodes[j]] @ spread.errors[j])
         measurement = feedback.measurement[j]
         policy.append(
@@ -94,6 +88,51 @@ def policy_of(mission: Mission, lin: Linearisation) -> Policy:
             )
         )
     return tuple(policy)
+
+
+def with_policy(mission: Mission, lin: Linearisation, policy: Policy) -> Linearisation:
+    """The same burns with the gains of a policy of all corrected burns: `policy_of` turned round."""
+    problem, feedback = lin.problem, lin.problem.feedback
+    if feedback is None or not policy:
+        return lin
+    scale = np.tile(mission.units.state, len(policy)) / mission.units.speed_m_s
+    gains = np.zeros(feedback.size)
+    # Estimates and corrections, by innovations. What a cut-off tells depends on earlier gains alone.
+    estimates: list[Array] = []
+    corrections: list[Array] = []
+    for j, one in enumerate(policy):
+        lin = Linearisation(problem, replace(lin.iterate, gains=gains.copy()), lin.arcs)
+        own = slice(6 * j, 6 * j + 6)
+        estimate = _predicted(lin, [*estimates, np.zeros((6, 6 * len(policy)))], corrections)
+        estimate[:, own] = lin.spread.innovations[j].gain
+        estimates.append(estimate)
+        blocks = np.hstack(list(one.gains)) * scale[: own.stop]
+        corrections.append(blocks @ np.vstack(estimates))
+        first, last = feedback.first_gain[j : j + 2]
+        gains[first:last] = corrections[j][:, : own.stop].ravel()
+    return Linearisation(problem, replace(lin.iterate, gains=gains), lin.arcs)
+
+
+def _predicted(
+    lin: Linearisation, estimates: Sequence[Array] | Array, corrections: Sequence[Array]
+) -> Array:
+    """The estimate just before the next cut-off, shape (6, q), nondimensional.
+
+    By what estimates (6, q) depend on, and corrections (3, q), as many as there were; of the estimates
+    only those at earlier cut-offs count.
+    """
+    problem, feedback, j = lin.problem, lin.problem.feedback, len(corrections)
+    assert feedback is not None
+    predicted = np.zeros_like(estimates[0])
+    if j == 0:
+        return predicted
+    before, node = feedback.cut_offs[j - 1 : j + 1].tolist()
+    predicted += transition(lin.arcs.stm, before, node) @ estimates[j - 1]
+    for burn, correction in zip(feedback.burns.tolist(), corrections, strict=False):
+        fired = int(problem.burn_nodes[burn])
+        if before <= fired < node:
+            predicted += transition(lin.arcs.stm, fired, node)[:, 3:] @ correction
+    return predicted
 
 
 def transition(stm: Array, first: int, last: int) -> Array:

@@ -122,6 +122,19 @@ class Solution(Facts):
         return policy_in(self.policy, self.scenario.burns_flown)
 
     @property
+    def by_policy(self) -> str | None:
+        """What gains of the plan that is flown alone would command for the next burn, in words."""
+        if self.parent is None or self.parent.commanded_m_s is None:
+            return None
+        burn, alone = self.burns[0], np.array(self.parent.commanded_m_s)
+        apart = float(np.linalg.norm(np.array(burn.dv_m_s) - alone))
+        return (
+            f"by the policy of {self.parent.name} alone burn {1 + self.scenario.burns_flown} at "
+            f"{burn.t_s:g} s were {' '.join(f'{part:+.6f}' for part in alone)}, "
+            f"{np.linalg.norm(alone):.6f} m/s; it is {apart:.6f} m/s from there"
+        )
+
+    @property
     def executed(self) -> list[tuple[int, Burn]]:
         """Burns that are not zero, each with its number in the flight."""
         numbered = enumerate(self.burns, start=1 + self.scenario.burns_flown)

@@ -30,7 +30,6 @@ from scp_recon.physics.geometry import angle
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import plan
-from scp_recon.replanning.flown import FlownPlan
 from scp_recon.results.facts import Verification
 from scp_recon.results.read import parse_solution, read_solution
 from scp_recon.results.solution import FILE_NAME, HASH, Solution, make_solution
@@ -358,8 +357,6 @@ def test_the_terminal_tells_the_policy(solution: Solution, verification: Verific
 
 
 def test_what_cannot_correct_burns_refuses_the_plan(solution: Solution) -> None:
-    with pytest.raises(InputError, match=r"^policy\.kind: .*not yet with replan"):
-        FlownPlan.of(solution)
     pytest.importorskip("Basilisk")
     with pytest.raises(InputError, match=r"^policy\.kind: .*not yet with simulate"):
         simulate(solution)
