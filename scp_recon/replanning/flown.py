@@ -201,8 +201,8 @@ class FlownPlan:
         """The next burn as its policy alone would command it, m/s, shape (3,).
 
         From an estimate (6,), J2000, m and m/s, at a time not after that burn's cut-off: by its
-        deviation from the path, carried there. None of a plan without corrections, and where gains act on estimates at
-        earlier cut-offs too, which no delivery tells.
+        deviation from the path, carried there. None of a plan without corrections, and where gains act
+        on estimates at earlier cut-offs too, which no delivery tells.
         """
         burn = sum(time <= at_s for time in self.mission.scenario.burn_times_s)
         for one in self.policy:

@@ -69,7 +69,8 @@ def policy_of(mission: Mission, lin: Linearisation) -> Policy:
     nodes = feedback.cut_offs.tolist()
     # Innovations and corrections, by the estimates at all cut-offs.
     estimates = np.eye(6 * len(nodes)).reshape(-1, 6, 6 * len(nodes))
-    innovations, corrections, policy = np.zeros((6 * len(nodes), 6 * len(nodes))), [], []
+    innovations, policy = np.zeros((6 * len(nodes), 6 * len(nodes))), []
+    corrections: list[Array] = []
     for j, burn in enumerate(feedback.burns.tolist()):
         stop = 6 * j + 6
         one, change = spread.innovations[j], estimates[j] - _predicted(lin, estimates, corrections)

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
 from scp_recon.api.replans import replan
 from scp_recon.mission.mission import Mission
@@ -133,36 +132,32 @@ def test_a_measured_burn_was_not_corrected_by_chance(corrected: Solution) -> Non
     )
 
 
-@pytest.fixture(scope="module")
-def off(corrected: Solution) -> Array:
-    """A deviation at the first cut-off."""
-    return np.array([20.0, -10.0, 5.0, 1e-3, 2e-3, -1e-3])
+OFF = np.array([20.0, -10.0, 5.0, 1e-3, 2e-3, -1e-3])
+"""A deviation at the first cut-off."""
 
 
 @pytest.mark.parametrize("at_s", [4_400.0, 3_000.0])
 def test_the_policy_alone_acts_on_the_estimate_at_the_cut_off(
-    corrected: Solution, off: Array, at_s: float
+    corrected: Solution, at_s: float
 ) -> None:
     """From an earlier state on the estimate that follows from it."""
     flown, first = FlownPlan.of(corrected), corrected.corrections[0]
     planned = predict(flown, at_s, {}).state
     till = 4_400.0 - at_s
-    start = np.stack([planned, planned + off])
+    start = np.stack([planned, planned + OFF])
     path, other = propagate(start, np.full(2, till), flown.mission.forces, 20) if till else start
-    commanded = flown.commanded(planned + off, at_s)
+    commanded = flown.commanded(planned + OFF, at_s)
     expected = flown.burns_m_s[1] + first.gains[0] @ (other - path)
     assert commanded == pytest.approx(expected, rel=1e-3)  # the path is not linear
     assert np.linalg.norm(commanded - flown.burns_m_s[1]) > 1e-3
     # Gains of later burns act on what was estimated before, which a state does not tell.
-    assert flown.commanded(planned + off, 17_000.0) is None
+    assert flown.commanded(planned + OFF, 17_000.0) is None
 
 
-def test_a_plan_with_corrections_is_continued_from_its_cut_off(
-    corrected: Solution, off: Array
-) -> None:
+def test_a_plan_with_corrections_is_continued_from_its_cut_off(corrected: Solution) -> None:
     """The next burn is as it is; later ones are corrected by measurements to come."""
     flown, first = FlownPlan.of(corrected), corrected.corrections[0]
-    state = predict(flown, 4_400.0, {}).state + off
+    state = predict(flown, 4_400.0, {}).state + OFF
     again = replan(corrected, 4_400.0, state)
     assert again.status is Status.CONVERGED
     units = again.mission.units.state
