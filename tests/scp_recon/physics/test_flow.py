@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
+from formulations.problem.expression_flow import ExpressionFlow
 from scp_recon.mission.grid import RK4_STEP_MAX_S
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import differentiate, interpolate, propagate
@@ -88,6 +89,21 @@ def test_sensitivities_are_the_derivatives_of_the_scheme(
     expected = differentiated(state, arc)
     for name, truth in zip(("state", "stm", "tensor"), expected, strict=True):
         assert np.abs(getattr(ours, name)[0] - truth).max() < 1e-12 * np.abs(truth).max(), name
+
+
+def test_an_expression_of_the_same_forces_gives_the_same_flow(
+    mission: Mission, default_plan: Plan, forces: ForceModel
+) -> None:
+    flow, starts = mission.flow, default_plan.final.result.lin.iterate.mean[:-1]
+    times = np.r_[0.0, np.cumsum(flow.durations)]
+    other = ExpressionFlow(
+        lambda r, _v, _t, _p: acceleration(r[0], r[1], r[2], forces), times, substeps=flow.substeps
+    )
+    ours, theirs = flow.differentiate(starts), other.differentiate(starts)
+    for name in ("state", "stm", "tensor"):
+        expected = getattr(ours, name)
+        assert getattr(theirs, name) == pytest.approx(expected, rel=1e-12, abs=1e-13), name
+    assert other.propagate(starts, 3) == pytest.approx(flow.propagate(starts, 3), rel=1e-12)
 
 
 @given(state=states())
