@@ -42,6 +42,9 @@ def usually(cases: Sequence[T], count: int) -> Sequence[T]:
     return cases if settings().max_examples >= MANY else cases[:count]
 
 
+nightly = pytest.mark.skipif(settings().max_examples < MANY, reason="runs in make nightly")
+"""Marks a test that takes long, and whose likeness runs every day."""
+
 generators = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 """Random generators for what is built rather than drawn."""
 

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from experiments import evidence
 from experiments.__main__ import module_of
@@ -34,6 +35,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.load import load_scenario
 from tests.experiments.support import write_kernel
+from tests.helpers import MANY
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import fly_few, mission_of
 
@@ -102,6 +104,7 @@ class Quick:
         after: command lines, as shown, whose results it takes up.
         needs: a module without which it has to say so and end with 2.
         less: attributes of modules, and what stands for each meanwhile, so that there is less work.
+        nightly: whether usual runs leave it out: other tests do the same work every day.
     """
 
     more: str = ""
@@ -109,6 +112,7 @@ class Quick:
     after: tuple[str, ...] = ()
     needs: str = ""
     less: tuple[tuple[str, Callable[[Any], Any]], ...] = ()
+    nightly: bool = False
 
 
 FLOWN: list[object] = []
@@ -163,15 +167,16 @@ NARROW = " ".join(
     )
 )
 PLAIN, P3, IN_P3 = Quick(), Quick("--problem P3"), "--out runs/dir --problem P3"
+LATER = Quick("--problem P3", nightly=True)
 FROM_TABLE = Quick(line=f"{SOLVE} --scenario mine.toml --init start.csv --problem P3")
 
 QUICK = {
     # planning
     f"{SOLVE} --init warm --facet-rounds 1": PLAIN,
     f"{SOLVE} --scenario mine.toml --set risk.p_chance=0.8 --out runs/mine": PLAIN,
-    f"{SOLVE} --starts 8 --seed 0 --workers 2": Quick("--starts 2 --problem P3"),
-    f"{SOLVE} --method ipopt": P3,
-    f"{SOLVE} --formulation lifted": P3,
+    f"{SOLVE} --starts 8 --seed 0 --workers 2": Quick("--starts 2 --problem P3", nightly=True),
+    f"{SOLVE} --method ipopt": LATER,
+    f"{SOLVE} --formulation lifted": LATER,
     f"{SOLVE} --set 'boundary.frame=\"j2000\"'": P3,
     f"{SOLVE} --out DIR": Quick(IN_P3),
     f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": Quick("--certify no"),
@@ -190,7 +195,7 @@ QUICK = {
     f"{RUN} windows recon_b": PLAIN,
     f"{RUN} windows recon_b --from 2020-02-01 --span-days 3 --csv windows.csv "
     "--chart windows.png": Quick(needs="matplotlib"),
-    f"{RUN} design nightingale": Quick(NARROW, needs="matplotlib"),
+    f"{RUN} design nightingale": Quick(NARROW, needs="matplotlib", nightly=True),
     f"{SOLVE} --scenario runs/latest/scenario.toml": Quick(line=f"{SOLVE} --out DIR {IN_P3}"),
     # its result
     f"{RUN} verify runs/mine": PLAIN,
@@ -206,22 +211,22 @@ QUICK = {
     f"{RUN} replan runs/mine --at 17000 --state state.txt": PLAIN,
     # many of them
     CAMPAIGN: Quick("--workers 0"),
-    f"{CAMPAIGN} --workers 2": Quick("--workers 1 --out runs/in_a_process"),
+    f"{CAMPAIGN} --workers 2": Quick("--workers 1 --out runs/in_a_process", nightly=True),
     f"{RUN} report runs/reconnaissance_map": Quick(
         line=f"{RUN} report DIR", after=(CAMPAIGN,), needs="plotly"
     ),
     # the spacecraft
     f"{RUN} simulate runs/mine": Quick(
-        line=f"{RUN} simulate runs/short", needs="Basilisk", less=ONE_FLIGHT
+        line=f"{RUN} simulate runs/short", needs="Basilisk", less=ONE_FLIGHT, nightly=True
     ),
-    f"{RUN} simulate SOLUTION": Quick("--seed 1", needs="Basilisk", less=ONE_FLIGHT),
+    f"{RUN} simulate SOLUTION": Quick("--seed 1", needs="Basilisk", less=ONE_FLIGHT, nightly=True),
     f"{RUN} simulate SOLUTION --out DIR": Quick(
-        "--out runs/flight", needs="Basilisk", less=ONE_FLIGHT
+        "--out runs/flight", needs="Basilisk", less=ONE_FLIGHT, nightly=True
     ),
     # the studies
     TABLE: Quick(FEW),
     f"{TABLE} --as-flown FILE": Quick(f"--as-flown flight.bsp {FEW}", needs="spiceypy"),
-    COMPARISON: Quick(less=ONE_CELL),
+    COMPARISON: Quick(less=ONE_CELL, nightly=True),
     "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL),
     "python -m experiments nlp_tricks": Quick(
         less=(
@@ -237,6 +242,7 @@ QUICK = {
         needs="openscvx", less=(("experiments.openscvx_peer.CASES", lambda cases: cases[:1]),)
     ),
     "python -m experiments flown_plan": Quick(
+        nightly=True,
         line="python -m experiments flown_plan runs/short --seeds 1 --out runs/flown_plan",
         needs="Basilisk",
         less=ONE_FLIGHT,
@@ -251,6 +257,7 @@ QUICK = {
     ),
     "python -m experiments model_fidelity": Quick(
         "--solution runs/short",
+        nightly=True,
         less=(("experiments.model_fidelity.study.flights", lambda fly: lambda *a: fly(*a)[1:]),),
     ),
     CONES: Quick("--samples 500"),
@@ -258,7 +265,9 @@ QUICK = {
         "--flights 0 --paths 100 --solution runs/short"
     ),
     # the figures
-    "python -m paper_figs": Quick(after=(TABLE, CONES), less=ONE_FIGURE, needs="matplotlib"),
+    "python -m paper_figs": Quick(
+        after=(TABLE, CONES), less=ONE_FIGURE, needs="matplotlib", nightly=True
+    ),
     "python -m paper_figs NAME --out FILE": Quick(
         line="python -m paper_figs battery_cones --out cones.svg",
         after=(CONES,),
@@ -267,7 +276,7 @@ QUICK = {
     "python -m paper_figs flyby --runs runs/mine --out flyby.svg": Quick(needs="matplotlib"),
     "python -m paper_figs frames --out docs/frames.png": Quick(needs="matplotlib"),
     "python -m paper_figs solver_comparison --out runs/comparison": Quick(
-        "--runs runs/comparison", after=(COMPARISON,), needs="matplotlib"
+        "--runs runs/comparison", after=(COMPARISON,), needs="matplotlib", nightly=True
     ),
 }
 
@@ -356,14 +365,23 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workspace]:
         yield Workspace(folder)
 
 
-@pytest.mark.parametrize("line", [line for line in MODULES if line not in APART])
+HARD = settings().max_examples >= MANY
+
+
+def is_due(line: str) -> bool:
+    """Whether this run is one that runs a line."""
+    return line not in APART and (HARD or not QUICK.get(line, PLAIN).nightly)
+
+
+@pytest.mark.parametrize("line", filter(is_due, MODULES))
 def test_a_command_that_is_shown_runs(line: str, workspace: Workspace) -> None:
     assert line in QUICK, f"{SHOWN[line]} shows it, and QUICK does not say how to run it here"
     workspace.run(line)
 
 
 @pytest.mark.parametrize(
-    "name", [n for n, s in SOURCES.items() if f"python -m {s.command}" in QUICK]
+    "name",
+    [n for n, s in SOURCES.items() if (line := f"python -m {s.command}") in QUICK and is_due(line)],
 )
 def test_a_study_writes_the_columns_that_the_pages_show(name: str, workspace: Workspace) -> None:
     """Of evidence that is renewed nothing is missing."""

@@ -65,14 +65,6 @@ def test_a_run_leaves_the_figures_as_evidence(
     assert ratios["command line, s"] == 1.5
 
 
-def test_a_command_is_waited_for_in_a_process_of_its_own(tmp_path: Path) -> None:
-    row = command.waited("solve --help", tmp_path)
-    assert row["processor_s"] > 0.0
-    slower = row | {"processor_s": row["processor_s"] + 1.0}
-    others = [{"command": name, "wall_s": 1.0, "processor_s": 1.0} for name in command.WAITS]
-    assert command.shortest([slower, row, *others[1:]])[0] == row
-
-
 def test_ratios_are_of_the_methods_they_name() -> None:
     rows = ratio_rows(figures(), {"solve": 1.5, "import cvxpy": 0.75})
     found = {row["figure"]: row["value"] for row in rows}

@@ -26,14 +26,11 @@ from experiments.compare_solvers.cases import (
     Cell,
     Method,
     crossing,
-    full_design,
-    quick_design,
-    scenarios,
 )
 from experiments.compare_solvers.cell import FAILED, Row, failed_row, solve_cell
 from experiments.compare_solvers.claims import FROZEN, claims
 from experiments.compare_solvers.study import ROWS_FILE, Solve, run_cells
-from experiments.compare_solvers.tables import profiles, report, shown
+from experiments.compare_solvers.tables import report, shown
 from experiments.harness import Findings
 from experiments.harness import report as as_markdown
 from scp_recon.jobs.job import TIMED_OUT, Done, Executor, Failure, Job, attempt
@@ -45,6 +42,7 @@ from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
+from tests.helpers import nightly
 from tests.scp_recon.support import flight_beyond
 
 from .cell_works import works_for_ever
@@ -138,19 +136,6 @@ def test_a_cell_is_solved_as_the_planner_solves_it(mission: Mission) -> None:
 # --- the design ---------------------------------------------------------------------------------
 
 
-def test_the_full_design_has_what_it_is_to_have_and_the_quick_one_a_part() -> None:
-    design, keys = (
-        full_design(),
-        [{cell.key for cell in of} for of in (quick_design(), full_design())],
-    )
-    assert list(map(len, keys)) == [len(quick_design()), len(design)]
-    assert keys[0] <= keys[1]
-    assert len({cell.seed for cell in design if cell.start == "random"}) >= 50
-    methods = {cell.method for cell in design if cell.group == "matrix" and cell.start == "cold"}
-    assert {m.formulation for m in methods} >= {"lifted", "condensed", "printed", "shooting"}
-    assert {m.algorithm for m in methods} >= {"scvx", "ptr", "scvx-star"}
-
-
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_every_problem_is_crossed_with_every_method_and_repeated(name: str) -> None:
     cells = [cell for cell in crossing() if cell.scenario == name]
@@ -162,6 +147,7 @@ def test_every_problem_is_crossed_with_every_method_and_repeated(name: str) -> N
     assert plan(mission, initial_guess.cold(mission)).status is Status.CONVERGED
 
 
+@nightly
 def test_uno_finds_the_optimum_that_scp_finds() -> None:
     ours, theirs = (
         solve_cell(Cell("scenarios", "recon_b", (), method, "p3"), 0)
@@ -208,53 +194,6 @@ def trio(scenario: str, **other: tuple[float, str]) -> list[Row]:
 
 def test_claims_hold_where_the_rows_say_so() -> None:
     assert verdicts(AGREEING) == [True, True, True, True, True, None, None, None, None]
-
-
-def test_one_case_shows_what_no_part_of_the_scenarios_denies() -> None:
-    kept = [row for row in AGREEING if row.method != UNGUARDED_FROZEN.name]
-    assert verdicts(kept)[4] is None
-    feasible = row_of("a", UNGUARDED_FROZEN, 0.14)
-    assert verdicts([*kept, feasible])[4] is None
-    every = [replace(row, scenario=name) for name in scenarios() for row in [*kept[:5], feasible]]
-    assert verdicts(every)[4] is False
-
-
-def test_profiles_count_who_is_quick_and_who_ends_at_the_best() -> None:
-    ends = {
-        REFERENCE: [(0.1, 0.14), (0.1, 0.2)],
-        TUNED: [(0.9, 0.14), (0.1, 0.2)],
-        FROZEN[0]: [(0.01, 0.15), (0.2, 0.2)],
-    }
-    rows = [
-        replace(row_of(scenario, method, dv), cpu_s=seconds)
-        for method, own in ends.items()
-        for scenario, (seconds, dv) in zip("ab", own, strict=True)
-    ]
-    unsolved = [row_of("c", method, 0.1, "infeasible") for method in ends]
-    one_alone = row_of("a", ELASTIC, 0.14)
-    found = profiles([*rows, *unsolved, one_alone]).records()
-    shares = {
-        row["method"]: [row[key] for key in ("within_1", "within_2", "within_10", "ever")]
-        for row in found
-    }
-    assert shares == {
-        REFERENCE.name: [1.0, 1.0, 1.0, 1.0],
-        TUNED.name: [0.5, 0.5, 1.0, 1.0],
-        FROZEN[0].name: [0.0, 0.5, 0.5, 0.5],
-    }
-    assert found[0]["problems"] == 2
-
-
-def test_times_of_repeats_are_medians_and_of_one_kind_each() -> None:
-    cells = [Cell("matrix", "recon_b", (), REFERENCE, "cold", repeat=k) for k in range(3)]
-    times = ((0.3, 9.0), (0.1, 1.0), (0.2, 2.0))
-    rows = [
-        replace(failed_row(cell, ""), cpu_s=cpu, total_s=wall, setup_s=wall / 2)
-        for cell, (cpu, wall) in zip(cells, times, strict=True)
-    ]
-    (row,) = report(rows)[0].records()  # type: ignore[union-attr]
-    assert row["repeats"] == 3
-    assert (row["processor_s"], row["wall_s"], row["of_it_set_up_s"]) == ("0.20", "2.00", "1.00")
 
 
 def test_algorithms_that_disagree_or_do_not_solve_break_the_claim() -> None:

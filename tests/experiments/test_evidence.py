@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -164,11 +163,3 @@ def test_a_study_that_fails_is_named_and_does_not_stop_the_others(
     assert main(["evidence"]) == 2
     assert "none: python -m experiments none --out" in capsys.readouterr().out
     assert out_of_date() == {"none": "never measured"}
-
-
-def test_a_file_has_a_line_for_each_row(tmp_path: Path) -> None:
-    rows = [{"a": 1, "b": None}, {"a": 2.5, "b": "text"}]
-    found = replace(begun(), tables={"one": rows, "other": rows[:1]})
-    path = found.write(tmp_path / "x.json")
-    assert sum('"a": ' in line for line in path.read_text("utf-8").splitlines()) == 3
-    assert json.loads(path.read_text("utf-8"))["tables"]["one"] == rows

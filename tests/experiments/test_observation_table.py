@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.harness import Findings, Record, records
-from experiments.harness import report as as_markdown
+from experiments.harness import Record
 from experiments.observation_table import study as observation_table
-from experiments.observation_table.rows import KERNEL, Row, rows, variants
+from experiments.observation_table.rows import Row, rows, variants
 from experiments.observation_table.runs import (
-    failed,
     middle_beyond_facet_m,
     run_row,
     still_sun_window_s,
@@ -26,7 +24,6 @@ from experiments.observation_table.statements import standing_for, statements
 from experiments.observation_table.study import measure, report
 from scp_recon.mission.mission import Mission
 from scp_recon.physics import geometry
-from scp_recon.physics.frames import sun_north_to_j2000
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import Solution
 
@@ -135,28 +132,7 @@ def test_the_middle_of_two_points_of_a_facet_lies_beyond_it(finished: tuple[Path
     assert middle_beyond_facet_m(read_solution(finished[0] / "p3")) == ""
 
 
-def test_report_names_surrogates_and_what_is_not_reproduced(finished: tuple[Path, str]) -> None:
-    text = (finished[0] / "observation_table.md").read_text("utf-8")
-    for words in ("surrogate", "2930", "2785", "3043", "3017", "3271", "667.24", "| no |"):
-        assert words in text
-    assert f"not computed: give --as-flown the file {KERNEL}" in text
-    # So few flights have an interval wide enough for the printed mean.
-    assert "; p3 agrees, as it was chosen to |" in text
-    assert text.count("no independent evidence") == 3
-
-
 # --- variants -----------------------------------------------------------------------------------
-
-
-def test_the_covariance_of_the_printed_frame_is_diagonal_there(mission: Mission) -> None:
-    row = next(row for row in variants(mission.scenario) if row.key == "spread_printed")
-    other = row.mission(mission)
-    to_frame = np.kron(np.eye(2), sun_north_to_j2000(other.sun_direction(0.0), other.rotation.pole))
-    factor = to_frame.T @ other.initial_factor
-    printed = to_frame.T @ mission.initial_state
-    np.testing.assert_allclose(factor @ factor.T, np.diag(1e-4 * printed**2), atol=1e-9)
-    covariance = mission.initial_factor @ mission.initial_factor.T
-    np.testing.assert_allclose(covariance, np.diag(1e-4 * mission.initial_state**2), atol=1e-9)
 
 
 def test_a_variant_is_planned_and_flown_in_its_own_mission(
@@ -183,16 +159,6 @@ def test_a_rerun_takes_up_what_is_complete(copy: Path, capsys: pytest.CaptureFix
     assert capsys.readouterr().out.count("taken up") == len(KEYS)
     assert {path: path.stat().st_mtime_ns for path in copy.glob("*/*.json")} == before
     assert (copy / "observation_table.csv").read_text("utf-8") == table
-
-
-def test_rows_of_other_sources_are_made_again(
-    copy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (copy / observation_table.STAMP).write_text("other", "utf-8")
-    assert study("--quick", "--skip-ipopt", "--samples", "100", "--out", str(copy)) == 0
-    assert "taken up" not in capsys.readouterr().out
-    assert study("--quick", "--skip-ipopt", "--samples", "100", "--out", str(copy)) == 0
-    assert capsys.readouterr().out.count("taken up") == len(KEYS)
 
 
 def test_a_design_is_kept_and_what_it_lacks_is_made(copy: Path, mission: Mission, p3: Row) -> None:
@@ -232,12 +198,3 @@ def test_a_failed_row_says_so_and_the_others_run(
     assert table["broken"]["status"].startswith("failed")
     assert table["broken"]["mean_s"] == ""
     assert float(table["scp_cold"]["mean_s"]) > 0.0
-
-
-def test_a_table_of_failures_is_still_a_table() -> None:
-    entries = [failed(row, "nothing works") for row in rows()]
-    lost = records(entries).csv()
-    assert lost.count("failed: nothing works") == len(entries)
-    text = as_markdown("", Findings(report(entries), {}))
-    assert text.count("failed: nothing works") == len(entries)
-    assert statements(entries) == []

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,18 +17,16 @@ from experiments.harness import records
 from experiments.observation_table.rows import rows
 from experiments.observation_table.study import measure
 from paper_figs import __main__ as command_line
-from paper_figs import concepts, flyby, inputs
+from paper_figs import flyby, inputs
 from paper_figs.__main__ import PICTURES, main, make_all, plan_hash_of
 from paper_figs.drawing import save
 from paper_figs.inputs import COMMAND, PLAN, SURROGATE, TABLE, Runs, read_runs
-from paper_figs.labels import place_labels
 from paper_figs.paper import (
     ball_polytopes,
     cone_polytopes,
     control_history,
     observation_geometry,
     observation_histories,
-    tables,
     trajectories,
 )
 from paper_figs.registry import EVERYTHING, FIGURES, TABLES, Item
@@ -166,18 +161,6 @@ def test_a_burn_of_zero_is_in_no_figure(tmp_path: Path, monkeypatch: pytest.Monk
     assert any("in 3 burns" in one for one in drawn)
 
 
-def test_labels_lie_neither_on_each_other_nor_off_the_page() -> None:
-    axes = Figure().subplots()
-    axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
-    points = np.array([[0.5, 0.5], [0.51, 0.5], [0.5, 0.52], [0.99, 0.99], [0.01, 0.5]])
-    notes = place_labels(axes, points, ["burn 1", "2", "3", "burn 4", "burn 5"], points)
-    boxes = [super(type(note), note).get_window_extent() for note in notes]
-    assert not any(one.overlaps(other) for one, other in itertools.combinations(boxes, 2))
-    for box in boxes:
-        assert axes.bbox.contains(box.x0, box.y0)
-        assert axes.bbox.contains(box.x1, box.y1)
-
-
 def test_drawn_pyramids_enclose_the_cone_or_are_enclosed(runs: Runs) -> None:
     cut = cone_polytopes.section(runs.plan)
     angle_deg = 45.0
@@ -211,25 +194,6 @@ def test_drawn_ball_polytopes_enclose_the_sphere_or_are_enclosed(runs: Runs) -> 
     np.testing.assert_allclose(outside.normal[chosen], [1.0, 0.0, 0.0], atol=1e-9)
 
 
-def test_with_exact_risk_the_joint_constraint_says_where_it_binds(runs: Runs) -> None:
-    names = ("site_distance", "emission", "phase")
-    found = [SimpleNamespace(name=name, worst_t_s=t) for t, name in enumerate(names, start=14_000)]
-    mission: Any = SimpleNamespace(times_s=np.arange(13_998.0, 14_004.0))
-    flown = replace(runs.plan, mission=mission, solution=SimpleNamespace(constraints=found))
-    assert cone_polytopes.binding_node(flown, "emission_max") == 3
-    assert cone_polytopes.binding_node(flown, "site_distance_max") == 2
-
-
-def test_no_flight_and_no_band_is_cut_off(runs: Runs) -> None:
-    flown = trajectories.paths(runs)
-    low, high = np.array(trajectories.limits_km(runs, flown)).T
-    nodes = runs.plan.solution.nodes
-    spread = np.sqrt(np.diagonal(np.array(nodes.covariance), axis1=1, axis2=2)[:, :3]) / 1000.0
-    mean = np.array(nodes.state)[:, :3] / 1000.0
-    for drawn in (flown.sampled, mean - 2.0 * spread, mean + 2.0 * spread):
-        assert ((drawn > low) & (drawn < high)).all()
-
-
 def test_sight_at_mid_window_keeps_the_angles(runs: Runs) -> None:
     seen = observation_geometry.sight(runs.plan.mission, runs.plan.solution.burns_m_s, 14_838.8)
     assert 90.0 - seen.craft_at == pytest.approx(seen.emission)
@@ -239,21 +203,6 @@ def test_sight_at_mid_window_keeps_the_angles(runs: Runs) -> None:
         drawn_angle = np.deg2rad(seen.sun_at - azimuth)
         cosine = np.cos(elevation) * np.cos(drawn_angle)
         assert np.rad2deg(np.arccos(cosine)) == pytest.approx(exact)
-
-
-def test_the_table_shows_failed_rows_as_such(runs: Runs) -> None:
-    lost = dict.fromkeys(runs.table[0], "") | {
-        "label": "lost",
-        "status": "failed: no",
-        "paper_mean_s": "1",
-        "paper_worst_1_sigma_s": "2",
-    }
-    other = runs.table[0] | {"label": "other choices", "role": "variant"}
-    text = tables.observation_table(Runs(runs.plan, runs.reference, [*runs.table, lost, other]))
-    assert other["label"] not in text
-    assert text.startswith("# Observation times")
-    assert "| lost | failed: no |  |  |  | 1 | 2 |" in text
-    assert "| SCP, cold start | 3397 | 3397 | " in text
 
 
 # --- input --------------------------------------------------------------------------------------
@@ -305,22 +254,6 @@ def test_flights_of_another_plan_are_refused(copy: Path, age: str) -> None:
 # --- files --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("draw", [concepts.planner, concepts.polytopes, concepts.lifting])
-def test_words_of_a_drawing_lie_neither_on_each_other_nor_off_the_page(
-    draw: Callable[[], Figure],
-) -> None:
-    figure = draw()
-    figure.draw_without_rendering()
-    texts = [t for axes in figure.axes for t in (*axes.texts, axes.title) if t.get_text()]
-    boxes = [Text.get_window_extent(t) for t in texts]
-    for one, other in itertools.combinations(range(len(boxes)), 2):
-        both = texts[one].get_text(), texts[other].get_text()
-        assert not boxes[one].overlaps(boxes[other]), both
-    for box in boxes:
-        assert figure.bbox.contains(box.x0, box.y0)
-        assert figure.bbox.contains(box.x1, box.y1)
-
-
 def test_the_flyby_is_drawn_and_names_its_plan(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -365,7 +298,7 @@ def test_what_is_no_pictures_name_is_refused_and_nothing_is_written(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-@pytest.mark.parametrize("ending", [".pdf", ".png", ".svg", ".PDF", ".eps", ".jpg", ".tif"])
+@pytest.mark.parametrize("ending", [".PDF", ".png", ".svg", ".eps"])
 def test_a_figure_is_the_same_file_every_time_and_names_its_plan_where_it_can(
     runs: Runs, tmp_path: Path, ending: str
 ) -> None:

@@ -33,7 +33,6 @@ from paper_figs.studies import (
     model_fidelity,
     power_history,
     timing_rules,
-    uncertainty_quantiles,
     uncertainty_sources,
 )
 from scp_recon.errors import InputError
@@ -184,28 +183,6 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_timing(out / timing_rules.SOURCE.folder)
     write_frontier(out / frontier.SOURCE.folder)
     return out
-
-
-def test_captions_carry_the_findings(studies: Path) -> None:
-    def caption(module: Any, read: Any = None) -> str:
-        folder = studies / module.SOURCE.folder
-        return str(module.caption((read or module.SOURCE.read)(folder)))
-
-    assert "23.30 deg and 18.20 deg" in caption(battery_cones)
-    words = caption(model_fidelity)
-    assert "solar radiation pressure of the plan: cannonball (1 m)" in words
-    assert "cannonball, degree 0, impulsive on the plan 9 m" in words
-    words = caption(uncertainty_sources, uncertainty_sources.SOURCE.rows)
-    assert all(name in words for name in ("initial state", "IMU", "all together"))
-    assert "of 500 flights" in caption(uncertainty_quantiles)
-    flight = power_history.read(studies / flight_record.SOURCE.folder)
-    words = attitude_and_actuators.caption(flight)
-    assert all(figure in words for figure in ("seed 4", "0.123 deg", "0.500 deg", "1 times"))
-    assert "the least charge is 20.0 %" in power_history.caption(flight)
-    words = caption(flown_plan, flown_plan.read)
-    assert "4 simulated flights" in words
-    assert "(0.971 of normal ones) and 3 flights throughout" in words
-    assert "(65 W drawn) 21.2 of 20 min, does not hold" in caption(timing_rules)
 
 
 def test_studies_are_drawn_where_they_are_found(

@@ -45,6 +45,7 @@ def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert "farthest from the first (m)" in printed
 
 
+@pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("name", sorted({*sr.__all__} - NEED_EXTRAS))
 def test_docstrings_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

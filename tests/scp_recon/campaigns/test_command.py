@@ -77,29 +77,6 @@ def test_a_study_ends_with_its_table_and_its_solutions(
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("[campaign]\ndo = 'fry'", "campaign.do"),
-        ("[campaign", "must be a study file"),
-        (
-            "".join(
-                f"[[axis]]\nentry = '{entry}'\ngrid = {{ from = 0.6, to = 0.7, count = 1000 }}\n"
-                for entry in ("risk.p_chance", "burns.dv_max_m_s", "spacecraft.srp_area_m2")
-            ),
-            "1,000,000,000 cases (1,000 x 1,000 x 1,000); more than 100,000 need --yes",
-        ),
-    ],
-)
-def test_bad_input_is_one_message(
-    text: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study = written(tmp_path / "study.toml", text)
-    assert command.main([study, "--out", str(tmp_path / "out")]) == 2
-    assert words in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
     ("limits", "said"),
     [
         ({}, []),
@@ -116,24 +93,14 @@ def test_limits_that_are_asked_for_and_not_kept_are_told(
     assert heard == said
 
 
-def test_another_study_is_refused_in_the_same_folder(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study, out = tmp_path / "study.toml", tmp_path / "out"
-    few = REFUSED.replace("count = 40", "count = 3")
-    for text, status in ((few, 0), (few + "# a word", 0), (few.replace("0.02", "0.03"), 2)):
-        assert command.main([written(study, text), "--out", str(out), "--workers", "0"]) == status
-    assert "holds another campaign" in capsys.readouterr().err
-
-
 def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Ctrl-C with the third row, and a termination with the sixth, of real processes."""
-    text = REFUSED.replace("count = 40", "count = 12")
+    """Ctrl-C with the third row, and a termination with the fifth, of a real process."""
+    text = REFUSED.replace("count = 40", "count = 7")
     study, out, put = written(tmp_path / "study.toml", text), tmp_path / "out", Store.put
 
-    for rows, number in ((3, signal.SIGINT), (6, signal.SIGTERM)):
+    for rows, number in ((3, signal.SIGINT), (5, signal.SIGTERM)):
 
         def stopped(
             store: Store, *row: Any, rows: int = rows, number: signal.Signals = number
@@ -144,7 +111,7 @@ def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(
 
         with monkeypatch.context() as patch:
             patch.setattr(Store, "put", stopped)
-            assert command.main([study, "--out", str(out), "--workers", "2"]) == 130
+            assert command.main([study, "--out", str(out), "--workers", "1"]) == 130
         said = capsys.readouterr().err
         assert "interrupted" in said
         assert "the same command continues the campaign" in said
@@ -155,5 +122,5 @@ def test_an_interrupted_campaign_keeps_what_is_done_and_goes_on(
         assert command.main([study, "--out", str(folder), "--workers", "0", "--quiet"]) == 0
     assert table_of(out).equals(table_of(tmp_path / "b"))
     whole = read_results(out)
-    assert len(whole) == 12
+    assert len(whole) == 7
     assert whole[whole.case.isin(kept.case)].reset_index(drop=True).equals(kept)

@@ -104,18 +104,6 @@ def test_cases_that_share_a_place_are_told_and_the_cheapest_is_drawn(tmp_path: P
         assert all(len(trace["x"]) == 3 for trace in charts_of(results)[0]["data"])
 
 
-def test_draws_are_points_not_a_line_from_one_to_the_next(tmp_path: Path) -> None:
-    laws = [
-        {"entry": entry, "law": "uniform", "low": 0.05, "high": 0.1}
-        for entry in ("uncertainty.execution_error", "burns.dv_max_m_s")
-    ]
-    for count, style in ((1, "-"), (2, "None")):
-        folder = tmp_path / str(count)
-        campaign_of({"axis": [{"draws": laws[:count], "count": 6}]}, folder)
-        (line,) = figures(read_campaign(folder))["curves"].axes[0].lines
-        assert line.get_linestyle() == style
-
-
 def test_pictures_suit_the_axes(
     mapped: tuple[Study, CampaignResults], errors: CampaignResults
 ) -> None:
@@ -128,22 +116,6 @@ def test_pictures_suit_the_axes(
     curves = drawn["curves"].axes[0].lines
     assert [len(curve.get_xdata()) for curve in curves] == [4, 4]
     assert drawn["map"].axes[0].collections[0].get_offsets().shape == (mapped[1].feasible, 2)
-
-
-def test_epochs_may_stand_on_any_axis(tmp_path: Path) -> None:
-    """And whole numbers stay whole."""
-    axes = [
-        {"entry": "epoch.tdb", "values": ["2020-01-22T00:00:00", "2020-02-22T00:00:00"]},
-        {"entry": "uncertainty.execution_error", "values": [0.02, 0.04, 0.07]},
-        {"entry": "polytopes.cone", "values": [4, 6, 8, 12]},
-    ]
-    for count in (2, 3):
-        folder = tmp_path / str(count)
-        campaign_of({"axis": axes[:count]}, folder)
-        results = read_campaign(folder)
-        assert "2020-02-22T00:00" in render(results, MADE)
-        assert set(figures(results)) == {"curves"}
-    assert results.table["polytopes.cone"].dtype.kind == "i"
 
 
 def test_the_page_says_it_all_and_escapes(mapped: tuple[Study, CampaignResults]) -> None:
@@ -170,13 +142,6 @@ def test_the_page_says_it_all_and_escapes(mapped: tuple[Study, CampaignResults])
         assert f"{entry} = {row[entry]}" in found[1]
     (kept / "report.html").write_text("")
     assert 'href="solutions/case-0000003/report.html"' in render(results, MADE)
-
-
-def test_a_case_opens_with_what_its_flights_came_to(errors: CampaignResults) -> None:
-    flown = errors.table.assign(flights=3000, flown_lowest=0.985, flown_lowest_of="emission")
-    campaign = errors.campaign.model_copy(update={"do": "fly"})
-    page = render(replace(errors, table=flown, campaign=campaign), MADE)
-    assert "<p>flights 3000; flown_lowest 0.985; flown_lowest_of emission</p>" in page
 
 
 def test_what_was_stopped_is_shown_as_far_as_it_came(

@@ -17,7 +17,6 @@ from scp_recon.campaigns.results import RESULTS, ROWS, cell, kind_of, read_resul
 from scp_recon.campaigns.run import FILE_NAME, Observer, run_study
 from scp_recon.campaigns.study import Campaign, Study
 from scp_recon.errors import InputError
-from scp_recon.files import write_atomically
 from scp_recon.jobs.job import Done, Executor, Job, Work, here
 from scp_recon.jobs.processes import Limits, Processes
 from scp_recon.jobs.store import Row
@@ -121,22 +120,6 @@ def test_a_table_has_all_rows_or_is_not_written(tmp_path: Path) -> None:
         run(tmp_path, lambda work, jobs: here(work, list(jobs)[:2]))
     assert not (tmp_path / RESULTS).exists()
     assert len(run(tmp_path)) == 9
-
-
-def test_a_disk_that_is_full_at_the_end_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(path: Path, content: Any) -> Path:
-        if path.name == RESULTS:
-            raise OSError(28, "No space left on device")
-        return write_atomically(path, content)
-
-    with monkeypatch.context() as patch:
-        patch.setattr("scp_recon.campaigns.results.write_atomically", full)
-        with pytest.raises(InputError, match="no space left on device"):
-            run(tmp_path / "a")
-    assert len(read_results(tmp_path / "a")) == 9
-    assert run(tmp_path / "a").equals(run(tmp_path / "b"))
 
 
 @pytest.mark.parametrize(

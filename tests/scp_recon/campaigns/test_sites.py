@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial import ConvexHull, KDTree
 
 from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, direction_of
-from scp_recon.campaigns.axes import ShapeSites
 from scp_recon.campaigns.cases import changed
 from scp_recon.campaigns.sites import even_sites, fibonacci, noons_of, parts, surface_of
 from scp_recon.campaigns.study import Study
@@ -62,16 +61,6 @@ def test_the_parts_make_up_the_surface(surface: Surface) -> None:
     assert len(areas) >= 3000
     assert areas.sum() == pytest.approx(4.0 * np.pi * 100.0**2, rel=0.02)
     assert np.linalg.norm(areas @ middles / areas.sum()) < 0.5
-
-
-def test_the_first_sites_are_spread_too() -> None:
-    base = load_scenario("recon_b")
-    rows = ShapeSites.model_validate({"spread": {"count": 128}}).rows(base, (0,))
-    places = [direction_of(row["site.latitude_deg"], row["site.longitude_deg"]) for row in rows]
-    far = KDTree(places[:32]).query(fibonacci(2000))[0].max()
-    alone = KDTree(fibonacci(32)).query(fibonacci(2000))[0].max()
-    assert far < 1.8 * alone
-    assert len({row["site.name"] for row in rows}) == 128
 
 
 @pytest.mark.parametrize("longitude", [0.0, 41.8, -120.0, 179.9])

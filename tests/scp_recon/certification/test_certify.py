@@ -113,11 +113,11 @@ def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
     assert certified.target is not None
     assert reached.low >= ASKED
     assert certified.target > ASKED
-    kept, _ = flights._fly(certified, look_flights(ASKED), reached.seed, "", LOOK_WIDTH, None)
-    assert certificate_of(kept, reached.looks, reached.rounds) == reached
     if reached.strata is None:
         assert reached.samples == look_flights(ASKED)
     else:
+        kept, _ = flights._fly(certified, look_flights(ASKED), reached.seed, "", LOOK_WIDTH, None)
+        assert certificate_of(kept, reached.looks, reached.rounds) == reached
         assert reached.samples == sum(reached.strata.flown) < look_flights(ASKED)
         assert "draws of look" in str(reached)
 

@@ -118,21 +118,6 @@ def test_lists_may_begin_with_a_minus(
     assert "--pole, --orbit must be left out" in capsys.readouterr().err
 
 
-def test_whole_numbers_may_be_written_as_powers_of_ten(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["montecarlo", str(tmp_path), "--samples", "1e4"]) == 2
-    assert "--samples" not in capsys.readouterr().err
-    for text in ("1.5", "1e400", "nan", "1e17"):
-        assert main(["montecarlo", str(tmp_path), "--samples", text]) == 2
-        assert f"--samples: got '{text}'; must be a whole number" in capsys.readouterr().err
-
-
-def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out == f"scp-recon {sr.__version__}\n"
-
-
 def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path: Path) -> None:
     pytest.importorskip("oem")
     file = tmp_path / "flight.oem"

@@ -231,22 +231,6 @@ def test_bad_input_ends_in_one_message(
     assert not list(Path().glob("mine*"))
 
 
-def test_a_burn_just_outside_of_the_ends_is_told(
-    meta: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """At a burn's epoch kernels answer with the state after it."""
-    words = about_bennu(meta)
-    ends = ("--from", "2020-01-21T20:32:07.999497", "--to", "2020-01-22T06:12:49.9994")
-    assert run("mine", *words, *ends) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "warning: --from: got a time with a jump of 0.0495 m/s" in said
-    assert "warning: --to: got a time with a jump of 0.0387 m/s" in said
-    assert "# warning: --from: " in Path("mine.toml").read_text("utf-8")
-    inside = ("--from", "2020-01-21T20:32:07.999", "--to", "2020-01-22T06:12:50.000")
-    assert run("other", *words, *inside) == 0
-    assert "warning: --" not in capsys.readouterr().out
-
-
 @pytest.fixture(scope="module")
 def track(export: Export, tmp_path_factory: pytest.TempPathFactory) -> Track:
     path = tmp_path_factory.mktemp("track") / "plan.csv"

@@ -126,43 +126,6 @@ def eye(seen: Seen) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array([found[axis] for axis in "xyz"])
 
 
-def test_the_view_turns_by_mouse_and_by_keys(seen: Seen) -> None:
-    seen.page.evaluate("document.getElementById('flight').scrollIntoView({behavior: 'instant'})")
-    box = seen.page.locator("#flight").bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    before = eye(seen)
-    seen.page.mouse.move(x, y)
-    seen.page.mouse.down()
-    seen.page.mouse.move(x + 150, y + 40, steps=5)
-    seen.page.mouse.up()
-    by_mouse = eye(seen)
-    assert np.linalg.norm(by_mouse - before) > 0.1
-    seen.page.focus("#flight")
-    seen.page.keyboard.press("ArrowLeft")
-    seen.page.wait_for_timeout(300)
-    by_keys = eye(seen)
-    assert np.linalg.norm(by_keys - by_mouse) > 0.02
-    seen.page.click("[data-eye=sun]")
-    seen.page.wait_for_timeout(300)
-    assert eye(seen)[0] == pytest.approx(1.7, abs=0.01)
-
-
-def test_playing_moves_time_by_button_and_by_space(seen: Seen) -> None:
-    seen.page.evaluate("report.show(1000)")
-    seen.page.click("#play")
-    seen.page.wait_for_function("report.time() > 1100")
-    seen.page.focus("#flight")
-    seen.page.keyboard.press(" ")
-    seen.page.wait_for_function("document.getElementById('play').textContent === 'Play'")
-    seen.page.wait_for_timeout(300)
-    stopped = seen.page.evaluate("report.time()")
-    seen.page.wait_for_timeout(300)
-    assert seen.page.evaluate("report.time()") == stopped
-    seen.page.focus("#time")
-    seen.page.keyboard.press("PageUp")
-    seen.page.wait_for_function("t => report.time() === Math.min(t + 600, 34842)", arg=stopped)
-
-
 def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject: Subject) -> None:
     page = browser.new_context(java_script_enabled=False).new_page()
     page.goto(html_file.as_uri())
@@ -170,22 +133,6 @@ def test_tables_are_read_without_scripts(browser: Any, html_file: Path, subject:
     total = page.locator("[data-table=burns] tr").last.locator("td").last
     assert float(total.get_attribute("data-value")) == subject.solution.total_dv_m_s
     page.context.close()
-
-
-def test_dark_and_light_follow_the_system_and_the_button(seen: Seen) -> None:
-    ground = "getComputedStyle(document.body).backgroundColor"
-    ink = "document.querySelector('[data-chart] .xtick text').style.fill"
-    dark, light = (
-        ("rgb(20, 23, 28)", "rgb(232, 234, 238)"),
-        ("rgb(255, 255, 255)", "rgb(28, 31, 36)"),
-    )
-    for scheme, clicks, expected in (("dark", 0, dark), ("dark", 1, light), ("dark", 1, dark)):
-        seen.page.emulate_media(color_scheme=scheme)
-        for _ in range(clicks):
-            seen.page.click("#theme")
-        seen.page.wait_for_function(f"{ink} === '{expected[1]}'")
-        assert seen.page.evaluate(ground) == expected[0]
-    assert seen.said == []
 
 
 def test_it_prints_at_once_with_every_chart_and_the_view(browser: Any, html_file: Path) -> None:

@@ -133,13 +133,6 @@ def test_a_large_mesh_is_drawn_with_fewer_facets_that_close_around_the_centre() 
     np.testing.assert_allclose(shape.radius(ray), fine.radius(ray), rtol=0.01)
 
 
-def test_normals_point_outward_and_are_the_ellipsoid_s() -> None:
-    radii = np.array([280.0, 270.0, 250.0])
-    shape = ellipsoid(radii, "")
-    exact = unit(shape.vertices_m / radii**2)
-    assert (shape.normals * exact).sum(axis=1).min() > 0.999
-
-
 def test_a_shape_file_is_drawn_and_a_missing_one_is_told(
     solution: Solution, tmp_path: Path
 ) -> None:

@@ -22,7 +22,6 @@ from scp_recon.reports import flights
 from scp_recon.reports.flights import fly
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.page import Page, _surplus, render, verdict_of
-from scp_recon.reports.scene import PATHS
 from scp_recon.reports.subject import PLANS_MAX, Subject, subjects_of
 from scp_recon.reports.write import page_of
 from scp_recon.results.solution import Solution
@@ -210,22 +209,6 @@ def test_too_many_plans_and_those_of_several_bodies_or_epochs_are_refused(
     ):
         with pytest.raises(InputError, match=said):
             subjects_of(plans)
-
-
-@pytest.mark.usefixtures("few_flights")
-def test_each_plan_has_its_own_site_and_its_part_of_the_flights_shown(verified: Solution) -> None:
-    position = tuple(x + 2.0 for x in verified.scenario.site.position_body_m)
-    other = elsewhere(verified, site={"name": "Above", "position_body_m": position})
-    shown = page_of(subjects_of([verified, other]), Camera(), MADE)
-    sites = [plan["site"] for plan in shown.scene["motion"]["plans"]]
-    assert sites[1] == pytest.approx(position)
-    assert sites[0] == pytest.approx(verified.scenario.site.position_body_m)
-    ground = next(chart for chart in shown.charts if chart["key"] == "ground")
-    for traces in (shown.scene["traces"], ground["data"]):
-        named = [trace["name"] for trace in traces if trace["name"].startswith("site ")]
-        assert named == ["site Nightingale", "site Above"]
-    flights = [t["name"] for t in shown.scene["traces"] if "paths" in t["meta"]]
-    assert [name.split(": ")[1] for name in flights] == [f"{PATHS // 2} sampled flights"] * 2
 
 
 def test_flights_of_another_plan_are_passed_over_and_named(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from dataclasses import replace
 from datetime import datetime, timedelta
 from itertools import cycle
@@ -19,7 +18,6 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
-from scp_recon.results import solution as solution_module
 from scp_recon.results.read import read_solution
 from scp_recon.results.solution import SCHEMA, Solution, make_solution
 from scp_recon.scenario.load import validate_scenario
@@ -218,28 +216,6 @@ def fail(*_: object, **__: object) -> None:
 
 def interrupt(*_: object, **__: object) -> None:
     raise KeyboardInterrupt
-
-
-@pytest.mark.parametrize(
-    ("target", "name"), [(Path, "replace"), (os, "fsync"), (solution_module.json, "dumps")]
-)
-@pytest.mark.parametrize("trouble", [fail, interrupt])
-def test_an_old_file_stays_whole_when_writing_fails(
-    solution: Solution,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    target: object,
-    name: str,
-    trouble: object,
-) -> None:
-    old = replace(solution, message="the old one")
-    before = old.write(tmp_path).read_bytes()
-    with monkeypatch.context() as patch:
-        patch.setattr(target, name, trouble)
-        with pytest.raises((DiskFullError, KeyboardInterrupt)):
-            solution.write(tmp_path)
-    assert (tmp_path / "solution.json").read_bytes() == before
-    assert [path.name for path in tmp_path.iterdir()] == ["solution.json"]
 
 
 def test_others_may_read_the_file_as_any_other(solution: Solution, tmp_path: Path) -> None:

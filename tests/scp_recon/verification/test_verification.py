@@ -24,6 +24,7 @@ from scp_recon.results.solution import Solution, make_solution
 from scp_recon.verification.consistency import inconsistencies
 from scp_recon.verification.probabilities import MARGIN_LIMIT, holds
 from scp_recon.verification.reintegration import FIGURES, limits_of, variational_rate, verify
+from tests.helpers import usually
 from tests.scp_recon.support import mission_of
 
 Change = Callable[[dict[str, Any]], object]
@@ -128,27 +129,25 @@ def moved(*path: str | int, by: float = 0.0, times: float = 1.0) -> Change:
 FALSIFIED: dict[str, Change] = {
     "a burn's component": moved("burns", 1, "dv_m_s", 0, by=1e-3),
     "a burn's time": moved("burns", 1, "t_s", by=300.0),
-    "the total": moved("total_dv_m_s", times=0.5),
     "a node's position": moved("nodes", "state", 70, 1, by=1.0),
-    "a node's velocity": moved("nodes", "state", 70, 4, by=1e-3),
-    "the first node": moved("nodes", "state", 0, 0, by=1.0),
-    "the last node": moved("nodes", "state", -1, 0, by=1.0),
     "a node's time": moved("nodes", "t_s", 70, by=20.0),
     "a variance": moved("nodes", "covariance", 70, 0, 0, times=1.001),
-    "a velocity's variance": moved("nodes", "covariance", 70, 5, 5, times=2.0),
-    "the first variance": moved("nodes", "covariance", 0, 0, 0, times=1.01),
     "a correlation": lambda data: [
         moved("nodes", "covariance", 70, i, j, times=-1.0)(data) for i, j in ((0, 1), (1, 0))
     ],
+    "a velocity's variance": moved("nodes", "covariance", 70, 5, 5, times=2.0),
+    "the first variance": moved("nodes", "covariance", 0, 0, 0, times=1.01),
+    "a node's velocity": moved("nodes", "state", 70, 4, by=1e-3),
+    "the first node": moved("nodes", "state", 0, 0, by=1.0),
+    "the last node": moved("nodes", "state", -1, 0, by=1.0),
+    "the total": moved("total_dv_m_s", times=0.5),
 }
 
 
 @pytest.mark.usefixtures("few_flights")
-@pytest.mark.parametrize("change", FALSIFIED.values(), ids=FALSIFIED)
-def test_a_falsified_solution_is_found_out(
-    mission: Mission, solution: Solution, change: Change
-) -> None:
-    checked = verify(mission, changed(solution, change))
+@pytest.mark.parametrize("name", usually([*FALSIFIED], 6))
+def test_a_falsified_solution_is_found_out(mission: Mission, solution: Solution, name: str) -> None:
+    checked = verify(mission, changed(solution, FALSIFIED[name]))
     assert not checked.ok
     assert checked.failed
 
