@@ -151,6 +151,10 @@ CONES = "python -m experiments battery_cones"
 FEW = "--quick --skip-ipopt --samples 100"
 SOLVE = "python -m scp_recon.solve"
 RUN = "python -m scp_recon"
+MEASURED = (
+    f"{SOLVE} --set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005 "
+    "--out runs/measured"
+)
 EXACT = f"{SOLVE} --set 'risk.allocation=\"exact\"'"
 CAMPAIGN = f"{RUN} campaign STUDY.toml --out DIR"
 STATE = "-122.618 419.945 -556.206 0.0069457 0.0794873 0.0655264"
@@ -182,6 +186,7 @@ QUICK = {
     f"{EXACT} --set 'risk.scope=\"flight\"' --set risk.p_chance=0.9": Quick("--certify no"),
     f"{SOLVE} --set 'policy.kind=\"feedback\"' --set navigation.lead_s=0 "
     "--set navigation.sigma_position_m=10 --set navigation.sigma_velocity_m_s=0.0005": PLAIN,
+    MEASURED: PLAIN,
     f"{EXACT} --objective probability --dv-budget 0.115": Quick(
         "--certify no", less=(("scp_recon.api.planning.Search", lambda s: partial(s, close=1.0)),)
     ),
@@ -202,6 +207,9 @@ QUICK = {
     f"{RUN} compare runs/latest runs/mine": PLAIN,
     f"{RUN} report runs/latest runs/mine": Quick(needs="plotly"),
     f"{RUN} montecarlo runs/mine --until 0.5% --samples 100000": Quick("--until 5% --samples 2000"),
+    f"{RUN} montecarlo runs/measured --policy replan --samples 2000 --workers 2": Quick(
+        "--samples 20 --workers 1", after=(MEASURED,)
+    ),
     f"{RUN} montecarlo runs/latest": Quick("--samples 500"),
     f"{RUN} export runs/mine --format oem": PLAIN,
     f"{SOLVE} --init runs/mine/export/FILE.csv": FROM_TABLE,

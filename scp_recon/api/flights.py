@@ -29,12 +29,14 @@ from scp_recon.monte_carlo.flights import (
     WORKERS_MAX,
     FlightConfig,
     FlightTally,
+    PolicyKind,
     flights_so_far,
     fly_many,
     forget_flights,
     keep_flights,
 )
-from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
+from scp_recon.monte_carlo.replans import replans
+from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, TruthModel
 from scp_recon.monte_carlo.summary import FILE_NAME, Summary, summarise
 from scp_recon.results.solution import require_whole_flight
 from scp_recon.simulation import record as records
@@ -58,6 +60,7 @@ class FlyOptions:
     seed: int = 0
     workers: int | None = None
     scheduler: str | None = None
+    policy: PolicyKind | None = None
 
     def __post_init__(self) -> None:
         make_whole(self, "samples", SAMPLES_MIN, SAMPLES_MAX)
@@ -70,6 +73,8 @@ class FlyOptions:
         one_of(option("truth"), self.truth, get_args(TruthModel))
         if self.errors is not None:
             one_of(option("errors"), self.errors, get_args(ErrorModel))
+        if self.policy is not None:
+            one_of(option("policy"), self.policy, get_args(PolicyKind))
         if self.workers is not None:
             make_whole(self, "workers", 1, WORKERS_MAX)
             if self.scheduler is not None:
@@ -100,6 +105,7 @@ def fly(
     until: float | None = None,
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
+    policy: PolicyKind | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
 ) -> Summary:
@@ -119,6 +125,9 @@ def fly(
             body.gravity_file, or degree 8 of a packaged field.
         errors: of the burns: "componentwise", or "gates", by magnitude and pointing (default: the
             scenario's).
+        policy: what burns are commanded: "open", those planned; "replan", planned again before each
+            from what is estimated; "feedback", corrected by the plan's gains (default: feedback of a
+            plan with gains, else open).
         workers: processes; the result does not depend on their number (default: 1).
         scheduler: in their place the Dask cluster of this scheduler, e.g. tcp://127.0.0.1:8786; needs
             the extra [cluster].
@@ -126,7 +135,7 @@ def fly(
     Raises:
         InputError: naming the argument, what was given and what is allowed.
     """
-    how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler)
+    how = FlyOptions(samples, until, truth, errors, seed, workers, scheduler, policy)
     return flown_summary(open_plan(plan), how)
 
 
@@ -172,7 +181,9 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
             if watcher.stop() and flown.samples < options.samples:
                 return Flown(flown, keep_flights(flown, solution, folder), None)
             summary = summarise(flown, solution)
-            path = summary.write(folder)
+            own = "feedback" if solution.corrections else "open"
+            kind = config.policy_kind
+            path = summary.write(folder, FILE_NAME if kind == own else f"montecarlo_{kind}.json")
             forget_flights(folder)
         except OSError as error:
             raise unwritable(folder, "folder", error) from None
@@ -180,8 +191,32 @@ def fly_into(folder: Path, plan: Opened, options: FlyOptions, watcher: Watcher) 
 
 
 def _config(plan: Opened, options: FlyOptions) -> FlightConfig:
-    burns, policy = plan.solution.burns_m_s, plan.solution.corrections
+    burns, policy = plan.solution.burns_m_s, _policy(plan, options.policy)
     return FlightConfig(plan.mission, burns, options.seed, options.truth, options.errors, policy)
+
+
+def _policy(plan: Opened, kind: PolicyKind | None) -> AnyPolicy:
+    """What commands the burns of a plan.
+
+    Raises:
+        InputError: if the plan cannot be flown so.
+    """
+    solution = plan.solution
+    if kind == "open":
+        return ()
+    if kind == "replan":
+        if solution.problem != "P2":
+            raise InputError(
+                option("policy"), "'replan' of a plan of P3", "must be of a plan of P2"
+            )
+        return replans(plan.mission, solution.burns_m_s)
+    if kind == "feedback" and not solution.corrections:
+        raise InputError(
+            option("policy"),
+            "'feedback' of a plan without gains",
+            "must be 'open' or 'replan', or the plan made with policy.kind = \"feedback\"",
+        )
+    return solution.corrections
 
 
 def _fly(

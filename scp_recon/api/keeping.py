@@ -123,7 +123,7 @@ def _holds_verified(folder: Path) -> bool:
 
 def _set_aside(solution: Solution, folder: Path) -> list[Path]:
     """Rename results of other or unknown plans."""
-    results = (folder / "montecarlo.json", folder / "simulation.npz")
+    results = (*folder.glob("montecarlo*.json"), folder / "simulation.npz")
     return [
         path.replace(folder / f"{OLD}{path.name}")
         for path in results

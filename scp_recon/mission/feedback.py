@@ -16,14 +16,15 @@ def felt_cut_offs_s(scenario: Scenario, window_s: tuple[float, float]) -> dict[i
 
     A burn after the window serves only to make up for what an earlier correction spends, by the sum's
     99 % quantile: the merit is flat in such gains, and not convex where the burn itself is small. With
-    none before the window's end, all.
+    none before the window's end, all of a whole flight's; in flight none.
     """
     found, boundary = cut_offs_s(scenario), scenario.boundary
     limits = boundary.final_sigma_position_m, boundary.final_sigma_velocity_m_s
     if limits != (None, None):
         return found
     times = scenario.burn_times_s
-    return {burn: at for burn, at in found.items() if times[burn] < window_s[1]} or found
+    felt = {burn: at for burn, at in found.items() if times[burn] < window_s[1]}
+    return felt if felt or scenario.in_flight is not None else found
 
 
 def cut_offs_s(scenario: Scenario) -> dict[int, float]:

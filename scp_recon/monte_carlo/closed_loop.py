@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Booleans
 from formulations.problem.flyby import Iterate
 from scp_recon.mission.mission import Mission
-from scp_recon.results.policy import Policy, transition
+from scp_recon.results.policy import CutOff, Policy, transition
 
 MEASURED = 6
 """Standard normal numbers that a measurement draws."""
+
+
+def due(policy: Sequence[CutOff], after_s: float, until_s: float) -> Iterator[float]:
+    """The cut-offs of a policy later than a time, and not later than another."""
+    for one in policy:
+        if after_s < one.cut_off_s <= until_s:
+            yield one.cut_off_s
 
 
 class ClosedLoop:
@@ -24,18 +31,17 @@ class ClosedLoop:
         burns_m_s: planned, shape (m, 3).
         policy: that corrects them.
         draws: standard normal numbers of the measurements, shape (flights, 6 k).
+
+    Attributes:
+        failed: nothing that can fail.
     """
+
+    failed: Sequence[Booleans] = ()
 
     def __init__(self, mission: Mission, burns_m_s: Array, policy: Policy, draws: Array) -> None:
         self._mission, self._burns, self._policy = mission, burns_m_s, policy
         self._draws = draws.reshape(len(draws), len(policy), MEASURED)
         self._estimates: list[Array] = []  # after each cut-off so far, shape (6, flights)
-
-    def due(self, after_s: float, until_s: float) -> Iterator[float]:
-        """The cut-offs later than a time, and not later than another."""
-        for one in self._policy:
-            if after_s < one.cut_off_s <= until_s:
-                yield one.cut_off_s
 
     def measure(self, state: Array) -> None:
         """Take in the measurement at the next cut-off, of true states (6, flights) before a burn."""

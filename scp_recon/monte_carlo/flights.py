@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +21,8 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
-from scp_recon.monte_carlo.sampling import BLOCK, ErrorModel, TruthModel, fly_block
-from scp_recon.results.policy import Policy
+from scp_recon.monte_carlo.replans import Replan
+from scp_recon.monte_carlo.sampling import BLOCK, AnyPolicy, ErrorModel, TruthModel, fly_block
 from scp_recon.results.solution import Solution
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
@@ -41,17 +41,21 @@ TERMINAL_KEPT = 5000
 
 PARTIAL, FLOWN = "montecarlo_partial.jsonl", "flights"
 COUNTS = ("samples", "whole", "full")
-SUMS = ("terminal", "terminal_sum", "terminal_outer")
+SUMS = ("terminal", "terminal_sum", "terminal_outer", "failed")
 BY_NAME = ("node_counts", "limits")
 TALLIES = ("entry", "exit", "closest", "executed_dv", "commanded_dv")
 """Fields of a `FlightTally` kept as numbers, as lists, as lists by name, and by their own fields."""
+
+PolicyKind = Literal["open", "replan", "feedback"]
+"""What is commanded: the planned burns, burns planned again before each, or corrected by gains."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlightConfig:
     """Planned burns to fly, J2000, m/s, shape (m, 3), the true dynamics, and the seed of all draws.
 
-    Burns are executed with the scenario's errors if `errors` is None. A policy corrects them.
+    Burns are executed with the scenario's errors if `errors` is None. A policy corrects them, or plans
+    them again.
 
     Raises:
         InputError: if seed, truth or errors are unknown, or cannot be flown in this scenario.
@@ -62,7 +66,14 @@ class FlightConfig:
     seed: int = 0
     truth: TruthModel = "planner"
     errors: ErrorModel | None = None
-    policy: Policy = ()
+    policy: AnyPolicy = ()
+
+    @property
+    def policy_kind(self) -> PolicyKind:
+        """Its policy in a word."""
+        if not self.policy:
+            return "open"
+        return "replan" if isinstance(self.policy[0], Replan) else "feedback"
 
     def __post_init__(self) -> None:
         """Refuse inputs with which flights would fail, and another body's gravity."""
@@ -98,6 +109,7 @@ class FlightBlock:
     commanded_dv_m_s: Array
     limits: dict[str, npt.NDArray[np.int64]]
     terminal: Array
+    failed: npt.NDArray[np.int64]
 
 
 def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
@@ -140,6 +152,7 @@ def run_block(config: FlightConfig, block: tuple[int, int]) -> FlightBlock:
         commanded_dv_m_s=np.linalg.norm(flown.commanded_m_s, axis=2).sum(axis=1),
         limits={name: (margin[corrected] >= 0.0).sum(axis=1) for name, margin in margins.items()},
         terminal=flown.states[-1],
+        failed=flown.failed.sum(axis=1),
     )
 
 
@@ -155,6 +168,7 @@ class FlightTally:
         whole: flights that keep every limit on the position at every sampled time.
         closest, executed_dv, commanded_dv: smallest distance from the body's centre, total delta-v.
         limits: flights in which each corrected burn keeps each limit on burns, shape (k,).
+        failed: flights in which planning each burn again failed, shape (k,); empty without.
         terminal: final states of the first flights.
     """
 
@@ -173,6 +187,7 @@ class FlightTally:
     terminal: Array = field(default_factory=lambda: np.empty((0, 6)))
     terminal_sum: Array = field(default_factory=lambda: np.zeros(6))
     terminal_outer: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    failed: Array = field(init=False)
 
     def __post_init__(self) -> None:
         """Make empty tallies that span all values that can occur."""
@@ -186,6 +201,8 @@ class FlightTally:
         self.entry = self.exit = Tally.empty(first, last, TIME_BIN_S)
         self.closest = Tally.empty(0.0, far, DISTANCE_BIN_M)
         self.executed_dv = Tally.empty(0.0, 3.0 * max(planned, 1e-9), planned / 1e4 or 1e-9)
+        again = self.config.policy_kind == "replan"
+        self.failed = np.zeros(len(self.config.policy) if again else 0)
         # However small the planned burns are, corrected ones may be as large as their limit.
         most = planned + self.config.mission.scenario.burns.dv_max_m_s * len(self.config.burns_m_s)
         self.commanded_dv = Tally.empty(0.0, most, most * DV_BIN)
@@ -213,6 +230,7 @@ class FlightTally:
         deviation = block.terminal - self.config.mission.final_state
         self.terminal_sum += deviation.sum(axis=0)
         self.terminal_outer += deviation.T @ deviation
+        self.failed += block.failed
         self.samples += len(block.terminal)
 
     def worst_probability(self, name: str) -> tuple[float, Estimate]:
@@ -313,6 +331,7 @@ def _kept(config: FlightConfig, solution: Solution, folder: Path) -> Store:
         "seed": config.seed,
         "truth": config.truth,
         "errors": config.errors,
+        "policy": config.policy_kind,
         "block": BLOCK,
         **code(__name__, "scp_recon.data"),
     }

@@ -8,17 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Booleans
 from scp_recon.mission.grid import RK4_STEP_MAX_S, make_grid
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
-from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop
+from scp_recon.monte_carlo.closed_loop import MEASURED, ClosedLoop, due
+from scp_recon.monte_carlo.replans import Replan, ReplanLoop, Replans
 from scp_recon.physics.flow import advance, interpolate
 from scp_recon.physics.forces import accelerations
-from scp_recon.results.policy import Policy
+from scp_recon.results.policy import Correction, Policy
 
 TruthModel = Literal["planner", "harmonics"]
 ErrorModel = Literal["componentwise", "gates"]
+AnyPolicy = Policy | Replans
 Flow = Callable[[Array, Array, float, float], tuple[Array, Array]]
 
 BLOCK = 1000
@@ -38,6 +40,8 @@ class Flights:
         burns_m_s: executed burns, shape (flights, m, 3).
         commanded_m_s: commanded burns, of the same shape.
         closest_m: smallest distance from the body's centre at the ends of steps, shape (flights,).
+        failed: whether planning again failed, at each of k cut-offs, shape (k, flights); k = 0 where
+            nothing is planned again.
     """
 
     times_s: Array
@@ -45,6 +49,7 @@ class Flights:
     burns_m_s: Array
     commanded_m_s: Array
     closest_m: Array
+    failed: Booleans
 
 
 def fly_block(
@@ -57,7 +62,7 @@ def fly_block(
     seed: int = 0,
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
-    policy: Policy = (),
+    policy: AnyPolicy = (),
 ) -> Flights:
     """Fly the first `flights` of a block of draws, at most `BLOCK`: see `fly_draws`."""
     draws = draw_flights(mission, burns_m_s, seed, block, errors, policy)[:flights]
@@ -76,7 +81,7 @@ def draw_flights(
     seed: int,
     block: int,
     errors: ErrorModel | None = None,
-    policy: Policy = (),
+    policy: AnyPolicy = (),
 ) -> Array:
     """The draws of a block of flights, shape (BLOCK, sources): see `fly_draws`."""
     draws = draw(seed, block, number_of_sources(mission, burns_m_s, errors))
@@ -97,7 +102,7 @@ def fly_draws(
     *,
     truth: TruthModel = "planner",
     errors: ErrorModel | None = None,
-    policy: Policy = (),
+    policy: AnyPolicy = (),
 ) -> Flights:
     """Fly draws of the errors, shape (flights, sources), with planned burns, shape (m, 3).
 
@@ -108,8 +113,8 @@ def fly_draws(
     With `errors` = "gates" Gates' model replaces the former by its isotropic counterpart: errors of
     beta in magnitude and of beta rad about each axis across. The dynamics are a point mass with J2,
     or the mission's `truth_field` turning with the body. Integration steps depend on the burns' times
-    alone; states at the ascending `times_s` are interpolated. A policy corrects burns, of which the
-    errors are those of the commanded burn.
+    alone; states at the ascending `times_s` are interpolated. A policy corrects burns, or plans them
+    again; their errors are those of the commanded burn.
 
     Raises:
         InputError: if the scenario's errors have no such counterpart.
@@ -120,7 +125,7 @@ def fly_draws(
     draws, measured = np.hsplit(draws[:, initial:], [model.draws(len(burns_m_s))])
     executed = model.execute(burns_m_s, draws)
     commanded = np.tile(burns_m_s, (flights, 1, 1))
-    loop = ClosedLoop(mission, burns_m_s, policy, measured)
+    loop = _loop(mission, burns_m_s, policy, measured)
     fly = _flow(mission, truth)
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
@@ -130,7 +135,7 @@ def fly_draws(
     states = np.empty((len(times_s), 6, flights))
     r, v = (np.ascontiguousarray(half.T) for half in (state[:, :3], state[:, 3:]))
     closest2 = np.full(flights, np.inf)
-    for _ in loop.due(-np.inf, stops[0]):
+    for _ in due(policy, -np.inf, stops[0]):
         loop.measure(np.concatenate([r, v]))
     for k, stop in enumerate(stops.tolist()):
         if stop in burn_at:
@@ -149,11 +154,24 @@ def fly_draws(
             for row in range(looks[k], np.searchsorted(times_s, stops[k + 1])):
                 share = (times_s[row] - stop) / duration
                 states[row, :3], states[row, 3:] = interpolate((r, v), end, duration, share)
-            for time in loop.due(stop, stops[k + 1]):
+            for time in due(policy, stop, stops[k + 1]):
                 share = (time - stop) / duration
                 loop.measure(np.concatenate(interpolate((r, v), end, duration, share)))
             r, v = end
-    return Flights(times_s, np.moveaxis(states, 1, 2), executed, commanded, np.sqrt(closest2))
+    failed = np.array(loop.failed, dtype=np.bool_).reshape(-1, flights)
+    states = np.moveaxis(states, 1, 2)
+    return Flights(times_s, states, executed, commanded, np.sqrt(closest2), failed)
+
+
+def _loop(
+    mission: Mission, burns_m_s: Array, policy: AnyPolicy, draws: Array
+) -> ClosedLoop | ReplanLoop:
+    """What commands the burns, from the measurements' draws."""
+    again = tuple(one for one in policy if isinstance(one, Replan))
+    if again:
+        return ReplanLoop(mission, burns_m_s, again, draws)
+    gains = tuple(one for one in policy if isinstance(one, Correction))
+    return ClosedLoop(mission, burns_m_s, gains, draws)
 
 
 def sample_positions(
@@ -162,7 +180,7 @@ def sample_positions(
     times_s: Array,
     samples: int,
     seed: int = 0,
-    policy: Policy = (),
+    policy: AnyPolicy = (),
 ) -> Array:
     """Positions of flights with the planner's dynamics, J2000, m, shape (times, samples, 3)."""
     blocks = [

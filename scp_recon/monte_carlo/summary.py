@@ -13,9 +13,10 @@ from scipy.special import chdtri
 from formulations.arrays import Array
 from scp_recon.files import write_atomically
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
-from scp_recon.monte_carlo.flights import FlightTally
+from scp_recon.monte_carlo.flights import FlightTally, PolicyKind
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
 from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
+from scp_recon.results.policy import Correction
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import ByName, Line, Section
@@ -178,15 +179,17 @@ class CorrectedBurn(Section):
         burn: its number in the flight, from 1.
         cut_off_s: of its measurement, past the epoch.
         limits: by name, each for itself.
+        failed: flights that planned it again in vain; null where none plans again.
     """
 
     burn: Annotated[int, Field(ge=1)]
     cut_off_s: float
     limits: ByName[Interval]
+    failed: Count | None = None
 
 
 class Commanded(Section):
-    """Statistics of the burns that a policy of feedback commands.
+    """Statistics of the burns that a policy commands in flight.
 
     Attributes:
         mean_dv_m_s: of the sum of the commanded burns' sizes.
@@ -208,6 +211,7 @@ class Summary(File):
         seed: of their errors.
         truth: gravity that they felt, "planner" or "harmonics".
         errors: model of the burns' errors, "componentwise" or "gates".
+        policy: that commanded the burns, "open", "replan" or "feedback"; null in older files.
         confidence: of all intervals, 0.95.
         planned_dv_m_s: sum of the planned burns' sizes.
         window_s: observation window, past the epoch; null once it is over.
@@ -218,7 +222,7 @@ class Summary(File):
         whole_flight: probability that a flight keeps every limit throughout.
         closest_m: least distance from the body's centre.
         executed_dv_m_s: sum of the executed burns' sizes.
-        commanded: burns as they are commanded, with feedback; absent without.
+        commanded: burns as they are commanded in flight; absent where all are fixed before.
         terminal: final state.
     """
 
@@ -227,6 +231,7 @@ class Summary(File):
     seed: Count
     truth: TruthModel
     errors: ErrorModel
+    policy: PolicyKind | None = None
     confidence: float
     planned_dv_m_s: float
     window_s: tuple[float, float] | None
@@ -251,7 +256,10 @@ class Summary(File):
 
     def __str__(self) -> str:
         """Flights and settings, and each constraint's lowest probability."""
-        flown = f"{self.samples} flights, seed {self.seed}, {self.truth}, {self.errors} errors"
+        policy = f", policy {self.policy}" if self.policy not in (None, "open") else ""
+        flown = (
+            f"{self.samples} flights, seed {self.seed}, {self.truth}, {self.errors} errors{policy}"
+        )
         lines = [
             f"P({name}) {p.estimate.value:.4f}, {p.estimate.low:.4f} to {p.estimate.high:.4f}, "
             f"at {p.worst_t_s:.0f} s"
@@ -267,8 +275,8 @@ class Summary(File):
         """Whether the solution's plan was flown."""
         return self.plan_hash == solution.plan_hash
 
-    def write(self, folder: Path) -> Path:
-        """Write `montecarlo.json` into a folder, whole or not at all.
+    def write(self, folder: Path, name: str = FILE_NAME) -> Path:
+        """Write it into a folder, whole or not at all.
 
         Raises:
             OSError: if the folder cannot be written.
@@ -276,7 +284,7 @@ class Summary(File):
         # What was not set is the rest of a spread of no flights.
         entries: dict[str, Any] = self.model_dump(mode="json", exclude_unset=True)
         text = json.dumps({"schema": SCHEMA, **entries}, allow_nan=False)
-        return write_atomically(folder / FILE_NAME, text + "\n")
+        return write_atomically(folder / name, text + "\n")
 
 
 Kind = TypeVar("Kind", bound=Summary)
@@ -304,9 +312,10 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
     """
     config = flown.config
     same_burns = np.array_equal(config.burns_m_s, solution.burns_m_s)
-    gains, planned = ([one.gains for one in of] for of in (config.policy, solution.corrections))
-    same_gains = len(gains) == len(planned) and all(map(np.array_equal, gains, planned))
-    if not same_burns or not same_gains or config.mission.scenario != solution.scenario:
+    gains = [one.gains for one in config.policy if isinstance(one, Correction)]
+    own = [one.gains for one in solution.corrections]
+    same_gains = len(gains) == len(own) and all(map(np.array_equal, gains, own))
+    if not same_burns or (gains and not same_gains) or config.mission.scenario != solution.scenario:
         raise ValueError("the flights are of another plan than the solution's")
     return Summary(
         plan_hash=solution.plan_hash,
@@ -314,6 +323,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         seed=config.seed,
         truth=config.truth,
         errors=config.errors or config.mission.scenario.uncertainty.errors,
+        policy=config.policy_kind,
         confidence=CONFIDENCE,
         planned_dv_m_s=solution.total_dv_m_s,
         window_s=config.mission.observed_s,
@@ -373,6 +383,7 @@ def _commanded(flown: FlightTally) -> Commanded:
                     name: _interval(proportion(int(counts[j]), flown.samples))
                     for name, counts in flown.limits.items()
                 },
+                **({"failed": int(flown.failed[j])} if len(flown.failed) else {}),
             )
             for j, one in enumerate(flown.config.policy)
         ],
@@ -480,15 +491,6 @@ def shortfalls(summary: Summary, solution: Solution) -> list[str]:
     if flights and whole is not None and _judged(whole, solution) < required:
         found.append(f"whole flights {whole.estimate.value:.4f}, required {required:g}")
     return found
-
-
-def too_wide(width: float, until: float | None) -> list[str]:
-    """A message if flights ended before the widest interval was as narrow as required."""
-    if until is None or width <= until:
-        return []
-    return [
-        f"widest interval {100.0 * width:.3g} %, required {100.0 * until:g} %: needs more --samples"
-    ]
 
 
 def _judged(found: Interval, solution: Solution) -> float:

@@ -277,18 +277,23 @@ def flown_probabilities_table(summary: Summary, required: float | None) -> Table
 
 
 def corrected_burns_table(commanded: Commanded, required: float | None) -> Table:
-    """How often each corrected burn keeps each limit on burns, with intervals."""
+    """How often each corrected burn keeps each limit on burns, with intervals; and failed replans."""
+    again = any(burn.failed is not None for burn in commanded.burns)
     return Table.of(
-        "Corrected burns as commanded",
+        "Burns planned again, as commanded" if again else "Corrected burns as commanded",
         (
             "burn",
             Column("cut-off", "s", "g"),
             "limit",
             "probability that it holds",
             Column("required", form="g"),
+            *(["failed replans"] if again else []),
         ),
         (
-            [str(burn.burn), burn.cut_off_s, name, interval_cell(kept, 4), required]
+            [
+                *(str(burn.burn), burn.cut_off_s, name, interval_cell(kept, 4), required),
+                *([str(burn.failed)] if again else []),
+            ]
             for burn in commanded.burns
             for name, kept in burn.limits.items()
         ),

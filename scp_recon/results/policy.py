@@ -26,21 +26,18 @@ LEARNT = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
-    """Correction of one burn; J2000, m and m/s.
+class CutOff:
+    """What is known before one burn; J2000, m and m/s.
 
     Attributes:
         burn: number of the burn, from 0, among those that are planned.
         cut_off_s: time of its measurement past the epoch, before a burn at that time.
-        gains: on the estimated deviations from the plan at the cut-offs so far, of this correction and
-            of all before it, the earliest first, shape (cut-offs, 3, 6).
         measurement_covariance: of the measured state, shape (6, 6).
         estimate_covariance: of the estimated state's error after the update, shape (6, 6).
     """
 
     burn: int
     cut_off_s: float
-    gains: Array
     measurement_covariance: Array
     estimate_covariance: Array
 
@@ -48,6 +45,18 @@ class Correction:
     def kalman_gain(self) -> Array:
         """K = P R^-1, shape (6, 6)."""
         return np.asarray(np.linalg.solve(self.measurement_covariance, self.estimate_covariance).T)
+
+
+@dataclass(frozen=True, eq=False)
+class Correction(CutOff):
+    """Correction of one burn.
+
+    Attributes:
+        gains: on the estimated deviations from the plan at the cut-offs so far, of this correction and
+            of all before it, the earliest first, shape (cut-offs, 3, 6).
+    """
+
+    gains: Array
 
 
 Policy = tuple[Correction, ...]

@@ -35,7 +35,6 @@ from scp_recon.monte_carlo.summary import (
     Terminal,
     required_probability,
     shortfalls,
-    too_wide,
 )
 from scp_recon.reports.tables import (
     corrected_burns_table,
@@ -63,6 +62,7 @@ def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
         options.seed,
         options.workers,
         options.scheduler,
+        options.policy,
     )
     home = resolve_run(options.plan)
     plan, folder = open_plan(home), folder_of(home)
@@ -85,12 +85,21 @@ def montecarlo(options: argparse.Namespace, console: Console) -> Answer:
     show_warnings(console, [*plan.solution.warnings, *plan.mission.warnings])
     failed = [
         *shortfalls(summary, plan.solution),
-        *too_wide(flown.flights.widest_interval(), how.until),
+        *_too_wide(flown.flights.widest_interval(), how.until),
     ]
     show_verdict(console, "as required", failed)
     show_written(console, flown.path)
     found = {"failed": failed, **document, **summary.model_dump(mode="json")}
     return Answer(NOT_VERIFIED if failed else 0, found)
+
+
+def _too_wide(width: float, until: float | None) -> list[str]:
+    """A message if flights ended before the widest interval was as narrow as required."""
+    if until is None or width <= until:
+        return []
+    return [
+        f"widest interval {100.0 * width:.3g} %, required {100.0 * until:g} %: needs more --samples"
+    ]
 
 
 def simulate(options: argparse.Namespace, console: Console) -> Answer:
@@ -140,6 +149,7 @@ def show_summary(console: Console, summary: Summary, asked: float | None = None)
     window = f"window {last - first:.1f} s" if summary.window_s else "the window is over"
     console.print(
         f"{summary.samples} flights, truth {summary.truth}, errors {summary.errors}, "
+        f"policy {summary.policy}, "
         f"{100 * summary.confidence:.0f} % intervals; {window}",
         highlight=False,
     )

@@ -248,6 +248,10 @@ def test_the_command_flies_what_the_file_stores(
 
 
 def test_flights_of_other_gains_are_another_plans(corrected: Solution) -> None:
-    open_loop = FlightConfig(corrected.mission, corrected.burns_m_s)
-    with pytest.raises(ValueError, match="another plan"):
-        summarise(fly_many(open_loop, samples=20), corrected)
+    """Without gains they are the plan's own, flown open loop."""
+    mission, burns, policy = corrected.mission, corrected.burns_m_s, corrected.corrections
+    for other in (policy[:1], (replace(policy[0], gains=2.0 * policy[0].gains), *policy[1:])):
+        with pytest.raises(ValueError, match="another plan"):
+            summarise(fly_many(FlightConfig(mission, burns, policy=other), samples=20), corrected)
+    open_loop = summarise(fly_many(FlightConfig(mission, burns), samples=20), corrected)
+    assert (open_loop.policy, open_loop.commanded) == ("open", None)

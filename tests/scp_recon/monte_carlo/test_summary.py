@@ -69,7 +69,7 @@ def test_the_file_has_the_keys_it_always_had_and_the_plans_hash(
     data: Data, solution: Solution
 ) -> None:
     assert list(data) == [
-        *("schema", "plan_hash", "samples", "seed", "truth", "errors", "confidence"),
+        *("schema", "plan_hash", "samples", "seed", "truth", "errors", "policy", "confidence"),
         *("planned_dv_m_s", "window_s", "held_s", "entry_s", "exit_s", "probability"),
         *("whole_flight", "closest_m", "executed_dv_m_s", "terminal"),
     ]

@@ -1,0 +1,138 @@
+"""Flights that are planned again before each burn: what they know, what they fly, and what fails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations.arrays import Array
+from scp_recon.api.flights import fly
+from scp_recon.cli.commands import montecarlo
+from scp_recon.errors import InputError
+from scp_recon.monte_carlo import replans as module
+from scp_recon.monte_carlo.replans import Replan, replans
+from scp_recon.monte_carlo.sampling import Flights, fly_block
+from scp_recon.monte_carlo.summary import read_summary
+from scp_recon.results.solution import Solution
+from tests.scp_recon.monte_carlo.test_closed_loop import case_of
+from tests.scp_recon.support import mission_of
+
+MEASURED = "navigation.sigma_position_m=10", "navigation.sigma_velocity_m_s=5e-4"
+SMALL = (
+    "uncertainty.initial_sigma_fraction=1e-4",
+    "uncertainty.execution_error=3e-4",
+    "navigation.sigma_position_m=0.5",
+    "navigation.sigma_velocity_m_s=3e-5",
+)
+FLIGHTS = 1000
+VALUES = 0.25
+"""Of sampled over true variances of so many flights, in whichever direction."""
+
+
+def flown(solution: Solution, flights: int, *words: str) -> tuple[Flights, tuple[Replan, ...]]:
+    mission, burns = mission_of(*MEASURED, *words), solution.burns_m_s
+    again = replans(mission, burns)
+    times = np.array([*(one.cut_off_s for one in again), mission.times_s[-1]])
+    return fly_block(mission, burns, times, 0, flights=flights, policy=again), again
+
+
+@pytest.mark.parametrize("lead_s", [3600.0, 7000.0])
+def test_what_is_known_at_cut_offs_is_what_the_planners_filter_knows(
+    solution: Solution, lead_s: float
+) -> None:
+    """By rows of innovations, without corrections."""
+    case = case_of(lead_s, solution, size=0.0)
+    found = replans(case.mission, case.burns_m_s)
+    assert [one.cut_off_s for one in found] == [one.cut_off_s for one in case.policy]
+    for one, expected in zip(found, case.policy, strict=True):
+        assert one.burn == expected.burn
+        sigma = np.sqrt(np.diag(expected.estimate_covariance))
+        scale = np.outer(sigma, sigma)
+        np.testing.assert_allclose(
+            one.estimate_covariance / scale, expected.estimate_covariance / scale, atol=1e-5
+        )
+        known = one.mission.initial_factor @ one.mission.initial_factor.T
+        np.testing.assert_allclose(known / scale, one.estimate_covariance / scale, atol=1e-6)
+
+
+def test_estimates_are_as_good_as_the_filter_says(
+    solution: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With small errors: flights far off the plan bend away from what a linear filter expects."""
+    seen: list[Array] = []
+
+    def in_vain(one: Replan, states: Array) -> Array:
+        seen.append(states.copy())
+        return np.full((len(states), *one.burns_m_s.shape), np.nan)
+
+    monkeypatch.setattr(module, "_plan_again", in_vain)
+    flights, again = flown(solution, FLIGHTS, *SMALL)
+    assert len(seen) == 3
+    for row, (one, states) in enumerate(zip(again, seen, strict=True)):
+        root = np.linalg.cholesky(one.estimate_covariance)
+        whitened = np.linalg.solve(root, (states - flights.states[row]).T)
+        values = np.linalg.svd(whitened, compute_uv=False) ** 2 / FLIGHTS
+        np.testing.assert_allclose(values, 1.0, atol=VALUES)
+
+
+def test_a_flight_that_cannot_be_planned_again_flies_its_last_plan(
+    solution: Solution, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the first replan finds burns for half of the flights, and the others none."""
+    found: list[Array] = []
+
+    def for_some(one: Replan, states: Array) -> Array:
+        burns = np.full((len(states), *one.burns_m_s.shape), np.nan)
+        if not found:
+            burns[::2] = one.burns_m_s + 1e-4
+        found.append(burns)
+        return burns
+
+    monkeypatch.setattr(module, "_plan_again", for_some)
+    flights, _ = flown(solution, 20)
+    np.testing.assert_array_equal(flights.failed.sum(axis=1), [10, 20, 20])
+    np.testing.assert_allclose(flights.commanded_m_s[::2, 1:] - solution.burns_m_s[1:], 1e-4)
+    alone = fly_block(mission_of(*MEASURED), solution.burns_m_s, np.zeros(1), 0, flights=20)
+    np.testing.assert_array_equal(flights.burns_m_s[1::2], alone.burns_m_s[1::2])
+
+
+def test_the_command_flies_a_plan_by_any_policy(
+    solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Another policy than the plan's has a file of its own. What is planned again meets the end."""
+    replace(solution, scenario=mission_of(*MEASURED).scenario).write(tmp_path)
+    montecarlo.main([str(tmp_path), "--samples=20", "--policy=replan"])
+    shown = capsys.readouterr().out
+    assert "policy replan" in shown
+    assert "failed replans" in shown
+    again = read_summary(tmp_path / "montecarlo_replan.json")
+    assert again.policy == "replan"
+    assert again.commanded is not None
+    assert [(burn.burn, burn.failed) for burn in again.commanded.burns] == [(2, 0), (3, 0), (4, 0)]
+    assert not (tmp_path / "montecarlo.json").exists()
+    montecarlo.main([str(tmp_path), "--samples=20"])
+    alone = read_summary(tmp_path)
+    assert alone.policy == "open"
+    assert again.terminal.sigma_position_m is not None
+    assert alone.terminal.sigma_position_m is not None
+    sizes = again.terminal.sigma_position_m.estimate, alone.terminal.sigma_position_m.estimate
+    assert sizes[0].high < 0.25 * sizes[1].low
+
+
+@pytest.mark.parametrize(
+    ("policy", "words", "told"),
+    [
+        ("feedback", MEASURED, "without gains"),
+        ("replan", (), "without a measurement"),
+        ("replan", (*MEASURED, "navigation.lead_s=20000"), "cut-off of burn 3 precedes"),
+    ],
+)
+def test_policies_that_a_plan_cannot_fly_are_refused(
+    solution: Solution, policy: str, words: tuple[str, ...], told: str
+) -> None:
+    given = replace(solution, scenario=mission_of(*words).scenario)
+    with pytest.raises(InputError, match=told):
+        fly(given, samples=20, policy=policy)  # type: ignore[arg-type]
