@@ -23,11 +23,11 @@ from formulations.program import solvers
 from formulations.program.certificate import ConeProgram
 from formulations.rows.uniform import ChanceRows
 from scp_recon.jobs.job import Job
-from scp_recon.mission.mission import Mission
+from scp_recon.mission.mission import CLEARANCE_M, Mission
 from scp_recon.planning import initial_guess
+from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.plan import Stage
-from scp_recon.planning.planner import CLEARANCE_M, Planner, screened
-from scp_recon.planning.stages import StageRunner
+from scp_recon.planning.planner import Planner, screened
 from scp_recon.scenario.load import load_scenario
 
 FORMS = ("condensed", "lifted")
@@ -67,11 +67,13 @@ def measure(case: tuple[str, str]) -> Record:
     changes, clearance_m = CASES[name]
     mission = Mission.from_scenario(load_scenario().replace(changes))
     planner = Planner(mission, formulation=form)
-    runner = StageRunner(mission, planner)
-    lin = StageRunner(mission, Planner(mission)).plan(initial_guess.cold(mission), "P3").result.lin
+    runner = MissionRunner(mission, planner)
+    lin = (
+        MissionRunner(mission, Planner(mission)).plan(initial_guess.cold(mission), "P3").result.lin
+    )
     if name == "exact, flight":  # which begins at the plan of nodes
         way, rows = Planner(mission).exact_rows()[0]
-        lin = StageRunner(mission, Planner(mission)).solve(f"P2{way}", rows, lin).result.lin
+        lin = MissionRunner(mission, Planner(mission)).solve(f"P2{way}", rows, lin).result.lin
     solve = solving(mission, planner, runner, lin, clearance_m)
     with noted() as programs:
         times = []
@@ -96,7 +98,7 @@ def measure(case: tuple[str, str]) -> Record:
 def solving(
     mission: Mission,
     planner: Planner,
-    runner: StageRunner,
+    runner: MissionRunner,
     lin: Linearisation,
     clearance_m: float,
 ) -> Callable[[], Stage]:
@@ -105,7 +107,8 @@ def solving(
         _, rows = planner.exact_rows()[-1]
         return lambda: runner.solve("P2", rows, lin)
     facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
-    chosen = ChanceRows(mission.problem, facets, screened(mission, facets, lin, clearance_m))
+    clearance = clearance_m / mission.units.length_m
+    chosen = ChanceRows(mission.problem, facets, screened(facets, lin, clearance))
     return lambda: runner.restore("P2", chosen, lin)
 
 

@@ -34,9 +34,10 @@ from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.flights import FlightConfig, fly_many
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning import initial_guess
+from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.plan import Plan, Provenance
-from scp_recon.planning.planner import CLEARANCE_M, Planner, screened
-from scp_recon.planning.stages import HELD_STAGE, RowsSolver, StageRunner
+from scp_recon.planning.planner import Planner, screened
+from scp_recon.planning.stages import HELD_STAGE, RowsSolver
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, State, Timing, record_of, trial_step
@@ -198,7 +199,7 @@ def _whole(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     start, method = start_of(mission, cell), cell.method
     begin = process_time()
     if method.solver in NLP_SOLVERS:
-        runner = StageRunner(mission, _solver_of_rows(mission, method))
+        runner = MissionRunner(mission, _solver_of_rows(mission, method))
         provenance = Provenance(method.formulation, method.algorithm, method.solver, cell.start)
         done = runner.run(lambda: runner.executable(runner.plan(start, "P2")), provenance)
     else:
@@ -232,9 +233,9 @@ def _from_p3(mission: Mission, cell: Cell) -> tuple[Plan, float]:
     p3 = [one for one in stages if not one.name.endswith(HELD_STAGE)][-1].result.lin
     problem = mission.problem
     facets = choose_facets(problem, mission.polytopes, p3.iterate.mean, p3.factor)
-    clearance_m = np.inf if cell.method == EVERY_NODE else CLEARANCE_M
-    included = screened(mission, facets, p3, clearance_m)
-    runner = StageRunner(mission, _solver_of_rows(mission, cell.method))
+    clearance = np.inf if cell.method == EVERY_NODE else mission.clearances[0]
+    included = screened(facets, p3, clearance)
+    runner = MissionRunner(mission, _solver_of_rows(mission, cell.method))
     provenance = Provenance(
         cell.method.formulation, cell.method.algorithm, cell.method.solver, "p3"
     )

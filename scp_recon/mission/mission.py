@@ -22,7 +22,7 @@ from scp_recon.bodies.catalogue import AU_KM
 from scp_recon.errors import InputError
 from scp_recon.mission.checks.checks import check_plausible, check_scene, check_state, check_window
 from scp_recon.mission.constraints import Limit, observation_limits, state_constraints
-from scp_recon.mission.feedback import check_feedback, felt_cut_offs_s
+from scp_recon.mission.feedback import check_feedback, felt_cut_offs_s, require_open_loop
 from scp_recon.mission.grid import RK4_STEP_MAX_S, Units, make_grid
 from scp_recon.mission.scene import Scene, execution_errors, truth_field
 from scp_recon.mission.schedule import (
@@ -42,7 +42,13 @@ from scp_recon.physics.frames import Rotation
 from scp_recon.physics.harmonics import HarmonicField
 from scp_recon.physics.two_body import lambert
 from scp_recon.scenario.fields import ScenarioWarning
-from scp_recon.scenario.schema import Scenario
+from scp_recon.scenario.schema import Risk, Scenario
+
+CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
+"""Facets farther than this from binding stay out of the convex program, and are checked after it.
+
+The second figure is for starting at a solution of P2, which moves less than one of P3.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -312,6 +318,28 @@ class Mission:
         else:
             shape = paper_ball() if choice.ball == "paper" else ball(choice.ball)
         return Polytopes(shape, 4 if choice.cone == "paper" else choice.cone)
+
+    @property
+    def risk(self) -> Risk:
+        """Required probability, its scope, and how risk is spent."""
+        return self.scenario.risk
+
+    @property
+    def clearances(self) -> tuple[float, float]:
+        """`CLEARANCE_M` and `CLEARANCE_AGAIN_M`, nondimensional."""
+        length = self.units.length_m
+        return CLEARANCE_M / length, CLEARANCE_AGAIN_M / length
+
+    def require_plain(self, needs: str) -> None:
+        """Refuse feedback and limits on the final covariance, which go with `needs` alone.
+
+        Raises:
+            InputError: if there is either.
+        """
+        for name in ("final_sigma_position_m", "final_sigma_velocity_m_s"):
+            if (limit := getattr(self.scenario.boundary, name)) is not None:
+                raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")
+        require_open_loop(self.scenario, needs)
 
     @cached_property
     def flow(self) -> GridFlow:

@@ -24,9 +24,9 @@ from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.plan import Stage, scales
-from scp_recon.planning.planner import CLEARANCE_AGAIN_M, Planner
-from scp_recon.planning.stages import StageRunner
+from scp_recon.planning.planner import Planner
 from scp_recon.scp.status import Status
 
 REACH = 0.3
@@ -84,7 +84,7 @@ class Near:
         self.space, self._mission = space, space.mission_of(at)
         self._planner = planner = Planner(self._mission)
         self._exact = self._mission.scenario.risk.allocation == "exact"
-        runner = StageRunner(self._mission, planner)
+        runner = MissionRunner(self._mission, planner)
         start = runner.start(from_burns(self._mission, burns_m_s))
         if not (self._exact or certain):
             start = runner.solve("P3", planner.p3_rows, start).result.lin
@@ -96,7 +96,7 @@ class Near:
         """Plan P2 at x, started from the burns of another iterate, or from the first plan."""
         at = self.space.at(x)
         mission = self.space.moved(self._mission, at)
-        runner, begun = StageRunner(mission, self._planner), start or self.first.stage.result.lin
+        runner, begun = MissionRunner(mission, self._planner), start or self.first.stage.result.lin
         lin = runner.start(begun.iterate)
         if isinstance(self._rows, ChanceRows):
             return PassResult(at, mission, runner.restore("P2", self._rows, lin))
@@ -125,7 +125,7 @@ class Near:
             return ways[min(1, len(ways) - 1)][1]  # of whole flights those of few directions
         problem, polytopes = self._mission.problem, self._mission.polytopes
         facets = choose_facets(problem, polytopes, lin.iterate.mean, lin.factor)
-        return self._planner.p2_rows(facets, lin, CLEARANCE_AGAIN_M)
+        return self._planner.p2_rows(facets, lin, again=True)
 
 
 def reflown(mission: Mission, lin: Linearisation) -> Linearisation:

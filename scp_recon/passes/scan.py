@@ -16,8 +16,8 @@ from scp_recon.passes.descent import PassResult
 from scp_recon.passes.ring import TURN
 from scp_recon.passes.space import Pass, Space
 from scp_recon.planning.initial_guess import circular, from_burns
+from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.planner import Planner
-from scp_recon.planning.stages import StageRunner
 
 STEP = float(np.deg2rad(40.0))
 """Largest step between phases, rad."""
@@ -57,7 +57,7 @@ def scan(
 
 def _cheapest(planner: Planner, at: Pass, mission: Mission, last: PassResult | None) -> PassResult:
     """Plan P3 from the neighbour's burns, and if that does not converge from turns about the body."""
-    runner = StageRunner(mission, planner)
+    runner = MissionRunner(mission, planner)
     for guess in _guesses(mission, last):
         stage = runner.solve("P3", planner.p3_rows, runner.start(guess))
         result = PassResult(at, mission, stage)

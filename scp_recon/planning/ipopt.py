@@ -20,17 +20,13 @@ from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError, option
-from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import GridFlow
 from scp_recon.physics.forces import acceleration
+from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.plan import Plan, Provenance, Stage
-from scp_recon.planning.planner import (
-    CLEARANCE_M,
-    require_no_final_limit,
-    screened,
-)
-from scp_recon.planning.stages import Observer, StageRunner
+from scp_recon.planning.planner import screened
+from scp_recon.planning.stages import Observer
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, Timing
 from scp_recon.scp.status import Status
@@ -81,10 +77,9 @@ def plan(
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
-    require_no_final_limit(mission, f"{option('method', 'scp')} only")
-    require_open_loop(mission.scenario, f"{option('method', 'scp')} only")
+    mission.require_plain(f"{option('method', 'scp')} only")
     arcs = casadi_arcs(mission.flow)
-    runner = StageRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
+    runner = MissionRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
     algorithm = "interior point, elastic" if elastic else "interior point"
     provenance = Provenance(variant, algorithm, "IPOPT", init, "ipopt")
     return runner.run(lambda: runner.executable(runner.plan(guess, problem)), provenance)
@@ -113,10 +108,8 @@ class IpoptStages:
 
     def p2_rows(self, facets: Facets, lin: Linearisation) -> ChanceRows:
         """P2's constraints on given facets, screened as the planner screens them."""
-        mission = self.mission
-        clearance_m = CLEARANCE_M if self.variant.screened else np.inf
-        included = screened(mission, facets, lin, clearance_m)
-        return ChanceRows(mission.problem, facets, included)
+        clearance = self.mission.clearances[0] if self.variant.screened else np.inf
+        return ChanceRows(self.mission.problem, facets, screened(facets, lin, clearance))
 
     def exact_rows(self) -> Sequence[tuple[str, Rows]]:
         """Refuse: IPOPT has no rows of exact risk."""

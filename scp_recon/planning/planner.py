@@ -22,26 +22,20 @@ from formulations.rows.exact import NodeRows
 from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
 from scp_recon.errors import InputError
-from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER
+from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.stages import (
     CHOICES_MAX,
     HELD_STAGE,
     RESOLUTION,
     Observer,
-    StageRunner,
+    Task,
     without_parting_sets,
 )
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.loop import Algorithm, run
-
-CLEARANCE_M, CLEARANCE_AGAIN_M = 200.0, 40.0
-"""Facets farther than this from binding stay out of the convex program, and are checked after it.
-
-The second figure is for starting at a solution of P2, which moves less than one of P3.
-"""
 
 FEW_LINES, LINES = 512, 4096
 """Directions, each taken both ways, in which a plan of whole flights looks: first, and finally."""
@@ -96,13 +90,12 @@ def plan(
     )
 
 
-class Planner:
-    """Plans a mission by SCP, and plans it again from other initial states.
+class ScpStages:
+    """A `RowsSolver` by SCP that keeps its compiled subproblems and solvers.
 
-    A `RowsSolver` that keeps its compiled subproblems and solvers; they serve any mission with the
-    same constraints, schedule and nodes. `target` is the probability of exact constraints, by default
-    the scenario's. `p3_resolution` is the relative reduction of the merit at which P3 stops if P2
-    follows.
+    They serve any task with the same constraints, burn nodes and nodes. `target` is the probability of
+    exact constraints, by default the task's. `p3_resolution` is the relative reduction of the merit at
+    which P3 stops if P2 follows.
 
     Raises:
         InputError: if the algorithm cannot weigh a miss of the final state where that is needed.
@@ -110,7 +103,7 @@ class Planner:
 
     def __init__(
         self,
-        mission: Mission,
+        task: Task,
         *,
         formulation: str = FORMULATION,
         algorithm: str = ALGORITHM,
@@ -118,124 +111,46 @@ class Planner:
         target: float | None = None,
         p3_resolution: float = 0.0,
     ) -> None:
-        self.mission: Final = mission
+        self.task = task
         self.p3_resolution: Final = p3_resolution
-        self.target: Final = mission.scenario.risk.p_chance if target is None else target
+        self.target: Final = task.risk.p_chance if target is None else target
         self.formulation: Final = formulation
         self.solver: Final = solver
         self.algorithm_name: Final = algorithm
-        special: dict[str, float] = {"weight": WEIGHT} if has_final_limit(mission) else {}
-        if mission.problem.feedback is not None:
+        limited = any(limit is not None for limit in task.problem.final_spread)
+        special: dict[str, float] = {"weight": WEIGHT} if limited else {}
+        if task.problem.feedback is not None:
             special["max_iterations"] = ITERATIONS_WITH_GAINS
         self.algorithm: Algorithm = ALGORITHMS[algorithm](**special)
-        if self.algorithm.penalty == "augmented" and not mission.must_meet:
+        if self.algorithm.penalty == "augmented" and task.problem.miss_weight is not None:
             raise InputError(
                 "algorithm",
                 algorithm,
                 "must be scvx or ptr where too few burns are left to meet the final state",
             )
         if formulation not in FULL:
-            needs = f"the formulations {' and '.join(FULL)}, not with {formulation}"
-            require_no_final_limit(mission, needs)
-            require_open_loop(mission.scenario, needs)
+            task.require_plain(f"the formulations {' and '.join(FULL)}, not with {formulation}")
         self._formulation = formulation
         self._p2_rows: ChanceRows | None = None
         self._exact_rows: Sequence[tuple[str, Rows]] = ()
         self._kept: dict[type[Rows], Subproblem] = {}
 
-    def plan(
-        self,
-        guess: Iterate | Plan,
-        *,
-        problem: Literal["P3", "P2"] = "P2",
-        facet_rounds: int = 0,
-        choices: int = CHOICES_MAX,
-        init: str = "given",
-        observe: Observer | None = None,
-        once: bool = False,
-    ) -> Plan:
-        """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
-
-        The guess may have defects. Exact risk goes on from a plan with its last stage, burns and gains
-        at once, and from the plan's burns where that does not converge. Unless `once`, a stage that
-        does not converge is tried from other starts: see `StageRunner.plan`. In each of `facet_rounds`
-        the facets are chosen again at the solution and P2 is solved again; a round is kept only if it
-        is better (`standing`), so that facets cannot cycle. Facets that leave nothing feasible are
-        always chosen again, up to `choices` times. Burns too small to execute are left out or raised
-        (`StageRunner.executable`). The observer is called after each iteration with the stage's name
-        and the record.
-        """
-        runner = StageRunner(self.mission, self, observe, facet_rounds, choices)
-
-        def work() -> Stage:
-            stage = runner.go_on(guess) if isinstance(guess, Plan) and problem == "P2" else None
-            if stage is None:
-                start = runner.flown(guess) if isinstance(guess, Plan) else guess
-                stage = runner.plan(start, problem, once=once)
-            return runner.executable(stage)
-
-        plan = runner.run(work, self._provenance(init))
-        return replace(plan, target=self._target)
-
-    def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
-        """Solve P2 again for another initial state, from the last plan and with its facets.
-
-        The state is that before the first burn, J2000, SI, shape (6,); its covariance is the mission's
-        fraction of it. The last plan must be one of P2 by this planner; the new one's `mission` begins
-        at the state.
-
-        Raises:
-            ValueError: if the plan is not one of P2, its mission differs in more than the initial
-                state, or the state is not outside the body.
-        """
-        facets = last.final.facets
-        if last.final.problem != "P2":
-            raise ValueError("only a plan of P2 can be planned again")
-        if last.mission.with_initial_state(initial_state).scenario != (
-            self.mission.with_initial_state(initial_state).scenario
-        ):
-            raise ValueError("the plan is of another mission")
-        mission = self.mission.with_initial_state(initial_state)
-        runner = StageRunner(mission, self, observe)
-
-        def again() -> Stage:
-            if facets is None:
-                return runner.solve_exact("P2", runner.start(last.final.result.lin.iterate))
-            # The last plan's iterate knows its factor; the facets are screened there.
-            rows = self.p2_rows(facets, last.final.result.lin, CLEARANCE_AGAIN_M)
-            start = runner.start(last.final.result.lin.iterate)
-            return runner.choose_again(runner.restore("P2", rows, start))
-
-        return replace(
-            runner.run(lambda: runner.executable(again()), self._provenance("plan")),
-            target=self._target,
-        )
-
-    @property
-    def _target(self) -> float | None:
-        return self.target if self.mission.scenario.risk.allocation == "exact" else None
-
-    def _provenance(self, init: str) -> Provenance:
-        return Provenance(self.formulation, self.algorithm_name, self.solver, init)
-
     @cached_property
     def p3_rows(self) -> DeterministicRows:
         """See `RowsSolver`."""
-        return DeterministicRows(self.mission.problem.open_loop, self.p3_resolution)
+        return DeterministicRows(self.task.problem.open_loop, self.p3_resolution)
 
     @cached_property
     def first_stage_rows(self) -> DeterministicRows:
         """P3's rows without the keep-out sets of a part of the flight."""
-        return DeterministicRows(without_parting_sets(self.mission.problem.open_loop), RESOLUTION)
+        return DeterministicRows(without_parting_sets(self.task.problem.open_loop), RESOLUTION)
 
-    def p2_rows(
-        self, facets: Facets, lin: Linearisation, clearance_m: float = CLEARANCE_M
-    ) -> ChanceRows:
-        """See `RowsSolver`; the last are kept."""
-        included = screened(self.mission, facets, lin, clearance_m)
+    def p2_rows(self, facets: Facets, lin: Linearisation, *, again: bool = False) -> ChanceRows:
+        """See `RowsSolver`; the last are kept. `again` from a solution of P2, which moves less."""
+        included = screened(facets, lin, self.task.clearances[again])
         kept = self._p2_rows
         if kept is None or kept.facets is not facets or np.any(kept.included != included):
-            self._p2_rows = kept = ChanceRows(self.mission.problem, facets, included)
+            self._p2_rows = kept = ChanceRows(self.task.problem, facets, included)
         return kept
 
     def subproblem(self, rows: Rows) -> Subproblem:
@@ -257,8 +172,8 @@ class Planner:
         if self.formulation not in FULL:
             needs = f"goes with the formulations {' and '.join(FULL)}, not with {self.formulation}"
             raise InputError("risk.allocation", "'exact'", needs)
-        problem, target = self.mission.problem, self.target
-        if not self._exact_rows and self.mission.scenario.risk.scope == "node":
+        problem, target = self.task.problem, self.target
+        if not self._exact_rows and self.task.risk.scope == "node":
             self._exact_rows = [("", NodeRows(problem, target))]
             if problem.feedback is not None:
                 open_loop = NodeRows(problem.open_loop, target, COARSE)
@@ -295,31 +210,96 @@ class Planner:
         return Stage(name, result, subproblem.merit, facets, algorithm.feasible)
 
 
-def screened(mission: Mission, facets: Facets, lin: Linearisation, clearance_m: float) -> Booleans:
+class Planner(ScpStages):
+    """Plans a mission by SCP, and plans it again from other initial states: see `ScpStages`."""
+
+    task: Mission
+
+    @property
+    def mission(self) -> Mission:
+        """The mission that is planned."""
+        return self.task
+
+    def plan(
+        self,
+        guess: Iterate | Plan,
+        *,
+        problem: Literal["P3", "P2"] = "P2",
+        facet_rounds: int = 0,
+        choices: int = CHOICES_MAX,
+        init: str = "given",
+        observe: Observer | None = None,
+        once: bool = False,
+    ) -> Plan:
+        """Solve P3 from the guess, choose the facets at its solution, and solve P2 from there.
+
+        The guess may have defects. Exact risk goes on from a plan with its last stage, burns and gains
+        at once, and from the plan's burns where that does not converge. Unless `once`, a stage that
+        does not converge is tried from other starts: see `StageRunner.plan`. In each of `facet_rounds`
+        the facets are chosen again at the solution and P2 is solved again; a round is kept only if it
+        is better (`standing`), so that facets cannot cycle. Facets that leave nothing feasible are
+        always chosen again, up to `choices` times. Burns too small to execute are left out or raised
+        (`MissionRunner.executable`). The observer is called after each iteration with the stage's name
+        and the record.
+        """
+        runner = MissionRunner(self.mission, self, observe, facet_rounds, choices)
+
+        def work() -> Stage:
+            stage = runner.go_on(guess) if isinstance(guess, Plan) and problem == "P2" else None
+            if stage is None:
+                start = runner.flown(guess) if isinstance(guess, Plan) else guess
+                stage = runner.plan(start, problem, once=once)
+            return runner.executable(stage)
+
+        plan = runner.run(work, self._provenance(init))
+        return replace(plan, target=self._target)
+
+    def replan(self, last: Plan, initial_state: Array, *, observe: Observer | None = None) -> Plan:
+        """Solve P2 again for another initial state, from the last plan and with its facets.
+
+        The state is that before the first burn, J2000, SI, shape (6,); its covariance is the mission's
+        fraction of it. The last plan must be one of P2 by this planner; the new one's `mission` begins
+        at the state.
+
+        Raises:
+            ValueError: if the plan is not one of P2, its mission differs in more than the initial
+                state, or the state is not outside the body.
+        """
+        facets = last.final.facets
+        if last.final.problem != "P2":
+            raise ValueError("only a plan of P2 can be planned again")
+        if last.mission.with_initial_state(initial_state).scenario != (
+            self.mission.with_initial_state(initial_state).scenario
+        ):
+            raise ValueError("the plan is of another mission")
+        mission = self.mission.with_initial_state(initial_state)
+        runner = MissionRunner(mission, self, observe)
+
+        def again() -> Stage:
+            if facets is None:
+                return runner.solve_exact("P2", runner.start(last.final.result.lin.iterate))
+            # The last plan's iterate knows its factor; the facets are screened there.
+            rows = self.p2_rows(facets, last.final.result.lin, again=True)
+            start = runner.start(last.final.result.lin.iterate)
+            return runner.choose_again(runner.restore("P2", rows, start))
+
+        return replace(
+            runner.run(lambda: runner.executable(again()), self._provenance("plan")),
+            target=self._target,
+        )
+
+    @property
+    def _target(self) -> float | None:
+        return self.target if self.mission.scenario.risk.allocation == "exact" else None
+
+    def _provenance(self, init: str) -> Provenance:
+        return Provenance(self.formulation, self.algorithm_name, self.solver, init)
+
+
+def screened(facets: Facets, lin: Linearisation, clearance: float) -> Booleans:
     """Facets that take part in the program of P2 to begin with, shape (facets,).
 
     Those farther from binding at an iterate than the clearance are checked after it, and restored if
     one of them turns out to matter.
     """
-    margin = facets.margin(lin.iterate.mean, lin.factor)
-    return np.asarray(margin < clearance_m / mission.units.length_m)
-
-
-def has_final_limit(mission: Mission) -> bool:
-    """Whether a mission limits the covariance after the last burn."""
-    return any(limit is not None for limit in mission.problem.final_spread)
-
-
-def require_no_final_limit(mission: Mission, needs: str) -> None:
-    """Refuse limits on the final covariance for a method without rows for them.
-
-    Raises:
-        InputError: if the mission has such a limit.
-    """
-    limits = {
-        name: getattr(mission.scenario.boundary, name)
-        for name in ("final_sigma_position_m", "final_sigma_velocity_m_s")
-    }
-    for name, limit in limits.items():
-        if limit is not None:
-            raise InputError(f"boundary.{name}", f"{limit:g}", f"goes with {needs}")
+    return np.asarray(facets.margin(lin.iterate.mean, lin.factor) < clearance)

@@ -1,4 +1,4 @@
-"""Run a plan's stages by any method: P3, P2, and both again from other starts.
+"""Run the stages of any task by any method: P3, P2, and both again from other starts.
 
 A keep-out set is linearised by the plane that touches it nearest to the iterate, so that an iterate
 stays on its side. The path of a guess that is no flight says nothing about sides. P3 then begins with a
@@ -11,24 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from time import perf_counter
 from typing import Literal, Protocol
 
 import numpy as np
 
-from formulations.arrays import Array, Booleans
 from formulations.linearisation.dynamics import Dynamics
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.facets import Facets, choose_facets
+from formulations.problem.facets import Facets, Polytopes, choose_facets
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.cones import Rows
 from formulations.rows.uniform import ChanceRows, DeterministicRows
-from scp_recon.errors import InputError
-from scp_recon.mission.mission import Mission
-from scp_recon.planning.initial_guess import ballistic, circular, from_burns
-from scp_recon.planning.plan import Plan, Provenance, Stage
-from scp_recon.scenario.fields import ScenarioWarning
+from scp_recon.planning.plan import Stage
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Timing
 from scp_recon.scp.status import Status
@@ -45,15 +39,6 @@ FIRST_STAGE = ".open"
 HELD_STAGE = ".held"
 """Suffix of a stage in which burns are held that would be too small to execute."""
 
-RESOLVED = 1e-6
-"""Relative difference of two merits that stages leave open."""
-
-NEITHER = "and neither is a plan"
-"""End of the warning of burns that stay too small."""
-
-TINY = 1e-300
-"""Stands for zero in a quotient."""
-
 RESOLUTION = 1e-3
 """Relative reduction of the merit at which the first stage stops: P3 goes on from there."""
 
@@ -64,6 +49,53 @@ CHOICES_MAX = 4
 """Further choices of facets before P2 is called infeasible, where there is another choice."""
 
 Observer = Callable[[str, Record], None]
+
+
+class Spent(Protocol):
+    """How a task's risk is spent: `scp_recon.scenario.schema.Risk`."""
+
+    @property
+    def p_chance(self) -> float:
+        """Required probability."""
+
+    @property
+    def allocation(self) -> Literal["uniform", "exact"]:
+        """By facets, or by the probabilities of the sets themselves."""
+
+    @property
+    def scope(self) -> Literal["node", "flight"]:
+        """What has to hold with it."""
+
+
+class Task(Protocol):
+    """What is planned: a mission, or a problem by hand."""
+
+    @property
+    def problem(self) -> FlybyProblem:
+        """The nondimensional problem."""
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """Its flow with its burns."""
+
+    @property
+    def polytopes(self) -> Polytopes:
+        """Polytopes that approximate regions where risk is split evenly."""
+
+    @property
+    def risk(self) -> Spent:
+        """How risk is spent."""
+
+    @property
+    def clearances(self) -> tuple[float, float]:
+        """Margins beyond which facets stay out of a program at first: from P3, and from P2."""
+
+    def require_plain(self, needs: str) -> None:
+        """Refuse feedback and limits on the final covariance, which go with `needs` alone.
+
+        Raises:
+            InputError: if there is either.
+        """
 
 
 class RowsSolver(Protocol):
@@ -97,7 +129,7 @@ class RowsSolver(Protocol):
 class StageRunner:
     """State of one planning run: stages and timings so far. For `facet_rounds` see `Planner.plan`."""
 
-    mission: Mission
+    task: Task
     solver: RowsSolver
     observe: Observer | None = None
     facet_rounds: int = 0
@@ -106,18 +138,6 @@ class StageRunner:
     timing: Timing = field(default_factory=Timing)
     _chosen: dict[str, int] = field(default_factory=dict)
 
-    def run(self, work: Callable[[], Stage], provenance: Provenance) -> Plan:
-        """Run the stages of a plan; an interrupted one ends with the best stage so far, if any."""
-        started = perf_counter()
-        try:
-            final = work()
-        except KeyboardInterrupt:
-            if not self.stages:
-                raise
-            final = _interrupted(self.stages)
-        seconds = perf_counter() - started
-        return Plan(self.mission, provenance, tuple(self.stages), final, self.timing, seconds)
-
     def plan(self, guess: Iterate, problem: Literal["P3", "P2"], *, once: bool = False) -> Stage:
         """Solve P3 from a guess, after a first stage if it is no flight, and P2 from there.
 
@@ -125,11 +145,11 @@ class StageRunner:
         P3 may have stopped at a bad local optimum. If none converges, the facets are chosen again. The
         best of all tries counts. With `once` there is no other start.
         """
-        if problem == "P2" and self.mission.scenario.risk.allocation == "exact":
+        if problem == "P2" and self.task.risk.allocation == "exact":
             self.solver.exact_rows()  # a method that has none says so before any work
         firsts: list[Stage] = []
         finals: list[Stage] = []
-        for letter, start in [("", guess)] if once else _starts(self.mission, guess):
+        for letter, start in [("", guess)] if once else self.starts(guess):
             p3 = self._solve_p3(f"P3{letter}", self.start(start))
             known = any(same_optimum(p3, other) for other in firsts)
             firsts.append(p3)
@@ -148,24 +168,6 @@ class StageRunner:
                 break
         return max(finals, key=standing)
 
-    def flown(self, last: Plan) -> Iterate:
-        """Burns and gains of a plan on this mission's nodes."""
-        mission, gains = self.mission, last.final.result.lin.iterate.gains
-        return replace(from_burns(mission, last.burns_m_s), gains=gains)
-
-    def go_on(self, last: Plan) -> Stage | None:
-        """Solve P2 with exact risk from a plan, without the stages that lead to one.
-
-        Returns:
-            The stage; None if it did not converge, or if risk is not exact.
-        """
-        if self.mission.scenario.risk.allocation != "exact":
-            return None
-        _, rows = self.solver.exact_rows()[-1]
-        start = self.mission.dynamics.linearise(rows.problem, self.flown(last))
-        stage = self.solve("P2", rows, start)
-        return stage if stage.result.status is Status.CONVERGED else None
-
     def choose_again(self, stage: Stage) -> Stage:
         """The best of P2 with facets chosen where the last try ended, until one converges.
 
@@ -179,93 +181,17 @@ class StageRunner:
         verdicts = (Status.CONVERGED, stage.result.status)
         return max((one for one in tries if one.result.status in verdicts), key=standing)
 
-    def executable(self, stage: Stage) -> Stage:
-        """The stage solved again without burns too small to execute, or with some of them raised.
-
-        Burns between zero and `burns.dv_min_m_s` are held at zero while the others are planned again.
-        No choice can cost less than the stage itself. Where that one costs more, each burn in turn, the
-        largest first, is kept at that size or above, if that is better; where that leads to no plan,
-        all are. Where nothing is a plan they stay, with a warning.
-        """
-        self.mission = _without_words_on_burns(self.mission)
-        while stage.result.status is Status.CONVERGED:
-            sizes = self._sizes(stage)
-            small = (sizes > 0.0) & (sizes < self._dv_min)
-            small[list(stage.result.lin.problem.raised)] = False
-            if not small.any():
-                break
-            raised = np.zeros_like(small)
-            best = self._with_burns(stage, small, raised)
-            for burn in sorted(np.flatnonzero(small), key=lambda i: -sizes[i]):
-                if not _clearly_better(stage, best):
-                    break
-                raised[burn] = True
-                other = self._with_burns(stage, small, raised)
-                raised[burn] = _clearly_better(other, best)
-                best = other if raised[burn] else best
-            if best.result.status is not Status.CONVERGED and not raised[small].all():
-                best = self._with_burns(stage, small, small)
-            if best.result.status is not Status.CONVERGED:
-                self._warn_of(small, sizes)
-                break
-            stage = best
-        return stage
-
-    @staticmethod
-    def _sizes(stage: Stage) -> Array:
-        """Root mean square of the burns' commanded sizes, shape (m,)."""
-        problem, iterate = stage.result.lin.problem, stage.result.lin.iterate
-        sizes = np.linalg.norm(iterate.burns, axis=1)
-        if problem.feedback is not None:
-            for j, burn in enumerate(problem.feedback.burns):
-                sizes[burn] = np.hypot(sizes[burn], np.linalg.norm(problem.gains_of(iterate, j)))
-        return np.asarray(sizes)
-
-    @property
-    def _dv_min(self) -> float:
-        """The smallest burn that is executed, in the mission's units."""
-        return self.mission.scenario.burns.dv_min_m_s / self.mission.units.speed_m_s
-
-    def _with_burns(self, stage: Stage, small: Booleans, raised: Booleans) -> Stage:
-        """A stage again, its small burns held at zero, but for those that are raised."""
-        dynamics, at = self.mission.dynamics, stage.result.lin.problem
-        iterate, least = stage.result.lin.iterate, self._dv_min
-        sizes = np.linalg.norm(iterate.burns, axis=1, keepdims=True)
-        scale = np.where(raised[:, None], least / np.maximum(sizes, TINY), ~small[:, None])
-        burns = scale * iterate.burns
-        gains = at.without_corrections(iterate.gains, np.flatnonzero(small & ~raised))
-        problem = replace(
-            at,
-            held=tuple(np.flatnonzero(~burns.any(axis=1)).tolist()),
-            raised=(*at.raised, *np.flatnonzero(raised).tolist()),
-            dv_min=least,
-        )
-        flown = Iterate(burns, dynamics.rollout(at.initial_state, burns), gains)
-        start = dynamics.linearise(problem, flown)
-        name, rows = f"{stage.name.removesuffix(HELD_STAGE)}{HELD_STAGE}", stage.merit.rows
-        if isinstance(rows, ChanceRows):
-            return self.restore(name, rows, start)
-        return self.solve(name, rows, start)
-
-    def _warn_of(self, small: Booleans, sizes: Array) -> None:
-        """Say which burns are smaller than the smallest that is executed, and stay."""
-        mission = self.mission
-        first, speed = 1 + mission.scenario.burns_flown, mission.units.speed_m_s
-        said = (f"burn {first + i} of {speed * sizes[i]:.1e} m/s" for i in np.flatnonzero(small))
-        word = ScenarioWarning.of(
-            "burns.dv_min_m_s",
-            ", ".join(said),
-            f"expected none or {mission.scenario.burns.dv_min_m_s:g} m/s, {NEITHER}",
-        )
-        self.mission = replace(mission, warnings=(*mission.warnings, word))
+    def starts(self, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
+        """The guess and other starts, each with the letter of its stages."""
+        yield "", guess
 
     def start(self, guess: Iterate) -> Linearisation:
         """Linearise at a guess, moved to the problem's initial state."""
-        problem, mean = self.mission.problem.open_loop, guess.mean.copy()
+        problem, mean = self.task.problem.open_loop, guess.mean.copy()
         mean[0] = problem.initial_state
         if not problem.coasts:
             mean[0, 3:] += guess.burns[0]
-        return self.mission.dynamics.linearise(problem, Iterate(guess.burns, mean))
+        return self.task.dynamics.linearise(problem, Iterate(guess.burns, mean))
 
     def _solve_p3(self, name: str, start: Linearisation) -> Stage:
         """Solve P3, after a first stage if the start is no flight; all rows judge both."""
@@ -277,7 +203,7 @@ class StageRunner:
 
     def _solve_p2(self, name: str, start: Stage) -> Stage:
         """Solve P2 from the end of a stage, and again with new facets as long as that helps."""
-        if self.mission.scenario.risk.allocation == "exact":
+        if self.task.risk.allocation == "exact":
             return self.solve_exact(name, start.result.lin)
         final = self._with_facets(name, start.result.lin)
         for _ in range(self.facet_rounds):
@@ -289,7 +215,7 @@ class StageRunner:
 
     def solve_exact(self, name: str, lin: Linearisation) -> Stage:
         """Solve P2 with the true probabilities, after quicker stages as long as they converge."""
-        feedback = self.mission.problem.feedback
+        feedback = self.task.problem.feedback
         for way, rows in self.solver.exact_rows():
             stage = self.solve(name + way, rows, lin)
             lin = stage.result.lin
@@ -300,10 +226,10 @@ class StageRunner:
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:
         """Solve P2 with facets chosen at the start; the name gets the number of the choice."""
-        mission, chosen = self.mission, self._chosen
+        task, chosen = self.task, self._chosen
         chosen[name] = chosen.get(name, 0) + 1
         name = name if chosen[name] == 1 else f"{name}.{chosen[name]}"
-        facets = choose_facets(mission.problem, mission.polytopes, lin.iterate.mean, lin.factor)
+        facets = choose_facets(task.problem, task.polytopes, lin.iterate.mean, lin.factor)
         return self.restore(name, self.solver.p2_rows(facets, lin), lin)
 
     def restore(self, name: str, rows: ChanceRows, lin: Linearisation) -> Stage:
@@ -314,7 +240,7 @@ class StageRunner:
             missed = rows.missed(lin, stage.tolerance)
             if not missed.any():
                 return stage
-            rows = ChanceRows(self.mission.problem, rows.facets, rows.included | missed)
+            rows = ChanceRows(self.task.problem, rows.facets, rows.included | missed)
 
     def solve(
         self, name: str, rows: Rows, start: Linearisation, judges: Rows | None = None
@@ -326,36 +252,14 @@ class StageRunner:
         """
         observe = self.observe or (lambda *_: None)
         start = start.known(rows.problem.feedback)
-        stage = self.solver.solve(name, rows, start, self.mission.dynamics, observe)
+        stage = self.solver.solve(name, rows, start, self.task.dynamics, observe)
         if judges is not None:
-            stage = replace(stage, merit=MeritFunction(self.mission.problem, judges))
+            stage = replace(stage, merit=MeritFunction(self.task.problem, judges))
         self.stages.append(stage)
         self.timing.add(stage.result.timing)
         if stage.result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         return stage
-
-
-def _without_words_on_burns(mission: Mission) -> Mission:
-    """The mission without warnings that an earlier plan's burns stayed too small."""
-    kept = tuple(word for word in mission.warnings if not word.expected.endswith(NEITHER))
-    return replace(mission, warnings=kept)
-
-
-def _starts(mission: Mission, guess: Iterate) -> Iterator[tuple[str, Iterate]]:
-    """The guess, the ballistic arc if there is one, and a turn about the body either way.
-
-    A straight line may pass through the body's centre, where nothing can be linearised.
-    """
-    yield "", guess
-    try:
-        arc = ballistic(mission)
-    except InputError:
-        pass
-    else:
-        yield "b", arc
-    yield "c", circular(mission, 1.0)
-    yield "d", circular(mission, -1.0)
 
 
 def contradicts_itself(lin: Linearisation) -> bool:
@@ -385,14 +289,6 @@ def same_optimum(one: Stage, other: Stage) -> bool:
     return one.result.status is other.result.status and alike
 
 
-def _interrupted(stages: list[Stage]) -> Stage:
-    """The best stage so far, marked as interrupted: one that converged on P2 before any other."""
-    whole = [stage for stage in stages if not stage.name.endswith(FIRST_STAGE)]
-    p2 = [stage for stage in whole if stage.problem == "P2"]
-    best = max(p2 or whole or stages, key=standing)
-    return replace(best, result=replace(best.result, status=Status.INTERRUPTED))
-
-
 def standing(stage: Stage) -> tuple[int, float]:
     """Rank of a run, the better the greater: by how it ended, then by cost.
 
@@ -405,12 +301,6 @@ def standing(stage: Stage) -> tuple[int, float]:
     elif stage.merit.worst_violation(stage.result.lin) <= stage.tolerance:
         rank = 2
     return rank, -_merit(stage)
-
-
-def _clearly_better(one: Stage, other: Stage) -> bool:
-    """Whether a run ranks above another by more than stages leave open."""
-    rank, merit = standing(one)
-    return (rank, merit * (1.0 + RESOLVED)) > standing(other)
 
 
 def _merit(stage: Stage) -> float:

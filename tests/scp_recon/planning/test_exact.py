@@ -18,8 +18,8 @@ from formulations.rows.node_probability import SPREAD_MIN
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
+from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.planner import Plan, Planner, plan
-from scp_recon.planning.stages import StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
@@ -110,7 +110,7 @@ def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(
     assume(uniform.status is Status.CONVERGED)
     p = mission.scenario.risk.p_chance
     of = Mission.from_scenario(load_scenario(None, (*overrides, *exact("node", p))))
-    runner = StageRunner(of, Planner(of))
+    runner = MissionRunner(of, Planner(of))
     stage = runner.solve_exact("P2", uniform.final.result.lin)
     assert stage.result.status is Status.CONVERGED
     # Where nothing is uncertain it keeps off the limits by its least spread, which polytopes have not.

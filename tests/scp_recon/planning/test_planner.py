@@ -21,7 +21,7 @@ from formulations.rows.exact_flight import FlightRows
 from formulations.rows.uniform import ChanceRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
-from scp_recon.planning.planner import CLEARANCE_M, Plan, Planner, Stage, plan, screened
+from scp_recon.planning.planner import Plan, Planner, Stage, plan, screened
 from scp_recon.results.solution import make_solution
 from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, run
@@ -119,7 +119,7 @@ def test_facets_are_those_of_the_p3_solution_and_all_hold(
     np.testing.assert_array_equal(p2.facets.offset, facets.offset)
     assert facets.margin(end.iterate.mean, end.factor).min() >= -SCvx.feasible
     margin = facets.margin(start.iterate.mean, start.factor)
-    assert not (margin < CLEARANCE_M / mission.units.length_m).all()
+    assert not (margin < mission.clearances[0]).all()
 
 
 def test_a_facet_round_is_kept_only_while_it_is_cheaper(
@@ -139,7 +139,7 @@ def test_facets_wrongly_left_out_are_restored(
     mission: Mission, default_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without any clearance only what P3 violates is known at first."""
-    monkeypatch.setattr(Planner.p2_rows, "__defaults__", (0.0,))
+    monkeypatch.setattr(Mission, "clearances", (0.0, 0.0))
     screened = plan(mission, initial_guess.cold(mission))
     assert len(screened.stages) > 2  # something had to be restored
     assert screened.final.result.status is Status.CONVERGED
@@ -159,7 +159,7 @@ def test_facets_wrongly_left_out_are_restored(
 def solve_p2(of: Plan, formulation: str) -> tuple[Result, Subproblem]:
     mission, start, facets = of.mission, of.stages[0].result.lin, of.final.facets
     assert facets is not None
-    included = screened(mission, facets, start, CLEARANCE_M)
+    included = screened(facets, start, mission.clearances[0])
     subproblem = make_subproblem(
         mission.problem, ChanceRows(mission.problem, facets, included), formulation
     )
@@ -364,10 +364,13 @@ def test_rows_left_out_of_its_programs_do_not_change_a_stage(
     facets, start = default_plan.final.facets, default_plan.stages[0].result.lin
     assert facets is not None
     found = []
-    for near, clearance_m in ((0.04, CLEARANCE_M), (0.04, 40.0), (np.inf, np.inf)):
+    for near, again in ((0.04, False), (0.04, True), (np.inf, None)):
         near_from(monkeypatch, near)
         planner = Planner(mission)
-        rows = planner.p2_rows(facets, start, clearance_m)
+        if again is None:
+            rows = ChanceRows(mission.problem, facets, np.full(len(facets.node), fill_value=True))
+        else:
+            rows = planner.p2_rows(facets, start, again=again)
         subproblem = planner.subproblem(rows)
         result = run(subproblem, mission.dynamics, start, SCvx(), lambda _: None)
         assert result.status is Status.CONVERGED

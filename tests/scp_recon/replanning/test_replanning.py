@@ -16,8 +16,9 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import MISS_WEIGHT
 from scp_recon.monte_carlo import estimates
-from scp_recon.planning import initial_guess, ipopt, stages
+from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.method import ScpMethod, scp_method
+from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import Planner
 from scp_recon.replanning.delivery import Delivery
@@ -151,7 +152,7 @@ def test_one_burn_meets_the_velocity_and_misses_what_the_coast_misses(late: Plan
     assert missed.velocity_m_s < 1e-8
     with pytest.raises(InputError, match="needs two burns"):
         initial_guess.ballistic(mission)
-    starts = stages._starts(mission, initial_guess.cold(mission))
+    starts = MissionRunner(mission, Planner(mission)).starts(initial_guess.cold(mission))
     assert [letter for letter, _ in starts] == ["", "c", "d"]
     assert late.burns_m_s[0] == pytest.approx(mission.final_state[3:] - end[3:], abs=1e-7)
 
