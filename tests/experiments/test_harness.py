@@ -11,10 +11,9 @@ import pytest
 
 from experiments import frontier, harness
 from experiments.__main__ import STUDIES, main, module_of
-from experiments.harness import Claim, Findings, Record, Study, plan_or_default, report
+from experiments.harness import Findings, Record, Study, plan_or_default
 from scp_recon.errors import InputError
 from scp_recon.jobs.job import Job
-from scp_recon.results.table import Table
 from scp_recon.scenario.load import load_scenario
 
 from .support import session_in
@@ -72,13 +71,6 @@ def test_a_study_is_one_document_or_silent(
     assert main([*words, "--quiet"]) == 0
     assert capsys.readouterr() == ("", "")
     assert {str(path) for path in tmp_path.iterdir()} == set(document["files"])
-
-
-def test_a_report_ends_with_the_claims_a_row_each() -> None:
-    claims = [Claim("a is b", "within 1", "0.5", True), Claim("c", "all", "none", None)]
-    text = report("Title", Findings(["Words.", Table.of("Part", ["x"], [["y"]])], {}, claims))
-    assert text.startswith("# Title\n\nWords.\n\n## Part\n\n| x |")
-    assert text.endswith("| a is b | within 1 | 0.5 | yes |\n| c | all | none | not tested |\n")
 
 
 def test_a_study_goes_on_after_ctrl_c(tmp_path: Path) -> None:

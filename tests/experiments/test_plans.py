@@ -27,17 +27,6 @@ def test_every_case_is_a_scenario(name: str) -> None:
     assert (scenario.boundary.home is not None) == (name in plans.DESIGNS)
 
 
-def test_iterations_are_left_out_of_what_is_printed() -> None:
-    lines = (
-        "P3     1  5.398853",
-        "0 P2.3 6   8.323",
-        "P2: Converged",
-        "P3 converged   0.1",
-        "1   0",
-    )
-    assert [bool(plans.ITERATION.match(line)) for line in lines] == [True, True, *3 * [False]]
-
-
 def test_cases_are_summed_up() -> None:
     def case(status: str, cost: float, **more: object) -> dict[str, object]:
         known = {"verdict": "verified", "binds": "emission_max", "probability": cost}

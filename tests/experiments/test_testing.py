@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -42,31 +41,6 @@ def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(
     assert row["seed_4"] == 40
     assert row["all"] == 150
     assert ran == [1, 2, 3, 3, 4, 5]
-
-
-def test_lines_and_branches_are_those_of_each_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def pytest_run(*words: str, profile: str) -> str:
-        assert profile == "default"
-        path = next(Path(w.rpartition(":")[2]) for w in words if "--cov-report" in w)
-        files = {}
-        for name, reached in (
-            ("formulations/a.py", 8),
-            ("scp_recon/b.py", 9),
-            ("scp_recon/c.py", 5),
-        ):
-            lines = {"covered_lines": reached, "num_statements": 10}
-            files[name] = {"summary": lines | {"covered_branches": 1, "num_branches": 2}}
-        path.write_text(json.dumps({"files": files}), "utf-8")
-        path.with_name("counts.json").write_text(json.dumps({reliability.FAULTS: 109}), "utf-8")
-        return ""
-
-    monkeypatch.setattr(testing, "_pytest", pytest_run)
-    found = evidence_of("coverage", tmp_path)
-    assert found["scp_recon"]["lines_share"] == 0.7
-    assert found["formulations"]["branches_share"] == 0.5
-    assert found[reliability.FAULTS]["count"] == 109
 
 
 def test_mutants_are_drawn_tried_and_counted(

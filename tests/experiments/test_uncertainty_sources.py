@@ -12,7 +12,6 @@ from experiments.__main__ import main
 from experiments.uncertainty_sources import flights
 from experiments.uncertainty_sources.flights import (
     ATTITUDE,
-    CHEMICAL,
     NO_ERRORS,
     STATE,
     TRANSLATION,
@@ -81,20 +80,3 @@ def test_the_command_measures_every_set(
     assert len(written) == 61
     assert set(STATE) <= set(written[0])
     assert "## Alone, from the largest" in (out / "uncertainty_sources.md").read_text("utf-8")
-
-
-def test_a_source_that_does_not_err_is_not_called_normal(
-    solution: Solution, vehicle: Vehicle
-) -> None:
-    errors = vehicle.errors.model_copy(update={"chemical_thruster": 0.0})
-    found = measure_paths(solution, vehicle.model_copy(update={"errors": errors}), 30, 0)
-    assert found[CHEMICAL].normality == {}
-    assert not any("chemical thruster" in claim.claim for claim in claims(list(found.values())))
-
-
-def test_without_flights_the_path_is_measured_alone(solution: Solution, tmp_path: Path) -> None:
-    solution.write(tmp_path)
-    folder = str(tmp_path)
-    assert study("--solution", folder, "--out", folder, "--paths", "100", "--flights", "0") == 0
-    with (tmp_path / "uncertainty_sources.csv").open(encoding="utf-8") as file:
-        assert [row["source"] for row in csv.DictReader(file)] == [*TRANSLATION, BOTH]

@@ -98,14 +98,3 @@ def test_each_command_refuses_the_other_s_boundary(
     )
     assert status == 2
     assert "boundary.home" in capsys.readouterr().err
-
-
-def test_certifying_what_no_flights_certify_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Before any search: the scenario splits its risk over polytopes."""
-    out = tmp_path / "out"
-    free = str(scenario_file(tmp_path, NARROW))
-    assert design.main([free, "--certify", "yes", "--out", str(out)]) == 2
-    assert "--certify: got yes; goes with risk.allocation = exact" in capsys.readouterr().err
-    assert not out.exists()

@@ -388,21 +388,6 @@ def test_a_full_device_behind_the_terminal_ends_with_a_message(
     reliability.count(reliability.FAULTS)
 
 
-@pytest.mark.usefixtures("instant")
-def test_a_full_disk_ends_the_monte_carlo_command_with_a_message(
-    tmp_path: Path,
-    solution: Solution,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    solution.write(tmp_path)
-    monkeypatch.setattr(os, "fsync", full)
-    assert montecarlo.main([str(tmp_path), "--samples", "20"]) == 2
-    assert capsys.readouterr().err.count("error: ") == 1
-    assert [file.name for file in tmp_path.iterdir()] == ["solution.json"]
-    reliability.count(reliability.FAULTS)
-
-
 def test_running_out_of_memory_ends_with_a_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -107,17 +107,6 @@ def test_a_slip_on_the_command_line_is_one_line(
     assert said.count("\n") == 1
 
 
-def test_lists_may_begin_with_a_minus(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """They are read whole: what is refused is the name of a body that is packaged."""
-    monkeypatch.chdir(tmp_path)
-    orbit = ["--orbit", "-160330838.37,11885469.54,301315.22,0.7,-24.6,-9.1"]
-    common = ["new", "x", "--body", "Bennu", "--epoch", "2029-05-01T20:15:36", "--site", "-20,60"]
-    assert main([*common, *orbit, "--pole", "-30", "-75"]) == 2
-    assert "--pole, --orbit must be left out" in capsys.readouterr().err
-
-
 def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path: Path) -> None:
     pytest.importorskip("oem")
     file = tmp_path / "flight.oem"

@@ -31,24 +31,20 @@ from scp_recon.monte_carlo.flights import (
     fly_many,
     keep_flights,
 )
-from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
+from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.summary import FILE_NAME, summarise
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.uncertainty import Uncertainty
 from tests import reliability
+from tests.helpers import nightly
 from tests.scp_recon.simulation.short_plan import SHORT, short_plan
 from tests.scp_recon.support import mission_of
 
 PROJECT = Path(__file__).parents[3]
 SAMPLES = 3_400
-
-
-@pytest.fixture(scope="module")
-def flown(mission: Mission, solution: Solution) -> FlightTally:
-    return fly_many(FlightConfig(mission, solution.burns_m_s), samples=3000)
 
 
 def test_until_stops_at_the_width_asked(mission: Mission, solution: Solution) -> None:
@@ -73,27 +69,6 @@ def test_a_plan_holds_all_constraints_when_nothing_errs(
     assert flown.executed_dv.mean().value == pytest.approx(solution.total_dv_m_s, abs=1e-12)
 
 
-def test_probabilities_exceed_what_was_asked(flown: FlightTally, mission: Mission) -> None:
-    for name in SCIENCE:
-        _, estimate = flown.worst_probability(name)
-        assert estimate.low > mission.scenario.risk.p_chance
-        assert estimate.low <= estimate.value <= estimate.high
-
-
-def test_command_writes_a_summary_beside_the_solution(
-    solution: Solution, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    solution.write(tmp_path)
-    assert montecarlo.main([str(tmp_path), "--samples", "400", "--errors", "gates"]) == 0
-    summary = read_summary(tmp_path)
-    assert summary.samples == 400
-    assert summary.errors == "gates"
-    assert summary.is_of(solution)
-    printed = capsys.readouterr().out
-    for name in (*SCIENCE, "all at once", "closest approach", "normality"):
-        assert name in printed
-
-
 def test_without_uncertainty_nothing_spreads_and_the_report_is_json(
     mission: Mission, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -113,16 +88,6 @@ def test_without_uncertainty_nothing_spreads_and_the_report_is_json(
     sizes = {"sigma_position_m": none, "sigma_velocity_m_s": none}
     assert report["terminal"] == {"sigma_ratio": {}, "normality": {}, **sizes}
     assert "no component spreads" in capsys.readouterr().out
-
-
-def test_bad_options_exit_with_two(tmp_path: Path) -> None:
-    for option in ("--samples=1", "--until=0.5", "--until=0%", "--workers=0", "--truth=x"):
-        try:
-            status = montecarlo.main([str(tmp_path), option])
-        except SystemExit as stop:  # a width that is no percentage, which the parser refuses
-            status = int(stop.code or 0)
-        assert status == 2
-    assert list(tmp_path.iterdir()) == []
 
 
 def backwards(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
@@ -280,6 +245,7 @@ def test_the_command_keeps_and_continues(
     assert not (folders[0] / PARTIAL).exists()
 
 
+@nightly
 def test_ctrl_c_at_the_terminal_keeps_what_was_flown(tame: Solution, tmp_path: Path) -> None:
     """The whole process group gets the signal, as from a terminal."""
     tame.write(tmp_path)
