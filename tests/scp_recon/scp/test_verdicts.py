@@ -16,7 +16,7 @@ from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from tests.helpers import usually
+from tests.helpers import nightly, usually
 
 VERDICTS = (Status.CONVERGED, Status.INFEASIBLE)
 
@@ -94,6 +94,7 @@ def test_what_was_once_called_infeasible_is_solved(seed: int) -> None:
     assert planned(random_scenario(seed)).final.result.status is Status.CONVERGED
 
 
+@nightly
 def test_what_is_called_infeasible_no_other_method_solves() -> None:
     scenario = random_scenario(78)
     for start, algorithm in (("cold", "scvx"), ("warm", "ptr")):
