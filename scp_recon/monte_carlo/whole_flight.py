@@ -7,7 +7,7 @@ differences bound how far it dips below the line between the looks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,38 +156,106 @@ def _margins(mission: Mission, times: Array, position: Array, names: list[str]) 
     return {name: found[name] for name in names}
 
 
+@dataclass(frozen=True)
+class Course:
+    """How flights keep one joint constraint in time: at looks, and between those where that is unclear.
+
+    Attributes:
+        name: of the constraint.
+        looks: times at which it counts, s, shape (n,).
+        holds: whether a flight keeps it there, shape (n, flights).
+        arc: number of the look before each time between that is unclear, shape (m,).
+        flight: that flies there, shape (m,).
+        between: whether it keeps the constraint at the seconds between, shape (m, PARTS - 1).
+    """
+
+    name: str
+    looks: Array
+    holds: Booleans
+    arc: Indices
+    flight: Indices
+    between: Booleans
+
+    @property
+    def times(self) -> Array:
+        """Looks and the seconds between them, ascending, shape (n_times,)."""
+        return np.sort(_seconds(self.looks))
+
+    @property
+    def counts_between(self) -> Counts:
+        """Flights that keep it at each second between looks, shape (n - 1, PARTS - 1)."""
+        throughout = self._throughout
+        counts = throughout.sum(axis=1) - np.bincount(
+            self.arc[throughout[self.arc, self.flight]], minlength=len(throughout)
+        )
+        counts = np.repeat(counts[:, None], PARTS - 1, axis=1)
+        np.add.at(counts, self.arc, self.between)
+        return counts
+
+    @property
+    def kept(self) -> Booleans:
+        """Flights that keep it at all times, shape (flights,)."""
+        kept = self.holds.all(axis=0)
+        kept[self.flight[~self.between.all(axis=1)]] = False
+        return kept
+
+    @property
+    def broken(self) -> tuple[Array, Indices]:
+        """Times at which flights break it, s, and these flights, in pairs."""
+        (look, who), (row, part) = np.nonzero(~self.holds), np.nonzero(~self.between)
+        step = np.diff(self.looks)[self.arc[row]]
+        time = self.looks[self.arc[row]] + (part + 1) / PARTS * step
+        return np.concatenate([self.looks[look], time]), np.concatenate([who, self.flight[row]])
+
+    def fails(self, flights: Indices) -> Booleans:
+        """Whether some flights break it at each of the `times`, shape (n_times, some)."""
+        holds, column = self.holds[:, flights], np.full(self.holds.shape[1], -1)
+        column[flights] = np.arange(len(flights))
+        fails = np.repeat(~self._throughout[:, None, flights], PARTS, axis=1)
+        fails[:, 0] = ~holds[:-1]
+        mine = column[self.flight] >= 0
+        fails[self.arc[mine], 1:, column[self.flight[mine]]] = ~self.between[mine]
+        return np.concatenate([fails.reshape(-1, len(flights)), ~holds[-1:]])
+
+    @property
+    def _throughout(self) -> Booleans:
+        return self.holds[1:] & self.holds[:-1]
+
+
 def looked_at(
     mission: Mission, burns_m_s: Array, looks: Array, draws: Array, policy: Policy = ()
 ) -> LookedAt:
     """Fly draws of the errors, shape (flights, sources), and see what they keep."""
+    courses = list(courses_of(mission, burns_m_s, looks, draws, policy))
+    kept_at_nodes, kept = np.ones((2, len(draws)), dtype=bool)
+    for course in courses:
+        kept_at_nodes &= course.holds[np.isin(course.looks, mission.times_s)].all(axis=0)
+        kept &= course.kept
+    lost = kept_at_nodes & ~kept
+    broken = [course.broken for course in courses] if lost.any() else []
+    return LookedAt(
+        {course.name: course.holds.sum(axis=1) for course in courses},
+        {course.name: course.counts_between for course in courses},
+        kept_at_nodes,
+        kept,
+        np.concatenate([np.zeros(0), *(time[lost[flight]] for time, flight in broken)]),
+    )
+
+
+def courses_of(
+    mission: Mission, burns_m_s: Array, looks: Array, draws: Array, policy: Policy = ()
+) -> Iterator[Course]:
+    """Fly draws of the errors, shape (flights, sources); how they keep each joint constraint."""
     flown = fly_draws(mission, burns_m_s, looks, draws, policy=policy)
-    states, flights = flown.states, len(draws)
+    states = flown.states
     window = np.isin(looks, _times(mission, looks, ""))
     margins = _margins(mission, looks, states[..., :3], [SAFETY])
     if window.any():
         margins |= joint_margins(mission, looks[window], states[window, :, :3])
     everywhere = _Arcs(looks, states, flown.burns_m_s)
     observing = _Arcs(looks[window], states[window], flown.burns_m_s)
-    kept_at_nodes, kept = np.ones(flights, dtype=bool), np.ones(flights, dtype=bool)
-    at_looks, between, touches = {}, {}, []
     for name, margin in margins.items():
-        times = _times(mission, looks, name)
-        holds = margin >= 0.0
-        at_looks[name] = holds.sum(axis=1)
-        kept_at_nodes &= holds[np.isin(times, mission.times_s)].all(axis=0)
-        arcs = everywhere if name == SAFETY else observing
-        counts, broken, time, flight = _between(mission, name, arcs, margin)
-        between[name] = counts
-        kept &= holds.all(axis=0) & ~broken
-        touches.append(
-            (
-                np.concatenate([times[np.nonzero(~holds)[0]], time]),
-                np.concatenate([np.nonzero(~holds)[1], flight]),
-            )
-        )
-    lost = kept_at_nodes & ~kept
-    touched = np.concatenate([time[lost[flight]] for time, flight in touches])
-    return LookedAt(at_looks, between, kept_at_nodes, kept, touched)
+        yield _follow(mission, name, everywhere if name == SAFETY else observing, margin)
 
 
 @dataclass(frozen=True)
@@ -222,30 +290,21 @@ def may_dip(times: Array, margin: Array) -> Array:
     return np.asarray(BENDS * step**2 / 8.0 * np.maximum(padded[1:], padded[:-1]))
 
 
-def _between(
-    mission: Mission, name: str, arcs: _Arcs, margin: Array
-) -> tuple[Counts, Booleans, Array, Indices]:
-    """Number that holds at each second between looks, flights that break it, and when they do."""
+def _follow(mission: Mission, name: str, arcs: _Arcs, margin: Array) -> Course:
+    """Follow flights with such margins at the looks to the second where that may matter."""
     times = arcs.times
     low, high = np.minimum(margin[1:], margin[:-1]), np.maximum(margin[1:], margin[:-1])
     near = may_dip(times, margin)
-    unclear = (low < near) & (high > -near)
-    counts = np.repeat(((low >= 0.0) & ~unclear).sum(axis=1)[:, None], PARTS - 1, axis=1)
-    k, flight = np.nonzero(unclear)
+    k, flight = np.nonzero((low < near) & (high > -near))
     step = (times[k + 1] - times[k])[:, None]
     ends = arcs.ends(mission, k, flight)
-    broken = np.zeros(margin.shape[1], dtype=bool)
-    when, who = [np.zeros(0)], [np.zeros(0, dtype=np.intp)]
+    between = np.empty((len(k), PARTS - 1), dtype=bool)
     for part in range(1, PARTS):
         share = part / PARTS
         position, _ = interpolate(ends[0], ends[1], step, share)
         time = times[k] + share * step[:, 0]
-        holds = _margins(mission, time, position, [name])[name] >= 0.0
-        np.add.at(counts[:, part - 1], k[holds], 1)
-        broken[flight[~holds]] = True
-        when.append(time[~holds])
-        who.append(flight[~holds])
-    return counts, broken, np.concatenate(when), np.concatenate(who)
+        between[:, part - 1] = _margins(mission, time, position, [name])[name] >= 0.0
+    return Course(name, times, margin >= 0.0, k, flight, between)
 
 
 @dataclass(frozen=True)
@@ -266,3 +325,8 @@ class WholeFlights:
         """Limits that the flights keep, at the nodes and between them."""
         looks = looks_of(self.mission)
         return looked_at(self.mission, self.burns_m_s, looks, draws, self.policy)
+
+    def courses(self, draws: Array) -> Iterator[Course]:
+        """How they keep each joint constraint."""
+        looks = looks_of(self.mission)
+        return courses_of(self.mission, self.burns_m_s, looks, draws, self.policy)
