@@ -131,6 +131,23 @@ class Counted:
         return float(np.clip(least, 0.0, 1.0)), float(np.clip(most, 0.0, 1.0))
 
 
+def failed_at(allocation: Allocation, drawn: Array, unlike: Array) -> Array:
+    """Estimated probability of failing of many events, from counts by stratum, shape (events, 6)."""
+    adds = unlike * np.where(FAILS, -1.0, 1.0) / allocation.share
+    return np.asarray(np.sum(np.where(FAILS, drawn, 0.0) + adds, axis=1) / drawn[0].sum())
+
+
+def most_at(allocation: Allocation, drawn: Array, unlike: Array, tail: float) -> Array:
+    """Upper limit of failing of many events, each by itself, from counts by stratum, (events, 6)."""
+    failing = np.sum((drawn - unlike)[:, FAILS], axis=1).astype(float)
+    law, event = np.unique(failing, return_inverse=True)
+    share, lean = np.array(allocation.share), np.array(allocation.lean[0])
+    none = np.zeros((len(law), COUNT))
+    most = most_failures(law, none, share, lean, np.array(allocation.draws), tail)
+    log_e = unlike @ np.log1p(-lean * _worth(share))
+    return np.asarray(most[event] - log_e / (lean * allocation.draws))
+
+
 def strata_of(margin: Array, near: float) -> Indices:
     """Stratum of each margin by the law, whose verdict is not sure up to `near`."""
     return np.searchsorted(near * EDGES, margin, side="right")
@@ -226,7 +243,7 @@ UNLIKE = 0.01
 
 
 def allocate(
-    survey: Survey, plain: int, width: tuple[float, float], tail: float
+    survey: Survey, plain: int, width: tuple[float, float], tail: float, *, mirrored: bool = False
 ) -> Allocation | None:
     """The cheapest allocation whose limits are as near to the estimate as expected.
 
@@ -235,6 +252,8 @@ def allocate(
         plain: flights that it is to save.
         width: distances of the limits of most and of least failures.
         tail: probability with which either may be missed.
+        mirrored: whether the law's verdict may have no part in which draws are flown, so that strata
+            of one margin have one share.
 
     Returns:
         It; None where so many plain flights are cheaper.
@@ -242,6 +261,8 @@ def allocate(
     q = max(survey.failed, 1.0 / plain)
     draws, near = (part.ravel() for part in np.meshgrid(TIMES * plain, NEAR))
     unsure = np.sqrt(np.maximum(survey.unlike[1:-1], UNLIKE))
+    if mirrored:
+        unsure = np.maximum(unsure, unsure[::-1])
     unsure = np.minimum(near[:, None] * unsure, 1.0)
     most_lean = np.sqrt(-2.0 * np.log(tail) / (draws * q))
 
@@ -265,7 +286,7 @@ def allocate(
         to_most, to_least = widths(*np.exp(middle))
         enough = np.stack([to_least <= width[1], to_most <= width[0]])
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
-    fails, holds = np.exp(high)
+    fails, holds = np.exp(high.max(axis=0, keepdims=True).repeat(2, axis=0) if mirrored else high)
     share = np.column_stack([fails, unsure, holds])
     flown = share @ survey.share
     cost = np.where(fits, draws * (DRAW + flown), np.inf)

@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.risk.strata import Counted, allocate
+from formulations.risk.strata import Counted, Survey, allocate
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
@@ -27,13 +27,22 @@ from scp_recon.monte_carlo.estimates import (
     proportion,
 )
 from scp_recon.monte_carlo.law import Law, fly_strata, survey
-from scp_recon.monte_carlo.whole_flight import KeptFlights, WholeFlights, kept_flights
+from scp_recon.monte_carlo.law_in_time import fly_in_time, survey_in_time
+from scp_recon.monte_carlo.whole_flight import (
+    KeptFlights,
+    WholeFlights,
+    kept_flights,
+    seconds_of,
+)
 from scp_recon.planning.plan import Certificate, Plan
 from scp_recon.results.policy import Policy, policy_of
 
 LOOK_WIDTH, ROUND_WIDTH = 0.97, 1.5
 """Widths of intervals of flights in strata over those of plain flights: a look's is no wider. A round's
 does not judge, and its standard error is the smaller one all the same."""
+
+TAIL = 0.5 * (1.0 - LOOK_CONFIDENCE)
+"""Probability with which either limit of a look may be missed."""
 
 LOST_BETWEEN = 0.05
 """Share of 1 - p that flights may lose between nodes."""
@@ -158,10 +167,10 @@ def _fly(
     if watch:
         watch(step, plan, samples)
     risk = plan.mission.scenario.risk
-    if risk.scope == "flight" and risk.sampling == "strata":
-        found = _fly_strata(
-            plan, samples, seed, width, partial(watch, step, plan) if watch else None
-        )
+    if risk.sampling == "strata":
+        by_strata = _fly_strata if risk.scope == "flight" else _fly_in_time
+        told = partial(watch, step, plan) if watch else None
+        found = by_strata(plan, samples, seed, width, told)
         if found is not None:
             return found
     seen = partial(watch, step, plan, samples) if watch else None
@@ -176,15 +185,39 @@ def _fly_strata(
     law = Law.of(plan.final.result.lin, plan.mission.units.length_m)
     flights = WholeFlights(plan.mission, plan.burns_m_s, _policy(plan))
     known = survey(law, flights, seed)
-    reached = look_interval(round((1.0 - known.failed) * samples), samples)
-    widths = width * (reached.value - reached.low), width * (reached.high - reached.value)
-    allocation = allocate(known, samples, widths, 0.5 * (1.0 - LOOK_CONFIDENCE))
+    allocation = allocate(known, samples, _widths(known, samples, width), TAIL)
     if allocation is None:
         return None
     flown = fly_strata(law, flights, allocation, seed, seen)
-    worth = flown.whole.equivalent
-    at_nodes, throughout = ((1.0 - of.failed) * worth for of in (flown.at_nodes, flown.whole))
-    return Kept(at_nodes, throughout, worth, flown.whole), flown.touched_s
+    return _kept(flown.whole, flown.at_nodes), flown.touched_s
+
+
+def _fly_in_time(
+    plan: Plan, samples: int, seed: int, width: float, seen: Callable[[int, int], None] | None
+) -> tuple[Kept, Array] | None:
+    """The same where each limit counts at each second by itself."""
+    mission = plan.mission
+    laws = Law.of_events(plan.final.result.lin, mission.units.length_m)
+    flights = WholeFlights(mission, plan.burns_m_s, _policy(plan))
+    law, known = survey_in_time(laws, mission.times_s, flights, seed)
+    widths = _widths(known, samples, width)
+    allocation = allocate(known, samples, widths, TAIL, mirrored=True)
+    if allocation is None:
+        return None
+    flown = fly_in_time(law, flights, seconds_of(mission), allocation, seed, TAIL, seen)
+    return _kept(flown.throughout, flown.at_nodes), flown.touched_s
+
+
+def _widths(known: Survey, samples: int, width: float) -> tuple[float, float]:
+    """Distances of the limits of so many plain flights from their estimate, times `width`."""
+    reached = look_interval(round((1.0 - known.failed) * samples), samples)
+    return width * (reached.value - reached.low), width * (reached.high - reached.value)
+
+
+def _kept(throughout: Counted, at_nodes: Counted) -> Kept:
+    """What flights in strata keep, as plain flights of the same standard error."""
+    worth, reached = throughout.equivalent, 1.0 - throughout.failed
+    return Kept(max(1.0 - at_nodes.failed, reached) * worth, reached * worth, worth, throughout)
 
 
 def _policy(plan: Plan) -> Policy:

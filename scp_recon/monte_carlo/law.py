@@ -7,8 +7,8 @@ the nearest limit is kept. `risk.strata` has the statistics.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -23,6 +23,9 @@ from scp_recon.monte_carlo.whole_flight import LookedAt
 
 REACH = 5.0
 """Standard deviations from a limit beyond which the law leaves it out: a draw in three million."""
+
+FAR = 1e6
+"""Margin where no limit is within reach, m."""
 
 SURVEY_DRAWS, SURVEY_FLIGHTS = 10_000, 200
 """By which draws are allocated, and those of them that are flown: the nearest to a limit."""
@@ -61,6 +64,14 @@ class Law:
         events = joint_events(lin.problem.constraints)
         return cls(mean, factor, limits_within(events, mean, REACH * factor), length_m)
 
+    @classmethod
+    def of_events(cls, lin: Linearisation, length_m: float) -> dict[str, Law]:
+        """Laws with the limits of each joint constraint alone."""
+        whole, spread = cls.of(lin, length_m), _drawn(lin)[:, :3]
+        events = joint_events(lin.problem.constraints)
+        limits = {e.name: limits_within((e,), whole.mean, REACH * spread) for e in events}
+        return {name: replace(whole, limits=own) for name, own in limits.items()}
+
     @property
     def sources(self) -> int:
         """Number of standard normal numbers that a flight draws."""
@@ -71,24 +82,46 @@ class Law:
 
         Infinite where no limit is within reach.
         """
+        return np.broadcast_to(self._least(self._moved(draws)), len(draws))
 
+    def margin_at(self, positions: Array) -> Array:
+        """The same of positions at the nodes, m, shape (n, flights, 3)."""
+        return self._least(lambda nodes: positions[nodes] / self.length_m)
+
+    def margins(self, draws: Array) -> Array:
+        """The same at each node, m, shape (n, m), and at most `FAR`."""
+        return self._at_nodes(self._moved(draws), len(draws))
+
+    def margins_at(self, positions: Array) -> Array:
+        """The same of positions at the nodes, m, shape (n, flights, 3)."""
+        return self._at_nodes(lambda nodes: positions[nodes] / self.length_m, positions.shape[1])
+
+    def _moved(self, draws: Array) -> Callable[[Indices], Array]:
         def positions(nodes: Indices) -> Array:
             factor = self.factor[nodes].swapaxes(0, 1)  # components first: one product of matrices
             moved = factor.reshape(-1, self.sources) @ draws.T
             at = self.mean[nodes].T[:, :, None] + moved.reshape(3, len(nodes), -1)
             return np.moveaxis(at, 0, -1)
 
-        return np.broadcast_to(self._least(positions), len(draws))
+        return positions
 
-    def margin_at(self, positions: Array) -> Array:
-        """The same of positions at the nodes, m, shape (n, flights, 3)."""
-        return self._least(lambda nodes: positions[nodes] / self.length_m)
-
-    def _least(self, positions: Callable[[Indices], Array]) -> Array:
+    def _parts(self, positions: Callable[[Indices], Array]) -> Iterator[tuple[Indices, Array]]:
+        """Margins at the nodes of each limit, m."""
         signed = [(1.0, limit) for limit in self.limits.inner]
         signed += [(-1.0, limit) for limit in self.limits.outer]
-        parts = [sign * limit.region.inside(positions(limit.nodes)) for sign, limit in signed]
-        return self.length_m * np.concatenate(parts).min(axis=0) if parts else np.array(np.inf)
+        for sign, limit in signed:
+            inside = limit.region.inside(positions(limit.nodes))
+            yield limit.nodes, sign * self.length_m * inside
+
+    def _least(self, positions: Callable[[Indices], Array]) -> Array:
+        parts = [margin for _, margin in self._parts(positions)]
+        return np.concatenate(parts).min(axis=0) if parts else np.array(np.inf)
+
+    def _at_nodes(self, positions: Callable[[Indices], Array], flights: int) -> Array:
+        least = np.full((len(self.mean), flights), FAR)
+        for nodes, margin in self._parts(positions):
+            least[nodes] = np.minimum(least[nodes], margin)
+        return least
 
 
 def _drawn(lin: Linearisation) -> Array:
@@ -134,9 +167,7 @@ class StratifiedFlights:
 
 def survey(law: Law, flights: Flights, seed: int) -> Survey:
     """Learn from a few draws how sure the law's verdicts are."""
-    draws = np.concatenate(
-        [draw(seed, block, law.sources, SURVEY) for block in range(SURVEY_DRAWS // BLOCK)]
-    )
+    draws = survey_draws(law, seed)
     margin = law.margin(draws)
     nearest = np.argsort(np.abs(margin), kind="stable")[:SURVEY_FLIGHTS]
     if np.isinf(margin).all():
@@ -164,7 +195,14 @@ def fly_strata(
 
     `progress` is called with the number of all, and that flown so far, after each block.
     """
-    chosen, stratum, drawn = _choose(law, allocation, seed)
+    drawn, draws, strata = np.zeros(COUNT, dtype=np.intp), [np.zeros((0, law.sources))], []
+    for some, coins in tossed(allocation, seed, law.sources):
+        own = allocation.strata(law.margin(some))
+        flown = coins < np.array(allocation.share)[own]
+        drawn += np.bincount(own, minlength=COUNT)
+        draws.append(some[flown])
+        strata.append(own[flown])
+    chosen, stratum = np.concatenate(draws), np.concatenate([np.zeros(0, np.intp), *strata])
     seen = []
     for first in range(0, len(chosen), BLOCK):
         seen.append(flights.looked_at(chosen[first : first + BLOCK]))
@@ -183,16 +221,19 @@ def fly_strata(
     )
 
 
-def _choose(law: Law, allocation: Allocation, seed: int) -> tuple[Array, Indices, Indices]:
-    """Draws to fly (m, sources), their strata (m,), and the number drawn of each stratum, (6,)."""
+def survey_draws(law: Law, seed: int) -> Array:
+    """The draws of a survey, shape (SURVEY_DRAWS, sources)."""
+    blocks = range(SURVEY_DRAWS // BLOCK)
+    return np.concatenate([draw(seed, block, law.sources, SURVEY) for block in blocks])
+
+
+def tossed(allocation: Allocation, seed: int, sources: int) -> Iterator[tuple[Array, Array]]:
+    """Draws (m, sources), as many as a Poisson law says, by blocks, with a number from 0 to 1 each.
+
+    A draw is flown if its number is below its share.
+    """
     number = int(np.random.default_rng([seed, 0, NUMBER]).poisson(allocation.draws))
-    drawn, draws, strata = np.zeros(COUNT, dtype=np.intp), [np.zeros((0, law.sources))], []
     for block in range(-(-number // BLOCK)):
-        some = draw(seed, block, law.sources)[: number - block * BLOCK]
-        stratum = allocation.strata(law.margin(some))
-        coins = np.random.default_rng([seed, block, COINS]).random(BLOCK)[: len(some)]
-        flown = coins < np.array(allocation.share)[stratum]
-        drawn += np.bincount(stratum, minlength=COUNT)
-        draws.append(some[flown])
-        strata.append(stratum[flown])
-    return np.concatenate(draws), np.concatenate([np.zeros(0, np.intp), *strata]), drawn
+        some = draw(seed, block, sources)[: number - block * BLOCK]
+        coins = np.random.default_rng([seed, block, COINS]).random(BLOCK)
+        yield some, coins[: len(some)]

@@ -85,7 +85,7 @@ def kept_flights(
     touched = np.concatenate([b.touched_s for b in blocks])
     if mission.scenario.risk.scope == "node":
         least = min(int(counts.min()) for counts in at_nodes.values())
-        touched = _less_likely(
+        touched = less_likely(
             np.concatenate([_seconds(looked[name]) for name in names]),
             least - np.concatenate([_every(at_looks[name], between[name]) for name in names]),
         )
@@ -110,7 +110,7 @@ def _every(at_looks: Counts, between: Counts) -> Counts:
     return np.concatenate([at_looks, between.ravel()])
 
 
-def _less_likely(times: Array, fall: Counts) -> Array:
+def less_likely(times: Array, fall: Array) -> Array:
     """Times at which the fall below the worst node exceeds half of the largest fall."""
     return times[fall > max(0.0, FALL * fall.max())]
 
@@ -138,6 +138,13 @@ def looks_of(mission: Mission) -> Array:
     """Times at which flights are sampled, s: nodes, and others at most `LOOK_S` apart."""
     nodes = mission.times_s
     return np.union1d(np.arange(nodes[0], nodes[-1], LOOK_S), nodes)
+
+
+def seconds_of(mission: Mission) -> dict[str, Array]:
+    """Times at which each joint constraint counts, ascending, s: looks and the seconds between."""
+    names = [SAFETY, *dict.fromkeys(limit.joint for limit in mission.limits)]
+    looks = {name: _times(mission, looks_of(mission), name) for name in names}
+    return {name: np.sort(_seconds(times)) for name, times in looks.items() if len(times)}
 
 
 def _times(mission: Mission, looks: Array, name: str) -> Array:
@@ -177,11 +184,6 @@ class Course:
     between: Booleans
 
     @property
-    def times(self) -> Array:
-        """Looks and the seconds between them, ascending, shape (n_times,)."""
-        return np.sort(_seconds(self.looks))
-
-    @property
     def counts_between(self) -> Counts:
         """Flights that keep it at each second between looks, shape (n - 1, PARTS - 1)."""
         throughout = self._throughout
@@ -195,7 +197,7 @@ class Course:
     @property
     def kept(self) -> Booleans:
         """Flights that keep it at all times, shape (flights,)."""
-        kept = self.holds.all(axis=0)
+        kept = np.asarray(self.holds.all(axis=0))
         kept[self.flight[~self.between.all(axis=1)]] = False
         return kept
 
@@ -208,14 +210,14 @@ class Course:
         return np.concatenate([self.looks[look], time]), np.concatenate([who, self.flight[row]])
 
     def fails(self, flights: Indices) -> Booleans:
-        """Whether some flights break it at each of the `times`, shape (n_times, some)."""
+        """Whether some flights break it at the times of `seconds_of`, shape (n_times, some)."""
         holds, column = self.holds[:, flights], np.full(self.holds.shape[1], -1)
         column[flights] = np.arange(len(flights))
         fails = np.repeat(~self._throughout[:, None, flights], PARTS, axis=1)
         fails[:, 0] = ~holds[:-1]
         mine = column[self.flight] >= 0
         fails[self.arc[mine], 1:, column[self.flight[mine]]] = ~self.between[mine]
-        return np.concatenate([fails.reshape(-1, len(flights)), ~holds[-1:]])
+        return np.concatenate([fails.reshape(len(fails) * PARTS, -1), ~holds[-1:]])
 
     @property
     def _throughout(self) -> Booleans:

@@ -148,7 +148,7 @@ class Risk(Section):
     scope: Literal["node", "flight"] = "node"
     """Event that has to hold: each joint constraint at each node, or all at all nodes of a flight."""
     sampling: Literal["strata", "plain"] = "strata"
-    """How whole flights are certified: few of many draws, mostly near a limit by the law, or all."""
+    """Draws that are flown to certify: few, mostly near a limit by the law, or all."""
 
     @model_validator(mode="after")
     def _flights_are_exact(self) -> Self:

@@ -19,7 +19,9 @@ from formulations.risk.strata import (
     Counts,
     Survey,
     allocate,
+    failed_at,
     least_failures,
+    most_at,
     most_failures,
 )
 from scp_recon.certification.flights import LOOK_WIDTH
@@ -49,10 +51,11 @@ def plain_widths(required: float) -> tuple[float, float]:
     return reached.value - reached.low, reached.high - reached.value
 
 
-def allocation_of(required: float) -> Allocation:
+def allocation_of(required: float, *, mirrored: bool = False) -> Allocation:
     below, above = plain_widths(required)
     widths = LOOK_WIDTH * below, LOOK_WIDTH * above
-    found = allocate(survey_of(required), look_flights(required), widths, TAIL)
+    known, n = survey_of(required), look_flights(required)
+    found = allocate(known, n, widths, TAIL, mirrored=mirrored)
     assert found is not None
     return found
 
@@ -86,7 +89,7 @@ def missed(a: Allocation, share: Array, unlike: Array, *, most: bool) -> float:
 LAWS = ["right", "blind in four flights", "blind where sure", "blind near", "nothing fails"]
 
 
-def flights_like(law: str, required: float) -> tuple[Array, Array]:
+def flights_like(a: Allocation, law: str, required: float) -> tuple[Array, Array]:
     """Strata's shares, and flights unlike the law: just what is required is reached."""
     share, unlike, q = survey_of(required).share.copy(), np.zeros(COUNT), 1.0 - required
     if law == "right":
@@ -95,7 +98,6 @@ def flights_like(law: str, required: float) -> tuple[Array, Array]:
         unlike[3] = 0.2
         lost = unlike[3] * share[3]
     else:
-        a = allocation_of(required)
         four = 4.0 / (a.draws * a.share[-1])
         lost = {"blind in four flights": four, "blind where sure": 0.5 * q}.get(law, q)
     share[1:3] = 0.0
@@ -107,11 +109,16 @@ def flights_like(law: str, required: float) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("required", REQUIRED)
-def test_no_limit_is_missed_more_often_than_it_says(required: float, law: str) -> None:
+@pytest.mark.parametrize(
+    ("required", "mirrored"), [*((p, False) for p in REQUIRED), (0.9, True), (0.99, True)]
+)
+def test_no_limit_is_missed_more_often_than_it_says(
+    required: float, mirrored: bool, law: str
+) -> None:
     """However wrong the law is, of flights that reach just what is required."""
-    a = allocation_of(required)
-    share, unlike = flights_like(law, required)
+    a = allocation_of(required, mirrored=mirrored)
+    assert not mirrored or a.share == a.share[::-1]
+    share, unlike = flights_like(a, law, required)
     too_sure = missed(a, share, unlike, most=True)
     assert too_sure <= TAIL
     assert missed(a, share, unlike, most=False) <= TAIL
@@ -177,3 +184,16 @@ def test_an_allocation_that_gives_no_limits_is_refused(changes: dict[str, Any]) 
 def test_counts_that_do_not_fit_are_refused(counts: tuple[Counts, Counts, Counts]) -> None:
     with pytest.raises(ValueError, match="some are flown"):
         Counted(FAIR, *counts)
+
+
+def test_of_many_events_each_has_its_own_limit() -> None:
+    rng = np.random.default_rng(5)
+    drawn = np.tile([900, 40, 60, 500, 700, 7_800], (30, 1))
+    drawn[:, [0, -1]] += np.outer(rng.integers(0, 30, 30), [1, -1])
+    unlike = rng.integers(0, 9, (30, COUNT))
+    most, failed = most_at(FAIR, drawn, unlike, TAIL), failed_at(FAIR, drawn, unlike)
+    for event in range(30):
+        own = (tuple(part[event].tolist()) for part in (drawn, drawn, unlike))
+        counted = Counted(FAIR, *own)  # type: ignore[arg-type]
+        assert most[event] == pytest.approx(counted.limits(TAIL)[1], rel=1e-12)
+        assert failed[event] == pytest.approx(counted.failed, rel=1e-12)

@@ -35,6 +35,7 @@ from scp_recon.monte_carlo.estimates import (
     successes_needed,
 )
 from scp_recon.monte_carlo.law import Law, StratifiedFlights, fly_strata
+from scp_recon.monte_carlo.law_in_time import FlightsInTime, LawInTime, fly_in_time
 from scp_recon.monte_carlo.whole_flight import KeptFlights, WholeFlights, kept_flights
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
@@ -67,12 +68,11 @@ class Certified:
     seeds: list[int]
 
 
-@pytest.fixture(scope="module", params=["node", "flight", "strata"])
+@pytest.fixture(scope="module", params=["node", "flight", "strata", "node strata"])
 def run(request: pytest.FixtureRequest) -> Certified:
-    """Of plain flights with each scope, and of whole flights in strata."""
-    scope, sampling = (
-        ("flight", "strata") if request.param == "strata" else (request.param, "plain")
-    )
+    """Of plain flights with each scope, and of flights in strata."""
+    scope = "node" if "node" in request.param else "flight"
+    sampling = "strata" if "strata" in request.param else "plain"
     mission, seeds = mission_of(scope, ASKED, sampling), []
 
     def flown(of: Mission, burns: Array, samples: int, seed: int, *seen: Any) -> KeptFlights:
@@ -85,9 +85,16 @@ def run(request: pytest.FixtureRequest) -> Certified:
         seeds.append(seed)
         return fly_strata(law, of, allocation, seed, *seen)
 
+    def in_time(
+        law: LawInTime, of: WholeFlights, times: Any, allocation: Allocation, seed: int, *seen: Any
+    ) -> FlightsInTime:
+        seeds.append(seed)
+        return fly_in_time(law, of, times, allocation, seed, *seen)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "kept_flights", flown)
         patch.setattr(flights, "fly_strata", in_strata)
+        patch.setattr(flights, "fly_in_time", in_time)
         found = certify(
             mission, initial_guess.cold(mission), lambda m, s, target: plan(m, s, target=target)
         )

@@ -1,0 +1,272 @@
+"""Fly few of many draws where each limit counts at each second by itself.
+
+A joint constraint at a second is an event; all events are estimated from the same flights. The law
+says whether a draw keeps a constraint at the nodes, and, by linear interpolation of the margin, between
+them. Draws are sorted by how near they come to a limit where it is broken about as often as anywhere,
+whatever the verdicts. So strata of one margin have one share, and an event's counts are those of
+`risk.strata` with its own verdicts. Its limits are exact. Where the largest of all events' limits is
+below what may fail, so is that of the event that fails most often, whichever it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from formulations.arrays import Array, Booleans, Indices
+from formulations.risk.strata import (
+    COUNT,
+    EDGES,
+    FAILS,
+    Allocation,
+    Counted,
+    Survey,
+    failed_at,
+    most_at,
+)
+from scp_recon.monte_carlo.law import BEYOND, SURVEY_FLIGHTS, Law, survey_draws, tossed
+from scp_recon.monte_carlo.sampling import BLOCK
+from scp_recon.monte_carlo.whole_flight import Counts, Course, less_likely
+
+CONTENDS = 0.3
+"""Share of the largest probability of failing, from which on a node has a part in sorting."""
+
+LEVELS = COUNT // 2
+"""Of how near a draw comes: next to a limit, near, and surely not."""
+
+
+class Flights(Protocol):
+    """Flies draws of the errors, shape (flights, sources)."""
+
+    def positions(self, draws: Array, /) -> Array:
+        """Positions at the nodes, m, shape (n, flights, 3)."""
+        ...
+
+    def courses(self, draws: Array, /) -> Iterator[Course]:
+        """How they keep each joint constraint."""
+        ...
+
+
+@dataclass(frozen=True)
+class LawInTime:
+    """Normal laws of joint constraints at the nodes, and where these contend for the largest failure.
+
+    Attributes:
+        laws: with the limits of each constraint.
+        times_s: of the nodes, shape (n,).
+        contends: nodes that have a part in sorting, by constraint, shape (n,).
+    """
+
+    laws: Mapping[str, Law]
+    times_s: Array
+    contends: Mapping[str, Booleans]
+
+    def margins(self, draws: Array) -> dict[str, Array]:
+        """Margins of each constraint at the nodes, m, shape (n, m)."""
+        return {name: law.margins(draws) for name, law in self.laws.items()}
+
+    def nearest(self, margins: Mapping[str, Array]) -> Array:
+        """How near draws come to a limit that contends, m, shape (m,); zero if they cross it."""
+        near = []
+        for name, margin in margins.items():
+            contends = self.contends[name]
+            either = contends[1:] | contends[:-1]
+            crosses = ((margin[1:] < 0.0) != (margin[:-1] < 0.0))[either].any(axis=0)
+            near.append(
+                np.where(crosses, 0.0, np.abs(margin[contends]).min(axis=0, initial=np.inf))
+            )
+        return np.asarray(np.minimum.reduce(near))
+
+
+def survey_in_time(
+    laws: Mapping[str, Law], times_s: Array, flights: Flights, seed: int
+) -> tuple[LawInTime, Survey]:
+    """Learn from a few draws where limits contend, and how sure the law is there at worst."""
+    draws = survey_draws(next(iter(laws.values())), seed)
+    every = {name: np.ones(len(times_s), dtype=bool) for name in laws}
+    margins = LawInTime(laws, times_s, every).margins(draws)
+    failed = {name: np.mean(margin < 0.0, axis=1) for name, margin in margins.items()}
+    most = max(share.max() for share in failed.values())
+    law = LawInTime(laws, times_s, {n: share >= CONTENDS * most for n, share in failed.items()})
+    nearest = law.nearest(margins)
+    chosen = np.argsort(nearest, kind="stable")[:SURVEY_FLIGHTS]
+    positions = flights.positions(draws[chosen])
+    off = {name: own.margins_at(positions) - margins[name][:, chosen] for name, own in laws.items()}
+    near = BEYOND * max(np.abs(off[name][law.contends[name]]).max(initial=0.0) for name in laws)
+    level = levels_of(nearest, near)
+    worst = max(failed, key=lambda name: float(failed[name].max()))
+    stratum = _strata(margins[worst][np.argmax(failed[worst])] < 0.0, level)
+    share = np.bincount(stratum, minlength=COUNT) / len(level)
+    unlike = [
+        _unlike(margins[name][node], off[name][node], level)
+        for name, contends in law.contends.items()
+        for node in np.flatnonzero(contends)
+    ]
+    return law, Survey(near, share, np.max(unlike, axis=0))
+
+
+def _unlike(margin: Array, off: Array, level: Indices) -> Array:
+    """Share of each stratum's draws that end unlike the law if margins are so far off, shape (6,)."""
+    unlike, stratum = np.zeros(COUNT), _strata(margin < 0.0, level)
+    for number in range(1, COUNT - 1):
+        mine = margin[stratum == number]
+        if len(mine):
+            unlike[number] = np.mean((mine[:, None] + off < 0.0) != FAILS[number])
+    return unlike
+
+
+def levels_of(nearest: Array, near: float) -> Indices:
+    """Level of draws that come so near to a limit, by the margin up to which a verdict is not sure."""
+    return np.searchsorted(near * EDGES[LEVELS:], nearest, side="right")
+
+
+def _strata(fails: Booleans | bool, level: Indices) -> Indices:
+    """Stratum of a verdict and a level."""
+    return np.where(fails, LEVELS - 1 - level, LEVELS + level)
+
+
+@dataclass(frozen=True)
+class FlightsInTime:
+    """What came of flights in strata, where each limit counts at each second.
+
+    Attributes:
+        throughout: of the event that may fail most often.
+        at_nodes: of that at a node.
+        touched_s: as `KeptFlights.touched_s`.
+    """
+
+    throughout: Counted
+    at_nodes: Counted
+    touched_s: Array
+
+
+def fly_in_time(
+    law: LawInTime,
+    flights: Flights,
+    times_s: Mapping[str, Array],
+    allocation: Allocation,
+    seed: int,
+    tail: float,
+    progress: Callable[[int, int], None] | None = None,
+) -> FlightsInTime:
+    """Draw, sort, and fly of each stratum what is allotted.
+
+    Args:
+        law: of the draws.
+        flights: fly them.
+        times_s: at which each constraint counts, ascending.
+        allocation: of the draws, whose shares are mirrored.
+        seed: of the draws.
+        tail: probability with which the limits may be missed by which the worst event is chosen.
+        progress: called with the number of all, and that flown so far, after each block.
+    """
+    counts = {name: _Counts.none(law.times_s, times) for name, times in times_s.items()}
+    share, sources = np.array(allocation.share)[LEVELS:], next(iter(law.laws.values())).sources
+    chosen, levels = [np.zeros((0, sources))], [np.zeros(0, dtype=np.intp)]
+    for some, coins in tossed(allocation, seed, sources):
+        margins = law.margins(some)
+        level = levels_of(law.nearest(margins), allocation.near)
+        flown = coins < share[level]
+        for name, count in counts.items():
+            count.take_draws(margins.get(name), level, flown)
+        chosen.append(some[flown])
+        levels.append(level[flown])
+    draws, level = np.concatenate(chosen), np.concatenate(levels)
+    for first in range(0, len(draws), BLOCK):
+        now = slice(first, first + BLOCK)
+        margins = law.margins(draws[now])
+        for course in flights.courses(draws[now]):
+            counts[course.name].take_flights(course, margins.get(course.name), level[now])
+        if progress:
+            progress(len(draws), min(first + BLOCK, len(draws)))
+    parts = zip(*(count.all() for count in counts.values()), strict=True)
+    drawn, flown, unlike = (np.concatenate(part) for part in parts)
+    when = np.concatenate([count.times_s for count in counts.values()])
+    at_node = np.isin(when, law.times_s)
+    most, failed = (
+        of(allocation, drawn, unlike) for of in (partial(most_at, tail=tail), failed_at)
+    )
+
+    def counted(event: int) -> Counted:
+        own = (tuple(part[event].tolist()) for part in (drawn, flown, unlike))
+        return Counted(allocation, *own)
+
+    return FlightsInTime(
+        counted(int(np.argmax(most))),
+        counted(int(np.argmax(np.where(at_node, most, -np.inf)))),
+        less_likely(when, failed - failed[at_node].max()),
+    )
+
+
+@dataclass(eq=False)
+class _Counts:
+    """Counts of a joint constraint at its times: changes in time of those that the law fails.
+
+    Attributes:
+        nodes_s: times of the nodes, shape (n,).
+        times_s: at which the constraint counts, shape (n_times,).
+        total: draws of each level, and of them flights, shape (2, 3).
+        failing: changes of those of them that fail by the law, shape (2, n_times + 1, 3).
+        unlike: flights unlike the law, by stratum, shape (n_times, 6).
+    """
+
+    nodes_s: Array
+    times_s: Array
+    total: Counts
+    failing: Counts
+    unlike: Counts
+
+    @classmethod
+    def none(cls, nodes_s: Array, times_s: Array) -> _Counts:
+        """Before any draw."""
+        count = len(times_s)
+        shapes = (2, LEVELS), (2, count + 1, LEVELS), (count, COUNT)
+        return cls(nodes_s, times_s, *(np.zeros(shape, dtype=np.int64) for shape in shapes))
+
+    def take_draws(self, margin: Array | None, level: Indices, flown: Booleans) -> None:
+        """Count draws with margins at the nodes, shape (n, m), and those of them that are flown."""
+        for row, those in enumerate((np.arange(len(level)), np.flatnonzero(flown))):
+            own = level[those]
+            self.total[row] += np.bincount(own, minlength=LEVELS)
+            if margin is not None:
+                at, draw, sign = self._changes(margin[:, those])
+                np.add.at(self.failing[row], (at, own[draw]), sign)
+
+    def take_flights(self, course: Course, margin: Array | None, level: Indices) -> None:
+        """Count flights that end unlike the law."""
+        if margin is None:
+            margin = np.full((len(self.nodes_s), len(level)), np.inf)
+        some = np.flatnonzero((margin < 0.0).any(axis=0) | ~course.kept)
+        if not len(some):
+            return
+        at, draw, sign = self._changes(margin[:, some])
+        changes = np.zeros((len(self.times_s) + 1, len(some)), dtype=np.int8)
+        np.add.at(changes, (at, draw), sign)
+        by_law, fails = np.cumsum(changes, axis=0)[:-1] > 0, course.fails(some)
+        stratum = _strata(True, level[some]), _strata(False, level[some])
+        for number in range(COUNT):
+            mine = stratum[0 if FAILS[number] else 1] == number
+            other = by_law & ~fails if FAILS[number] else fails & ~by_law
+            self.unlike[:, number] += other[:, mine].sum(axis=1)
+
+    def all(self) -> tuple[Counts, Counts, Counts]:
+        """Draws, flights, and flights unlike the law at each time, by stratum, (n_times, 6) each."""
+        failing = np.cumsum(self.failing, axis=1)[:, :-1]
+        by_stratum = np.concatenate([failing[..., ::-1], self.total[:, None] - failing], axis=2)
+        return by_stratum[0], by_stratum[1], self.unlike
+
+    def _changes(self, margin: Array) -> tuple[Indices, Indices, Indices]:
+        """Where the law's verdicts change: first times of the new ones, draws, and 1 where it fails."""
+        fails = margin < 0.0
+        begun = np.flatnonzero(fails[0])
+        arc, draw = np.nonzero(fails[1:] != fails[:-1])
+        before, after = margin[arc, draw], margin[arc + 1, draw]
+        step = self.nodes_s[arc + 1] - self.nodes_s[arc]
+        time = self.nodes_s[arc] + step * before / (before - after)
+        at = np.concatenate([np.zeros(len(begun), np.intp), np.searchsorted(self.times_s, time)])
+        sign = np.concatenate([np.ones(len(begun), np.intp), np.where(fails[arc + 1, draw], 1, -1)])
+        return at, np.concatenate([begun, draw]), sign
