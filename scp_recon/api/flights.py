@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
-from scp_recon.api.files import AnyPlan, Opened, open_plan, solution_of
+from scp_recon.api.files import AnyPlan, Opened, open_plan
 from scp_recon.api.keeping import check_holds
 from scp_recon.errors import (
     InputError,
@@ -20,7 +20,6 @@ from scp_recon.errors import (
     whole_number,
 )
 from scp_recon.files import check_writable, only_run_in, unwritable
-from scp_recon.mission.feedback import require_open_loop
 from scp_recon.monte_carlo.flights import (
     LIMITS,
     SAMPLES_MAX,
@@ -29,14 +28,13 @@ from scp_recon.monte_carlo.flights import (
     WORKERS_MAX,
     FlightConfig,
     FlightTally,
-    PolicyKind,
     flights_so_far,
     fly_many,
     forget_flights,
     keep_flights,
 )
 from scp_recon.monte_carlo.replans import replans
-from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, TruthModel
+from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind, TruthModel
 from scp_recon.monte_carlo.summary import FILE_NAME, Summary, summarise
 from scp_recon.results.solution import require_whole_flight
 from scp_recon.simulation import record as records
@@ -243,6 +241,7 @@ def simulate(
     plan: AnyPlan,
     *,
     seed: int = 0,
+    policy: PolicyKind | None = None,
     vehicle: str | Path | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> records.Record:
@@ -253,6 +252,8 @@ def simulate(
     Args:
         plan: to fly; a solution, or its file.
         seed: of all errors.
+        policy: what burns are commanded, as of `fly`; from the simulated state at each cut-off, with
+            errors of its measurement.
         vehicle: a TOML file (default: the packaged DARE).
         progress: told the time of the flight, s.
 
@@ -265,9 +266,12 @@ def simulate(
     with needing("simulate", "sim", "Basilisk"):
         from scp_recon.simulation.basilisk import simulation
     seed = whole_number(option("seed"), seed, 0, SEED_MAX)
-    solution = solution_of(plan)
+    opened = open_plan(plan)
+    solution = opened.solution
+    if policy is not None:
+        one_of(option("policy"), policy, get_args(PolicyKind))
     craft = load_vehicle(None if vehicle is None else path_of(option("vehicle"), vehicle))
     require_whole_flight(solution.scenario, "plan")
-    require_open_loop(solution.scenario, "solve and montecarlo; not yet with simulate")
-    flight = simulation.simulate(solution, craft, seed, progress=progress)
+    commands = _policy(opened, policy)
+    flight = simulation.simulate(solution, craft, seed, progress=progress, policy=commands)
     return records.make_record(flight, solution, seed)

@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +21,15 @@ from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
-from scp_recon.monte_carlo.replans import Replan
-from scp_recon.monte_carlo.sampling import BLOCK, AnyPolicy, ErrorModel, TruthModel, fly_block
+from scp_recon.monte_carlo.sampling import (
+    BLOCK,
+    AnyPolicy,
+    ErrorModel,
+    PolicyKind,
+    TruthModel,
+    fly_block,
+    policy_kind,
+)
 from scp_recon.results.solution import Solution
 
 SAMPLES_MIN, SAMPLES_MAX, SEED_MAX, WORKERS_MAX = 20, 10**9, 2**63 - 1, 256
@@ -46,9 +53,6 @@ BY_NAME = ("node_counts", "limits")
 TALLIES = ("entry", "exit", "closest", "executed_dv", "commanded_dv")
 """Fields of a `FlightTally` kept as numbers, as lists, as lists by name, and by their own fields."""
 
-PolicyKind = Literal["open", "replan", "feedback"]
-"""What is commanded: the planned burns, burns planned again before each, or corrected by gains."""
-
 
 @dataclass(frozen=True, eq=False)
 class FlightConfig:
@@ -71,9 +75,7 @@ class FlightConfig:
     @property
     def policy_kind(self) -> PolicyKind:
         """Its policy in a word."""
-        if not self.policy:
-            return "open"
-        return "replan" if isinstance(self.policy[0], Replan) else "feedback"
+        return policy_kind(self.policy)
 
     def __post_init__(self) -> None:
         """Refuse inputs with which flights would fail, and another body's gravity."""

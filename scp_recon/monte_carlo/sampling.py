@@ -21,6 +21,8 @@ from scp_recon.results.policy import Correction, Policy
 TruthModel = Literal["planner", "harmonics"]
 ErrorModel = Literal["componentwise", "gates"]
 AnyPolicy = Policy | Replans
+PolicyKind = Literal["open", "replan", "feedback"]
+"""What is commanded: the planned burns, burns planned again before each, or corrected by gains."""
 Flow = Callable[[Array, Array, float, float], tuple[Array, Array]]
 
 BLOCK = 1000
@@ -125,7 +127,7 @@ def fly_draws(
     draws, measured = np.hsplit(draws[:, initial:], [model.draws(len(burns_m_s))])
     executed = model.execute(burns_m_s, draws)
     commanded = np.tile(burns_m_s, (flights, 1, 1))
-    loop = _loop(mission, burns_m_s, policy, measured)
+    loop = start_loop(mission, burns_m_s, policy, measured)
     fly = _flow(mission, truth)
     firing = mission.scenario.burn_times_s
     burn_at = dict(zip(firing, range(len(burns_m_s)), strict=True))
@@ -163,7 +165,14 @@ def fly_draws(
     return Flights(times_s, states, executed, commanded, np.sqrt(closest2), failed)
 
 
-def _loop(
+def policy_kind(policy: AnyPolicy) -> PolicyKind:
+    """A policy in a word."""
+    if not policy:
+        return "open"
+    return "replan" if isinstance(policy[0], Replan) else "feedback"
+
+
+def start_loop(
     mission: Mission, burns_m_s: Array, policy: AnyPolicy, draws: Array
 ) -> ClosedLoop | ReplanLoop:
     """What commands the burns, from the measurements' draws."""

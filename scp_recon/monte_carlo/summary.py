@@ -13,9 +13,9 @@ from scipy.special import chdtri
 from formulations.arrays import Array
 from scp_recon.files import write_atomically
 from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, Tally, proportion
-from scp_recon.monte_carlo.flights import FlightTally, PolicyKind
+from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE
-from scp_recon.monte_carlo.sampling import ErrorModel, TruthModel
+from scp_recon.monte_carlo.sampling import ErrorModel, PolicyKind, TruthModel
 from scp_recon.results.policy import Correction
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
+from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.physics import geometry
 from scp_recon.physics.frames import unit
 from scp_recon.results.solution import Solution
@@ -43,6 +44,7 @@ class Flight:
         burns_m_s: executed, J2000, shape (m, 3).
         dumps: number of dumps of the wheels' momentum.
         terminal_state: at the planned end, with the last burn as an impulse, shape (6,).
+        policy: that commanded the burns.
     """
 
     plan: FlightPlan
@@ -64,6 +66,7 @@ class Flight:
     burns_m_s: Array
     dumps: int
     terminal_state: Array
+    policy: PolicyKind = "open"
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class Pointing:
     Attributes:
         attitude: between the commanded and the true attitude, shape (n,).
         estimate: between the estimated and the true one, shape (n,).
-        burns: between each planned burn and the thrust when it starts, shape (m,).
+        burns: between each planned burn and the thrust when it starts, shape (m,); 0 if it is none.
         executed: between each planned burn and the velocity it gave, shape (m,); 0 if none.
         camera: between boresight and command at the samples of the window, shape (w,).
         site: between boresight and true line of sight to the site there, shape (w,).
@@ -98,11 +101,12 @@ def pointing(flight: Flight) -> Pointing:
     camera = unit(vehicle.sensors.camera)
     boresight = flight.attitudes[window].apply(camera)
     mission, executed = plan.mission, geometry.angle(flight.burns_m_s, planned)
+    thrusting = geometry.angle(flight.attitudes[starts].apply(thrust), planned)
     track = geometry.track(mission.site, mission.rotation, flight.times_s[window])
     return Pointing(
         attitude=attitude_error(flight),
         estimate=_between(flight.estimates, flight.attitudes),
-        burns=geometry.angle(flight.attitudes[starts].apply(thrust), planned),
+        burns=np.where([firing.duration_s > 0.0 for firing in plan.firings], thrusting, 0.0),
         executed=np.where(flight.burns_m_s.any(axis=1), executed, 0.0),
         camera=geometry.angle(boresight, flight.commands[window].apply(camera)),
         site=geometry.angle(track.position - flight.states[window, :3], boresight),

@@ -1,8 +1,8 @@
 """Guidance: attitude commands from the nominal trajectory, the site and the Sun.
 
 In delta-V mode the thruster's force points along the burn, in observation mode the camera at the site,
-both rolled for the largest power. In sun-pointing mode the panels face the Sun, and the camera points
-as near to the asteroid as that allows.
+both rolled for the largest power. In sun-pointing mode, and where a burn is zero, the panels face the
+Sun, and the camera points as near to the asteroid as that allows.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Firing:
 
 @dataclass(frozen=True)
 class FlightPlan:
-    """Commands fixed before departure.
+    """Commands, fixed before departure or as they stand at a time in flight.
 
     Attitude modes are those of the schedule, but the attitude of a burn is kept to its end. The nominal
     path is the planned mean's positions, m, J2000.
@@ -68,12 +68,29 @@ class FlightPlan:
                 plan begins in flight.
         """
         require_whole_flight(solution.scenario, "solution")
+        return cls._of(solution.burns_m_s, mission, vehicle, _interpolate(solution))
+
+    def with_burns(self, burns_m_s: Array) -> FlightPlan:
+        """The same with other burns (m, 3), J2000, at the same times.
+
+        Raises:
+            InputError: as `of`.
+        """
+        return self._of(burns_m_s, self.mission, self.vehicle, self.nominal)
+
+    @classmethod
+    def _of(
+        cls,
+        burns_m_s: Array,
+        mission: Mission,
+        vehicle: Vehicle,
+        nominal: tuple[CubicHermiteSpline, ...],
+    ) -> FlightPlan:
         thrust, mass = vehicle.chemical_thruster.thrust_n, vehicle.mass.mass_kg
         firings = []
-        for burn in solution.burns:
-            dv = np.array(burn.dv_m_s)
+        for time, dv in zip(mission.scenario.burn_times_s, burns_m_s, strict=True):
             least = mass * float(np.linalg.norm(dv)) / thrust / CONTROL_PERIOD_S
-            start = round(burn.t_s / CONTROL_PERIOD_S) * CONTROL_PERIOD_S
+            start = round(time / CONTROL_PERIOD_S) * CONTROL_PERIOD_S
             firings.append(Firing(start, math.ceil(least) * CONTROL_PERIOD_S, dv))
         legs = [Leg(Mode.DELTA_V, 0.0, firings[0].end_s)]
         for leg in mission.schedule.legs:
@@ -86,7 +103,7 @@ class FlightPlan:
                     f"must end before the mode at {late:g} s does",
                 )
             legs.append(Leg(leg.mode, legs[-1].end_s, late))
-        return cls(mission, vehicle, tuple(firings), tuple(legs), _interpolate(solution))
+        return cls(mission, vehicle, tuple(firings), tuple(legs), nominal)
 
     @property
     def end_s(self) -> float:
@@ -122,10 +139,11 @@ class FlightPlan:
         sun = self.mission.sun_direction(time_s)
         position = self.position(time_s)
         camera = unit(self.vehicle.sensors.camera)
-        if leg.mode is Mode.SUN_POINTING:
+        firing = next(f for f in self.firings if f.end_s >= leg.end_s - CONTROL_PERIOD_S)
+        idle = leg.mode is Mode.DELTA_V and not firing.duration_s
+        if leg.mode is Mode.SUN_POINTING or idle:
             return sun_pointing(self.panels, camera, sun, position)
         if leg.mode is Mode.DELTA_V:
-            firing = next(f for f in self.firings if f.end_s >= leg.end_s - CONTROL_PERIOD_S)
             axis_body = unit(self.vehicle.chemical_thruster.direction)
             axis = np.broadcast_to(firing.direction, sun.shape)
         else:

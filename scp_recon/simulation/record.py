@@ -24,6 +24,7 @@ from formulations.arrays import Array
 from scp_recon.errors import InputError
 from scp_recon.files import write_atomically
 from scp_recon.mission.schedule import Mode
+from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.results.read import File, parse_file
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import Line, Section
@@ -94,7 +95,7 @@ class FlownBurn(Section):
     Attributes:
         t_s: time past the epoch.
         duration_s: of the thrust.
-        planned_m_s: velocity that it was to add.
+        planned_m_s: velocity that it was to add, as it was commanded.
         executed_m_s: velocity that it added.
         pointing_deg: angle between the planned burn and the thrust, at the instant before it starts.
         executed_pointing_deg: angle between the planned and the executed one.
@@ -176,6 +177,7 @@ class FlightSummary(File):
     Attributes:
         vehicle: its name.
         seed: of the flight's errors.
+        policy: that commanded the burns, "open", "replan" or "feedback"; null in older files.
         plan_hash: of the plan that was flown.
         inputs_sha256: digest of plan and vehicle.
         modes: names of the attitude modes; the array `mode` counts in them.
@@ -195,6 +197,7 @@ class FlightSummary(File):
 
     vehicle: Line
     seed: Count
+    policy: PolicyKind | None = None
     plan_hash: Line | None = None
     inputs_sha256: Line | None = None
     modes: tuple[Line, ...]
@@ -301,6 +304,7 @@ def _summary(flight: Flight, solution: Solution, seed: int) -> FlightSummary:
     return FlightSummary(
         vehicle=plan.vehicle.name,
         seed=seed,
+        policy=flight.policy,
         plan_hash=solution.plan_hash,
         inputs_sha256=inputs_digest(solution, plan.vehicle),
         modes=tuple(mode.value for mode in MODES),

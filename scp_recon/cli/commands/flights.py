@@ -120,6 +120,7 @@ def simulate(options: argparse.Namespace, console: Console) -> Answer:
             record = fly_spacecraft(
                 solution,
                 seed=options.seed,
+                policy=options.policy,
                 vehicle=options.vehicle,
                 progress=lambda time: bar.update(task, completed=time),
             )

@@ -191,13 +191,8 @@ class Allocator(sysModel.SysModel):
         super().__init__()
         self.dump = dump
         self.wheels, self.dumping, self.dumps = plan.vehicle.wheels, False, 0
-        self.in_use = np.zeros(len(times_s), dtype=np.int8)
-        self._burning, self._idle = np.zeros((2, len(times_s)), dtype=bool)
-        for firing in plan.firings:
-            self._burning |= (times_s >= firing.start_s) & (times_s < firing.end_s)
-        for leg in plan.legs:
-            if leg.mode is Mode.SUN_POINTING:
-                self._idle |= (times_s >= leg.start_s) & (times_s < leg.end_s)
+        self.in_use, self._times_s = np.zeros(len(times_s), dtype=np.int8), times_s
+        self.follow(plan)
         self.for_wheels = messaging.CmdTorqueBodyMsg()
         self.for_thrusters = messaging.CmdTorqueBodyMsg()
         self.guidance, self.torque = (
@@ -208,6 +203,16 @@ class Allocator(sysModel.SysModel):
         self._payload = messaging.CmdTorqueBodyMsgPayload()
         self._axes = unit(self.wheels.axes)
         self._share = np.linalg.pinv(self._axes.T)
+
+    def follow(self, plan: FlightPlan) -> None:
+        """Take up a plan with other burns."""
+        times = self._times_s
+        self._burning, self._idle = np.zeros((2, len(times)), dtype=bool)
+        for firing in plan.firings:
+            self._burning |= (times >= firing.start_s) & (times < firing.end_s)
+        for leg in plan.legs:
+            if leg.mode is Mode.SUN_POINTING:
+                self._idle |= (times >= leg.start_s) & (times < leg.end_s)
 
     def UpdateState(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)
@@ -257,7 +262,7 @@ class Firer(sysModel.SysModel):
         burn_error: Array,
     ) -> None:
         super().__init__()
-        self.plan, self.plant, self.allocator, self.servo = plan, plant, allocator, servo
+        self.plant, self.allocator, self.servo = plant, allocator, servo
         self.pulses, self.pulse_error, self.burn_error = pulses, pulse_error, burn_error
         self.on_time_s = np.zeros((len(pulse_error), len(plant.micro_thrusters)))
         self.micro, self.chemical = (
@@ -268,6 +273,11 @@ class Firer(sysModel.SysModel):
             messaging.THRArrayOnTimeCmdMsgReader(),
             messaging.THRArrayOnTimeCmdMsgReader(),
         )
+        self.follow(plan)
+
+    def follow(self, plan: FlightPlan) -> None:
+        """Take up a plan with other burns."""
+        self.plan = plan
         self._starts = {round(f.start_s / CONTROL_PERIOD_S): i for i, f in enumerate(plan.firings)}
         self._ends = {round(f.end_s / CONTROL_PERIOD_S) for f in plan.firings}
 

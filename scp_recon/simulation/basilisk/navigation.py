@@ -87,7 +87,7 @@ class Navigator(sysModel.SysModel):
         times_s: Array,
     ) -> None:
         super().__init__()
-        self.plan, self.commands, self.filter = plan, commands, attitude_filter
+        self.filter = attitude_filter
         self.estimates = np.empty((len(times_s), 4))
         self.navigation, self.reference = messaging.NavAttMsg(), messaging.AttRefMsg()
         self._tracker = sensors.star_tracker.sensorOutMsg.addSubscriber()
@@ -98,11 +98,16 @@ class Navigator(sysModel.SysModel):
         self._tracker_axis = unit(vehicle.star_tracker)
         self._blind = np.cos(np.deg2rad(vehicle.star_tracker_sun_exclusion_deg))
         self._seen = np.cos(np.deg2rad(vehicle.sun_sensor_half_angle_deg))
-        self._mrps = self.commands.as_mrp().tolist()
-        self._rates = _rates(self.commands).tolist()
+        self.follow(commands)
         self._navigation = messaging.NavAttMsgPayload()
         self._reference = messaging.AttRefMsgPayload()
         self._sun = plan.mission.sun_direction(times_s)
+
+    def follow(self, commands: Rotation) -> None:
+        """Look up other commands from now on."""
+        self.commands = commands
+        self._mrps = commands.as_mrp().tolist()
+        self._rates = _rates(commands).tolist()
 
     def UpdateState(self, now: int) -> None:  # noqa: N802, D102 -- as Basilisk names it
         k = round(now * macros.NANO2SEC / CONTROL_PERIOD_S)

@@ -75,7 +75,7 @@ class Bus(sysModel.SysModel):
 
     def __init__(self, plan: FlightPlan, plant: Plant, firer: Firer, times_s: Array) -> None:
         super().__init__()
-        self.plan, self.firer = plan, firer
+        self.firer = firer
         n, battery = len(times_s), plan.vehicle.battery
         self.generated = np.zeros((n, len(plan.vehicle.panels.panel)))
         self.consumed, self.lost = np.zeros(n), np.zeros(n)
@@ -95,13 +95,19 @@ class Bus(sysModel.SysModel):
             self.batteries.append(store)
             self._flows.append(flow)
         self._charges = [store.batPowerOutMsg.addSubscriber() for store in self.batteries]
-        self._scheduled = mode_loads(plan, times_s)
-        self._reserved = np.zeros(n, dtype=bool)
-        for leg in plan.legs:
-            if leg.mode is not Mode.SUN_POINTING:
-                self._reserved |= (times_s >= leg.start_s) & (times_s < leg.end_s)
+        self._times_s = times_s
+        self.follow(plan)
         self._speeds = plant.wheels.rwSpeedOutMsg.addSubscriber()
         self._wheel_curve = np.array(plan.vehicle.wheels.power_w).T
+
+    def follow(self, plan: FlightPlan) -> None:
+        """Take up a plan with other burns."""
+        self.plan, times = plan, self._times_s
+        self._scheduled = mode_loads(plan, times)
+        self._reserved = np.zeros(len(times), dtype=bool)
+        for leg in plan.legs:
+            if leg.mode is not Mode.SUN_POINTING:
+                self._reserved |= (times >= leg.start_s) & (times < leg.end_s)
 
     def models(self) -> list[sysModel.SysModel]:
         """All modules in the order of their execution."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -12,6 +13,9 @@ from Basilisk.utilities import SimulationBaseClass, macros
 from scipy.spatial.transform import Rotation
 
 from formulations.arrays import Array
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.closed_loop import MEASURED
+from scp_recon.monte_carlo.sampling import AnyPolicy, policy_kind, start_loop
 from scp_recon.physics.frames import unit
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk.control import build_flight_software
@@ -27,7 +31,10 @@ ARCSEC = np.deg2rad(1.0 / 3600.0)
 
 
 class Source(StrEnum):
-    """A source of error; the names are those of the vehicle's errors."""
+    """A source of error; names that the vehicle's errors have are theirs.
+
+    A new one goes last, so that the others' draws stay as they are.
+    """
 
     SUN_SENSOR = "sun_sensor"
     STAR_TRACKER = "star_tracker"
@@ -35,6 +42,7 @@ class Source(StrEnum):
     MICRO_THRUSTER = "micro_thruster"
     CHEMICAL_THRUSTER = "chemical_thruster"
     INITIAL_STATE = "initial_state"
+    NAVIGATION = "navigation"
 
 
 @dataclass(frozen=True)
@@ -44,6 +52,7 @@ class Draws:
     initial: Array
     burns: Array
     pulses: Array
+    measured: Array
     seeds: dict[str, int]
 
     @classmethod
@@ -54,8 +63,13 @@ class Draws:
         periods: int,
         seed: int,
         sources: Collection[Source],
+        cut_offs: int = 0,
     ) -> Draws:
-        """Draw the errors of the sources; the initial state's by a factor (6, 6) of its covariance."""
+        """Draw the errors of the sources.
+
+        The initial state's by a factor (6, 6) of its covariance; those of states measured at cut-offs
+        are standard normal numbers, shape (1, 6 cut_offs).
+        """
         children = np.random.SeedSequence(seed).spawn(len(Source))
         stream = dict(zip(Source, children, strict=True))
 
@@ -68,6 +82,7 @@ class Draws:
             initial=initial_factor @ normal(Source.INITIAL_STATE, 6),
             burns=errors.chemical_thruster * normal(Source.CHEMICAL_THRUSTER, len(plan.firings)),
             pulses=errors.micro_thruster_n * normal(Source.MICRO_THRUSTER, periods, thrusters),
+            measured=normal(Source.NAVIGATION, 1, MEASURED * cut_offs),
             seeds={s.value: int(c.generate_state(1)[0]) for s, c in stream.items()},
         )
 
@@ -80,11 +95,13 @@ def simulate(
     sources: Collection[Source] = frozenset(Source),
     initial_sigma_fraction: float | None = None,
     progress: Callable[[float], None] | None = None,
+    policy: AnyPolicy = (),
 ) -> Flight:
     """Simulate a solution's flight; a source of error that is left out is perfect.
 
     The initial state's 1 sigma is a fraction of each component, or the scenario's uncertainty.
-    `progress` is called now and then with the simulated time in s.
+    `progress` is called now and then with the simulated time in s. A policy commands burns at their
+    cut-offs, from the true state then with the errors of its measurement.
 
     Raises:
         InputError: if the solution's scenario has no window or breaks a rule of the schedule.
@@ -95,7 +112,7 @@ def simulate(
     factor = mission.initial_factor
     if initial_sigma_fraction is not None:
         factor = np.diag(initial_sigma_fraction * np.abs(mission.initial_state))
-    draws = Draws.of(plan, factor, len(times), seed, sources)
+    draws = Draws.of(plan, factor, len(times), seed, sources, len(policy))
     commands = plan.attitudes(times)
     start = Start(
         mission.initial_state + draws.initial,
@@ -105,8 +122,8 @@ def simulate(
     )
     sigmas = sensor_sigmas(vehicle.errors, sources)
     sim = Simulator(plan, commands, start, draws, sigmas, times)
-    sim.run(progress)
-    return sim.flight()
+    sim.run(progress, Commander(mission, solution.burns_m_s, policy, draws.measured))
+    return replace(sim.flight(), policy=policy_kind(policy))
 
 
 def sensor_sigmas(errors: Errors, sources: Collection[Source]) -> SensorSigmas:
@@ -116,6 +133,40 @@ def sensor_sigmas(errors: Errors, sources: Collection[Source]) -> SensorSigmas:
         gyro=errors.imu_rad_s * CONTROL_PERIOD_S * (Source.IMU in sources),
         sun_sensor=errors.sun_sensor_rad * (Source.SUN_SENSOR in sources),
     )
+
+
+class Commander:
+    """Burns of one flight by a policy, from what is measured at its cut-offs; J2000, m and m/s.
+
+    Args:
+        mission: that is flown.
+        burns_m_s: planned, shape (m, 3).
+        policy: that commands them.
+        draws: standard normal numbers of its measurements, shape (1, 6 k).
+    """
+
+    def __init__(self, mission: Mission, burns_m_s: Array, policy: AnyPolicy, draws: Array) -> None:
+        self._planned, self._policy, self._measured = burns_m_s, policy, 0
+        self._loop = start_loop(mission, burns_m_s, policy, draws)
+        # The last control period before a cut-off at its burn, which is commanded at its start.
+        firing = mission.scenario.burn_times_s
+        self.stops_s: list[float] = [
+            CONTROL_PERIOD_S
+            * math.floor(min(one.cut_off_s / CONTROL_PERIOD_S, firing[one.burn] - 1.0))
+            for one in policy
+        ]
+
+    def burns_m_s(self, state: Array) -> Array:
+        """All burns as they stand after the next stop with the true state (6,), shape (m, 3)."""
+        now, until = self.stops_s[self._measured], self._policy[self._measured].cut_off_s
+        state = state + np.concatenate([(until - now) * state[3:], np.zeros(3)])
+        self._loop.measure(state[:, None])
+        self._measured += 1
+        burns = self._planned.copy()
+        for one in self._policy[: self._measured]:
+            correction = self._loop.correction(one.burn)
+            burns[one.burn] += 0.0 if correction is None else correction[0]
+        return burns
 
 
 class Simulator:
@@ -162,15 +213,33 @@ class Simulator:
             }
         )
 
-    def run(self, progress: Callable[[float], None] | None = None) -> None:
-        """Fly to the end."""
+    def run(
+        self,
+        progress: Callable[[float], None] | None = None,
+        commander: Commander | None = None,
+    ) -> None:
+        """Fly to the end; a commander changes burns at its cut-offs."""
         self.sim.InitializeSimulation()
-        for time in np.append(np.arange(REPORT_S, self.times_s[-1], REPORT_S), self.times_s[-1]):
-            self.sim.ConfigureStopTime(macros.sec2nano(float(time)))
+        end = float(self.times_s[-1])
+        stops = [] if commander is None else commander.stops_s
+        for time in sorted({*np.arange(REPORT_S, end, REPORT_S).tolist(), *stops, end}):
+            self.sim.ConfigureStopTime(macros.sec2nano(time))
             self.sim.ExecuteSimulation()
+            if commander is not None and time in stops:
+                now = self.plant.hub.scStateOutMsg.read()
+                state = np.concatenate([now.r_CN_N, now.v_CN_N])
+                self._follow(self.plan.with_burns(commander.burns_m_s(state)), time)
             if progress is not None:
-                progress(float(time))
+                progress(time)
         self.bus.close()
+
+    def _follow(self, plan: FlightPlan, time_s: float) -> None:
+        """Take up a plan with other burns from a time on."""
+        self.plan, k = plan, int(np.searchsorted(self.times_s, time_s, side="right"))
+        past, coming = self.navigator.commands[:k], plan.attitudes(self.times_s)[k:]
+        self.navigator.follow(Rotation.concatenate([past, coming]))
+        for module in (self.allocator, self.firer, self.bus):
+            module.follow(plan)
 
     def flight(self) -> Flight:
         """The recorded flight."""

@@ -12,10 +12,12 @@ pytest.importorskip("Basilisk", reason="needs the extra [sim]")
 from hypothesis import given
 from hypothesis import strategies as st
 
+from formulations.arrays import Array
 from scp_recon.cli.commands import simulate as command
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.schedule import Mode
 from scp_recon.physics.frames import unit
+from scp_recon.results.policy import Correction
 from scp_recon.results.solution import Solution
 from scp_recon.simulation.basilisk import simulation
 from scp_recon.simulation.basilisk.power import distribute, mode_loads
@@ -47,6 +49,8 @@ from scp_recon.simulation.record import (
     write_record,
 )
 from scp_recon.simulation.vehicle import Vehicle
+from tests.scp_recon.simulation.short_plan import SHORT, short_plan
+from tests.scp_recon.support import mission_of
 
 PATH = frozenset({Source.INITIAL_STATE, Source.CHEMICAL_THRUSTER})
 
@@ -96,6 +100,54 @@ def test_every_mode_settles_on_wheels_after_a_slew_on_thrusters(perfect: Flight)
     assert angles.site.max() < np.deg2rad(0.3) + 3.0 / 500.0
     assert angles.estimate.max() < 1e-6
     np.testing.assert_allclose(np.linalg.norm(perfect.attitudes.as_quat(), axis=1), 1.0, atol=1e-12)
+
+
+def corrected(gain: float, cut_off_s: float) -> Correction:
+    """The last burn corrected by what is measured, taken as it is."""
+    return Correction(
+        burn=1,
+        cut_off_s=cut_off_s,
+        measurement_covariance=np.eye(6),
+        estimate_covariance=np.eye(6),
+        gains=np.hstack([np.zeros((3, 3)), gain * np.eye(3)])[None],
+    )
+
+
+def test_a_burn_is_commanded_at_its_cut_off_from_the_state_there(vehicle: Vehicle) -> None:
+    """With the length and the attitude of the corrected burn; what was before stays."""
+    mission = mission_of(*SHORT, "grid.nodes_s=[2600.0]")
+    solution, sources = short_plan(mission), {Source.INITIAL_STATE}
+    policy = (corrected(40.0, 2600.0),)
+    flight = simulate(solution, vehicle, 1, sources=sources, policy=policy)
+    node = int(np.searchsorted(mission.times_s, 2600.0))
+    off = flight.states[2600, 3:] - np.array(solution.nodes.state[node][3:])
+    expected = solution.burns_m_s[1] + 40.0 * off
+    firing = flight.plan.firings[1]
+    np.testing.assert_allclose(firing.dv_m_s, expected, rtol=1e-3, atol=1e-7)
+    assert np.linalg.norm(40.0 * off) > 0.005
+    thrust = vehicle.chemical_thruster.thrust_n / vehicle.mass.mass_kg
+    assert firing.duration_s == np.ceil(np.linalg.norm(expected) / thrust)
+    np.testing.assert_allclose(flight.burns_m_s[1], expected, atol=0.01 * np.linalg.norm(expected))
+    assert pointing(flight).burns[1] < np.deg2rad(0.3)
+    assert not np.array_equal(firing.dv_m_s, solution.burns_m_s[1])
+    np.testing.assert_array_equal(flight.plan.firings[0].dv_m_s, solution.burns_m_s[0])
+    planned = FlightPlan.of(solution, mission, vehicle).attitudes(flight.times_s[:2600])
+    assert (planned.inv() * flight.commands[:2600]).magnitude().max() == 0.0
+
+
+def test_a_cut_off_at_its_burn_is_a_control_period_before(short_mission: Mission) -> None:
+    """The state is taken along to the cut-off."""
+    burns = np.zeros((2, 3))
+    policy = (corrected(2.0, 3270.0),)
+    commander = simulation.Commander(short_mission, burns, policy, np.zeros((1, 6)))
+    assert commander.stops_s == [3269.0]
+    seen: list[Array] = []
+    commander._loop.measure = seen.append  # type: ignore[method-assign]
+    commander._loop.correction = lambda _: np.ones((1, 3))  # type: ignore[method-assign]
+    state = np.array([100.0, 200.0, 300.0, 0.1, 0.2, 0.3])
+    np.testing.assert_array_equal(commander.burns_m_s(state), [[0.0] * 3, [1.0] * 3])
+    expected = [100.1, 200.2, 300.3, 0.1, 0.2, 0.3]
+    np.testing.assert_allclose(seen[0][:, 0], expected, rtol=1e-12)
 
 
 def test_modes_last_as_long_as_the_rules_say(perfect: Flight) -> None:

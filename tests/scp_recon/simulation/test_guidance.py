@@ -73,6 +73,21 @@ def test_commands_are_continuous_within_a_mode(plan: FlightPlan) -> None:
         assert (attitudes[1:] * attitudes[:-1].inv()).magnitude().max() < np.deg2rad(0.05)
 
 
+def test_a_burn_of_zero_keeps_the_panels_on_the_sun(plan: FlightPlan) -> None:
+    """Whatever the others are: turned away for an hour or more, they would not charge."""
+    burns = np.array([firing.dv_m_s for firing in plan.firings])
+    burns[1] = 0.0
+    idle = plan.with_burns(burns)
+    assert idle.firings[1].duration_s == 0.0
+    before = next(leg for leg in idle.legs if leg.end_s == idle.firings[1].end_s)
+    times = np.arange(before.start_s, before.end_s)
+    sun = idle.mission.sun_direction(times)
+    facing = idle.attitudes(times).apply(idle.panels.best_direction())
+    assert geometry.angle(facing, sun).max() < 1e-6
+    turned = plan.attitudes(times).apply(plan.panels.best_direction())
+    assert geometry.angle(turned, sun).min() > 0.1
+
+
 def test_a_burn_longer_than_its_mode_is_refused(
     solution: Solution, mission: Mission, vehicle: Vehicle
 ) -> None:

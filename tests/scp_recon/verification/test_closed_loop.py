@@ -20,7 +20,6 @@ from formulations.problem.regions import Ball, Cone
 from formulations.program.subproblem import MeritFunction
 from formulations.rows.node_probability import Event, node_quantiles
 from formulations.rows.uniform import DeterministicRows
-from scp_recon.api.flights import simulate
 from scp_recon.cli.command import WIDE
 from scp_recon.cli.plan_view import show_solution, show_verification
 from scp_recon.errors import InputError
@@ -354,9 +353,3 @@ def test_the_terminal_tells_the_policy(solution: Solution, verification: Verific
     assert "dv_battery" in text.partition("probability")[2]
     (row,) = (line.split() for line in text.splitlines() if line.split()[:2] == ["2", "4400"])
     assert float(row[3]) == pytest.approx(solution.policy.corrections[0].sigma_m_s, abs=1e-6)
-
-
-def test_what_cannot_correct_burns_refuses_the_plan(solution: Solution) -> None:
-    pytest.importorskip("Basilisk")
-    with pytest.raises(InputError, match=r"^policy\.kind: .*not yet with simulate"):
-        simulate(solution)
