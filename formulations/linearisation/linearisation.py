@@ -30,7 +30,7 @@ import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.factor import FactorSensitivity, Spread, propagate_factor
-from formulations.problem.cost import Valued, cost
+from formulations.problem.cost import Bend, Valued, bend, cost
 from formulations.problem.feedback import Feedback
 from formulations.problem.flow import ArcDerivatives
 from formulations.problem.flyby import FlybyProblem, Iterate
@@ -91,6 +91,11 @@ class Linearisation:
     def cost(self) -> Valued:
         """The objective and its gradient by the controls."""
         return cost(self.problem, self.iterate)
+
+    @cached_property
+    def bend(self) -> Bend:
+        """How what is minimised curves, where corrections cost."""
+        return bend(self.problem, self.iterate)
 
     @cached_property
     def factor(self) -> Array:

@@ -1,14 +1,15 @@
 """Cost of a plan: the sum of the burns' sizes; with corrected burns its mean or its 99 % quantile.
 
 The law of the commanded sizes, sum_i |v_i + U_i xi|, depends on burns v and gains U alone. Mean and
-quantile are taken over fixed quasi-random draws of xi, and are smooth functions of both. The convex
-program has a formula instead: a burn has about the size
+quantile are taken over fixed quasi-random draws of xi, and are smooth functions of both. A burn has
+about the size
 
     ||(v, U)|| + s'xi,    s = U'v / ||(v, U, d)||,
 
 whose first term bounds the mean from above (Jensen's inequality), with a small d for burns without a
-direction, and the 99 % quantile is about sum_i ||(v_i, U_i)|| + 2.326 ||sum_i s_i||. It is tilted, so
-that at the iterate value and gradient are those over the draws.
+direction, and the 99 % quantile is about sum_i ||(v_i, U_i)|| + 2.326 ||sum_i s_i||. The convex program
+has the first sum, tilted so that at the iterate value and gradient are those over the draws, and beside
+it the quantile's curvature over the draws, which goes on straight (`bend`).
 """
 
 from __future__ import annotations
@@ -33,11 +34,21 @@ SMALLEST = 1e-4
 DRAWS = 8192
 """Draws of xi over which sizes are looked at, a power of two."""
 
-SMOOTH = 0.2
+SMOOTH = 0.4
 """Width of the kernel that smooths their distribution, over its standard deviation."""
 
 DIRECTED = 1e-2
 """Over the largest burn: a smaller one has hardly a direction along which corrections add up."""
+
+STEEPEST = 3.0
+"""Slope with which a bend goes on straight at most: a little more than the 2.58 standard deviations
+that hold 99 % of a normal number."""
+
+FAR = 12.0
+"""Widths of the kernel beyond which nothing is left of it."""
+
+NOTHING = 1e-12
+"""Share of a draw in the kernel that counts as none."""
 
 TINY = 1e-300
 """Stands for zero in a quotient."""
@@ -55,40 +66,38 @@ class Valued(NamedTuple):
     gradient: Array
 
 
+class Bend(NamedTuple):
+    """How a cost curves about an iterate z: by ||(R (z' - z), c)|| - c, which goes on straight.
+
+    Attributes:
+        root: R, shape (controls of corrected burns, controls).
+        over: c.
+    """
+
+    root: Array
+    over: float
+
+
 def cost(problem: FlybyProblem, iterate: Iterate) -> Valued:
     """The total delta-v that is minimised, as the problem's feedback counts it."""
     feedback = problem.feedback
     if feedback is None or feedback.cost == "nominal" or not iterate.gains.any():
         return formula(problem, iterate)
-    sizes, slopes = _sizes(problem, iterate)
-    mean = float(sizes.mean())
+    sizes = _Sizes(problem, iterate)
     if feedback.cost == "expected":
-        return Valued(mean, slopes(np.full(DRAWS, 1.0 / DRAWS)))
-    off = sizes - mean
-    width = max(float(off.std()), TINY)
-    # The kernel widens the distribution; narrowed beforehand it keeps its variance.
-    off /= np.sqrt(1.0 + SMOOTH**2)
-    quantile = _quantile(off, SMOOTH * width)
-    weight = normal_density((quantile - off) / (SMOOTH * width))
-    weight /= weight.sum()
-    # By the sizes themselves; by their mean; by the kernel's width.
-    by_size = weight / np.sqrt(1.0 + SMOOTH**2)
-    by_size += (1.0 - by_size.sum()) / DRAWS
-    by_width = float(weight @ (quantile - off)) / width
-    by_size += by_width * (sizes - mean) / (DRAWS * width)
-    return Valued(mean + quantile, slopes(by_size))
+        return Valued(float(sizes.total.mean()), sizes.slope(np.full(DRAWS, 1.0 / DRAWS)))
+    at = _quantile(sizes.total)
+    return Valued(at.value, sizes.slope(at.by_value))
 
 
 def formula(problem: FlybyProblem, iterate: Iterate) -> Valued:
-    """The convex program's cost, in which the spread of the sizes is linearised, and its gradient."""
+    """The sum of ||(v, U)|| over all burns, or with the smallest price of gains, and its gradient."""
     feedback = problem.feedback
     sizes = np.linalg.norm(iterate.burns, axis=1)
     gradient = np.zeros(problem.controls_before[-1])
     gradient[problem.burn_controls] = iterate.burns / np.maximum(sizes, TINY)[:, None]
     total = float(sizes.sum())
-    if feedback is None:
-        return Valued(total, gradient)
-    for burn in feedback.burns:
+    for burn in () if feedback is None else feedback.burns:
         first, stop = problem.controls_before[burn : burn + 2]
         own = problem.controls(iterate.burns, iterate.gains)[first:stop]
         spent = float(np.linalg.norm(own[3:]))
@@ -99,12 +108,40 @@ def formula(problem: FlybyProblem, iterate: Iterate) -> Valued:
         size = float(np.linalg.norm(own))
         total += size - sizes[burn]
         gradient[first:stop] = own / max(size, TINY)
-    if feedback.cost == "dv99":
-        spread, jacobian = size_spread(problem, iterate)
-        width = float(np.linalg.norm(spread))
-        total += QUANTILE * width
-        gradient += QUANTILE * (spread / max(width, TINY)) @ jacobian
     return Valued(total, gradient)
+
+
+def bend(problem: FlybyProblem, iterate: Iterate) -> Bend:
+    """What curves the 99 % quantile beside `formula`: its second derivative over the draws.
+
+    Along burns it is at least that of 2.326 ||sum s_i||, which tells how it goes on farther away. Where
+    nothing is corrected yet that is all, and a kink.
+    """
+    feedback = problem.feedback
+    assert feedback is not None
+    moved = problem.controls_of(feedback.burns.tolist())
+    root = np.zeros((len(moved), problem.controls_before[-1]))
+    along, jacobian = size_spread(problem, iterate)
+    if not iterate.gains.any():
+        root[: len(along)] = QUANTILE * jacobian
+        return Bend(root, 0.0)
+    sizes = _Sizes(problem, iterate)
+    at = _quantile(sizes.total)
+    hessian = sizes.curvature(at)
+    for burn in feedback.burns:
+        own = slice(*problem.controls_before[burn : burn + 2])
+        z = problem.controls(iterate.burns, iterate.gains)[own]
+        size = max(float(np.linalg.norm(z)), TINY)
+        hessian[own, own] -= (np.eye(len(z)) - np.outer(z, z) / size**2) / size
+    slope = along @ jacobian / at.width
+    least = QUANTILE / at.width * (jacobian.T @ jacobian - np.outer(slope, slope))
+    values, axes = np.linalg.eigh((least - hessian)[np.ix_(moved, moved)])
+    hessian = hessian[np.ix_(moved, moved)] + (axes * np.maximum(values, 0.0)) @ axes.T
+    values, axes = np.linalg.eigh(hessian)
+    over = QUANTILE * at.width
+    bent = np.sqrt(over * np.clip(values, 0.0, STEEPEST**2 / over))[:, None] * axes.T
+    root[:, moved] = np.linalg.qr(bent, mode="r")
+    return Bend(root, over)
 
 
 def size_spread(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, Array]:
@@ -127,62 +164,120 @@ def size_spread(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, Array]:
     return value, jacobian
 
 
-class _Slopes(NamedTuple):
-    """Gradients by the controls of weighed sums of the draws' sizes."""
+class _Sizes:
+    """The sum of the burns' sizes at every draw, `total` (DRAWS,), and its derivatives."""
 
-    problem: FlybyProblem
-    fixed: Array
-    draws: Array
-    directions: Array
-
-    def __call__(self, weights: Array) -> Array:
-        """Of sum_n weights_n T_n, shape (controls,)."""
-        feedback = self.problem.feedback
+    def __init__(self, problem: FlybyProblem, iterate: Iterate) -> None:
+        feedback = problem.feedback
         assert feedback is not None
-        gradient = self.fixed * weights.sum()
+        k = len(feedback.burns)
+        draws = normal_points(DRAWS, 6 * k)
+        sizes = np.linalg.norm(iterate.burns, axis=1)
+        self._fixed = np.zeros(problem.controls_before[-1])
+        self._fixed[problem.burn_controls] = iterate.burns / np.maximum(sizes, TINY)[:, None]
+        sizes[feedback.burns] = 0.0
+        self.total = np.full(DRAWS, sizes.sum())
+        self._still = np.setdiff1d(
+            np.arange(len(self._fixed)), problem.controls_of(feedback.burns.tolist())
+        )
+        self._burns: list[tuple[slice, Array, Array, Array]] = []
         for j, burn in enumerate(feedback.burns):
-            first, stop = self.problem.controls_before[burn : burn + 2]
-            weighed = weights[:, None] * self.directions[j]
-            gradient[first : first + 3] = weighed.sum(axis=0)
-            gradient[first + 3 : stop] = (weighed.T @ self.draws[:, : 6 * (j + 1)]).ravel()
-        return np.asarray(gradient)
+            known = draws[:, : 6 * (j + 1)]
+            commanded = iterate.burns[burn] + known @ problem.gains_of(iterate, j).T
+            size = np.maximum(np.linalg.norm(commanded, axis=1), TINY)
+            own = slice(*problem.controls_before[burn : burn + 2])
+            self._burns.append((own, known, size, commanded / size[:, None]))
+            self.total += size
+
+    def slope(self, weights: Array) -> Array:
+        """Gradient of sum_n weights_n T_n by the controls, shape (controls,)."""
+        slope = self._fixed * weights.sum()
+        for own, known, _, direction in self._burns:
+            weighed = weights[:, None] * direction
+            slope[own] = np.r_[weighed.sum(axis=0), (weighed.T @ known).ravel()]
+        return np.asarray(slope)
+
+    def curvature(self, at: _Quantile) -> Array:
+        """Second derivative of the quantile by the controls, but for that of the kernel's width."""
+        some, off = np.flatnonzero(at.weight), self.total - self.total.mean()
+        hessian = np.zeros((len(self._fixed),) * 2)
+        steps = np.zeros((len(some), len(self._fixed)))
+        for own, known, size, direction in self._burns:
+            n = own.stop - own.start
+            d, xi = direction[some], known[some]
+            steps[:, own] = np.hstack([d, (d[:, :, None] * xi[:, None]).reshape(len(some), -1)])
+            block, each = np.zeros((n, n)), np.column_stack([np.ones(len(known)), known])
+            # Where U stands among the controls: axis by axis, after the three of the burn.
+            place = np.hstack([np.arange(3)[:, None], np.arange(3, n).reshape(3, -1)])
+            for a in range(3):
+                for b in range(3):
+                    across = (a == b) - direction[:, a] * direction[:, b]
+                    share = across * at.by_value / size
+                    block[np.ix_(place[a], place[b])] = (each * share[:, None]).T @ each
+            hessian[own, own] = block
+        # How far each number comes nearer to the quantile, in the kernel's width.
+        narrowed, even = np.sqrt(1.0 + SMOOTH**2), np.full(DRAWS, 1.0 / DRAWS)
+        steps += (narrowed - 1.0) * self.slope(even) - narrowed * self.slope(at.by_value)
+        by_width = self.slope(off / (DRAWS * at.width))
+        steps += narrowed * SMOOTH * at.away[some, None] * by_width
+        steps[:, self._still] = 0.0
+        share = (at.weight * at.away)[some] / (narrowed**2 * SMOOTH * at.width)
+        return hessian + (steps * share[:, None]).T @ steps
 
 
 def total_sizes(problem: FlybyProblem, iterate: Iterate) -> Array:
     """The sum of the commanded burns' sizes at every draw, shape (DRAWS,)."""
-    return _sizes(problem, iterate)[0]
+    return _Sizes(problem, iterate).total
 
 
-def _sizes(problem: FlybyProblem, iterate: Iterate) -> tuple[Array, _Slopes]:
-    """The sum of the burns' sizes at every draw, shape (DRAWS,), and its derivatives."""
-    feedback = problem.feedback
-    assert feedback is not None
-    k = len(feedback.burns)
-    draws = normal_points(DRAWS, 6 * k)
-    sizes = np.linalg.norm(iterate.burns, axis=1)
-    fixed = np.zeros(problem.controls_before[-1])
-    fixed[problem.burn_controls] = iterate.burns / np.maximum(sizes, TINY)[:, None]
-    sizes[feedback.burns] = 0.0
-    total, directions = np.full(DRAWS, sizes.sum()), np.empty((k, DRAWS, 3))
-    for j, burn in enumerate(feedback.burns):
-        gains = problem.gains_of(iterate, j)
-        commanded = iterate.burns[burn] + draws[:, : 6 * (j + 1)] @ gains.T
-        size = np.linalg.norm(commanded, axis=1)
-        directions[j] = commanded / np.maximum(size, TINY)[:, None]
-        total += size
-    return total, _Slopes(problem, fixed, draws, directions)
+class _Quantile(NamedTuple):
+    """The 99 % quantile of some numbers, smoothed, with the standard deviation `width` of these.
+
+    Attributes:
+        value: the quantile.
+        width: standard deviation of the numbers.
+        by_value: derivative by each number.
+        away: the quantile less each number, narrowed, in the kernel's width.
+        weight: of each number in the kernel about the quantile.
+    """
+
+    value: float
+    width: float
+    by_value: Array
+    away: Array
+    weight: Array
 
 
-def _quantile(values: Array, width: float) -> float:
-    """Quantile of `PROBABILITY` of the smoothed distribution of some values: Newton, bracketed."""
+def _quantile(values: Array) -> _Quantile:
+    """Newton's method, bracketed."""
+    mean = float(values.mean())
+    width = max(float(values.std()), TINY)
+    # The kernel widens the distribution; narrowed beforehand it keeps its variance.
+    off, kernel = (values - mean) / np.sqrt(1.0 + SMOOTH**2), SMOOTH * width
+    at = _reached(off, kernel)
+    away = (at - off) / kernel
+    weight = normal_density(away)
+    weight /= weight.sum()
+    # By the numbers themselves; by their mean; by the kernel's width.
+    by_value = weight / np.sqrt(1.0 + SMOOTH**2)
+    by_value += (1.0 - by_value.sum()) / len(values)
+    by_width = kernel * float(weight @ away) / width
+    by_value += by_width * (values - mean) / (len(values) * width)
+    return _Quantile(mean + at, width, by_value, away, np.where(weight > NOTHING, weight, 0.0))
+
+
+def _reached(values: Array, width: float) -> float:
+    """Where the smoothed distribution of some numbers reaches `PROBABILITY`."""
     low, high = float(values.min()) - 10.0 * width, float(values.max()) + 10.0 * width
     at = float(np.quantile(values, PROBABILITY))
+    near = values[values > at - FAR * width]
+    below = len(values) - len(near)
     for _ in range(60):
-        off = (at - values) / width
-        excess = float(ndtr(off).mean()) - PROBABILITY
+        off = (at - near) / width
+        excess = (below + float(ndtr(off).sum())) / len(values) - PROBABILITY
         low, high = (low, at) if excess > 0.0 else (at, high)
-        step = excess * width / max(float(normal_density(off).mean()), TINY)
-        following = at - step
+        density = float(normal_density(off).sum()) / len(values)
+        following = at - excess * width / max(density, TINY)
         at, before = following if low < following < high else 0.5 * (low + high), at
         if abs(at - before) < 1e-13 * width:
             break

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.cost import QUANTILE, SMALLEST, formula, size_spread
+from formulations.problem.cost import SMALLEST, formula
 from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.certificate import ConeProgram
@@ -109,7 +109,7 @@ def write_cost(
 ) -> tuple[cp.Expression, dict[str, cp.Parameter]]:
     """The objective: the sum of the burns' sizes, or with corrections its mean or its 99 % quantile.
 
-    See `formulations.problem.cost`; the sizes' spread is linearised.
+    See `formulations.problem.cost`.
     """
     burns, gains = shape.split(controls)
     if not gains:
@@ -125,14 +125,10 @@ def write_cost(
     total += tilt @ controls
     if shape.cost == "expected":
         return total, {"tilt": tilt}
-    n = 6 * len(gains)
-    jacobian, constant = cp.Parameter((n, controls.size)), cp.Parameter(n)
-    spread = cp.norm(jacobian @ controls + constant)
-    return total + QUANTILE * spread, {
-        "spread_jacobian": jacobian,
-        "spread": constant,
-        "tilt": tilt,
-    }
+    n = sum(3 + one.size for one in gains)
+    root, constant, over = cp.Parameter((n, controls.size)), cp.Parameter(n), cp.Parameter()
+    total += cp.norm(cp.hstack([root @ controls + constant, over]))
+    return total, {"bend": root, "bend_constant": constant, "bend_over": over, "tilt": tilt}
 
 
 def cost_values(lin: Linearisation) -> tuple[Values, float]:
@@ -140,15 +136,13 @@ def cost_values(lin: Linearisation) -> tuple[Values, float]:
     problem, iterate, feedback = lin.problem, lin.iterate, lin.problem.feedback
     if feedback is None or feedback.cost == "nominal":
         return {}, 0.0
-    at = lin.controls
-    values, left = {"tilt": np.zeros(at.shape)}, 0.0
-    if iterate.gains.any():
-        true, own = lin.cost, formula(problem, iterate)
-        values["tilt"] = true.gradient - own.gradient
-        left = true.value - own.value - float(values["tilt"] @ at)
+    at, true, own = lin.controls, lin.cost, formula(problem, iterate)
+    values = {"tilt": true.gradient - own.gradient}
+    left = true.value - own.value - float(values["tilt"] @ at)
     if feedback.cost == "dv99":
-        value, jacobian = size_spread(problem, iterate)
-        values |= {"spread_jacobian": jacobian, "spread": value - jacobian @ at}
+        root, over = lin.bend
+        values |= {"bend": root, "bend_constant": -root @ at, "bend_over": np.array(over)}
+        left -= over
     return values, left
 
 

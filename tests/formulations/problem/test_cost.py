@@ -1,4 +1,4 @@
-"""The cost of corrected burns: its gradient, and its law where that is known."""
+"""The cost of corrected burns: its gradient, its law where that is known, and what the program says."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from scipy.special import ndtri
 
 from formulations.arrays import Array
-from formulations.problem.cost import PROBABILITY, Valued, cost, formula, total_sizes
+from formulations.problem.cost import PROBABILITY, Valued, bend, cost, formula, total_sizes
 from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem, Iterate
 from tests.helpers import random_flyby
@@ -57,3 +57,27 @@ def test_corrections_across_a_burn_have_the_law_of_one_normal_number(sigma: floa
     total = total_sizes(problem, iterate)
     assert abs(np.quantile(total, PROBABILITY) - exact) < 0.05 * total.std()
     assert abs(cost(problem, iterate).value - exact) < 0.3 * total.std()
+
+
+@pytest.mark.parametrize(("across", "along"), [(0.1, 0.1), (0.05, 0.0), (0.1, 0.01)])
+def test_the_program_curves_as_the_cost_does(across: float, along: float) -> None:
+    """In its direction of most curvature, which little correction along burns makes large."""
+    problem, z = case("dv99")
+    assert problem.feedback is not None
+    for burn in problem.feedback.burns:
+        first, stop = problem.controls_before[burn : burn + 2]
+        v, gains = z[first : first + 3], z[first + 3 : stop].reshape(3, -1)
+        part = np.outer(v, v @ gains) / (v @ v)
+        z[first + 3 : stop] = (across * (gains - part) + along * part).ravel()
+    bent = bend(problem, iterate_of(problem, z))
+    direction = np.linalg.svd(bent.root)[2][0]
+
+    def slope(step: float) -> float:
+        at = iterate_of(problem, z + step * direction)
+        both = cost(problem, at).gradient - formula(problem, at).gradient
+        return float(both @ direction)
+
+    step = 1e-3 * bent.over
+    curvature = (slope(step) - slope(-step)) / (2.0 * step)
+    said = float(np.sum((bent.root @ direction) ** 2)) / bent.over
+    assert said == pytest.approx(curvature, rel=0.5)
