@@ -34,7 +34,7 @@ SMALLEST = 1e-4
 DRAWS = 8192
 """Draws of xi over which sizes are looked at, a power of two."""
 
-SMOOTH = 0.4
+SMOOTH = 0.5
 """Width of the kernel that smooths their distribution, over its standard deviation."""
 
 DIRECTED = 1e-2

@@ -56,7 +56,7 @@ def test_corrections_across_a_burn_have_the_law_of_one_normal_number(sigma: floa
     exact = sizes.sum() - sizes[1] + np.hypot(sizes[1], far)
     total = total_sizes(problem, iterate)
     assert abs(np.quantile(total, PROBABILITY) - exact) < 0.05 * total.std()
-    assert abs(cost(problem, iterate).value - exact) < 0.3 * total.std()
+    assert abs(cost(problem, iterate).value - exact) < 0.35 * total.std()
 
 
 @pytest.mark.parametrize(("across", "along"), [(0.1, 0.1), (0.05, 0.0), (0.1, 0.01)])
