@@ -97,7 +97,9 @@ def formula(problem: FlybyProblem, iterate: Iterate) -> Valued:
     gradient = np.zeros(problem.controls_before[-1])
     gradient[problem.burn_controls] = iterate.burns / np.maximum(sizes, TINY)[:, None]
     total = float(sizes.sum())
-    for burn in () if feedback is None else feedback.burns:
+    if feedback is None:
+        return Valued(total, gradient)
+    for burn in feedback.burns:
         first, stop = problem.controls_before[burn : burn + 2]
         own = problem.controls(iterate.burns, iterate.gains)[first:stop]
         spent = float(np.linalg.norm(own[3:]))
