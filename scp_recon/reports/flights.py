@@ -45,12 +45,14 @@ class Flown:
         window: which of them are in what is left of the window, shape (w,).
         positions: J2000, m, shape (n, flights, 3).
         executed_m_s: sizes of the burns as executed, shape (flights, m).
+        commanded_m_s: sums of their sizes as commanded, shape (flights,).
     """
 
     times_s: Array
     window: Indices
     positions: Array
     executed_m_s: Array
+    commanded_m_s: Array
 
     @property
     def window_s(self) -> Array:
@@ -69,14 +71,16 @@ def fly(subject: Subject, samples: int = SAMPLES) -> Flown:
     policy = subject.solution.corrections
     first, last = subject.window_s
     times = np.union1d(mission.times_s, subject.looks_s(LOOKS_IN_WINDOW))
-    positions, executed = [], []
+    positions, executed, commanded = [], [], []
     for number in range(-(-samples // BLOCK)):
         flights = min(BLOCK, samples - number * BLOCK)
         block = fly_block(mission, burns, times, number, flights=flights, seed=SEED, policy=policy)
         positions.append(block.states[..., :3])
         executed.append(np.linalg.norm(block.burns_m_s, axis=2))
+        commanded.append(np.linalg.norm(block.commanded_m_s, axis=2).sum(axis=1))
     window = np.flatnonzero((times >= first) & (times <= last))
-    return Flown(times, window, np.concatenate(positions, axis=1), np.concatenate(executed))
+    sizes = np.concatenate(executed), np.concatenate(commanded)
+    return Flown(times, window, np.concatenate(positions, axis=1), *sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,8 +278,8 @@ def budget_of(subject: Subject, flown: Flown) -> Budget:
     )
 
 
-def budget_table(budget: Budget) -> Table:
-    """Sizes of each burn and of the whole flight."""
+def budget_table(budget: Budget, corrected: bool = False) -> Table:
+    """Sizes of each burn and of the whole flight, of burns that gains correct or of planned ones."""
     each = zip(budget.planned_m_s, budget.mean_m_s, budget.high_m_s, strict=True)
     rows = [
         [str(i), *or_none(sizes[0] > 0.0, *map(float, sizes))]
@@ -294,7 +298,8 @@ def budget_table(budget: Budget) -> Table:
         rows,
         key="budget",
         note=f"95 % interval of the flights' {percent}: {low:.6f} to {high:.6f} m/s. Of the planned "
-        "burns with their execution errors; no burns to correct them.",
+        "burns with their execution errors; "
+        + ("corrected by gains." if corrected else "no burns to correct them."),
     )
 
 

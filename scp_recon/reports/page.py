@@ -24,7 +24,16 @@ from scp_recon.verification.remedies import what_next
 OWN = "scp_recon.reports"
 SHOWN = 12
 """Digits of a plan's hash on a sheet."""
-CURSORS = ("observation", "probability", "ranges", "lighting", "resolution", "timeline", "craft")
+CURSORS = (
+    "observation",
+    "probability",
+    "ranges",
+    "lighting",
+    "resolution",
+    "timeline",
+    "craft",
+    "knowledge",
+)
 """Charts over time, in which the time that the view shows is marked."""
 NOTES = {
     "observation": "Line: planned mean. Bands: where 68.3 % and 95.4 % of the sampled flights are. "
@@ -39,6 +48,12 @@ NOTES = {
     "emission angle. Bands: 68.3 % and 95.4 % of the flights.",
     "timeline": "Triangles: burns. Lines below them: where each may be moved, the others kept.",
     "budget": "Bars: planned. Whiskers: what 99 % of the executions stay below.",
+    "knowledge": "By the normal law: roots of the summed variances of the components. Corrections act "
+    "from their burns on, measurements from their cut-offs on. Shaded: observation window.",
+    "ellipses": "By the normal law, 2 sigma, in the plane of the two longest axes before the "
+    "correction; in the middle of what is left of the window after the burn, or at the end if it is "
+    "over. Before: with the corrections of earlier burns alone.",
+    "commanded": "Of the sampled flights, as their policy commands the burns.",
     "craft": "One flight of the spacecraft's simulation. Shaded: observation window.",
     "convergence": "Magnitudes. Hover names stage and iteration.",
 }

@@ -11,6 +11,7 @@ from scp_recon.errors import InputError, imported, option
 from scp_recon.files import unwritable, write_atomically
 from scp_recon.reports import charts, tables
 from scp_recon.reports.charts import history_chart
+from scp_recon.reports.corrections import correction_charts
 from scp_recon.reports.flights import (
     Budget,
     Shown,
@@ -90,8 +91,9 @@ def tables_of(subject: Subject, budget: Budget) -> list[Table]:
     solution, mission = subject.solution, subject.mission
     burns, v = tables.burns_table(solution), solution.verification
     total = burns.columns[-1].cell(solution.total_dv_m_s)
-    found = [burns.with_rows([["total", "", "", "", "", "", total]]), budget_table(budget)]
-    found.append(tables.corrections_table(solution))
+    corrected = solution.policy is not None
+    found = [burns.with_rows([["total", "", "", "", "", "", total]])]
+    found += [budget_table(budget, corrected), tables.corrections_table(solution)]
     if v is not None:
         required = solution.scenario.risk.p_chance
         found += [tables.probabilities_table(v, required), tables.burn_limits_table(v, required)]
@@ -137,6 +139,7 @@ def _charts(plans: Sequence[Shown]) -> Iterator[dict[str, Any]]:
         )
     yield charts.timeline_chart(subjects)
     yield charts.budget_chart(plans)
+    yield from correction_charts(plans)
     simulated = charts.craft_chart(subjects)
     if simulated is not None:
         yield simulated

@@ -1,0 +1,88 @@
+"""What a report draws of corrections: the file's own spread and knowledge, and the flights' delta-v."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from scp_recon.reports.corrections import ELLIPSE, Spreads, correction_charts
+from scp_recon.reports.flights import Shown, fly
+from scp_recon.reports.ground import Camera
+from scp_recon.reports.subject import Subject
+from scp_recon.reports.surfaces import shape_of
+from scp_recon.results.solution import Solution
+from tests.scp_recon.verification.test_closed_loop import LAST_TOO, with_gains
+
+
+@pytest.fixture(scope="module")
+def subject() -> Subject:
+    return Subject("corrected", with_gains("navigation.lead_s=3600", LAST_TOO))
+
+
+@pytest.fixture(scope="module")
+def shown(subject: Subject) -> Shown:
+    patch = pytest.MonkeyPatch()
+    with patch.context():
+        patch.setattr("scp_recon.reports.flights.fly", lambda one: fly(one, samples=200))
+        return Shown.of(subject, shape_of(subject.solution.scenario), Camera())
+
+
+@pytest.fixture(scope="module")
+def charts(shown: Shown) -> dict[str, dict[str, Any]]:
+    return {chart["key"]: chart for chart in correction_charts([shown])}
+
+
+def test_all_corrections_together_are_the_files_covariance(subject: Subject) -> None:
+    spreads, nodes = Spreads.of(subject), subject.solution.nodes
+    size = np.outer(subject.mission.units.state, subject.mission.units.state)
+    assert len(spreads.by_corrections) == 4
+    last = spreads.by_corrections[-1] / size
+    np.testing.assert_allclose(last, np.array(nodes.covariance) / size, rtol=1e-6, atol=1e-9)
+    for before, after in zip(spreads.by_corrections, spreads.by_corrections[1:], strict=False):
+        assert np.abs(before / size - after / size).max() > 1e-6
+
+
+def test_knowledge_and_dispersion_are_drawn_at_the_nodes(
+    charts: dict[str, dict[str, Any]], subject: Subject
+) -> None:
+    position, velocity = (
+        [t for t in charts["knowledge"]["data"] if t["yaxis"] == axis] for axis in ("y", "y2")
+    )
+    known = np.array(subject.solution.nodes.knowledge)
+    assert [trace["name"].split(":")[0] for trace in position] == [
+        *("dispersion", "dispersion without corrections", "knowledge"),
+    ]
+    sigma = np.sqrt(np.trace(known[:, :3, :3], axis1=1, axis2=2))
+    np.testing.assert_allclose(position[2]["y"], sigma, rtol=1e-5)
+    sigma = 1000.0 * np.sqrt(np.trace(known[:, 3:, 3:], axis1=1, axis2=2))
+    np.testing.assert_allclose(velocity[2]["y"], sigma, rtol=1e-5)
+
+
+def test_each_correction_has_ellipses_before_and_after_it(
+    charts: dict[str, dict[str, Any]], subject: Subject
+) -> None:
+    """The longer axis of the first is as long as its covariance says, along the chart."""
+    data, spreads = charts["ellipses"]["data"], Spreads.of(subject)
+    assert [trace["name"] for trace in data] == 3 * ["before", "after"]
+    titles = [note["text"] for note in charts["ellipses"]["layout"]["annotations"]]
+    assert ["burn 2" in titles[0], "burn 3" in titles[1], "burn 4" in titles[2]] == 3 * [True]
+    end = spreads.by_corrections[1][-1, :3, :3]
+    longest = ELLIPSE * np.sqrt(np.linalg.eigvalsh(end)[-1])
+    assert max(data[2]["x"]) == pytest.approx(longest, rel=1e-2)
+    assert max(np.hypot(data[2]["x"], data[2]["y"])) == pytest.approx(longest, rel=1e-2)
+
+
+def test_delta_v_is_that_of_the_flights(charts: dict[str, dict[str, Any]], shown: Shown) -> None:
+    flights, *figures = charts["commanded"]["data"]
+    assert np.sum(flights["y"][::2]) == pytest.approx(100.0, abs=1e-2)
+    most = 1000.0 * float(np.quantile(shown.flown.commanded_m_s, 0.99))
+    assert figures[2]["name"] == f"99 % {most:.2f} mm/s"
+    assert figures[2]["x"][0] == pytest.approx(most, rel=1e-4)
+
+
+def test_a_plan_without_corrections_has_none_of_these(solution: Solution, shown: Shown) -> None:
+    plain = replace(shown, subject=Subject("plain", solution))
+    assert list(correction_charts([plain])) == []
