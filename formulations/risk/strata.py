@@ -131,13 +131,13 @@ class Counted:
         return float(np.clip(least, 0.0, 1.0)), float(np.clip(most, 0.0, 1.0))
 
 
-def failed_at(allocation: Allocation, drawn: Array, unlike: Array) -> Array:
+def failed_at(allocation: Allocation, drawn: Indices, unlike: Indices) -> Array:
     """Estimated probability of failing of many events, from counts by stratum, shape (events, 6)."""
     adds = unlike * np.where(FAILS, -1.0, 1.0) / allocation.share
     return np.asarray(np.sum(np.where(FAILS, drawn, 0.0) + adds, axis=1) / drawn[0].sum())
 
 
-def most_at(allocation: Allocation, drawn: Array, unlike: Array, tail: float) -> Array:
+def most_at(allocation: Allocation, drawn: Indices, unlike: Indices, tail: float) -> Array:
     """Upper limit of failing of many events, each by itself, from counts by stratum, (events, 6)."""
     failing = np.sum((drawn - unlike)[:, FAILS], axis=1).astype(float)
     law, event = np.unique(failing, return_inverse=True)
@@ -230,9 +230,9 @@ class Survey:
 
 
 DRAW = 0.02
-"""Time of a draw by the law over that of a flight."""
+"""Time of a draw by the law over that of a flight which is followed to the second."""
 
-TIMES = np.array([3.0, 4.0, 6.0, 8.0, 12.0, 16.0])
+TIMES = (3.0, 4.0, 6.0, 8.0, 12.0, 16.0)
 """Draws per plain flight that are tried."""
 
 NEAR = 2.0 ** np.arange(-6, 4)
@@ -243,7 +243,14 @@ UNLIKE = 0.01
 
 
 def allocate(
-    survey: Survey, plain: int, width: tuple[float, float], tail: float, *, mirrored: bool = False
+    survey: Survey,
+    plain: int,
+    width: tuple[float, float],
+    tail: float,
+    *,
+    mirrored: bool = False,
+    draw: float = DRAW,
+    times: tuple[float, ...] = TIMES,
 ) -> Allocation | None:
     """The cheapest allocation whose limits are as near to the estimate as expected.
 
@@ -254,12 +261,14 @@ def allocate(
         tail: probability with which either may be missed.
         mirrored: whether the law's verdict may have no part in which draws are flown, so that strata
             of one margin have one share.
+        draw: time of a draw by the law over that of a flight.
+        times: draws per plain flight that are tried.
 
     Returns:
         It; None where so many plain flights are cheaper.
     """
     q = max(survey.failed, 1.0 / plain)
-    draws, near = (part.ravel() for part in np.meshgrid(TIMES * plain, NEAR))
+    draws, near = (part.ravel() for part in np.meshgrid(np.array(times) * plain, NEAR))
     unsure = np.sqrt(np.maximum(survey.unlike[1:-1], UNLIKE))
     if mirrored:
         unsure = np.maximum(unsure, unsure[::-1])
@@ -289,7 +298,7 @@ def allocate(
     fails, holds = np.exp(high.max(axis=0, keepdims=True).repeat(2, axis=0) if mirrored else high)
     share = np.column_stack([fails, unsure, holds])
     flown = share @ survey.share
-    cost = np.where(fits, draws * (DRAW + flown), np.inf)
+    cost = np.where(fits, draws * (draw + flown), np.inf)
     best = int(np.argmin(cost))
     if cost[best] >= plain:
         return None

@@ -198,6 +198,8 @@ def _fly_in_time(
     """The same where each limit counts at each second by itself."""
     mission = plan.mission
     laws = Law.of_events(plan.final.result.lin, mission.units.length_m)
+    if not laws:  # no limit is within reach
+        return None
     flights = WholeFlights(mission, plan.burns_m_s, _policy(plan))
     law, known = survey_in_time(laws, mission.times_s, flights, seed)
     widths = _widths(known, samples, width)

@@ -20,6 +20,7 @@ from scp_recon.jobs.store import Store, code
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import errors_of_kind
 from scp_recon.monte_carlo.estimates import Estimate, Tally, proportion
+from scp_recon.monte_carlo.narrow import FlightsAtLooks, Narrowed, narrow
 from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins, time_held
 from scp_recon.monte_carlo.sampling import (
     BLOCK,
@@ -41,6 +42,8 @@ LOOK_STEP_S = 60.0
 TIME_BIN_S, DISTANCE_BIN_M = 0.5, 0.1
 DV_BIN = 1e-5
 """Of commanded delta-v, over the most that is expected."""
+PLAIN = 10_000
+"""Flights that are counted plainly before an interval's width asks for strata."""
 LIMITS = Limits(seconds=3600.0)
 """Limits of a block, which takes a second or less: one that takes longer hangs."""
 TERMINAL_KEPT = 5000
@@ -172,6 +175,7 @@ class FlightTally:
         limits: flights in which each corrected burn keeps each limit on burns, shape (k,).
         failed: flights in which planning each burn again failed, shape (k,); empty without.
         terminal: final states of the first flights.
+        narrowed: the joint constraints' probabilities, of flights in strata; None if of these flights.
     """
 
     config: FlightConfig
@@ -189,6 +193,7 @@ class FlightTally:
     terminal: Array = field(default_factory=lambda: np.empty((0, 6)))
     terminal_sum: Array = field(default_factory=lambda: np.zeros(6))
     terminal_outer: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    narrowed: Narrowed | None = None
     failed: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -237,6 +242,8 @@ class FlightTally:
 
     def worst_probability(self, name: str) -> tuple[float, Estimate]:
         """Time (s) at which a joint constraint holds in the fewest flights, and its probability."""
+        if self.narrowed is not None:
+            return self.narrowed.probability(name)
         counts = self.node_counts[name]
         at = int(np.argmin(counts))
         return float(self.config.looks_s[at]), proportion(int(counts[at]), self.samples)
@@ -270,6 +277,8 @@ def fly_many(
 ) -> FlightTally:
     """Fly `samples` flights, or fewer if every probability's interval is `until` wide before.
 
+    Where `PLAIN` flights leave one wider, the joint constraints' probabilities are those of further
+    flights in strata, at most as many as are left, if that is quicker: see `narrow`.
     The result does not depend on where blocks are flown, nor on interruptions. One worker is this
     process; an executor replaces the workers. After each block `progress` is called with the number
     flown so far, and a true `stop()` ends the flights. `begun` is a tally of whole blocks of the same
@@ -293,12 +302,40 @@ def fly_many(
         for done in coming:
             if until is not None and flown.samples and flown.widest_interval() <= until:
                 break
+            if until is not None and flown.samples == PLAIN and flown.node_counts:
+                flown.narrowed = _narrowed(flown, until, samples, executor, stop)
+                if flown.narrowed is not None or (stop and stop()):
+                    break
             flown.add(done.result("flights", "block"))
             if progress:
                 progress(flown.samples)
             if stop and stop():
                 break
     return flown
+
+
+def _narrowed(
+    flown: FlightTally,
+    until: float,
+    samples: int,
+    executor: Executor,
+    stop: Callable[[], bool] | None,
+) -> Narrowed | None:
+    """Probabilities of further flights in strata; None of policies, for which there is no law here."""
+    config, before = flown.config, flown.samples
+    if config.policy:
+        return None
+    how = config.looks_s, config.truth, config.errors
+    flights = FlightsAtLooks(config.mission, config.burns_m_s, *how)
+    return narrow(
+        flights,
+        config.seed,
+        before // BLOCK,
+        until,
+        samples - before,
+        executor,
+        stop or (lambda: False),
+    )
 
 
 def keep_flights(flown: FlightTally, solution: Solution, folder: Path) -> Path:

@@ -7,8 +7,9 @@ the nearest limit is kept. `risk.strata` has the statistics.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -65,12 +66,35 @@ class Law:
         return cls(mean, factor, limits_within(events, mean, REACH * factor), length_m)
 
     @classmethod
-    def of_events(cls, lin: Linearisation, length_m: float) -> dict[str, Law]:
-        """Laws with the limits of each joint constraint alone."""
+    def of_events(
+        cls,
+        lin: Linearisation,
+        length_m: float,
+        together: Mapping[str, Sequence[str]] | None = None,
+    ) -> dict[str, Law]:
+        """Laws with the limits of each joint constraint alone, where some are within reach.
+
+        Args:
+            lin: an iterate.
+            length_m: of the unit of length.
+            together: further names, of some constraints together.
+        """
         whole, spread = cls.of(lin, length_m), _drawn(lin)[:, :3]
         events = joint_events(lin.problem.constraints)
-        limits = {e.name: limits_within((e,), whole.mean, REACH * spread) for e in events}
-        return {name: replace(whole, limits=own) for name, own in limits.items()}
+        names = {e.name: (e.name,) for e in events} | dict(together or {})
+        laws = {}
+        for name, those in names.items():
+            own = tuple(event for event in events if event.name in those)
+            limits = limits_within(own, whole.mean, REACH * spread)
+            if limits.inner or limits.outer:
+                laws[name] = replace(whole, limits=limits)
+        return laws
+
+    @cached_property
+    def span(self) -> slice:
+        """Nodes between which a limit may be broken: those with one within reach, and those beside."""
+        nodes = np.concatenate([limit.nodes for limit in self.limits.inner + self.limits.outer])
+        return slice(max(0, int(nodes.min()) - 1), int(nodes.max()) + 2)
 
     @property
     def sources(self) -> int:
@@ -89,11 +113,11 @@ class Law:
         return self._least(lambda nodes: positions[nodes] / self.length_m)
 
     def margins(self, draws: Array) -> Array:
-        """The same at each node, m, shape (n, m), and at most `FAR`."""
+        """The same at each node of the span, m, shape (nodes, m), and at most `FAR`."""
         return self._at_nodes(self._moved(draws), len(draws))
 
     def margins_at(self, positions: Array) -> Array:
-        """The same of positions at the nodes, m, shape (n, flights, 3)."""
+        """The same of positions at all nodes, m, shape (n, flights, 3)."""
         return self._at_nodes(lambda nodes: positions[nodes] / self.length_m, positions.shape[1])
 
     def _moved(self, draws: Array) -> Callable[[Indices], Array]:
@@ -118,9 +142,10 @@ class Law:
         return np.concatenate(parts).min(axis=0) if parts else np.array(np.inf)
 
     def _at_nodes(self, positions: Callable[[Indices], Array], flights: int) -> Array:
-        least = np.full((len(self.mean), flights), FAR)
+        least = np.full((len(self.mean[self.span]), flights), FAR)
         for nodes, margin in self._parts(positions):
-            least[nodes] = np.minimum(least[nodes], margin)
+            rows = nodes - self.span.start
+            least[rows] = np.minimum(least[rows], margin)
         return least
 
 
@@ -196,7 +221,8 @@ def fly_strata(
     `progress` is called with the number of all, and that flown so far, after each block.
     """
     drawn, draws, strata = np.zeros(COUNT, dtype=np.intp), [np.zeros((0, law.sources))], []
-    for some, coins in tossed(allocation, seed, law.sources):
+    for block, size in blocks_of(allocation, seed):
+        some, coins = tossed(seed, law.sources, block, size)
         own = allocation.strata(law.margin(some))
         flown = coins < np.array(allocation.share)[own]
         drawn += np.bincount(own, minlength=COUNT)
@@ -227,13 +253,17 @@ def survey_draws(law: Law, seed: int) -> Array:
     return np.concatenate([draw(seed, block, law.sources, SURVEY) for block in blocks])
 
 
-def tossed(allocation: Allocation, seed: int, sources: int) -> Iterator[tuple[Array, Array]]:
-    """Draws (m, sources), as many as a Poisson law says, by blocks, with a number from 0 to 1 each.
+def blocks_of(allocation: Allocation, seed: int, first: int = 0) -> list[tuple[int, int]]:
+    """Blocks from the first on, and their draws, as many as a Poisson law says."""
+    number = int(np.random.default_rng([seed, first, NUMBER]).poisson(allocation.draws))
+    begun = range(0, number, BLOCK)
+    return [(first + k, min(BLOCK, number - draws)) for k, draws in enumerate(begun)]
+
+
+def tossed(seed: int, sources: int, block: int, size: int) -> tuple[Array, Array]:
+    """The draws of a block, shape (size, sources), with a number from 0 to 1 each, shape (size,).
 
     A draw is flown if its number is below its share.
     """
-    number = int(np.random.default_rng([seed, 0, NUMBER]).poisson(allocation.draws))
-    for block in range(-(-number // BLOCK)):
-        some = draw(seed, block, sources)[: number - block * BLOCK]
-        coins = np.random.default_rng([seed, block, COINS]).random(BLOCK)
-        yield some, coins[: len(some)]
+    coins = np.random.default_rng([seed, block, COINS]).random(BLOCK)
+    return draw(seed, block, sources)[:size], coins[:size]

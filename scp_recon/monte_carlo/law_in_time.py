@@ -10,9 +10,8 @@ below what may fail, so is that of the event that fails most often, whichever it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -28,15 +27,41 @@ from formulations.risk.strata import (
     failed_at,
     most_at,
 )
-from scp_recon.monte_carlo.law import BEYOND, SURVEY_FLIGHTS, Law, survey_draws, tossed
+from scp_recon.monte_carlo.law import (
+    BEYOND,
+    FAR,
+    SURVEY_FLIGHTS,
+    Law,
+    blocks_of,
+    survey_draws,
+    tossed,
+)
 from scp_recon.monte_carlo.sampling import BLOCK
-from scp_recon.monte_carlo.whole_flight import Counts, Course, less_likely
+from scp_recon.monte_carlo.whole_flight import Counts, less_likely
 
 CONTENDS = 0.3
 """Share of the largest probability of failing, from which on a node has a part in sorting."""
 
 LEVELS = COUNT // 2
 """Of how near a draw comes: next to a limit, near, and surely not."""
+
+
+class Kept(Protocol):
+    """How flights keep one constraint at its times."""
+
+    @property
+    def name(self) -> str:
+        """Of the constraint."""
+        ...
+
+    @property
+    def kept(self) -> Booleans:
+        """Flights that keep it at all times, shape (flights,)."""
+        ...
+
+    def fails(self, flights: Indices, /) -> Booleans:
+        """Whether some flights break it, shape (n_times, some)."""
+        ...
 
 
 class Flights(Protocol):
@@ -46,7 +71,7 @@ class Flights(Protocol):
         """Positions at the nodes, m, shape (n, flights, 3)."""
         ...
 
-    def courses(self, draws: Array, /) -> Iterator[Course]:
+    def courses(self, draws: Array, /) -> Iterable[Kept]:
         """How they keep each joint constraint."""
         ...
 
@@ -56,17 +81,22 @@ class LawInTime:
     """Normal laws of joint constraints at the nodes, and where these contend for the largest failure.
 
     Attributes:
-        laws: with the limits of each constraint.
-        times_s: of the nodes, shape (n,).
-        contends: nodes that have a part in sorting, by constraint, shape (n,).
+        laws: with the limits of each constraint; of those that may be broken.
+        nodes_s: times of all nodes, shape (n,).
+        contends: nodes of a law's span that have a part in sorting, by constraint, shape (nodes,).
     """
 
     laws: Mapping[str, Law]
-    times_s: Array
+    nodes_s: Array
     contends: Mapping[str, Booleans]
 
+    @property
+    def sources(self) -> int:
+        """Number of standard normal numbers that a flight draws."""
+        return next(iter(self.laws.values())).sources
+
     def margins(self, draws: Array) -> dict[str, Array]:
-        """Margins of each constraint at the nodes, m, shape (n, m)."""
+        """Margins of each constraint at the nodes of its span, m, shape (nodes, m)."""
         return {name: law.margins(draws) for name, law in self.laws.items()}
 
     def nearest(self, margins: Mapping[str, Array]) -> Array:
@@ -76,22 +106,19 @@ class LawInTime:
             contends = self.contends[name]
             either = contends[1:] | contends[:-1]
             crosses = ((margin[1:] < 0.0) != (margin[:-1] < 0.0))[either].any(axis=0)
-            near.append(
-                np.where(crosses, 0.0, np.abs(margin[contends]).min(axis=0, initial=np.inf))
-            )
+            near.append(np.where(crosses, 0.0, np.abs(margin[contends]).min(axis=0, initial=FAR)))
         return np.asarray(np.minimum.reduce(near))
 
 
 def survey_in_time(
-    laws: Mapping[str, Law], times_s: Array, flights: Flights, seed: int
+    laws: Mapping[str, Law], nodes_s: Array, flights: Flights, seed: int
 ) -> tuple[LawInTime, Survey]:
     """Learn from a few draws where limits contend, and how sure the law is there at worst."""
     draws = survey_draws(next(iter(laws.values())), seed)
-    every = {name: np.ones(len(times_s), dtype=bool) for name in laws}
-    margins = LawInTime(laws, times_s, every).margins(draws)
+    margins = {name: law.margins(draws) for name, law in laws.items()}
     failed = {name: np.mean(margin < 0.0, axis=1) for name, margin in margins.items()}
     most = max(share.max() for share in failed.values())
-    law = LawInTime(laws, times_s, {n: share >= CONTENDS * most for n, share in failed.items()})
+    law = LawInTime(laws, nodes_s, {n: share >= CONTENDS * most for n, share in failed.items()})
     nearest = law.nearest(margins)
     chosen = np.argsort(nearest, kind="stable")[:SURVEY_FLIGHTS]
     positions = flights.positions(draws[chosen])
@@ -164,50 +191,103 @@ def fly_in_time(
         tail: probability with which the limits may be missed by which the worst event is chosen.
         progress: called with the number of all, and that flown so far, after each block.
     """
-    counts = {name: _Counts.none(law.times_s, times) for name, times in times_s.items()}
-    share, sources = np.array(allocation.share)[LEVELS:], next(iter(law.laws.values())).sources
-    chosen, levels = [np.zeros((0, sources))], [np.zeros(0, dtype=np.intp)]
-    for some, coins in tossed(allocation, seed, sources):
-        margins = law.margins(some)
-        level = levels_of(law.nearest(margins), allocation.near)
-        flown = coins < share[level]
-        for name, count in counts.items():
-            count.take_draws(margins.get(name), level, flown)
-        chosen.append(some[flown])
-        levels.append(level[flown])
-    draws, level = np.concatenate(chosen), np.concatenate(levels)
-    for first in range(0, len(draws), BLOCK):
-        now = slice(first, first + BLOCK)
-        margins = law.margins(draws[now])
-        for course in flights.courses(draws[now]):
-            counts[course.name].take_flights(course, margins.get(course.name), level[now])
-        if progress:
-            progress(len(draws), min(first + BLOCK, len(draws)))
-    parts = zip(*(count.all() for count in counts.values()), strict=True)
-    drawn, flown, unlike = (np.concatenate(part) for part in parts)
-    when = np.concatenate([count.times_s for count in counts.values()])
-    at_node = np.isin(when, law.times_s)
-    most, failed = (
-        of(allocation, drawn, unlike) for of in (partial(most_at, tail=tail), failed_at)
-    )
-
-    def counted(event: int) -> Counted:
-        own = (tuple(part[event].tolist()) for part in (drawn, flown, unlike))
-        return Counted(allocation, *own)
-
+    work = DrawsInTime(law, flights, times_s, allocation, seed)
+    every = Events.all_of(work.count(blocks_of(allocation, seed), progress), allocation)
+    at_nodes = every.at(np.isin(every.times_s, law.nodes_s))
+    fall = every.failed - at_nodes.failed.max()
     return FlightsInTime(
-        counted(int(np.argmax(most))),
-        counted(int(np.argmax(np.where(at_node, most, -np.inf)))),
-        less_likely(when, failed - failed[at_node].max()),
+        every.worst(tail)[1], at_nodes.worst(tail)[1], less_likely(every.times_s, fall)
     )
 
 
-@dataclass(eq=False)
-class _Counts:
+@dataclass(frozen=True)
+class Events:
+    """Counts of events by stratum, shape (events, 6) each: draws, flights, and those unlike the law."""
+
+    allocation: Allocation
+    times_s: Array
+    drawn: Counts
+    flown: Counts
+    unlike: Counts
+
+    @classmethod
+    def all_of(cls, counts: Mapping[str, CountsInTime], allocation: Allocation) -> Events:
+        """Of some constraints together."""
+        parts = zip(*(count.by_stratum() for count in counts.values()), strict=True)
+        times_s = np.concatenate([count.times_s for count in counts.values()])
+        return cls(allocation, times_s, *(np.concatenate(part) for part in parts))
+
+    def at(self, those: Booleans) -> Events:
+        """Some of them."""
+        counts = (part[those] for part in (self.drawn, self.flown, self.unlike))
+        return Events(self.allocation, self.times_s[those], *counts)
+
+    @property
+    def failed(self) -> Array:
+        """Estimated probabilities of failing, shape (events,)."""
+        return failed_at(self.allocation, self.drawn, self.unlike)
+
+    def worst(self, tail: float) -> tuple[float, Counted]:
+        """The event that may fail most often: its time, s, and what was counted of it."""
+        event = int(np.argmax(most_at(self.allocation, self.drawn, self.unlike, tail)))
+        own = (tuple(part[event].tolist()) for part in (self.drawn, self.flown, self.unlike))
+        return float(self.times_s[event]), Counted(self.allocation, *own)
+
+
+@dataclass(frozen=True)
+class DrawsInTime:
+    """Draws, flies and counts: the work of any process. For its attributes see `fly_in_time`."""
+
+    law: LawInTime
+    flights: Flights
+    times_s: Mapping[str, Array]
+    allocation: Allocation
+    seed: int
+
+    def count(
+        self,
+        blocks: Sequence[tuple[int, int]],
+        progress: Callable[[int, int], None] | None = None,
+    ) -> dict[str, CountsInTime]:
+        """Of blocks, each with its number of draws, what flights of each constraint do."""
+        law = self.law
+        spans = {name: law.nodes_s[own.span] for name, own in law.laws.items()}
+        counts = {
+            name: CountsInTime.none(spans.get(name, NEVER), times)
+            for name, times in self.times_s.items()
+        }
+        share = np.array(self.allocation.share)[LEVELS:]
+        chosen, levels = [np.zeros((0, law.sources))], [np.zeros(0, dtype=np.intp)]
+        for block, size in blocks:
+            some, coins = tossed(self.seed, law.sources, block, size)
+            margins = law.margins(some)
+            level = levels_of(law.nearest(margins), self.allocation.near)
+            flown = coins < share[level]
+            for name, count in counts.items():
+                count.take_draws(margins.get(name), level, flown)
+            chosen.append(some[flown])
+            levels.append(level[flown])
+        draws, level = np.concatenate(chosen), np.concatenate(levels)
+        for first in range(0, len(draws), BLOCK):
+            now = slice(first, first + BLOCK)
+            margins = law.margins(draws[now])
+            for seen in self.flights.courses(draws[now]):
+                counts[seen.name].take_flights(seen, margins.get(seen.name), level[now])
+            if progress:
+                progress(len(draws), min(first + BLOCK, len(draws)))
+        return counts
+
+
+NEVER = np.zeros(1)
+"""Nodes of a constraint without a limit within reach."""
+
+
+@dataclass(frozen=True, eq=False)
+class CountsInTime:
     """Counts of a joint constraint at its times: changes in time of those that the law fails.
 
     Attributes:
-        nodes_s: times of the nodes, shape (n,).
+        nodes_s: times of the nodes of its law's span, shape (nodes,).
         times_s: at which the constraint counts, shape (n_times,).
         total: draws of each level, and of them flights, shape (2, 3).
         failing: changes of those of them that fail by the law, shape (2, n_times + 1, 3).
@@ -221,14 +301,20 @@ class _Counts:
     unlike: Counts
 
     @classmethod
-    def none(cls, nodes_s: Array, times_s: Array) -> _Counts:
+    def none(cls, nodes_s: Array, times_s: Array) -> CountsInTime:
         """Before any draw."""
         count = len(times_s)
         shapes = (2, LEVELS), (2, count + 1, LEVELS), (count, COUNT)
         return cls(nodes_s, times_s, *(np.zeros(shape, dtype=np.int64) for shape in shapes))
 
+    def __add__(self, other: CountsInTime) -> CountsInTime:
+        """Those of more draws."""
+        names = ("total", "failing", "unlike")
+        parts = (getattr(self, name) + getattr(other, name) for name in names)
+        return CountsInTime(self.nodes_s, self.times_s, *parts)
+
     def take_draws(self, margin: Array | None, level: Indices, flown: Booleans) -> None:
-        """Count draws with margins at the nodes, shape (n, m), and those of them that are flown."""
+        """Count draws with margins at the nodes, shape (nodes, m), and those of them that are flown."""
         for row, those in enumerate((np.arange(len(level)), np.flatnonzero(flown))):
             own = level[those]
             self.total[row] += np.bincount(own, minlength=LEVELS)
@@ -236,28 +322,28 @@ class _Counts:
                 at, draw, sign = self._changes(margin[:, those])
                 np.add.at(self.failing[row], (at, own[draw]), sign)
 
-    def take_flights(self, course: Course, margin: Array | None, level: Indices) -> None:
+    def take_flights(self, seen: Kept, margin: Array | None, level: Indices) -> None:
         """Count flights that end unlike the law."""
         if margin is None:
-            margin = np.full((len(self.nodes_s), len(level)), np.inf)
-        some = np.flatnonzero((margin < 0.0).any(axis=0) | ~course.kept)
+            margin = np.full((1, len(level)), FAR)
+        some = np.flatnonzero((margin < 0.0).any(axis=0) | ~seen.kept)
         if not len(some):
             return
         at, draw, sign = self._changes(margin[:, some])
         changes = np.zeros((len(self.times_s) + 1, len(some)), dtype=np.int8)
         np.add.at(changes, (at, draw), sign)
-        by_law, fails = np.cumsum(changes, axis=0)[:-1] > 0, course.fails(some)
+        by_law, fails = np.cumsum(changes, axis=0)[:-1] > 0, seen.fails(some)
         stratum = _strata(True, level[some]), _strata(False, level[some])
         for number in range(COUNT):
             mine = stratum[0 if FAILS[number] else 1] == number
             other = by_law & ~fails if FAILS[number] else fails & ~by_law
             self.unlike[:, number] += other[:, mine].sum(axis=1)
 
-    def all(self) -> tuple[Counts, Counts, Counts]:
-        """Draws, flights, and flights unlike the law at each time, by stratum, (n_times, 6) each."""
+    def by_stratum(self) -> tuple[Counts, Counts, Counts]:
+        """Draws, flights, and flights unlike the law at each time, shape (n_times, 6) each."""
         failing = np.cumsum(self.failing, axis=1)[:, :-1]
-        by_stratum = np.concatenate([failing[..., ::-1], self.total[:, None] - failing], axis=2)
-        return by_stratum[0], by_stratum[1], self.unlike
+        both = np.concatenate([failing[..., ::-1], self.total[:, None] - failing], axis=2)
+        return both[0], both[1], self.unlike
 
     def _changes(self, margin: Array) -> tuple[Indices, Indices, Indices]:
         """Where the law's verdicts change: first times of the new ones, draws, and 1 where it fails."""

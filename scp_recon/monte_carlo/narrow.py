@@ -1,0 +1,192 @@
+"""Narrow the intervals of flights' probabilities to a width, by few of many draws.
+
+Flights tell much besides probabilities, for which some thousands do. A narrow interval takes far more:
+so these are drawn in strata of the law's margin, each joint constraint at each look an event by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtri
+
+from formulations.arrays import Array, Booleans, Indices
+from formulations.risk.strata import Allocation, Counted, Survey, allocate
+from scp_recon.jobs.job import Executor, Job, in_order
+from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo.estimates import CONFIDENCE, Estimate, of_strata, proportion
+from scp_recon.monte_carlo.law import Law, blocks_of
+from scp_recon.monte_carlo.law_in_time import CountsInTime, DrawsInTime, Events, survey_in_time
+from scp_recon.monte_carlo.observation_time import ALL, SCIENCE, joint_margins
+from scp_recon.monte_carlo.sampling import (
+    ErrorModel,
+    TruthModel,
+    fly_draws,
+    number_of_sources,
+)
+from scp_recon.planning.initial_guess import from_burns
+
+TAIL = 0.5 * (1.0 - CONFIDENCE)
+DRAW, TIMES = 0.09, (1.1, 1.3, 1.6, 2.0, 3.0, 4.0)
+"""Time of a draw by the law over that of a flight which is looked at, not followed; and draws per plain
+flight that are tried."""
+MORE = 0.25
+"""Further draws where the intervals came out wider, over those of the first time."""
+BLOCKS = 20
+"""Of draws in a job."""
+
+
+@dataclass(frozen=True)
+class Narrowed:
+    """Probabilities of flights in strata.
+
+    Attributes:
+        draws: in all.
+        flights: of them.
+        worst: of each joint constraint the time at which it may be least likely, s, and its counts.
+    """
+
+    draws: int
+    flights: int
+    worst: Mapping[str, tuple[float, Counted]]
+
+    def probability(self, name: str) -> tuple[float, Estimate]:
+        """Time at which a joint constraint may be least likely, s, and its probability there."""
+        time_s, counted = self.worst[name]
+        return time_s, of_strata(counted, CONFIDENCE)
+
+    @property
+    def widest(self) -> float:
+        """Width of the widest interval."""
+        found = [self.probability(name)[1] for name in self.worst]
+        return max(one.high - one.low for one in found)
+
+
+@dataclass(frozen=True)
+class KeptAtLooks:
+    """Whether flights keep a joint constraint at the looks, shape (n, flights)."""
+
+    name: str
+    holds: Booleans
+
+    @property
+    def kept(self) -> Booleans:
+        """At all of them, shape (flights,)."""
+        return np.asarray(self.holds.all(axis=0))
+
+    def fails(self, flights: Indices) -> Booleans:
+        """Whether some flights break it, shape (n, some)."""
+        return np.asarray(~self.holds[:, flights])
+
+
+@dataclass(frozen=True)
+class FlightsAtLooks:
+    """Flies draws of the errors with planned burns, J2000, m/s, shape (m, 3), and looks at times."""
+
+    mission: Mission
+    burns_m_s: Array
+    looks_s: Array
+    truth: TruthModel
+    errors: ErrorModel | None
+
+    def positions(self, draws: Array) -> Array:
+        """Positions at the nodes, J2000, m, shape (n, flights, 3)."""
+        return self._at(self.mission.times_s, draws)
+
+    def courses(self, draws: Array) -> Iterator[KeptAtLooks]:
+        """How they keep each joint constraint, and those of the observation together."""
+        margins = joint_margins(self.mission, self.looks_s, self._at(self.looks_s, draws))
+        holds = {name: margin >= 0.0 for name, margin in margins.items()}
+        holds[ALL] = np.logical_and.reduce([holds[name] for name in SCIENCE])
+        for name, kept in holds.items():
+            yield KeptAtLooks(name, kept)
+
+    def _at(self, times_s: Array, draws: Array) -> Array:
+        how = {"truth": self.truth, "errors": self.errors}
+        flown = fly_draws(self.mission, self.burns_m_s, times_s, draws, **how)  # type: ignore[arg-type]
+        return flown.states[..., :3]
+
+
+def narrow(
+    flights: FlightsAtLooks,
+    seed: int,
+    first: int,
+    until: float,
+    most: int,
+    executor: Executor,
+    stop: Callable[[], bool] = lambda: False,
+) -> Narrowed | None:
+    """Draw and fly until every joint constraint's interval is so narrow.
+
+    Args:
+        flights: fly draws.
+        seed: of the draws.
+        first: block of draws from which on none has been flown.
+        until: width.
+        most: flights.
+        executor: runs the jobs; the result does not depend on it.
+        stop: asked after each job whether to stop.
+
+    Returns:
+        The probabilities, maybe wider where that would take more flights; None if plain flights are
+            cheaper, or it was stopped.
+    """
+    mission = flights.mission
+    lin = mission.dynamics.linearise(mission.problem, from_burns(mission, flights.burns_m_s))
+    laws = Law.of_events(lin, mission.units.length_m, {ALL: SCIENCE})
+    sources = number_of_sources(mission, flights.burns_m_s, flights.errors)
+    if not laws or next(iter(laws.values())).sources != sources:
+        return None
+    law, known = survey_in_time(laws, mission.times_s, flights, seed)
+    allocation = _allocation(known, until)
+    expected = 0.0 if allocation is None else float(np.dot(allocation.share, known.share))
+    if allocation is None or expected * allocation.draws > most:
+        return None
+    names = [*dict.fromkeys(limit.joint for limit in mission.limits), ALL]
+    counts: dict[str, CountsInTime] = {}
+    found, drawn = None, allocation
+    while found is None or (
+        found.widest > until and found.flights + expected * drawn.draws <= most
+    ):
+        work = DrawsInTime(law, flights, dict.fromkeys(names, flights.looks_s), drawn, seed)
+        blocks = blocks_of(drawn, seed, first)
+        first += len(blocks)
+        jobs = (Job(k, blocks[k : k + BLOCKS]) for k in range(0, len(blocks), BLOCKS))
+        with closing(in_order(executor, work.count, jobs)) as coming:
+            for done in coming:
+                more: dict[str, CountsInTime] = done.result("flights", "job")
+                counts = {
+                    name: more[name] + counts[name] if counts else more[name] for name in names
+                }
+                if stop():
+                    return None
+        found = _narrowed(counts, allocation if found is None else _both(found, drawn))
+        drawn = replace(allocation, draws=MORE * allocation.draws)
+    return found
+
+
+def _allocation(known: Survey, until: float) -> Allocation | None:
+    """Of draws whose intervals should be so narrow."""
+    q = known.failed
+    plain = int(4.0 * float(ndtri(TAIL)) ** 2 * max(q * (1.0 - q), until / 4.0) / until**2) + 1
+    reached = proportion(round((1.0 - q) * plain), plain)
+    scale = until / (reached.high - reached.low)
+    widths = scale * (reached.value - reached.low), scale * (reached.high - reached.value)
+    return allocate(known, plain, widths, TAIL, mirrored=True, draw=DRAW, times=TIMES)
+
+
+def _both(found: Narrowed, more: Allocation) -> Allocation:
+    """The allocation of all draws so far and of more."""
+    before = next(iter(found.worst.values()))[1].allocation
+    return replace(before, draws=before.draws + more.draws)
+
+
+def _narrowed(counts: Mapping[str, CountsInTime], allocation: Allocation) -> Narrowed:
+    worst = {
+        name: Events.all_of({name: count}, allocation).worst(TAIL) for name, count in counts.items()
+    }
+    _, one = next(iter(worst.values()))
+    return Narrowed(sum(one.drawn), sum(one.flown), worst)
