@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scp_recon.api.designing import design
 from scp_recon.api.files import Opened
-from scp_recon.api.flights import FlyOptions, flown_summary, simulate
+from scp_recon.api.flights import FlyOptions, flown_summary, shortfalls, simulate
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import plan_mission
 from scp_recon.campaigns.cases import Case, changed, solution_name
@@ -21,7 +21,6 @@ from scp_recon.errors import InputError, imported, option, path_of, whole_number
 from scp_recon.jobs.store import Row
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.monte_carlo.summary import shortfalls
 from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.plan import Plan, Stage
 from scp_recon.results.facts import Verification

@@ -33,10 +33,12 @@ from scp_recon.monte_carlo.flights import (
     forget_flights,
     keep_flights,
 )
+from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.monte_carlo.replans import replans
 from scp_recon.monte_carlo.sampling import AnyPolicy, ErrorModel, PolicyKind, TruthModel
-from scp_recon.monte_carlo.summary import FILE_NAME, Summary, summarise
-from scp_recon.results.solution import require_whole_flight
+from scp_recon.monte_carlo.summary import FILE_NAME, Interval, Summary, summarise
+from scp_recon.results.solution import Solution, require_whole_flight
+from scp_recon.scp.status import Status
 from scp_recon.simulation import record as records
 from scp_recon.simulation.vehicle import load_vehicle
 
@@ -118,7 +120,8 @@ def fly(
         plan: to fly; a solution, or its file.
         samples: flights, at most with `until`.
         seed: of all draws.
-        until: stop when every joint probability's interval is this narrow, e.g. 0.005.
+        until: stop when every joint probability's interval is this narrow, e.g. 0.005; where 10,000
+            flights leave one wider, these probabilities are of further flights, few of many draws.
         truth: point mass with J2 as the "planner" has it, or "harmonics" turning with the body: of
             body.gravity_file, or degree 8 of a packaged field.
         errors: of the burns: "componentwise", or "gates", by magnitude and pointing (default: the
@@ -235,6 +238,46 @@ def _fly(
         stop=watcher.stop,
         begun=begun,
     )
+
+
+def required_probability(solution: Solution) -> float | None:
+    """Probability required of each joint constraint at every time; none without uncertainty."""
+    return solution.scenario.risk.p_chance if solution.problem == "P2" else None
+
+
+def shortfalls(summary: Summary, solution: Solution) -> list[str]:
+    """List requirements that the flights do not meet, as value and required value; empty if none.
+
+    Estimates are compared with the required probability, as in the verification; whole flights only
+    where the probability is required of them.
+    """
+    converged = Status.CONVERGED.value.name
+    found = []
+    if solution.status != converged:
+        found.append(f"the plan is {solution.status}, required {converged}")
+    required = required_probability(solution)
+    if required is None:
+        return found
+    for name, lowest in summary.probability.items():
+        if name != ALL and _judged(lowest, solution) < required:
+            value, at = lowest.estimate.value, lowest.worst_t_s
+            found.append(f"{name} {value:.4f} at {at:.0f} s, required {required:g}")
+    for burn in summary.commanded.burns if summary.commanded else ():
+        for name, kept in burn.limits.items():
+            if _judged(kept, solution) < required:
+                value = kept.estimate.value
+                found.append(f"{name} of burn {burn.burn} {value:.4f}, required {required:g}")
+    whole = summary.whole_flight
+    flights = solution.scenario.risk.scope == "flight"
+    if flights and whole is not None and _judged(whole, solution) < required:
+        found.append(f"whole flights {whole.estimate.value:.4f}, required {required:g}")
+    return found
+
+
+def _judged(found: Interval, solution: Solution) -> float:
+    """The estimate; for an exact plan, which spends all its risk, the upper end of its interval."""
+    exact = solution.scenario.risk.allocation == "exact"
+    return found.estimate.high if exact else found.estimate.value
 
 
 def simulate(

@@ -294,23 +294,34 @@ def fly_many(
         raise InputError("until", repr(until), "must be a width between 0 and 1")
     flown = FlightTally(config) if begun is None else begun
     whole_number("begun", flown.samples, 0, samples)
-    first, last = flown.samples // BLOCK, -(-samples // BLOCK)
-    blocks = ((n, min(BLOCK, samples - n * BLOCK)) for n in range(first, last))
-    jobs = (Job(number, (number, flights)) for number, flights in blocks)
     executor = executor or (here if workers == 1 else Processes(workers, LIMITS))
-    with closing(in_order(executor, partial(run_block, config), jobs)) as coming:
-        for done in coming:
-            if until is not None and flown.samples and flown.widest_interval() <= until:
-                break
-            if until is not None and flown.samples == PLAIN and flown.node_counts:
-                flown.narrowed = _narrowed(flown, until, samples, executor, stop)
-                if flown.narrowed is not None or (stop and stop()):
+
+    def has_ended() -> bool:
+        narrow_enough = until is not None and flown.samples and flown.widest_interval() <= until
+        return bool(narrow_enough or (stop and stop()))
+
+    def fly_to(count: int) -> None:
+        first, last = flown.samples // BLOCK, -(-count // BLOCK)
+        jobs = (Job(n, (n, min(BLOCK, count - n * BLOCK))) for n in range(first, last))
+        with closing(in_order(executor, partial(run_block, config), jobs)) as coming:
+            for done in coming:
+                flown.add(done.result("flights", "block"))
+                if progress:
+                    progress(flown.samples)
+                if has_ended():
                     break
-            flown.add(done.result("flights", "block"))
-            if progress:
-                progress(flown.samples)
-            if stop and stop():
-                break
+
+    if until is not None and flown.samples and flown.widest_interval() <= until:
+        return flown
+    if until is not None and flown.samples < PLAIN < samples:
+        fly_to(PLAIN)
+        if has_ended():
+            return flown
+    if until is not None and PLAIN <= flown.samples < samples:
+        flown.narrowed = _narrowed(flown, until, samples, executor, stop)
+        if flown.narrowed is not None or (stop and stop()):
+            return flown
+    fly_to(samples)
     return flown
 
 
@@ -321,9 +332,12 @@ def _narrowed(
     executor: Executor,
     stop: Callable[[], bool] | None,
 ) -> Narrowed | None:
-    """Probabilities of further flights in strata; None of policies, for which there is no law here."""
+    """Probabilities of further flights in strata.
+
+    None of policies, for which there is no law here, and after the window.
+    """
     config, before = flown.config, flown.samples
-    if config.policy:
+    if config.policy or not flown.node_counts:
         return None
     how = config.looks_s, config.truth, config.errors
     flights = FlightsAtLooks(config.mission, config.burns_m_s, *how)

@@ -20,7 +20,6 @@ from scp_recon.results.policy import Correction
 from scp_recon.results.read import File, read_file
 from scp_recon.results.solution import Solution
 from scp_recon.scenario.fields import ByName, Line, Section
-from scp_recon.scp.status import Status
 
 SCHEMA = "scp_recon.montecarlo/1"
 FILE_NAME = "montecarlo.json"
@@ -202,6 +201,18 @@ class Commanded(Section):
     burns: list[CorrectedBurn]
 
 
+class Strata(Section):
+    """Further flights, of which the lowest probabilities are: few of many draws.
+
+    Attributes:
+        draws: in all.
+        flights: of them.
+    """
+
+    draws: Count
+    flights: Count
+
+
 class Summary(File):
     """Results of many flights; `plan_hash` is that of the plan flown, null in older files.
 
@@ -219,6 +230,7 @@ class Summary(File):
         entry_s: when flights first hold all at once, past the epoch.
         exit_s: when they last do.
         probability: of each joint constraint, and of `all` at once, where it is lowest.
+        strata: flights that say so, if they are others.
         whole_flight: probability that a flight keeps every limit throughout.
         closest_m: least distance from the body's centre.
         executed_dv_m_s: sum of the executed burns' sizes.
@@ -239,6 +251,7 @@ class Summary(File):
     entry_s: Spread
     exit_s: Spread
     probability: ByName[LowestProbability]
+    strata: Strata | None = None
     whole_flight: Interval | None = None
     closest_m: ClosestApproach
     executed_dv_m_s: Spread
@@ -317,6 +330,9 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
     same_gains = len(gains) == len(own) and all(map(np.array_equal, gains, own))
     if not same_burns or (gains and not same_gains) or config.mission.scenario != solution.scenario:
         raise ValueError("the flights are of another plan than the solution's")
+    further: dict[str, Any] = {"commanded": _commanded(flown)} if config.policy else {}
+    if (those := flown.narrowed) is not None:
+        further["strata"] = Strata(draws=those.draws, flights=those.flights)
     return Summary(
         plan_hash=solution.plan_hash,
         samples=flown.samples,
@@ -337,7 +353,7 @@ def summarise(flown: FlightTally, solution: Solution) -> Summary:
         ),
         executed_dv_m_s=Spread(**_spread(flown.executed_dv)),
         terminal=_terminal(flown, solution),
-        **({"commanded": _commanded(flown)} if config.policy else {}),
+        **further,
     )
 
 
@@ -457,43 +473,3 @@ def _ends(freedom: float) -> tuple[float, float]:
     tails = (0.5 + 0.5 * CONFIDENCE, 0.5 - 0.5 * CONFIDENCE)
     low, high = (float(np.sqrt(chdtri(freedom, 1.0 - p) / freedom)) for p in tails)
     return low, high
-
-
-def required_probability(solution: Solution) -> float | None:
-    """Probability required of each joint constraint at every time; none without uncertainty."""
-    return solution.scenario.risk.p_chance if solution.problem == "P2" else None
-
-
-def shortfalls(summary: Summary, solution: Solution) -> list[str]:
-    """List requirements that the flights do not meet, as value and required value; empty if none.
-
-    Estimates are compared with the required probability, as in the verification; whole flights only
-    where the probability is required of them.
-    """
-    converged = Status.CONVERGED.value.name
-    found = []
-    if solution.status != converged:
-        found.append(f"the plan is {solution.status}, required {converged}")
-    required = required_probability(solution)
-    if required is None:
-        return found
-    for name, lowest in summary.probability.items():
-        if name != ALL and _judged(lowest, solution) < required:
-            value, at = lowest.estimate.value, lowest.worst_t_s
-            found.append(f"{name} {value:.4f} at {at:.0f} s, required {required:g}")
-    for burn in summary.commanded.burns if summary.commanded else ():
-        for name, kept in burn.limits.items():
-            if _judged(kept, solution) < required:
-                value = kept.estimate.value
-                found.append(f"{name} of burn {burn.burn} {value:.4f}, required {required:g}")
-    whole = summary.whole_flight
-    flights = solution.scenario.risk.scope == "flight"
-    if flights and whole is not None and _judged(whole, solution) < required:
-        found.append(f"whole flights {whole.estimate.value:.4f}, required {required:g}")
-    return found
-
-
-def _judged(found: Interval, solution: Solution) -> float:
-    """The estimate; for an exact plan, which spends all its risk, the upper end of its interval."""
-    exact = solution.scenario.risk.allocation == "exact"
-    return found.estimate.high if exact else found.estimate.value

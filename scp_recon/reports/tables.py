@@ -273,7 +273,9 @@ def flown_probabilities_table(summary: Summary, required: float | None) -> Table
             ["all limits, whole flight", interval_cell(summary.whole_flight, 4), None, None]
         )
     columns = ("joint constraint", "lowest probability", AT, Column("required", form="g"))
-    return Table.of("Lowest probabilities", columns, rows)
+    own = summary.strata
+    note = f"Of {own.flights} further flights out of {own.draws} draws." if own else ""
+    return Table.of("Lowest probabilities", columns, rows, note=note)
 
 
 def corrected_burns_table(commanded: Commanded, required: float | None) -> Table:

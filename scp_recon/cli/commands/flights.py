@@ -14,7 +14,13 @@ from rich.progress import (
 )
 
 from scp_recon.api.files import open_plan
-from scp_recon.api.flights import FlyOptions, Watcher, fly_into
+from scp_recon.api.flights import (
+    FlyOptions,
+    Watcher,
+    fly_into,
+    required_probability,
+    shortfalls,
+)
 from scp_recon.api.flights import simulate as fly_spacecraft
 from scp_recon.api.keeping import check_holds
 from scp_recon.cli.command import (
@@ -33,8 +39,6 @@ from scp_recon.monte_carlo.summary import (
     Spread,
     Summary,
     Terminal,
-    required_probability,
-    shortfalls,
 )
 from scp_recon.reports.tables import (
     corrected_burns_table,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from scp_recon.errors import InputError
 from scp_recon.jobs.job import DIED, Done, Executor, Failure, Job, Work, attempt
 from scp_recon.jobs.processes import Processes
 from scp_recon.mission.mission import Mission
+from scp_recon.monte_carlo import flights, narrow
 from scp_recon.monte_carlo.flights import (
     PARTIAL,
     FlightConfig,
@@ -32,10 +34,11 @@ from scp_recon.monte_carlo.flights import (
     keep_flights,
 )
 from scp_recon.monte_carlo.observation_time import ALL
-from scp_recon.monte_carlo.summary import FILE_NAME, summarise
+from scp_recon.monte_carlo.summary import FILE_NAME, read_summary, summarise
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan
 from scp_recon.planning.planner import plan
+from scp_recon.reports.tables import flown_probabilities_table
 from scp_recon.results.solution import Solution, make_solution
 from scp_recon.scenario.uncertainty import Uncertainty
 from tests import reliability
@@ -128,6 +131,65 @@ def test_tallies_are_the_same_for_any_split(
     executor: Executor, config: FlightConfig, alone: FlightTally
 ) -> None:
     assert same(fly_many(config, samples=SAMPLES, executor=executor), alone)
+
+
+@pytest.fixture(scope="module")
+def narrowed(config: FlightConfig) -> Iterator[FlightTally]:
+    """Flights to a width that takes some 20,000 plain ones."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flights, "PLAIN", 1_000)
+        yield fly_many(config, samples=10_000, until=0.008)
+
+
+def test_few_flights_narrow_what_takes_many(config: FlightConfig, narrowed: FlightTally) -> None:
+    found = narrowed.narrowed
+    assert found is not None
+    assert narrowed.samples == 1_000
+    assert narrowed.widest_interval() == found.widest <= 0.008
+    assert found.flights < 0.25 * found.draws
+    plain = fly_many(config, samples=4_000)
+    for name in plain.node_counts:
+        (_, one), (_, other) = narrowed.worst_probability(name), plain.worst_probability(name)
+        assert max(one.low, other.low) <= min(one.high, other.high)
+
+
+def test_narrowed_probabilities_are_the_same_for_any_split(
+    config: FlightConfig, narrowed: FlightTally, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def sent(work: Work, jobs: Iterable[Job]) -> Generator[Done, None, None]:
+        """As to another process."""
+        yield from backwards(pickle.loads(pickle.dumps(work)), jobs)
+
+    monkeypatch.setattr(flights, "PLAIN", 1_000)
+    monkeypatch.setattr(narrow, "BLOCKS", 7)
+    other = fly_many(config, samples=10_000, until=0.008, executor=sent)
+    assert other.narrowed == narrowed.narrowed
+
+
+def test_a_summary_tells_the_flights_that_narrowed_it(
+    solution: Solution, narrowed: FlightTally, tmp_path: Path
+) -> None:
+    summary = summarise(narrowed, solution)
+    summary.write(tmp_path)
+    read = read_summary(tmp_path)
+    assert read == summary
+    assert read.samples == 1_000
+    assert read.strata is not None
+    assert f"{read.strata.flights} further flights" in flown_probabilities_table(read, 0.7).note
+    assert read.probability["emission"].estimate == narrowed.worst_probability("emission")[1]
+
+
+def test_nothing_is_narrowed_where_flights_are_stopped_or_too_few(
+    config: FlightConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flights, "PLAIN", 1_000)
+    few = fly_many(config, samples=1_500, until=0.008)
+    assert (few.samples, few.narrowed) == (1_500, None)
+    told: list[int] = []
+    stopped = fly_many(
+        config, samples=10_000, until=0.008, stop=lambda: told.append(0) or len(told) > 2
+    )
+    assert (stopped.samples, stopped.narrowed) == (1_000, None)
 
 
 def test_a_block_that_cannot_be_flown_is_told(config: FlightConfig) -> None:

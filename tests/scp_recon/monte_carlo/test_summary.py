@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from scp_recon.api.flights import required_probability, shortfalls
 from scp_recon.cli.commands import montecarlo
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -23,8 +24,6 @@ from scp_recon.monte_carlo.summary import (
     SCHEMA,
     Summary,
     read_summary,
-    required_probability,
-    shortfalls,
     summarise,
 )
 from scp_recon.results.solution import Solution
