@@ -181,6 +181,15 @@ def own_columns(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
     return _componentwise(errors).fraction * ca.diag(burn)
 
 
+def correction_columns(errors: ExecutionErrors, gains: ca.MX) -> ca.MX:
+    """Columns of a correction by gains (3, n): see `ExecutionErrors.correction_columns`."""
+    if isinstance(errors, GatesErrors):
+        across = errors.pointing_proportional * root(ca.sumsqr(gains)) * ca.MX(np.eye(3))
+        own = ca.horzcat(across, errors.along_more * gains)
+        return own[:, : errors.of_correction(gains.shape[1])]
+    return _componentwise(errors).fraction * ca.diag(root(ca.sum2(gains**2)))
+
+
 def own_covariance(errors: ExecutionErrors, burn: ca.MX) -> ca.MX:
     """Covariance C C' of a burn's own columns, shape (3, 3), smooth where the burn (3,) vanishes."""
     if isinstance(errors, GatesErrors):

@@ -8,7 +8,8 @@ penalty serves both methods.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -79,9 +80,12 @@ class Program:
         start: initial values, shape (n,).
         burns: shape (3, m).
         mean: node means after the burns, shape (6, n_nodes).
-        cost: total delta-v.
+        cost: total delta-v, or what stands for it beside corrections.
         blocks: the constraints.
         mapped: addition to the values of the leading blocks.
+        gains: of corrected burns, as `Iterate` has them.
+        bounded: number of the last unknowns that are not negative.
+        kept: what must live as long as the program.
     """
 
     unknowns: ca.MX
@@ -91,6 +95,9 @@ class Program:
     cost: ca.MX
     blocks: tuple[NlpRows, ...]
     mapped: Mapped | None = None
+    gains: ca.MX = field(default_factory=partial(ca.MX, 0, 1))
+    bounded: int = 0
+    kept: tuple[ca.Callback, ...] = ()
 
     @property
     def smooth(self) -> ca.MX:
@@ -104,9 +111,10 @@ class Program:
         return smooth if self.mapped is None else smooth + _padded(self.mapped.value, smooth)
 
     def iterate(self, point: Array) -> Iterate:
-        """Burns and means at values of the unknowns."""
-        burns, mean = ca.Function("iterate", [self.unknowns], [self.burns, self.mean])(point)
-        return Iterate(np.array(burns).T, np.array(mean).T)
+        """Burns, means and gains at values of the unknowns."""
+        parts = [self.burns, self.mean, self.gains]
+        burns, mean, gains = ca.Function("iterate", [self.unknowns], parts)(point)
+        return Iterate(np.array(burns).T, np.array(mean).T, np.array(gains).ravel())
 
     def residuals(self, point: Array) -> dict[str, Array]:
         """Rows by constraint name at values of the unknowns."""
@@ -182,7 +190,10 @@ def assemble(program: Program, penalty: float | None) -> Assembled:
         objective=objective,
         rows=rows,
         rows_upper=np.where(equality, 0.0, np.inf),
-        lower=np.r_[np.full(program.unknowns.numel(), -np.inf), np.zeros(len(row))],
+        lower=np.r_[
+            np.full(len(program.start) - program.bounded, -np.inf),
+            np.zeros(program.bounded + len(row)),
+        ],
         start=np.r_[program.start, np.maximum(-sign * residual[row], 0.0)],
         jacobian=jacobian,
         hessian=hessian,
@@ -196,11 +207,6 @@ def _padded(matrix: ca.MX, rows: ca.MX, columns: ca.MX | None = None) -> ca.MX:
     return ca.vertcat(padded, ca.MX(rows.numel() - matrix.shape[0], width))
 
 
-def total_dv(burns: ca.MX) -> ca.MX:
-    """Sum of the sizes of burns (3, m)."""
-    return ca.sum2(_norm(burns))
-
-
 def burn_blocks(problem: FlybyProblem, burns: ca.MX, *, printed: bool) -> list[NlpRows]:
     """Size and battery cone of burns (3, m); those held are zero, and those raised are large enough.
 
@@ -211,10 +217,10 @@ def burn_blocks(problem: FlybyProblem, burns: ca.MX, *, printed: bool) -> list[N
         -_inside_cone(burns, cone.axis, cone.half_angle, printed) for cone in problem.burn_cones
     ]
     return [
-        NlpRows("dv_max", (problem.dv_max - _norm(burns)).T),
+        NlpRows("dv_max", (problem.dv_max - norms(burns)).T),
         NlpRows("dv_battery", ca.horzcat(*nappes).T),
         NlpRows("dv_held", ca.vec(held), weight=0.0, equality=True),
-        NlpRows("dv_min", (_norm(raised) - problem.dv_min).T, weight=0.0),
+        NlpRows("dv_min", (norms(raised) - problem.dv_min).T, weight=0.0),
     ]
 
 
@@ -275,7 +281,7 @@ def _deviations(spread: Spread, facets: Facets, node: Sequence[ca.MX]) -> ca.MX:
 def _inside(constraint: StateConstraint, position: ca.MX, printed: bool) -> ca.MX:
     region = constraint.region
     if isinstance(region, Ball):
-        return region.radius - _norm(position - region.center.T)
+        return region.radius - norms(position - region.center.T)
     return _inside_cone(position - region.apex.T, region.axis, region.half_angle, printed)
 
 
@@ -283,10 +289,11 @@ def _inside_cone(offset: ca.MX, axis: Array, half_angle: float, printed: bool) -
     """Row (1, n) for offsets (3, n) from the apex: distance inside, or cosine less the limit's."""
     along = ca.sum1(offset * axis.T)
     if printed:
-        return along / _norm(offset) - np.cos(half_angle)
-    across = _norm(offset - axis.T * ca.repmat(along, 3, 1))
+        return along / norms(offset) - np.cos(half_angle)
+    across = norms(offset - axis.T * ca.repmat(along, 3, 1))
     return np.sin(half_angle) * along - np.cos(half_angle) * across
 
 
-def _norm(columns: ca.MX) -> ca.MX:
+def norms(columns: ca.MX) -> ca.MX:
+    """Sizes of columns, a row."""
     return root(ca.sum1(columns**2))

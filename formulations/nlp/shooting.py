@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 
 from formulations.arrays import Array, Indices
-from formulations.nlp.covariance import Factor, Spread, initial_deviation
+from formulations.nlp import closed_loop
+from formulations.nlp.covariance import Factor, Spread
 from formulations.nlp.program import (
     Arcs,
     Mapped,
@@ -26,8 +28,8 @@ from formulations.nlp.program import (
     Start,
     burn_blocks,
     final_state_block,
+    norms,
     state_blocks,
-    total_dv,
 )
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem
@@ -79,7 +81,7 @@ class MultipleShooting:
             *state_blocks(problem, facets, spread, node, printed=printed),
         )
         point = _pack(problem, spread, layout, start)
-        return Program(x, point, burns, mean, total_dv(burns), blocks, own)
+        return Program(x, point, burns, mean, ca.sum2(norms(burns)), blocks, own)
 
 
 @dataclass(frozen=True)
@@ -244,53 +246,95 @@ def _pack(problem: FlybyProblem, spread: Spread | None, layout: _Layout, start: 
 
 @dataclass(frozen=True)
 class SingleShooting:
-    """A transcription; see `program.Transcription`. It starts from the guess's burns alone."""
+    """A transcription; see `program.Transcription`. It starts from the guess's burns and gains alone.
+
+    Arcs carry the mean and the STM from the last burn, from which `closed_loop` makes the factor. Burns
+    that are held are no unknowns: their sizes have no derivative.
+    """
 
     def __call__(
         self, problem: FlybyProblem, arcs: Arcs, facets: Facets | None, start: Start, elastic: bool
     ) -> Program:
         """Write the program down."""
         del elastic  # every row is a signed distance in any case
-        spread, last = None, -1
-        if facets is not None and len(facets.node):
-            spread, last = Factor(problem, unit=initial_deviation(problem)), int(facets.node.max())
-        x = ca.MX.sym("x", 3 * problem.n_burns)
-        burns = ca.reshape(x, 3, problem.n_burns)
-        node = _roll_out(problem, arcs, spread, last, burns)
-        mean = ca.horzcat(*(y[:6] for y in node))
+        looked_at = [] if facets is None else np.unique(facets.node).tolist()
+        last = max(looked_at, default=-1)
+        free = np.setdiff1d(
+            np.arange(problem.controls_before[-1]), problem.controls_of(problem.held)
+        )
+        first = start.iterate.burns, closed_loop.first_gains(problem, start.iterate.gains)
+        own = ca.MX.sym("x", len(free))
+        place = sp.csc_matrix(
+            (np.ones(len(free)), (free, np.arange(len(free)))),
+            shape=(problem.controls_before[-1], len(free)),
+        )
+        controls = ca.DM(place) @ own
+        burns = ca.reshape(controls[problem.burn_controls.ravel().tolist()], 3, problem.n_burns)
+        all_gains = controls[problem.gain_controls.tolist()]
+        gains = closed_loop.gains_of(problem, all_gains)
+        node, stm = _roll_out(problem, arcs, last, burns)
+        mean = ca.horzcat(*node)
+        factor = closed_loop.factors(problem, burns, gains, stm, last)
+        for k in looked_at:
+            node[k] = ca.vertcat(node[k], ca.vec(_factor_at(problem, factor, stm, k)))
+        spread = Factor(problem) if looked_at else None
+        policy = closed_loop.policy(problem, burns, gains, first)
         blocks = (
             final_state_block(problem, mean),
-            *burn_blocks(problem, burns, printed=False),
+            *burn_blocks(replace(problem, held=()), burns, printed=False),
             *state_blocks(problem, facets, spread, node, printed=False),
+            *policy.blocks,
         )
-        point = start.iterate.burns.ravel()
-        return Program(x, point, burns, mean, total_dv(burns), blocks)
+        return Program(
+            unknowns=ca.vertcat(own, policy.unknowns),
+            start=np.r_[problem.controls(*first)[free], policy.start],
+            burns=burns,
+            mean=mean,
+            cost=policy.cost,
+            blocks=blocks,
+            gains=all_gains,
+            bounded=len(policy.start),
+            kept=policy.kept,
+        )
 
 
 def _roll_out(
-    problem: FlybyProblem, arcs: Arcs, spread: Factor | None, last: int, burns: ca.MX
-) -> list[ca.MX]:
-    """States y = (mean, entries of the factor) of every node after its burn; entries up to `last`."""
+    problem: FlybyProblem, arcs: Arcs, last: int, burns: ca.MX
+) -> tuple[list[ca.MX], list[ca.MX]]:
+    """Means (6,) of every node after its burn, and STMs (6, 6) to nodes up to `last`.
+
+    From the start of the leg that ends or passes there.
+    """
     burn_at = dict(zip(problem.burn_nodes.tolist(), range(problem.n_burns), strict=True))
-    entries = spread.pack(problem.first_factor, 0) if spread else np.zeros(0)
-    y = ca.MX(np.concatenate([problem.initial_state, entries]))
-    node = [y if problem.coasts else _burnt(y, spread, burns[:, 0], 0)]
-    cuts = sorted({0, *burn_at, max(last, 0)})
-    for first, end in itertools.pairwise(cuts):
-        y = node[-1] if end <= last else node[-1][:6]
-        node += ca.horzsplit(_fly(arcs, spread, y, first, end))
+    kicks = ca.vertcat(ca.MX(3, problem.n_burns), burns)
+    mean, stm = [ca.MX(problem.initial_state)], [ca.MX(np.eye(6))]
+    if not problem.coasts:
+        mean[0] += kicks[:, 0]
+    for first, end in itertools.pairwise(sorted({0, *burn_at, max(last, 0)})):
+        y = ca.vertcat(mean[-1], ca.vec(ca.MX(np.eye(6)))) if end <= last else mean[-1]
+        ends = _fly(arcs, y, first, end)
+        mean += ca.horzsplit(ends[:6, :])
+        if end <= last:
+            stm += [ca.reshape(entries, 6, 6) for entries in ca.horzsplit(ends[6:, :])]
         if end in burn_at:
-            node[-1] = _burnt(node[-1], spread, burns[:, burn_at[end]], burn_at[end])
-    return node
+            mean[-1] += kicks[:, burn_at[end]]
+    return mean, stm
 
 
-def _burnt(y: ca.MX, spread: Factor | None, burn: ca.MX, burns: int) -> ca.MX:
-    after = kick(spread if y.numel() > 6 else None, burn, burns)
-    return after + ca.vertcat(y, ca.MX(after.numel() - y.numel(), 1))
+def _factor_at(problem: FlybyProblem, factor: list[ca.MX], stm: list[ca.MX], node: int) -> ca.MX:
+    """Factor (6, c) at a node, after a burn there, from those at the legs' starts."""
+    leg = int(np.searchsorted(problem.leg_starts, node))
+    if problem.leg_starts[leg] == node:
+        return factor[leg]
+    return stm[node] @ factor[leg - 1]
 
 
-def _fly(arcs: Arcs, spread: Factor | None, y: ca.MX, first: int, end: int) -> ca.MX:
-    """The y at the ends of the arcs between two nodes, (s, n)."""
+def _fly(arcs: Arcs, y: ca.MX, first: int, end: int) -> ca.MX:
+    """Mean and, if y has it, STM at the ends of the arcs between two nodes, (s, n)."""
     symbol, h = ca.SX.sym("y", y.numel()), ca.SX.sym("h")
-    function = ca.Function("arc", [symbol, h], [step(arcs, spread, symbol, h)])
+    after = arcs.flow(symbol[:6], h)
+    if y.numel() > 6:
+        stm = ca.jacobian(after, symbol[:6]) @ ca.reshape(symbol[6:], 6, 6)
+        after = ca.vertcat(after, ca.vec(stm))
+    function = ca.Function("arc", [symbol, h], [after])
     return function.mapaccum(end - first)(y, ca.DM(arcs.durations[first:end]).T)

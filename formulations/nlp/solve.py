@@ -94,6 +94,9 @@ QUASI_NEWTON = Settings(barrier="adaptive", hessian="limited-memory")
 class Variant:
     """A transcription and IPOPT's settings for it.
 
+    P2 with corrected burns is by single shooting, with exact Hessians, whatever the variant:
+    quasi-Newton ones had not arrived after a thousand iterations.
+
     Attributes:
         transcription: writes the program.
         p3: settings for P3, and for P2 without a facet. There a burn may vanish, and a quasi-Newton
@@ -106,6 +109,15 @@ class Variant:
     p3: Settings | FilterSqp
     p2: Settings | FilterSqp
     screened: bool = True
+
+    def of(
+        self, problem: FlybyProblem, facets: Facets | None
+    ) -> tuple[Transcription, Settings | FilterSqp]:
+        """Transcription and settings for P3, which has no facets, or P2."""
+        if problem.feedback is not None:
+            return SingleShooting(), EXACT
+        uncertain = facets is not None and len(facets.node) > 0
+        return self.transcription, self.p2 if uncertain else self.p3
 
 
 def paper_covariance(problem: FlybyProblem) -> Covariance:
@@ -215,10 +227,10 @@ def solve_nlp(
     """
     begin = perf_counter()
     elastic = penalty is not None
-    program = variant.transcription(problem, arcs, facets, start, elastic)
+    transcription, settings = variant.of(problem, facets)
+    program = transcription(problem, arcs, facets, start, elastic)
     nlp = assemble(program, penalty)
-    uncertain = facets is not None and len(facets.node) > 0
-    solver = _solver(nlp, variant.p2 if uncertain else variant.p3)
+    solver = _solver(nlp, settings)
     build_s = perf_counter() - begin
     begin = perf_counter()
     with noticing_interrupts() as interrupted:

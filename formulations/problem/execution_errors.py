@@ -219,11 +219,11 @@ class GatesErrors(ExecutionErrors):
 
     def of_correction(self, n: int) -> int:
         """Three across; n more where errors along are the larger ones."""
-        return 3 + n * int(self._along_more > 0.0)
+        return 3 + n * int(self.along_more > 0.0)
 
     @property
-    def _along_more(self) -> float:
-        """Root of what errors along, the bias included, have over those across."""
+    def along_more(self) -> float:
+        """Root of the excess of relative variance along, the bias included, over that across."""
         along = self.magnitude_proportional**2 + self.magnitude_bias**2
         return float(np.sqrt(max(along - self.pointing_proportional**2, 0.0)))
 
@@ -234,7 +234,7 @@ class GatesErrors(ExecutionErrors):
         The fixed parts are the planned burn's: a correction turns and grows it too little to matter.
         """
         size, n = float(np.linalg.norm(gains)), gains.shape[1]
-        across, more = self.pointing_proportional, self._along_more
+        across, more = self.pointing_proportional, self.along_more
         jacobian = np.zeros((3, self.of_correction(n), 3, n))
         jacobian[range(3), range(3)] = across * gains / max(size, TINY)
         columns = across * size * np.eye(3)

@@ -108,29 +108,37 @@ class CorrectedBurns:
         if self._seen is None or self._seen[0] is not lin:
             feedback = self._problem.feedback
             assert feedback is not None
-            problem, which = self._problem, feedback.burns
-            burns, factor = lin.iterate.burns[which], _factors(problem, lin)
-            sizes = np.linalg.norm(burns, axis=1)
-            found = {SIZE: _margins(_within_size, -sizes, burns, factor, feedback)}
-            found[SIZE].value[:] += problem.dv_max
-            if problem.dv_cone > 0.0:
-                level = _off_cone(problem.sun[which], problem.dv_cone)
-                off = problem.burn_margins(lin.iterate.burns)["dv_battery"][which]
-                found[BATTERY] = _margins(level, off, burns, factor, feedback)
-            self._seen = lin, found
+            which, k = feedback.burns, len(feedback.burns)
+            gains = np.zeros((k, 3, 6 * k))
+            for j in range(k):
+                gains[j, :, : 6 * (j + 1)] = self._problem.gains_of(lin.iterate, j)
+            self._seen = lin, margins_of(self._problem, which, lin.iterate.burns[which], gains)
         return self._seen[1]
 
 
-def _factors(problem: FlybyProblem, lin: Linearisation) -> Array:
-    """Gains of all corrected burns, padded, and the certain part; shape (k, 3, 6 k + 3)."""
+def margins_of(
+    problem: FlybyProblem, which: Indices, burns: Array, gains: Array
+) -> dict[str, Quantiles]:
+    """Margins of some burns (k, 3) with gains (k, 3, n), by limit, and their derivatives.
+
+    Those by the gains have shape (k, 3, n + 3): the last three columns are by the certain part.
+    """
     assert problem.feedback is not None
-    k = len(problem.feedback.burns)
-    factor = np.zeros((k, 3, 6 * k + 3))
-    for j in range(k):
-        gains = problem.gains_of(lin.iterate, j)
-        factor[j, :, : 6 * (j + 1)] = gains
-        factor[j, :, 6 * k :] = max(CERTAIN, LEAN * float(np.linalg.norm(gains))) * np.eye(3)
-    return factor
+    certain = certain_part(gains)[:, None, None] * np.eye(3)
+    given = burns, np.concatenate([gains, certain], axis=2), problem.feedback
+    found = {SIZE: _margins(_within_size, -np.linalg.norm(burns, axis=1), *given)}
+    found[SIZE].value[:] += problem.dv_max
+    if problem.dv_cone > 0.0:
+        sun = problem.sun[which]
+        nappes = (Cone(np.zeros_like(sun), side * sun, problem.dv_cone) for side in (1.0, -1.0))
+        off = np.min([-nappe.inside(burns) for nappe in nappes], axis=0)
+        found[BATTERY] = _margins(_off_cone(sun, problem.dv_cone), off, *given)
+    return found
+
+
+def certain_part(gains: Array) -> Array:
+    """Standard deviation that is added to each component of burns with gains (k, 3, n), shape (k,)."""
+    return np.maximum(CERTAIN, LEAN * np.linalg.norm(gains, axis=(1, 2)))
 
 
 def _within_size(velocity: Array, factor: Array, x: Array) -> Level:

@@ -77,7 +77,10 @@ def plan(
     Returns:
         A plan of `NlpStage`s, whose linearisations are those of the dynamics at IPOPT's iterates.
     """
-    mission.require_plain(f"{option('method', 'scp')} only")
+    mission.require_free_end(f"{option('method', 'scp')} only")
+    if variant == "printed":
+        other = f"{option('method', 'scp')}, or with {option('formulation', 'tuned')} or shooting"
+        mission.require_plain(other)
     arcs = casadi_arcs(mission.flow)
     runner = MissionRunner(mission, IpoptStages(mission, arcs, VARIANTS[variant], elastic), observe)
     algorithm = "interior point, elastic" if elastic else "interior point"
@@ -100,7 +103,7 @@ class IpoptStages:
     @property
     def p3_rows(self) -> DeterministicRows:
         """See `RowsSolver`."""
-        return DeterministicRows(self.mission.problem)
+        return DeterministicRows(self.mission.problem.open_loop)
 
     @property
     def first_stage_rows(self) -> None:
@@ -124,7 +127,7 @@ class IpoptStages:
         """
         begin = perf_counter()
         algorithm = SCvx()
-        merit = MeritFunction(self.mission.problem, rows)
+        merit = MeritFunction(rows.problem, rows)
         setup = perf_counter() - begin
         weights = (algorithm.weight, algorithm.weight_max) if self.elastic else (None,)
         runs: list[NlpResult] = []
@@ -150,7 +153,11 @@ class IpoptStages:
         run = solve_nlp(problem, self.arcs, facets, start, self.variant, penalty)
         if not (np.isfinite(run.iterate.burns).all() and np.isfinite(run.iterate.mean).all()):
             return lin, replace(run, outcome=NlpOutcome.FAILED)
-        run.iterate.burns[list(problem.held)] = 0.0  # which IPOPT's tolerances leave nearly so
+        # What is held IPOPT's tolerances leave nearly so.
+        run.iterate.burns[list(problem.held)] = 0.0
+        still = np.array(problem.held, dtype=np.intp)
+        iterate = replace(run.iterate, gains=problem.without_corrections(run.iterate.gains, still))
+        run = replace(run, iterate=iterate)
         return dynamics.linearise(problem, run.iterate), run
 
 

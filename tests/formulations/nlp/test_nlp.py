@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
@@ -35,6 +36,7 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.problem.regions import Ball, Cone
 from formulations.program.subproblem import DYNAMICS_WEIGHT
 from formulations.rows.uniform import ChanceRows, DeterministicRows
+from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.planning import initial_guess, ipopt
@@ -42,7 +44,8 @@ from scp_recon.planning.planner import Plan, Stage, plan
 from scp_recon.results.solution import make_solution
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.status import Status
-from tests.helpers import usually
+from scp_recon.verification.reintegration import verify
+from tests.helpers import MANY, usually
 from tests.scenarios import COARSE
 
 
@@ -346,6 +349,33 @@ def test_ipopt_and_scp_find_the_same_plan(
     assert not solution.violation.by_constraint
     p3 = result.stages[0].result.lin.iterate.total_dv
     assert p3 == pytest.approx(coarse.p3.result.lin.iterate.total_dv, rel=1e-4)
+
+
+NAVIGATED = (
+    'policy.kind="feedback"',
+    "navigation.lead_s=0",
+    "navigation.sigma_position_m=10",
+    "navigation.sigma_velocity_m_s=0.0005",
+)
+
+
+@pytest.mark.skipif(settings().max_examples < MANY, reason="IPOPT takes half a minute each")
+@pytest.mark.parametrize("cost", ["dv99", "expected", "nominal"])
+def test_ipopt_and_scp_find_the_same_plan_with_corrected_burns(cost: str) -> None:
+    case = Case.of(COARSE, *NAVIGATED, f"policy.cost={cost}")
+    result = ipopt.plan(case.mission, initial_guess.cold(case.mission))
+    assert result.final.result.status is Status.CONVERGED
+    ours, theirs = (one.final.result.lin for one in (case.plan, result))
+    assert theirs.cost.value == pytest.approx(ours.cost.value, rel=1e-5)
+    solution = make_solution(result)
+    assert solution.policy is not None
+    assert verify(case.mission, solution).ok
+
+
+def test_the_paper_prints_no_corrections(coarse: Case) -> None:
+    mission = Mission.from_scenario(load_scenario(None, (COARSE, *NAVIGATED)))
+    with pytest.raises(InputError, match=r"feedback.*tuned.*or shooting"):
+        ipopt.plan(mission, initial_guess.cold(coarse.mission), variant="printed")
 
 
 def test_what_does_not_converge_begins_again_at_the_ballistic_arc(
