@@ -43,13 +43,15 @@ DIFFERENCE = 1e-5
 """Step of the differences that give a node's curvature, in units of speed."""
 
 CURVED_MAX = 18
-"""Directions in which a row is curved at most: those of most curvature."""
+"""Directions in which a row of a node is curved at most: those of most curvature."""
 
 BEND = 3.0
 """c: standard deviations over which a row bends before it goes on straight."""
 
 
-def curved_cones(rows: Indices, margin: Array, slope: Array, hessian: Array, z: Array) -> Cones:
+def curved_cones(
+    rows: Indices, margin: Array, slope: Array, hessian: Array, z: Array, most: int = CURVED_MAX
+) -> Cones:
     """Rows margin + slope'd + d'hessian d/2 >= 0 in d about z, their concave part as a cone.
 
     Args:
@@ -58,10 +60,11 @@ def curved_cones(rows: Indices, margin: Array, slope: Array, hessian: Array, z: 
         slope: shape (r, p).
         hessian: shape (r, p, p); of its negative part the most is used.
         z: burns about which the rows are made, shape (p,).
+        most: directions in which they are curved at most.
     """
     r, p = slope.shape
     curvature, axes = np.linalg.eigh(-0.5 * (hessian + hessian.swapaxes(1, 2)))
-    curvature, axes = curvature[:, -CURVED_MAX:], axes[:, :, -CURVED_MAX:]
+    curvature, axes = curvature[:, -most:], axes[:, :, -most:]
     bend = np.sqrt(BEND * np.maximum(curvature, 0.0))[:, :, None] * axes.swapaxes(1, 2)
     curved, d = np.any(bend, axis=(1, 2)), bend.shape[1]
     tail = np.zeros((r, d + 1, p + 1))

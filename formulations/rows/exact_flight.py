@@ -49,6 +49,11 @@ REMEMBERED = 3
 CERTAIN = 1e-9
 """Standard deviation that is added to each coordinate, so that certain ones have a direction."""
 
+DIRECTED = 1e-2
+"""The same over a coordinate's own, where burns are corrected: a burn that has vanished with its gains
+adds nothing to a velocity, and the direction of next to nothing turns with every step, the lines of
+flights with it."""
+
 
 @dataclass(frozen=True, eq=False)
 class FlightValue:
@@ -81,6 +86,12 @@ class Coordinates:
         self._node = np.r_[[first] * 6, np.repeat(later, 3)].astype(np.intp)
         self._row = np.r_[np.arange(6), np.tile([3, 4, 5], len(later))].astype(np.intp)
         self.count, self.nodes = len(self._node), np.unique(self._node)
+        self._certain = np.full(self.count, CERTAIN)
+
+    def settle(self, factor: Array) -> None:
+        """Keep coordinates that a factor leaves nearly certain from turning near it."""
+        own = np.linalg.norm(factor[self._node, self._row], axis=1)
+        self._certain = np.maximum(CERTAIN, DIRECTED * own)
 
     def __call__(
         self, probability: FlightProbability, mean: Array, factor: Array, limits: Limits | None
@@ -108,7 +119,7 @@ class Coordinates:
     def _root(self, factor: Array) -> tuple[Array, Array]:
         """W and R, by an orthogonal factorisation, which bears any ratio of standard deviations."""
         own = factor[self._node, self._row]
-        across, up = np.linalg.qr(np.hstack([own, CERTAIN * np.eye(self.count)]).T)
+        across, up = np.linalg.qr(np.hstack([own, np.diag(self._certain)]).T)
         sign = np.copysign(1.0, np.diag(up))
         return (sign[:, None] * up).T, (across * sign).T[:, : own.shape[1]]
 
@@ -151,6 +162,7 @@ class FlightRows(ExactRows):
 
     def aim(self, lin: Linearisation) -> None:
         """Take probabilities over directions of which half are where an iterate's flights fail."""
+        self._coordinates.settle(lin.factor)
         mean, factor = lin.iterate.mean[:, :3], self._coordinates.reduced(lin.factor)
 
         def failing(directions: Directions) -> Array:
@@ -171,7 +183,7 @@ class FlightRows(ExactRows):
         g, z = self.at(lin), lin.controls
         slope, hessian = self._slope(lin, g), self._hessian(lin, g)
         margin = np.array([g.value - self.required])
-        own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z)
+        own = curved_cones(np.zeros(1, np.intp), margin, slope[None], hessian[None], z, most=len(z))
         return [own, *self.further.cones(lin, s)]
 
     def state_cones(self, lin: Linearisation) -> list[StateCones]:

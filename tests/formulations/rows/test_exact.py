@@ -17,7 +17,7 @@ from formulations.linearisation.linearisation import (
 )
 from formulations.rows.cones import Cones, Rows
 from formulations.rows.exact import BEND, NodeRows, curved_cones
-from formulations.rows.exact_flight import FLIGHT, FlightRows
+from formulations.rows.exact_flight import FLIGHT, Coordinates, FlightRows
 from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
@@ -218,3 +218,24 @@ def test_rows_look_at_all_nodes_of_their_events() -> None:
     assert rows.count == sum(len(event.nodes) for event in rows.events)
     assert list(rows.margins(lin)) == [event.name for event in rows.events]
     np.testing.assert_array_equal(rows.nodes, np.arange(mission.problem.n_nodes))
+
+
+# --- coordinates of flights ---------------------------------------------------------------------
+
+
+def test_a_burn_that_vanished_with_its_corrections_turns_no_coordinates() -> None:
+    """Its velocities are all but known from what came before: nearly nothing has any direction."""
+    problem = Mission.from_scenario(load_scenario(None, (COARSE,))).problem
+    rng = np.random.default_rng(5)
+    factor = rng.normal(size=(problem.n_nodes, 6, 20))
+    first, vanished = problem.leg_starts[:2]
+    known = rng.normal(size=(3, 6)) @ factor[first]
+    coordinates = Coordinates(problem, problem.n_nodes - 1)
+
+    def reduced() -> Array:
+        factor[vanished, 3:] = known + 1e-6 * rng.normal(size=known.shape)
+        coordinates.settle(factor)
+        return coordinates.reduced(factor)
+
+    one, other = reduced(), reduced()
+    assert other == pytest.approx(one, abs=1e-2)
