@@ -118,6 +118,10 @@ class IpoptStages:
         """Refuse: IPOPT has no rows of exact risk."""
         raise InputError("risk.allocation", "'exact'", f"goes with {option('method', 'scp')} only")
 
+    @property
+    def leading_rows(self) -> None:
+        """None: it has no gains."""
+
     def solve(
         self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
     ) -> NlpStage:

@@ -52,7 +52,7 @@ class Stage:
         name: "P3", "P2", "P2.2" with the facets chosen a second time, ...; "P3b", "P2b", ... of those
             that began again at the ballistic arc, c and d at a turn about the body; "P3.open" leads to
             P3 from a guess that is no flight, "P2.node" and "P2.coarse" to a P2 of whole flights;
-            "P2.held" holds burns that would be too small to execute.
+            "P2.led" leads to gains, and "P2.held" holds burns that would be too small to execute.
         result: how it ended and where.
         merit: what it minimised; it knows the constraints' margins.
         facets: of P2 with polytopes, else None.

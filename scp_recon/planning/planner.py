@@ -29,6 +29,7 @@ from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.stages import (
     CHOICES_MAX,
     HELD_STAGE,
+    LED_STAGE,
     RESOLUTION,
     Observer,
     Task,
@@ -52,6 +53,10 @@ which comes next, what the probability of whole flights cannot resolve would hid
 
 ITERATIONS_WITH_GAINS = 100
 """Limit of a stage's iterations where burns are corrected: twice the usual one."""
+
+LED_ITERATIONS, LED_RISK = 30, 0.3
+"""Of the stage of nodes that leads to gains where nothing is feasible without: iterations at most, and
+its nodes' risk over that of whole flights. Flights fail more often than any of their nodes."""
 
 
 def plan(
@@ -122,6 +127,8 @@ class ScpStages:
         if task.problem.feedback is not None:
             special["max_iterations"] = ITERATIONS_WITH_GAINS
         self.algorithm: Algorithm = ALGORITHMS[algorithm](**special)
+        led = special | {"max_iterations": LED_ITERATIONS}
+        self._leading: Algorithm = ALGORITHMS[algorithm](**led)
         if self.algorithm.penalty == "augmented" and task.problem.miss_weight is not None:
             raise InputError(
                 "algorithm",
@@ -189,6 +196,16 @@ class ScpStages:
             ]
         return self._exact_rows
 
+    @cached_property
+    def leading_rows(self) -> NodeRows | None:
+        """See `RowsSolver`: of nodes, for whole flights.
+
+        Their probability is smooth, where that of flights in few directions would end in its kinks.
+        """
+        if self.task.problem.feedback is None or self.task.risk.scope == "node":
+            return None
+        return NodeRows(self.task.problem, 1.0 - LED_RISK * (1.0 - self.target), COARSE)
+
     def solve(
         self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
     ) -> Stage:
@@ -203,7 +220,8 @@ class ScpStages:
             rows.aim(start)
         subproblem = self.subproblem(rows)
         setup = perf_counter() - begin
-        algorithm = self.algorithm.resolving(rows.resolution)
+        algorithm = self._leading if name.endswith(LED_STAGE) else self.algorithm
+        algorithm = algorithm.resolving(rows.resolution)
         result = run(subproblem, dynamics, start, algorithm, partial(observe, name))
         result.timing.setup += setup
         facets = rows.facets if isinstance(rows, ChanceRows) else None

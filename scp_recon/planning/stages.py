@@ -36,6 +36,9 @@ OTHER_BURNS = 1e-2
 FIRST_STAGE = ".open"
 """Suffix of the stage that leads to a P3 whose guess is no flight."""
 
+LED_STAGE = ".led"
+"""Suffix of the stage that leads to gains where there is no plan without."""
+
 HELD_STAGE = ".held"
 """Suffix of a stage in which burns are held that would be too small to execute."""
 
@@ -118,6 +121,10 @@ class RowsSolver(Protocol):
         Raises:
             InputError: if the method has no such rows.
         """
+
+    @property
+    def leading_rows(self) -> Rows | None:
+        """Rows that lead to gains where a plan without has none; None if the others do."""
 
     def solve(
         self, name: str, rows: Rows, start: Linearisation, dynamics: Dynamics, observe: Observer
@@ -214,14 +221,24 @@ class StageRunner:
         return final
 
     def solve_exact(self, name: str, lin: Linearisation) -> Stage:
-        """Solve P2 with the true probabilities, after quicker stages as long as they converge."""
-        feedback = self.task.problem.feedback
+        """Solve P2 with the true probabilities, after quicker stages as long as they converge.
+
+        What has no plan open loop may have one with corrections. Where rows lead to them, the last
+        stage follows, however that one ends.
+        """
+        feedback, leading = self.task.problem.feedback, None
         for way, rows in self.solver.exact_rows():
+            if leading is not None and way:
+                continue
             stage = self.solve(name + way, rows, lin)
             lin = stage.result.lin
-            # What has no plan open loop may have one with corrections.
-            if stage.result.status is not Status.CONVERGED and rows.problem.feedback is feedback:
+            if stage.result.status is Status.CONVERGED:
+                continue
+            if rows.problem.feedback is feedback:
                 break
+            leading = self.solver.leading_rows
+            if leading is not None:
+                lin = self.solve(f"{name}{LED_STAGE}", leading, lin).result.lin
         return stage
 
     def _with_facets(self, name: str, lin: Linearisation) -> Stage:

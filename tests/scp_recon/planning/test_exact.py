@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from functools import cache, partial
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.planning import initial_guess, ipopt
 from scp_recon.planning.mission_stages import MissionRunner
 from scp_recon.planning.planner import Plan, Planner, plan
+from scp_recon.planning.stages import StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
@@ -222,3 +225,35 @@ def test_other_formulations_have_no_exact_rows(formulation: str) -> None:
     planned = ipopt.plan if formulation == "ipopt" else partial(plan, formulation=formulation)
     with pytest.raises(InputError, match=rf"risk\.allocation.*{needed}"):
         planned(mission, cold, observe=never)
+
+
+# --- stages that lead to gains ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("ends", "names"),
+    [
+        ("ccc", [".node", ".coarse", ""]),
+        ("icc", [".node", ".led", ""]),
+        ("iic", [".node", ".led", ""]),
+        ("ci", [".node", ".coarse"]),
+    ],
+)
+def test_gains_are_led_to_where_there_is_no_plan_without(ends: str, names: list[str]) -> None:
+    """However the leading stage ends."""
+    ended, seen = iter(ends), []
+
+    class Runner(StageRunner):
+        def solve(self, name: str, *_: Any) -> Any:
+            seen.append(name)
+            status = Status.CONVERGED if next(ended) == "c" else Status.INFEASIBLE
+            return SimpleNamespace(result=SimpleNamespace(status=status, lin=None))
+
+    none, gains = (SimpleNamespace(problem=SimpleNamespace(feedback=f)) for f in (None, "gains"))
+    solver: Any = SimpleNamespace(
+        exact_rows=lambda: [(".node", none), (".coarse", gains), ("", gains)], leading_rows=gains
+    )
+    task: Any = gains
+    start: Any = None
+    Runner(task, solver).solve_exact("", start)
+    assert seen == names
