@@ -25,10 +25,34 @@ if TYPE_CHECKING:
     from scp_recon.api.replans import replan
     from scp_recon.api.survey import windows
     from scp_recon.errors import InputError
+    from scp_recon.impulsive.problem import (
+        Ball,
+        ComponentwiseErrors,
+        Cone,
+        Ellipsoid,
+        ExpressionFlow,
+        Feedback,
+        GatesErrors,
+        Halfspaces,
+        ImpulsiveProblem,
+        Keep,
+        Polytope,
+    )
     from scp_recon.scenario.load import load_scenario
 
 __all__ = [
+    "Ball",
+    "ComponentwiseErrors",
+    "Cone",
+    "Ellipsoid",
+    "ExpressionFlow",
+    "Feedback",
+    "GatesErrors",
+    "Halfspaces",
+    "ImpulsiveProblem",
     "InputError",
+    "Keep",
+    "Polytope",
     "campaign",
     "compare",
     "design",
@@ -48,6 +72,22 @@ __all__ = [
     "windows",
 ]
 _ELSEWHERE = {
+    **dict.fromkeys(
+        (
+            "Ball",
+            "ComponentwiseErrors",
+            "Cone",
+            "Ellipsoid",
+            "ExpressionFlow",
+            "Feedback",
+            "GatesErrors",
+            "Halfspaces",
+            "ImpulsiveProblem",
+            "Keep",
+            "Polytope",
+        ),
+        "impulsive.problem",
+    ),
     "InputError": "errors",
     "campaign": "api.campaigns",
     "design": "api.designing",

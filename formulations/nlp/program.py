@@ -19,7 +19,7 @@ from formulations.arrays import Array
 from formulations.nlp.covariance import Spread, root
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
-from formulations.problem.regions import Ball
+from formulations.problem.regions import Ball, Cone
 from formulations.program.subproblem import DYNAMICS_WEIGHT
 
 
@@ -282,6 +282,7 @@ def _inside(constraint: StateConstraint, position: ca.MX, printed: bool) -> ca.M
     region = constraint.region
     if isinstance(region, Ball):
         return region.radius - norms(position - region.center.T)
+    assert isinstance(region, Cone), "of other regions there is no program"
     return _inside_cone(position - region.apex.T, region.axis, region.half_angle, printed)
 
 

@@ -40,6 +40,11 @@ class ExecutionErrors(ABC):
         """Whether the columns are linear in the burn, so that their linearisation is exact."""
         return True
 
+    def in_units(self, speed: float) -> ExecutionErrors:
+        """The model of burns that are measured in units of a speed."""
+        del speed
+        return self
+
     @abstractmethod
     def columns(self, burns: Array) -> Array:
         """Columns C of burns (m, 3), the shared columns first, shape (m, 3, shared + own)."""
@@ -92,6 +97,9 @@ class ExecutionErrors(ABC):
 class ComponentwiseErrors(ExecutionErrors):
     """Every component errs by a fraction beta of itself, 1 sigma: C = beta diag(v).
 
+    >>> ComponentwiseErrors(0.25).columns(np.array([[4.0, 0.0, 0.0]]))[0, 0, 0].item()
+    1.0
+
     Echigo et al., eq. 3.
     """
 
@@ -134,6 +142,11 @@ class ComponentwiseErrors(ExecutionErrors):
 class GatesErrors(ExecutionErrors):
     """Errors of a burn's magnitude and pointing, each with a fixed and a proportional part; 1 sigma.
 
+    >>> errors = GatesErrors(0.0, 0.5, 0.0, 0.25)
+    >>> columns = errors.columns(np.array([[4.0, 0.0, 0.0]]))[0]
+    >>> np.diag(columns @ columns.T).tolist()
+    [4.0, 1.0, 1.0]
+
         C C' = (s_f^2 + s_p^2 v^2) u u' + (p_f^2 + p_p^2 v^2) (I - u u'),   u = v / |v|
 
     C. R. Gates, "A simplified model of midcourse maneuver execution errors", JPL TR 32-504, 1963. The
@@ -170,6 +183,11 @@ class GatesErrors(ExecutionErrors):
     pointing_proportional: float
     magnitude_bias: float = 0.0
     executed: frozenset[int] = frozenset()
+
+    def in_units(self, speed: float) -> GatesErrors:
+        """See `ExecutionErrors.in_units`."""
+        fixed = self.magnitude_fixed / speed, self.pointing_fixed / speed
+        return replace(self, magnitude_fixed=fixed[0], pointing_fixed=fixed[1])
 
     @property
     def own(self) -> int:

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import FlybyProblem, StateConstraint
 from formulations.problem.polytopes import BallPolytope, inner_pyramid_angle, rotations_between
-from formulations.problem.regions import Ball, Cone, Halfspaces, Region
+from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
 
 
 def split_risk(probability: float, parts: int) -> float:
@@ -58,7 +58,7 @@ class Facets:
     Attributes:
         constraint: index into the problem's constraints, shape (m,).
         node: node index, shape (m,).
-        normal: unit vectors a, shape (m, 3).
+        normal: a, shape (m, 3).
         offset: b, shape (m,).
         quantile: q = Psi^-1 of the facet's share of the probability, shape (m,).
     """
@@ -74,7 +74,7 @@ class Facets:
         return Facets(*(getattr(self, name)[which] for name in Facets.__annotations__))
 
     def deviation(self, factor: Array) -> Array:
-        """Standard deviation ||S_k'a|| along each facet's normal, (m,)."""
+        """Standard deviation of a'r along each facet's normal, ||S_k'a||, (m,)."""
         return np.linalg.norm(np.einsum("mi,mic->mc", self.normal, factor[self.node, :3]), axis=1)
 
     def margin(self, mean: Array, factor: Array) -> Array:
@@ -95,6 +95,9 @@ def choose_facets(
         _constraint_facets(index, constraint, polytopes, mean, factor)
         for index, constraint in enumerate(problem.constraints)
     ]
+    if not parts:
+        none = np.zeros(0, dtype=np.intp)
+        return Facets(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros(0))
     return Facets(
         *(
             np.concatenate([getattr(part, name) for part in parts])
@@ -132,6 +135,10 @@ def inner_facets(region: Region, polytopes: Polytopes, point: Array) -> list[Hal
 
     With a facet turned that way instead, the polytope is thinnest just where the spacecraft flies.
     """
+    if isinstance(region, Ellipsoid):
+        return [region.back(a) for a in inner_facets(region.ball, polytopes, region.seen(point))]
+    if isinstance(region, Halfspaces | Polytope):
+        return [region.supporting(point)]
     if isinstance(region, Ball):
         if polytopes.ball is None:
             return [region.supporting(point)]
@@ -144,6 +151,14 @@ def inner_facets(region: Region, polytopes: Polytopes, point: Array) -> list[Hal
 
 def outer_facets(region: Region, polytopes: Polytopes, point: Array) -> list[Halfspaces]:
     """Facets of a polytope around the region, one of them turned towards `point`."""
+    if isinstance(region, Ellipsoid):
+        return [region.back(a) for a in outer_facets(region.ball, polytopes, region.seen(point))]
+    if isinstance(region, Halfspaces):
+        return [region]
+    if isinstance(region, Polytope):
+        n = len(point)
+        every = zip(region.normal, region.offset, strict=True)
+        return [Halfspaces(np.tile(a, (n, 1)), np.full(n, b)) for a, b in every]
     if isinstance(region, Ball):
         if polytopes.ball is None:
             return [region.supporting(point)]

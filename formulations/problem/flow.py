@@ -6,7 +6,11 @@ asteroid's in closed form (`scp_recon.physics.flow`), others from an expression.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, Self
+
+import numpy as np
 
 from formulations.arrays import Array
 
@@ -42,3 +46,86 @@ class Flow(Protocol):
 
     def differentiate(self, state: Array) -> ArcDerivatives:
         """Derivatives of all arcs, from their starts (n, 6)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledFlow:
+    """A flow in other units, of the state's components, shape (6,)."""
+
+    flow: Flow
+    unit: Array
+
+    @property
+    def arcs(self) -> int:
+        """Number of arcs."""
+        return self.flow.arcs
+
+    def propagate(self, state: Array, arc: int) -> Array:
+        """Carry states (..., 6) along one arc."""
+        return self.flow.propagate(state * self.unit, arc) / self.unit
+
+    def differentiate(self, state: Array) -> ScaledDerivatives:
+        """Derivatives of all arcs, from their starts (n, 6)."""
+        return ScaledDerivatives(self.flow.differentiate(state * self.unit), self.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledDerivatives:
+    """Derivatives of a `ScaledFlow`."""
+
+    arcs: ArcDerivatives
+    unit: Array
+
+    @property
+    def state(self) -> Array:
+        """End states, shape (n, 6)."""
+        return self.arcs.state / self.unit
+
+    @cached_property
+    def stm(self) -> Array:
+        """State-transition matrices, shape (n, 6, 6)."""
+        return self.arcs.stm * self.unit / self.unit[:, None]
+
+    @cached_property
+    def tensor(self) -> Array:
+        """Second derivatives, shape (n, 6, 6, 6)."""
+        unit = self.unit
+        return self.arcs.tensor * unit * unit[:, None] / unit[:, None, None]
+
+    def moved(self, deviation: Array) -> ScaledDerivatives:
+        """See `ArcDerivatives.moved`."""
+        return ScaledDerivatives(self.arcs.moved(deviation * self.unit), self.unit)
+
+
+def check_flow(flow: Flow, unit: Array, state: Array) -> None:
+    """Check a flow's shapes, and its derivatives by central differences of its own map.
+
+    Looked at about starts (n, 6) of its arcs, nondimensional by the units of a state's components.
+
+    Raises:
+        ValueError: with what was found and what was expected.
+    """
+    n = flow.arcs
+    own = flow.differentiate(state * unit)
+    shapes = {"state": (n, 6), "stm": (n, 6, 6), "tensor": (n, 6, 6, 6)}
+    for name, shape in shapes.items():
+        if np.shape(found := getattr(own, name)) != shape:
+            raise ValueError(f"{name} of shape {np.shape(found)}, expected {shape} of {n} arcs")
+    flow, at = ScaledFlow(flow, unit), ScaledDerivatives(own, unit)
+    ends = np.stack([flow.propagate(state[k], k) for k in (0, n - 1)])
+    way = np.random.default_rng(0).choice([-1.0, 1.0], size=(n, 6))
+    ahead, behind = (flow.differentiate(state + side * DIFFERENCE * way) for side in (1, -1))
+    slope, bend = ((getattr(ahead, k) - getattr(behind, k)) / 2 for k in ("state", "stm"))
+    along = at.tensor @ way[:, None, :, None]
+    for name, one, other in (
+        ("end states that are not where `propagate` ends", at.state[[0, -1]], ends),
+        ("an STM that is not its map's derivative", at.stm @ way[:, :, None], slope / DIFFERENCE),
+        ("a tensor that is not its STM's derivative", along[..., 0], bend / DIFFERENCE),
+    ):
+        other = other.reshape(one.shape)
+        if not np.abs(one - other).max() <= AGREED * max(1.0, float(np.abs(other).max())):
+            raise ValueError(f"{name}, by {np.abs(one - other).max():.1e} in units of the problem")
+
+
+DIFFERENCE, AGREED = 1e-5, 1e-3
+"""Step of the differences, and the share of the largest entry to which they have to agree."""

@@ -134,7 +134,7 @@ class FlybyProblem:
         execution_errors: of the burns.
         dv_max: largest burn.
         sun: unit vectors to the Sun at each burn, shape (m, 3).
-        dv_cone: half-angle of the double cone about the Sun line that burns must avoid.
+        dv_cone: half-angle of the double cone about the Sun line that burns must avoid; 0 for none.
         constraints: on the position.
         miss_weight: price of each component of the final state's miss, where the burns are too few to
             meet it; without it the final state is a condition.

@@ -1,13 +1,14 @@
-"""Regions of the position, balls and circular cones, one per node: distances, planes and chords.
+"""Regions of the position, one per node: distances, planes and chords.
 
-Both are convex, so the complement of either is described by supporting planes: for a point x the
+All are convex, so the complement of each is described by supporting planes: for a point x the
 plane a'y = b that touches the region where it is closest to x. With it
 
     inside(x) = b - a'x
 
 is the signed distance of x to the region's surface, positive inside (for a cone: to the infinite
 surface of the plane through the axis, which is the distance wherever the nearest point is not the
-apex). Keep-in demands inside(x) >= 0, keep-out demands inside(x) <= 0.
+apex; for an ellipsoid in coordinates in which it is a ball). Keep-in demands inside(x) >= 0, keep-out
+demands inside(x) <= 0.
 """
 
 from __future__ import annotations
@@ -22,10 +23,47 @@ from formulations.arrays import Array, Booleans, Indices
 
 @dataclass(frozen=True)
 class Halfspaces:
-    """Half-spaces a'y <= b: unit normals a (n, 3) and offsets b (n,)."""
+    """Half-spaces a'y <= b: unit normals a (n, 3) and offsets b (n,).
+
+    As planes that touch an ellipsoid their normals are shorter.
+
+    >>> Halfspaces(np.array([[1.0, 0.0, 0.0]]), np.array([3.0])).inside(np.ones((1, 3))).item()
+    2.0
+    """
 
     normal: Array
     offset: Array
+
+    def at(self, which: Indices) -> Halfspaces:
+        """The half-spaces of some nodes."""
+        return Halfspaces(self.normal[which], self.offset[which])
+
+    def supporting(self, point: Array) -> Halfspaces:
+        """Themselves, whatever the points (n, 3)."""
+        del point
+        return self
+
+    def inside(self, point: Array) -> Array:
+        """Signed distance of points (n, ..., 3) to the planes, positive inside, (n, ...)."""
+        offset = self.offset.reshape(-1, *[1] * (point.ndim - 2))
+        return np.asarray(offset - np.einsum("n...i,ni->n...", point, self.normal))
+
+    def chord(self, start: Array, direction: Array) -> Chord:
+        """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3)."""
+        climb = np.einsum("nki,ni->nk", direction, self.normal)
+        room = np.broadcast_to(self.inside(start), climb.shape)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            met = room / climb
+        low, high = np.where(climb < 0.0, met, -np.inf), np.where(climb > 0.0, met, np.inf)
+        outside = (climb == 0.0) & (room < 0.0)
+        return np.where(outside, np.inf, low), high
+
+    @cached_property
+    def second_order_cone(self) -> SecondOrderCone:
+        """0 <= b - a'y."""
+        n = len(self.offset)
+        none = np.zeros((n, 3, 3)), np.zeros((n, 3))
+        return SecondOrderCone(*none, -self.normal, self.offset)
 
     def slack(self, point: Array) -> Array:
         """Distance b - a'y to the plane from points (n, 3), >= 0 inside."""
@@ -116,7 +154,11 @@ def _all_along(still: Booleans, low: Array, high: Array) -> Chord:
 
 @dataclass(frozen=True)
 class Ball:
-    """Points within `radius` of `center` (n, 3)."""
+    """Points within `radius` of `center` (n, 3).
+
+    >>> Ball(np.zeros((1, 3)), 2.0).inside(np.array([[0.0, 0.5, 0.0]])).item()
+    1.5
+    """
 
     center: Array
     radius: float
@@ -158,7 +200,12 @@ class Ball:
 
 @dataclass(frozen=True)
 class Cone:
-    """Points seen from `apex` (n, 3) within `half_angle` < pi/2 of the unit `axis` (n, 3)."""
+    """Points seen from `apex` (n, 3) within `half_angle` < pi/2 of the unit `axis` (n, 3).
+
+    >>> cone = Cone(np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]), np.pi / 6.0)
+    >>> round(cone.inside(np.array([[0.0, 0.0, 2.0]])).item(), 9)
+    1.0
+    """
 
     apex: Array
     axis: Array
@@ -227,4 +274,112 @@ class Cone:
         )
 
 
-Region = Ball | Cone
+@dataclass(frozen=True)
+class Ellipsoid:
+    """Points y with || matrix (y - center) || <= radius; centers (n, 3), a matrix (3, 3) of norm one.
+
+    A ball of this radius in the coordinates matrix (y - center).
+
+    >>> egg = Ellipsoid(np.zeros((1, 3)), np.diag([1.0, 0.5, 0.5]), 2.0)
+    >>> egg.inside(np.array([[0.0, 4.0, 0.0]])).item()
+    0.0
+    """
+
+    center: Array
+    matrix: Array
+    radius: float = 1.0
+
+    @cached_property
+    def ball(self) -> Ball:
+        """The ball that it is."""
+        return Ball(np.zeros_like(self.center), self.radius)
+
+    def seen(self, point: Array) -> Array:
+        """Points (n, ..., 3) in the coordinates in which it is a ball."""
+        return np.asarray((point - _for_each(self.center, point)) @ self.matrix.T)
+
+    def back(self, planes: Halfspaces) -> Halfspaces:
+        """Half-spaces in those coordinates as ones of positions."""
+        normal = planes.normal @ self.matrix
+        return Halfspaces(normal, planes.offset + np.einsum("ni,ni->n", normal, self.center))
+
+    def at(self, which: Indices) -> Ellipsoid:
+        """The ellipsoids of some nodes."""
+        return Ellipsoid(self.center[which], self.matrix, self.radius)
+
+    def supporting(self, point: Array) -> Halfspaces:
+        """Half-spaces that contain the ellipsoids and touch them on the rays to points (n, 3)."""
+        return self.back(self.ball.supporting(self.seen(point)))
+
+    def inside(self, point: Array) -> Array:
+        """Depth of points (n, ..., 3), at most the distance to the surface, (n, ...)."""
+        return self.ball.inside(self.seen(point))
+
+    def chord(self, start: Array, direction: Array) -> Chord:
+        """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3)."""
+        return self.ball.chord(self.seen(start), direction @ self.matrix.T)
+
+    @cached_property
+    def second_order_cone(self) -> SecondOrderCone:
+        """|| matrix (y - center) || <= radius."""
+        n, none = len(self.center), np.zeros_like(self.center)
+        matrix = np.broadcast_to(self.matrix, (n, 3, 3))
+        return SecondOrderCone(matrix, self.center, none, np.full(n, self.radius))
+
+
+@dataclass(frozen=True)
+class Polytope:
+    """Points with a'y <= b for all m faces, to be kept out of: unit normals (m, 3), offsets (m,).
+
+    The same at all nodes. A polytope to be kept in is so many half-spaces.
+
+    >>> box = Polytope(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
+    >>> box.inside(np.array([0.0, 0.75, 0.0])).item()
+    0.25
+    """
+
+    normal: Array
+    offset: Array
+
+    @property
+    def faces(self) -> list[Halfspaces]:
+        """Half-spaces of the faces, of one node each."""
+        return [Halfspaces(a[None], b[None]) for a, b in zip(self.normal, self.offset, strict=True)]
+
+    def at(self, which: Indices) -> Polytope:
+        """The same of some nodes."""
+        del which
+        return self
+
+    def supporting(self, point: Array) -> Halfspaces:
+        """The half-space of the face that each of the points (n, 3) is deepest below, or off most."""
+        nearest = np.argmin(self.offset - point @ self.normal.T, axis=-1)
+        return Halfspaces(self.normal[nearest], self.offset[nearest])
+
+    def inside(self, point: Array) -> Array:
+        """Signed distance of points (..., 3) to the nearest or farthest face, positive inside."""
+        return np.asarray((self.offset - point @ self.normal.T).min(axis=-1))
+
+    def chord(self, start: Array, direction: Array) -> Chord:
+        """See `Chord`; from starts (n, k or 1, 3) along directions (n, k, 3)."""
+        n = len(direction)
+        chords = [
+            Halfspaces(np.tile(a, (n, 1)), np.full(n, b)).chord(start, direction)
+            for a, b in zip(self.normal, self.offset, strict=True)
+        ]
+        low, high = (np.array(ends) for ends in zip(*chords, strict=True))
+        first, last = low.max(axis=0), high.min(axis=0)
+        met = first < last
+        return np.where(met, first, np.inf), np.where(met, last, np.inf)
+
+    @property
+    def second_order_cone(self) -> SecondOrderCone:
+        """None: it is as many cones as it has faces.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("a polytope is kept in face by face, as half-spaces")
+
+
+Region = Ball | Cone | Halfspaces | Ellipsoid | Polytope

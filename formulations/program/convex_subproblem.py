@@ -92,6 +92,8 @@ class ConvexSubproblem(Subproblem):
         As ||across|| >= e'dv for any unit vector e across the Sun line, a plane's violation is never
         less than its cone's; at these burns they are equal.
         """
+        if not self.problem.dv_cone:
+            return np.zeros((2, *burns.shape))
         toward, away = self.problem.burn_cones
         across = toward.across(burns)
         return np.stack([cone.facets(across, cone.half_angle).normal for cone in (toward, away)])

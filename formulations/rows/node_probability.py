@@ -1,9 +1,10 @@
 """Probability at each node that a joint constraint holds, with its gradient in mean and covariance.
 
-Balls and cones are quadratic forms of the position, whose probability is one integral along a contour:
-see `risk.quadratic_forms`. The limits of an event are nested: no position breaks two of them, and the
-probabilities of breaking each add up. On the normal quantile scale, g = Phi^-1(P), a half-space gives
-the mean's distance in standard deviations, so that g is nearly affine in mean and deviation.
+Balls, ellipsoids and cones are quadratic forms of the position, whose probability is one integral
+along a contour: see `risk.quadratic_forms`. The limits of an event are nested: no position breaks two
+of them, and the probabilities of breaking each add up. On the normal quantile scale, g = Phi^-1(P), a
+half-space gives the mean's distance in standard deviations, so that g is nearly affine in mean and
+deviation.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array, Indices
 from formulations.problem.flyby import StateConstraint
-from formulations.problem.regions import Ball, Cone, Region
+from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
 from formulations.risk.lines import normal_density
 from formulations.risk.quadratic_forms import NAPPE, WHOLE, Below, below, below_beyond
 
@@ -59,9 +60,13 @@ class Event:
     def check_nested(self) -> None:
         """Check that there is at most one keep-in and one keep-out, the latter within the former.
 
+        Half-spaces to be kept in may be many: their chances of being left add up to a bound (Boole).
+
         Raises:
             ValueError: if the limits are not nested so.
         """
+        if all(isinstance(region, Halfspaces) for region in self.limits) and not self.keep_out:
+            return
         if not (len(self.keep_in) <= 1 and len(self.keep_out) <= 1):
             raise ValueError(f"{self.name} has more than two limits")
         for outer, inner in zip(self.keep_in, self.keep_out, strict=False):
@@ -124,6 +129,12 @@ def node_quantiles(event: Event, position: Array, factor: Array) -> Quantiles:
         ValueError: if the event's limits are not nested.
     """
     event.check_nested()
+    if isinstance(region := event.limits[0], Ellipsoid):
+        own = (region.ball,)
+        ball = Event(event.name, event.nodes, *((own, ()) if event.keep_in else ((), own)))
+        seen_as = node_quantiles(ball, region.seen(position), region.matrix @ factor)
+        by_mean, by_factor = seen_as.by_mean @ region.matrix, region.matrix.T @ seen_as.by_factor
+        return Quantiles(seen_as.value, by_mean, by_factor)
     covariance = factor @ factor.swapaxes(1, 2)
     # A spread in one direction alone leaves nothing but rounding across it.
     least = SPREAD_MIN**2 + ROUNDING * np.trace(covariance, axis1=1, axis2=2)
@@ -188,6 +199,9 @@ def _held(region: Region, position: Array, covariance: Array) -> Below:
     if isinstance(region, Ball):
         sphere = np.broadcast_to(np.eye(3), (n, 3, 3))
         return below(sphere, position - region.center, np.full(n, region.radius**2), covariance)
+    if isinstance(region, Halfspaces | Polytope):
+        return _held_planes(_least_likely(region, position, covariance), position, covariance)
+    assert isinstance(region, Cone)
     axis, d = region.axis, position - region.apex
     matrix = np.cos(region.half_angle) ** 2 * np.eye(3) - axis[:, :, None] * axis[:, None]
     spread = np.sqrt(np.einsum("ni,nij,nj->n", axis, covariance, axis))
@@ -209,3 +223,24 @@ def _held(region: Region, position: Array, covariance: Array) -> Below:
         held.by_mean[astride] += nappe.by_mean
         held.by_covariance[astride] += side[:, None, None] * nappe.by_covariance
     return held
+
+
+def _least_likely(region: Halfspaces | Polytope, position: Array, covariance: Array) -> Halfspaces:
+    """The face of a polytope below which each position is least likely, a bound for the polytope."""
+    if isinstance(region, Halfspaces):
+        return region
+    sigma = np.sqrt(np.einsum("fi,nij,fj->nf", region.normal, covariance, region.normal))
+    least = np.argmin((region.offset - position @ region.normal.T) / sigma, axis=1)
+    return Halfspaces(region.normal[least], region.offset[least])
+
+
+def _held_planes(planes: Halfspaces, position: Array, covariance: Array) -> Below:
+    """Probability of half-spaces: Phi of the distance in standard deviations."""
+    normal = planes.normal
+    variance = np.einsum("ni,nij,nj->n", normal, covariance, normal)
+    sigma = np.sqrt(variance)
+    g = planes.slack(position) / sigma
+    density = normal_density(g)
+    outer = normal[:, :, None] * normal[:, None]
+    by_covariance = -(0.5 * density * g / variance)[:, None, None] * outer
+    return Below(ndtr(g), ndtr(-g), -(density / sigma)[:, None] * normal, by_covariance)

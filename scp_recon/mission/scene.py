@@ -217,12 +217,12 @@ def execution_errors(scenario: Scenario, speed_m_s: float = 1.0) -> ExecutionErr
                 f"must be below burns.dv_max_m_s, {most:g} m/s",
             )
     return GatesErrors(
-        magnitude_fixed=gates.magnitude_fixed_m_s / speed_m_s,
+        magnitude_fixed=gates.magnitude_fixed_m_s,
         magnitude_proportional=gates.magnitude_proportional,
-        pointing_fixed=gates.pointing_fixed_m_s / speed_m_s,
+        pointing_fixed=gates.pointing_fixed_m_s,
         pointing_proportional=gates.pointing_proportional_rad,
         magnitude_bias=gates.magnitude_bias,
-    )
+    ).in_units(speed_m_s)
 
 
 def errors_of_kind(scenario: Scenario, kind: str | None) -> ExecutionErrors:

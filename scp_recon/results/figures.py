@@ -17,7 +17,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import Iterate, StateConstraint
-from formulations.problem.regions import Ball
+from formulations.problem.regions import Ball, Cone
 from formulations.rows.cones import FINAL_POSITION, FINAL_VELOCITY
 from scp_recon.errors import Named
 from scp_recon.mission.grid import Units
@@ -205,6 +205,7 @@ def _inside(constraint: StateConstraint, position: Array, length: float) -> Arra
     region, at = constraint.region, position[constraint.nodes]
     if isinstance(region, Ball):
         return length * region.radius - np.linalg.norm(at - length * region.center, axis=1)
+    assert isinstance(region, Cone)  # a mission has no other regions
     off = at - length * region.apex
     along = np.einsum("ni,ni->n", off, region.axis)
     across = np.linalg.norm(np.cross(off, region.axis), axis=1)

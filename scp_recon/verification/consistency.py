@@ -14,7 +14,7 @@ from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array, Booleans, Indices
 from formulations.problem.flyby import StateConstraint
-from formulations.problem.regions import Ball
+from formulations.problem.regions import Ball, Cone
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
@@ -124,6 +124,7 @@ def _least(constraint: StateConstraint, at: Indices, normal: Array, m: float) ->
     region = constraint.region
     if isinstance(region, Ball):
         return m * (np.einsum("ri,ri->r", normal, region.center[at]) - region.radius)
+    assert isinstance(region, Cone)  # a mission has no other regions
     leans = (
         np.einsum("ri,ri->r", normal, region.axis[at]) >= np.sin(region.half_angle) - FACET_ERROR
     )

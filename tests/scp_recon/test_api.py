@@ -45,6 +45,21 @@ def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert "farthest from the first (m)" in printed
 
 
+@pytest.mark.parametrize(
+    ("name", "cost"), [("halo_transfer", "cost 0.1945583"), ("hill_rendezvous", "cost 0.4498 m/s")]
+)
+def test_a_problem_by_hand_costs_what_its_page_says(
+    name: str, cost: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = PROJECT / "examples" / f"{name}.py"
+    assert len(script.read_text("utf-8").splitlines()) <= 80
+    runpy.run_path(str(script))
+    printed = capsys.readouterr().out
+    assert "Converged" in printed
+    assert printed.splitlines()[-1] == cost
+    assert cost.removeprefix("cost ") in (PROJECT / "docs" / "impulsive.md").read_text("utf-8")
+
+
 @pytest.mark.usefixtures("few_flights")
 @pytest.mark.parametrize("name", sorted({*sr.__all__} - NEED_EXTRAS))
 def test_docstrings_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,6 +98,7 @@ FLOORS = (
     "scp_recon.planning",
     "scp_recon.results",
     "scp_recon.monte_carlo",
+    "scp_recon.impulsive",
     "scp_recon.simulation",
     "scp_recon.simulation.basilisk",
     "scp_recon.verification",

@@ -1,4 +1,4 @@
-"""Where lines lie in balls and cones: against points along them, and where they graze or stand."""
+"""Where lines lie in regions: against points along them, and where they graze or stand."""
 
 from __future__ import annotations
 
@@ -8,8 +8,16 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from formulations.arrays import Array
-from formulations.problem.regions import Ball, Cone, Region, perpendicular
-from tests.helpers import generators, random_unit
+from formulations.problem.regions import (
+    Ball,
+    Cone,
+    Ellipsoid,
+    Halfspaces,
+    Polytope,
+    Region,
+    perpendicular,
+)
+from tests.helpers import generators, random_rotation, random_unit
 
 AT = np.concatenate([-np.geomspace(1e3, 1e-3, 400), [0.0], np.geomspace(1e-3, 1e3, 400)])
 """Where along a line membership is asked."""
@@ -21,10 +29,17 @@ SURFACE = 1e-9
 def region_and_line(rng: np.random.Generator) -> tuple[Region, Array, Array]:
     """A region about the origin, and a line near it."""
     start, direction = rng.normal(size=3), rng.normal(size=3) * np.exp(rng.normal())
-    if rng.integers(2):
-        return Ball(rng.normal(size=(1, 3)), float(rng.uniform(0.1, 2.0))), start, direction
-    half_angle = float(rng.uniform(0.02, np.pi / 2 - 0.02))
-    return Cone(rng.normal(size=(1, 3)), random_unit(rng, 1), half_angle), start, direction
+    center, radius = rng.normal(size=(1, 3)), float(rng.uniform(0.1, 2.0))
+    stretch = random_rotation(rng) @ np.diag([1.0, 0.6, 0.2]) @ random_rotation(rng)
+    faces = random_unit(rng, 6)
+    kinds: tuple[Region, ...] = (
+        Ball(center, radius),
+        Cone(center, random_unit(rng, 1), float(rng.uniform(0.02, np.pi / 2 - 0.02))),
+        Halfspaces(random_unit(rng, 1), rng.normal(size=1)),
+        Ellipsoid(center, stretch, radius),
+        Polytope(faces, faces @ center[0] + rng.uniform(0.1, 2.0, 6)),
+    )
+    return kinds[rng.integers(len(kinds))], start, direction
 
 
 def chord(region: Region, start: Array, direction: Array) -> tuple[float, float]:
@@ -36,7 +51,7 @@ def chord(region: Region, start: Array, direction: Array) -> tuple[float, float]
 def inside(region: Region, start: Array, direction: Array) -> tuple[Array, Array]:
     """Depths of the points at `AT`, and how far each is from the region's anchor."""
     points = start + AT[:, None] * direction
-    anchor = region.center if isinstance(region, Ball) else region.apex
+    anchor = getattr(region, "center", getattr(region, "apex", np.zeros(3)))
     many = region.at(np.zeros(len(points), dtype=np.intp))
     return many.inside(points), np.linalg.norm(points - anchor, axis=1)
 

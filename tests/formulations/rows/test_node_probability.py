@@ -11,7 +11,7 @@ from scipy.stats import ncx2
 
 from formulations.arrays import Array
 from formulations.problem.flyby import StateConstraint
-from formulations.problem.regions import Ball, Cone, Region
+from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
 from formulations.rows.node_probability import (
     SPREAD_MIN,
     Event,
@@ -34,7 +34,7 @@ sigmas_away = st.floats(-4.0, 4.0)
 
 def event(keep_in: tuple[Region, ...] = (), keep_out: tuple[Region, ...] = ()) -> Event:
     first = (keep_in + keep_out)[0]
-    n = len(first.center if isinstance(first, Ball) else first.apex)
+    n = len(next(iter(vars(first).values())))  # centres, apices or normals
     return Event("event", np.arange(n), keep_in, keep_out)
 
 
@@ -69,6 +69,12 @@ def touched(rng: np.random.Generator, region: Region) -> tuple[Array, Array]:
     if isinstance(region, Ball):
         normal = random_unit(rng, 1)
         return region.center + region.radius * normal, normal
+    if isinstance(region, Halfspaces):
+        return region.offset[:, None] * region.normal, region.normal
+    if isinstance(region, Ellipsoid):
+        seen = random_unit(rng, 1)
+        normal = seen @ region.matrix / np.linalg.norm(seen @ region.matrix)
+        return region.center + region.radius * seen @ np.linalg.inv(region.matrix).T, normal
     off = region.across(rng.normal(size=(1, 3)))
     ray = np.cos(region.half_angle) * region.axis + np.sin(region.half_angle) * off
     point = region.apex + ray / np.tan(region.half_angle)  # where the radius of curvature is one
@@ -321,14 +327,16 @@ GRADIENT = 1e-4
 
 @pytest.mark.parametrize("slenderness", [2.0, SLENDER])
 @pytest.mark.parametrize("spread", [0.02, 0.1, 0.5])
-@pytest.mark.parametrize("kind", ["ball", "cone", "shell"])
+@pytest.mark.parametrize("kind", ["ball", "cone", "shell", "half-space", "ellipsoid"])
 def test_gradients_are_good_to_a_millionth(kind: str, spread: float, slenderness: float) -> None:
     rng = np.random.default_rng(11)
     ball, hole = Ball(np.zeros((1, 3)), 1.0), Ball(np.zeros((1, 3)), 1.0 / (1.0 + 3.0 * spread))
     cone = Cone(np.zeros((1, 3)), random_unit(rng, 1), 0.7)
+    plane = Halfspaces(random_unit(rng, 1), np.ones(1))
+    egg = Ellipsoid(np.zeros((1, 3)), random_rotation(rng) @ np.diag([1.0, 0.8, 0.6]))
     for _ in range(4):
         factor = root(rng, spread, slenderness)
-        nearest: Region = cone if kind == "cone" else ball
+        nearest: Region = {"cone": cone, "half-space": plane, "ellipsoid": egg}.get(kind, ball)
         mean = away(rng, nearest, factor, float(rng.uniform(-2.0, 2.0)))
         step = 2e-4 * spread / slenderness
         moves = np.concatenate([np.eye(18), -np.eye(18)]) * step
@@ -343,6 +351,31 @@ def test_gradients_are_good_to_a_millionth(kind: str, spread: float, slenderness
         slope = spread * (forward - backward) / (2.0 * step)
         by = spread * np.concatenate([found.by_mean.ravel(), found.by_factor.ravel()])
         np.testing.assert_allclose(by, slope, rtol=0.0, atol=1e-6 * (1.0 + np.abs(by).max()))
+
+
+@few
+@given(generators)
+def test_flat_and_stretched_regions_hold_what_draws_of_the_law_say(
+    rng: np.random.Generator,
+) -> None:
+    """An ellipsoid exactly; many faces by the sum of what each loses, a bound, in and out."""
+    factor, faces = root(rng, 0.5), random_unit(rng, 5)
+    mean, room = rng.normal(scale=0.3, size=(1, 3)), rng.uniform(0.6, 1.5, 5)
+    draws = mean + rng.standard_normal((100_000, 5)) @ factor[0].T
+    egg = Ellipsoid(np.zeros((1, 3)), np.diag([1.0, 0.7, 0.5]) @ random_rotation(rng))
+    held = np.mean(egg.inside(draws[None]) > 0.0)
+    assert probability(node_quantiles(event((egg,)), mean, factor)) == pytest.approx(held, abs=0.01)
+    halves = tuple(Halfspaces(a[None], b[None]) for a, b in zip(faces, room, strict=True))
+    inside = np.all([half.inside(draws[None]) > 0.0 for half in halves], axis=0).mean()
+    lost = sum(1.0 - (half.inside(draws[None]) > 0.0).mean() for half in halves)
+    found = probability(node_quantiles(event(halves), mean, factor)).item()
+    assert found == pytest.approx(max(1.0 - lost, 0.0), abs=0.01)
+    assert found <= inside + 0.01
+    out = Event("out", np.zeros(1, dtype=np.intp), (), (Polytope(faces, room),))
+    kept_out = probability(node_quantiles(out, mean, factor)).item()
+    assert kept_out <= 1.0 - inside + 0.01
+    beyond = max(1.0 - (half.inside(draws[None]) > 0.0).mean() for half in halves)
+    assert kept_out == pytest.approx(beyond, abs=0.01)
 
 
 # --- what must be true --------------------------------------------------------------------------

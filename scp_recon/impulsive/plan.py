@@ -1,0 +1,197 @@
+"""A problem's plan in the user's units, and flights of it with errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from formulations.arrays import Array
+from formulations.linearisation.dynamics import Dynamics
+from formulations.rows.node_probability import joint_events
+from scp_recon.monte_carlo.estimates import Estimate, proportion
+from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw
+from scp_recon.planning.plan import Stage
+from scp_recon.scp.loop import Timing
+from scp_recon.scp.status import Status
+
+QUANTILE = 0.99
+"""Of the flights' commanded delta-v."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flights:
+    """What flights with errors come to, in the problem's units.
+
+    Attributes:
+        samples: their number.
+        kept: probability that each region is kept at its worst node, by name.
+        whole: probability that a flight keeps all regions at all nodes.
+        commanded: delta-v commanded by each flight, shape (samples,).
+        final: states after the last burn, shape (samples, 6).
+    """
+
+    samples: int
+    kept: dict[str, Estimate]
+    whole: Estimate
+    commanded: Array
+    final: Array
+
+    @property
+    def dv99(self) -> float:
+        """99 % quantile of the commanded delta-v."""
+        return float(np.quantile(self.commanded, QUANTILE))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ImpulsivePlan:
+    """Burns and states that solve a problem by hand, or where its search ended.
+
+    Attributes:
+        dynamics: that is flown, nondimensional.
+        unit: of the state's components, shape (6,).
+        final: the stage that holds the answer, nondimensional.
+        stages: all stages.
+        timing: seconds by what they were spent on.
+        target: probability that exact risk aimed at.
+    """
+
+    dynamics: Dynamics
+    unit: Array
+    final: Stage
+    stages: tuple[Stage, ...]
+    timing: Timing
+    target: float
+
+    @property
+    def status(self) -> Status:
+        """How the last stage ended."""
+        return self.final.result.status
+
+    @property
+    def ok(self) -> bool:
+        """Whether it is a plan."""
+        return self.status is Status.CONVERGED
+
+    @property
+    def iterations(self) -> int:
+        """Of all stages."""
+        return sum(len(stage.result.records) for stage in self.stages)
+
+    @property
+    def cost(self) -> float:
+        """What was minimised: the burns' sizes, or what feedback counts, in units of speed."""
+        return self.final.result.lin.cost.value * float(self.unit[3])
+
+    @cached_property
+    def burns(self) -> Array:
+        """Burns, shape (m, 3)."""
+        return self.final.result.lin.iterate.burns * self.unit[3]
+
+    @cached_property
+    def states(self) -> Array:
+        """Means at the nodes, after the burns, shape (n + 1, 6)."""
+        return self.final.result.lin.iterate.mean * self.unit
+
+    @cached_property
+    def covariances(self) -> Array:
+        """Covariances at the nodes, shape (n + 1, 6, 6)."""
+        factor = self.final.result.lin.factor * self.unit[:, None]
+        return np.asarray(factor @ factor.swapaxes(1, 2))
+
+    @property
+    def margins(self) -> dict[str, float]:
+        """Least margin by region: a distance, or standard deviations where risk is exact."""
+        names = {c.name for c in self.final.merit.problem.constraints}
+        found = {}
+        for name, margins in self.final.margins.items():
+            unit = self.final.unit(name)
+            if name in names or name not in ("dv_max", "dv_battery"):
+                scale = {"m": float(self.unit[0]), "m/s": float(self.unit[3]), "sigma": 1.0}[unit]
+                found[name] = float(margins.margin.min()) * scale
+        return found
+
+    def __str__(self) -> str:
+        """Status with remedy, cost, burns and margins."""
+        outcome = self.status.value
+        lines = [
+            f"{self.final.problem}: {outcome.message} {outcome.remedy}".rstrip(),
+            f"cost {self.cost:.9g}, {self.iterations} iterations",
+        ]
+        for node, burn in zip(self.final.merit.problem.burn_nodes, self.burns, strict=True):
+            lines.append(f"node {node:4}  " + "  ".join(f"{x:+.6e}" for x in burn))
+        lines += [f"{name}: margin {margin:+.6g}" for name, margin in self.margins.items()]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"<ImpulsivePlan: {self.status.value.name}, cost {self.cost:.9g}>"
+
+    def fly(self, samples: int = 10_000, seed: int = 0) -> Flights:
+        """Fly the user's flow with errors drawn, and count the flights that keep the regions."""
+        events = joint_events(self.final.merit.problem.constraints)
+        counts = {event.name: np.zeros(len(event.nodes)) for event in events}
+        whole, commanded, final = 0, [], []
+        for first in range(0, samples, BLOCK):
+            positions, own, last = self._fly(first // BLOCK, min(BLOCK, samples - first), seed)
+            kept = np.full(len(own), fill_value=True)
+            for event in events:
+                at = positions[event.nodes]
+                holds = np.logical_and.reduce(
+                    [region.inside(at) >= 0.0 for region in event.keep_in]
+                    + [region.inside(at) <= 0.0 for region in event.keep_out]
+                )
+                counts[event.name] += holds.sum(axis=1)
+                kept &= holds.all(axis=0)
+            whole += int(kept.sum())
+            commanded.append(own)
+            final.append(last)
+        worst = {name: proportion(int(some.min()), samples) for name, some in counts.items()}
+        ends = np.concatenate(final) * self.unit
+        speed = float(self.unit[3])
+        own = np.concatenate(commanded) * speed
+        return Flights(samples, worst, proportion(whole, samples), own, ends)
+
+    def _fly(self, block: int, flights: int, seed: int) -> tuple[Array, Array, Array]:
+        """Positions (n + 1, flights, 3), commanded delta-v (flights,) and final states (flights, 6).
+
+        Estimates are deviations from the plan; a measurement is taken before a burn at its node.
+        """
+        lin = self.final.result.lin
+        problem, flow, mean = lin.problem, self.dynamics.flow, lin.iterate.mean
+        errors, feedback, burns = problem.execution_errors, problem.feedback, lin.iterate.burns
+        columns = problem.initial_factor.shape[1]
+        draws = draw(seed, block, columns + errors.draws(problem.n_burns))[:flights]
+        state = problem.initial_state + draws[:, :columns] @ problem.initial_factor.T
+        draws, estimate = draws[:, columns:], np.zeros((flights, 6))
+        known: list[Array] = []
+        if feedback is not None:
+            noise = draw(seed, block, 6 * len(feedback.burns), NAVIGATION)[:flights]
+            noise = noise.reshape(flights, -1, 6)
+        positions, total = np.empty((problem.n_nodes, flights, 3)), np.zeros(flights)
+        for node in range(problem.n_nodes):
+            if node > 0:
+                state = flow.propagate(state, node - 1)
+                estimate = estimate @ lin.arcs.stm[node - 1].T
+            fired = np.flatnonzero(problem.burn_nodes == node)
+            planned = mean[node].copy()
+            planned[3:] -= burns[fired].sum(axis=0)
+            if feedback is not None:
+                for j in np.flatnonzero(feedback.cut_offs == node):
+                    innovation = lin.spread.innovations[j]
+                    measured = state - planned + noise[:, j] @ feedback.measurement[j].T
+                    known.append(np.linalg.solve(innovation.root, (measured - estimate).T).T)
+                    estimate = estimate + known[-1] @ innovation.gain.T
+            for burn in fired.tolist():
+                command = np.tile(burns[burn], (flights, 1))
+                if feedback is not None:
+                    for j in np.flatnonzero(feedback.burns == burn):
+                        gains = problem.gains_of(lin.iterate, int(j))
+                        command += np.hstack(known[: j + 1]) @ gains.T
+                own = errors.draws_of_burn(draws, burn)
+                state[:, 3:] += errors.execute(command[:, None], own)[:, 0]
+                estimate[:, 3:] += command - burns[burn]
+                total += np.linalg.norm(command, axis=1)
+            positions[node] = state[:, :3]
+        return positions, total, state

@@ -1,0 +1,396 @@
+"""State an impulsive transfer by arrays, of any flow and in any units, and plan it.
+
+    problem = ImpulsiveProblem(flow, burn_nodes, start, goal, dv_max=0.2)
+    plan = problem.solve()
+
+Without errors the burns alone are planned (P3). With errors of the initial state or of burns every
+region is kept with a probability (P2), by the stages that plan missions. All is scaled here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from formulations.arrays import Array, Indices
+from formulations.linearisation.dynamics import Dynamics
+from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
+from formulations.problem.expression_flow import ExpressionFlow
+from formulations.problem.facets import Polytopes, split_risk
+from formulations.problem.feedback import Feedback
+from formulations.problem.flow import Flow, ScaledFlow, check_flow
+from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
+from formulations.problem.polytopes import ball
+from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
+from scp_recon.errors import InputError, one_of
+from scp_recon.impulsive.plan import ImpulsivePlan
+from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
+from scp_recon.planning.planner import ScpStages
+from scp_recon.planning.stages import Observer, StageRunner
+
+__all__ = [
+    "Ball",
+    "ComponentwiseErrors",
+    "Cone",
+    "Ellipsoid",
+    "ExpressionFlow",
+    "Feedback",
+    "GatesErrors",
+    "Halfspaces",
+    "ImpulsiveProblem",
+    "Keep",
+    "Polytope",
+]
+
+FACETS, CONE_FACETS = 24, 8
+"""Of the polytopes about balls and cones where risk is split evenly."""
+
+NO_ERRORS = ComponentwiseErrors(0.0)
+
+
+class Risk(NamedTuple):
+    """See `scp_recon.planning.stages.Spent`."""
+
+    p_chance: float
+    allocation: Literal["uniform", "exact"]
+    scope: Literal["node", "flight"]
+
+
+@dataclass(frozen=True, eq=False)
+class Keep:
+    """A region that the position stays in, or out of, at some nodes.
+
+    Centres, apices, axes, normals and offsets are those of all nodes, or one for each.
+
+    >>> import scp_recon as sr
+    >>> sr.Keep("out", sr.Ball([0.0, 0.0, 0.0], 100.0), nodes=range(1, 25)).side
+    'out'
+
+    Attributes:
+        side: "in" or "out".
+        region: of positions, in the problem's units.
+        nodes: indices, by default all but the first.
+        name: by default the kind of region, and its number.
+    """
+
+    side: Literal["in", "out"]
+    region: Region
+    nodes: npt.ArrayLike | None = None
+    name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ImpulsiveProblem:
+    """Reach a state by impulsive burns at least cost, in the units of the user's flow.
+
+    States are those after a burn at their node. Arrays may be lists.
+
+    >>> import scp_recon as sr
+    >>> flow = sr.ExpressionFlow(lambda r, v, t, p: -r, [0.0, 1.0, 2.0], substeps=20)
+    >>> start, goal = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+    >>> plan = sr.ImpulsiveProblem(flow, [0, 1, 2], start, goal, dv_max=2.0).solve()
+    >>> plan.ok, round(plan.cost, 4)
+    (True, 1.9541)
+
+    Attributes:
+        flow: the motion between nodes, n arcs; `ExpressionFlow`, or any other.
+        burn_nodes: node of each burn, ascending from 0 to n; the last is n.
+        initial_state: mean before a burn at the first node, shape (6,).
+        final_state: mean after the last burn, shape (6,).
+        dv_max: largest burn; it is also the unit of speed, so be it of the order of burns.
+        initial_covariance: of the initial state, shape (6, 6); none by default.
+        errors: of executing burns; none by default.
+        regions: to be kept in or out of.
+        probability: with which each region is kept at each node, or all of them by whole flights.
+        scope: "node" or "flight", whose risk is spent exactly; "uniform", at each node, evenly split
+            over facets.
+        final_sigma: limits on the root of the summed variances of position and of velocity at the end.
+        feedback: corrected burns, what they know, and what is minimised; none by default.
+        units: of length and of time within; by default the larger distance of the boundary positions
+            from the origin, and the time in which `dv_max` goes so far.
+
+    Raises:
+        InputError: if something does not fit together.
+    """
+
+    flow: Flow
+    burn_nodes: npt.ArrayLike
+    initial_state: npt.ArrayLike
+    final_state: npt.ArrayLike
+    dv_max: float
+    initial_covariance: npt.ArrayLike | None = None
+    errors: ExecutionErrors | None = None
+    regions: Sequence[Keep] = ()
+    probability: float = 0.99
+    scope: Literal["uniform", "node", "flight"] = "node"
+    final_sigma: tuple[float | None, float | None] = (None, None)
+    feedback: Feedback | None = None
+    units: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what does not fit together."""
+        one_of("scope", self.scope, ("uniform", "node", "flight"))
+        n, nodes = self.flow.arcs, np.asarray(self.burn_nodes)
+        if nodes.ndim != 1 or not len(nodes) or nodes.dtype.kind != "i" or nodes[-1] != n:
+            raise InputError("burn_nodes", f"{nodes.tolist()}", f"must be indices, the last {n}")
+        if nodes[0] < 0 or np.any(np.diff(nodes) <= 0):
+            raise InputError("burn_nodes", f"{nodes.tolist()}", "must ascend from 0")
+        for name in ("initial_state", "final_state"):
+            _finite(name, getattr(self, name), (6,))
+        if not 0.0 < self.dv_max < np.inf:
+            raise InputError("dv_max", f"{self.dv_max}", "must be positive and finite")
+        if not 0.5 < self.probability <= 1.0 - 1e-9:
+            raise InputError("probability", f"{self.probability}", "must be in (0.5, 1)")
+        if self.units is not None and not min(self.units) > 0.0:
+            raise InputError("units", f"{self.units}", "must be a positive length and time")
+        if self.initial_covariance is not None:
+            _root("initial_covariance", self.initial_covariance)
+        names = [name for name, _ in self._named]
+        if len(set(names)) < len(names):
+            raise InputError("regions", f"the names {', '.join(names)}", "must differ")
+        if self.feedback is not None:
+            self._check_feedback(self.feedback)
+        _ = self.problem
+
+    def _check_feedback(self, feedback: Feedback) -> None:
+        nodes, k = np.asarray(self.burn_nodes), len(feedback.burns)
+        shape = np.shape(feedback.measurement)
+        if shape != (k, 6, 6) or len(feedback.cut_offs) != k:
+            needs = f"must be ({k}, 6, 6), and {k} cut-offs, for {k} corrected burns"
+            raise InputError("feedback.measurement", f"shape {shape}", needs)
+        if np.any(np.asarray(feedback.cut_offs) > nodes[feedback.burns]):
+            found = f"cut-offs {list(feedback.cut_offs)}"
+            raise InputError("feedback.cut_offs", found, "must not be after their burns' nodes")
+
+    @property
+    def _named(self) -> Iterator[tuple[str, Keep]]:
+        """The regions by name."""
+        for number, keep in enumerate(self.regions, start=1):
+            yield keep.name or f"{type(keep.region).__name__.lower()} {number}", keep
+
+    @cached_property
+    def length(self) -> float:
+        """Unit of length of the nondimensional problem."""
+        states = np.array([self.initial_state, self.final_state], dtype=float)
+        far = float(np.linalg.norm(states[:, :3], axis=1).max())
+        return self.units[0] if self.units else far or 1.0
+
+    @cached_property
+    def unit(self) -> Array:
+        """Units of the state's components, shape (6,)."""
+        speed = self.length / self.units[1] if self.units else float(self.dv_max)
+        return np.repeat([self.length, speed], 3)
+
+    @property
+    def is_deterministic(self) -> bool:
+        """Whether nothing errs."""
+        return self.initial_covariance is None and self.errors is None
+
+    @property
+    def risk(self) -> Risk:
+        """How risk is spent: see `scp_recon.planning.stages.Task`."""
+        if self.scope == "uniform" or not self.regions:
+            return Risk(self.probability, "uniform", "node")
+        return Risk(self.probability, "exact", self.scope)
+
+    @property
+    def clearances(self) -> tuple[float, float]:
+        """Infinite: no facet stays out of a program."""
+        return np.inf, np.inf
+
+    @cached_property
+    def polytopes(self) -> Polytopes:
+        """Of 24 facets about balls, of 8 about cones."""
+        return Polytopes(ball(FACETS), CONE_FACETS)
+
+    def require_plain(self, needs: str) -> None:
+        """See `scp_recon.planning.stages.Task`."""
+        if self.feedback is not None:
+            raise InputError("feedback", "corrected burns", f"goes with {needs}")
+        if self.final_sigma != (None, None):
+            raise InputError("final_sigma", f"{self.final_sigma}", f"goes with {needs}")
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """Nondimensional flow map with the burns."""
+        return Dynamics(ScaledFlow(self.flow, self.unit), self.problem.burn_nodes)
+
+    @cached_property
+    def problem(self) -> FlybyProblem:
+        """The nondimensional problem."""
+        unit, nodes, limits = self.unit, np.array(self.burn_nodes, dtype=np.intp), self.final_sigma
+        factor = np.zeros((6, 6))
+        if self.initial_covariance is not None:
+            factor = _root("initial_covariance", self.initial_covariance) / unit[:, None]
+        feedback = self.feedback
+        if feedback is not None:
+            measurement = np.asarray(feedback.measurement, dtype=float) / unit[:, None]
+            of = np.array(feedback.burns, np.intp), np.array(feedback.cut_offs, np.intp)
+            feedback = replace(feedback, burns=of[0], cut_offs=of[1], measurement=measurement)
+        return FlybyProblem(
+            n_nodes=self.flow.arcs + 1,
+            burn_nodes=nodes,
+            initial_state=np.asarray(self.initial_state, dtype=float) / unit,
+            final_state=np.asarray(self.final_state, dtype=float) / unit,
+            initial_factor=factor,
+            execution_errors=(self.errors or NO_ERRORS).in_units(unit[3]),
+            dv_max=self.dv_max / unit[3],
+            sun=np.tile([0.0, 0.0, 1.0], (len(nodes), 1)),
+            dv_cone=0.0,
+            constraints=tuple(
+                c for name, keep in self._named for c in self._constraints(name, keep)
+            ),
+            final_spread=(
+                limits[0] and limits[0] / unit[0],
+                limits[1] and limits[1] / unit[3],
+            ),
+            feedback=feedback,
+        )
+
+    def _constraints(self, name: str, keep: Keep) -> Iterator[StateConstraint]:
+        """A region's constraint, or those of the faces of a polytope that is kept in."""
+        one_of(f"{name}: side", keep.side, ("in", "out"))
+        n = self.flow.arcs
+        nodes = np.arange(1, n + 1) if keep.nodes is None else np.asarray(keep.nodes)
+        if nodes.ndim != 1 or nodes.dtype.kind != "i" or not len(nodes):
+            raise InputError(f"{name}: nodes", f"{keep.nodes}", "must be some indices of nodes")
+        if nodes[0] < 0 or nodes[-1] > n or np.any(np.diff(nodes) <= 0):
+            raise InputError(f"{name}: nodes", f"{keep.nodes}", f"must ascend within 0 and {n}")
+        region = scaled(name, keep.region, nodes, self.length)
+        p = self.probability
+        if keep.side == "out" or not isinstance(region, Polytope):
+            yield StateConstraint(name, nodes, region, keep.side, p)
+            return
+        for face, (a, b) in enumerate(zip(region.normal, region.offset, strict=True), start=1):
+            half = Halfspaces(np.tile(a, (len(nodes), 1)), np.full(len(nodes), b))
+            share = split_risk(p, len(region.offset))
+            yield StateConstraint(f"{name}, face {face}", nodes, half, "in", share, name)
+
+    def guess(
+        self, states: npt.ArrayLike | None = None, burns: npt.ArrayLike | None = None
+    ) -> Iterate:
+        """A start from states (n + 1, 6), which may jump at nodes; by default the straight line.
+
+        Burns have shape (m, 3), by default none.
+        """
+        problem, n = self.problem, self.flow.arcs
+        if states is None:
+            share = np.linspace(0.0, 1.0, n + 1)[:, None]
+            mean = (1.0 - share) * problem.initial_state + share * problem.final_state
+        else:
+            mean = _finite("guess", states, (n + 1, 6)) / self.unit
+        if burns is None:
+            return Iterate(np.zeros((problem.n_burns, 3)), mean)
+        return Iterate(_finite("burns", burns, (problem.n_burns, 3)) / self.unit[3], mean)
+
+    def solve(
+        self,
+        states: npt.ArrayLike | None = None,
+        *,
+        burns: npt.ArrayLike | None = None,
+        formulation: str = FORMULATION,
+        algorithm: str = ALGORITHM,
+        solver: str = SOLVER,
+        target: float | None = None,
+        observe: Observer | None = None,
+    ) -> ImpulsivePlan:
+        """Plan from a guess: see `guess`. Exact risk aims at the target, by default `probability`.
+
+        Raises:
+            InputError: if guess or names do not fit, or the flow's derivatives are not its map's.
+        """
+        method, start = scp_method(formulation, algorithm, solver), self.guess(states, burns)
+        try:
+            check_flow(self.flow, self.unit, start.mean[:-1])
+        except ValueError as error:
+            raise InputError("flow", str(error), "must be those of one map") from None
+        stages = ScpStages(self, **method._asdict(), target=target)
+        runner = StageRunner(self, stages, observe)
+        final = runner.plan(start, "P3" if self.is_deterministic else "P2", once=True)
+        return ImpulsivePlan(
+            self.dynamics, self.unit, final, tuple(runner.stages), runner.timing, stages.target
+        )
+
+
+def scaled(name: str, region: Region, nodes: Indices, length: float) -> Region:
+    """A region of the user's as one per node, in units of a length.
+
+    Raises:
+        InputError: if it is empty, or its arrays have other shapes.
+    """
+    n = len(nodes)
+
+    def each(of: str, value: npt.ArrayLike, width: tuple[int, ...] = (3,)) -> Array:
+        array = np.asarray(value, dtype=float)
+        if array.shape not in (width, (n, *width)) or not np.isfinite(array).all():
+            found = f"{of} of shape {array.shape}" if np.isfinite(array).all() else f"{of} {array}"
+            raise InputError(name, found, f"must be finite, of shape {width} or {(n, *width)}")
+        return np.array(np.broadcast_to(array, (n, *width)))
+
+    def empty(found: str, needs: str) -> InputError:
+        return InputError(name, found, f"must have points: {needs}")
+
+    match region:
+        case Ball(center, radius):
+            if not 0.0 < radius < np.inf:
+                raise empty(f"radius {radius}", "a positive radius")
+            return Ball(each("center", center) / length, radius / length)
+        case Cone(apex, axis, half_angle):
+            axes = each("axis", axis)
+            size = np.linalg.norm(axes, axis=1, keepdims=True)
+            if not 0.0 < half_angle < np.pi / 2 or not size.all():
+                raise empty(f"half-angle {half_angle}, axis {axis}", "0 to pi/2, about an axis")
+            return Cone(each("apex", apex) / length, axes / size, half_angle)
+        case Halfspaces(normal, offset):
+            normals, offsets = each("normal", normal), each("offset", offset, ())
+            size = np.linalg.norm(normals, axis=1)
+            if not size.all():
+                raise empty(f"normal {normal}", "a normal other than zero")
+            return Halfspaces(normals / size[:, None], offsets / size / length)
+        case Ellipsoid(center, matrix, radius):
+            shape = _finite(f"{name}: matrix", matrix, (3, 3))
+            sizes = np.linalg.svd(shape, compute_uv=False)
+            if not radius > 0.0 or sizes[-1] <= 1e-12 * sizes[0]:
+                raise empty(f"radius {radius}, stretches {sizes}", "all positive")
+            own = radius / sizes[0] / length
+            return Ellipsoid(each("center", center) / length, shape / sizes[0], own)
+        case Polytope(normal, offset):
+            normals = np.atleast_2d(np.asarray(normal, dtype=float))
+            offsets = _finite(f"{name}: offset", offset, (len(normals),))
+            size = np.linalg.norm(_finite(f"{name}: normal", normals, (len(normals), 3)), axis=1)
+            if not size.all() or not _has_points(normals / size[:, None], offsets / size):
+                raise empty(f"{len(normals)} faces", "half-spaces that meet")
+            return Polytope(normals / size[:, None], offsets / size / length)
+
+
+def _has_points(normal: Array, offset: Array) -> bool:
+    """Whether half-spaces have a ball in common, by the largest one (Chebyshev's centre)."""
+    from scipy.optimize import linprog
+
+    ones, bounds = np.ones((len(offset), 1)), [(None, None)] * 3 + [(0.0, 1.0)]
+    found = linprog([0.0, 0.0, 0.0, -1.0], np.hstack([normal, ones]), offset, bounds=bounds)
+    return bool(found.status == 0 and float(found.fun or 0.0) < 0.0)
+
+
+def _finite(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.asarray(value, dtype=float)
+    if array.shape != shape or not np.isfinite(array).all():
+        found = f"shape {array.shape}" if array.shape != shape else "numbers that are not finite"
+        raise InputError(name, found, f"must be finite, of shape {shape}")
+    return array
+
+
+def _root(name: str, covariance: npt.ArrayLike) -> Array:
+    """S with S S' a covariance (6, 6), which may be singular."""
+    matrix = _finite(name, covariance, (6, 6))
+    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale[scale == 0.0] = 1.0
+    values, axes = np.linalg.eigh(matrix / scale / scale[:, None])
+    if np.abs(matrix - matrix.T).max() > 1e-9 * np.abs(matrix).max() or values[0] < -1e-9:
+        raise InputError(name, "a matrix that is no covariance", "must be symmetric, none negative")
+    return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0)))

@@ -1,0 +1,241 @@
+"""Problems by hand: known optima, every method, flights with errors, and words for bad input."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import scp_recon as sr
+from formulations.arrays import Array
+from formulations.problem.flow import ArcDerivatives
+from scp_recon.errors import InputError
+from scp_recon.impulsive.plan import ImpulsivePlan
+from scp_recon.planning.method import ALGORITHMS, FORMULATIONS
+
+RATE, NODES = 2.0 * np.pi / 5556.0, 25
+BURNS = [0, 8, 16, 24]
+
+
+def hill(r: Any, v: Any, t: Any, p: Any) -> list[Any]:
+    del t
+    return [3.0 * p[0] ** 2 * r[0] + 2.0 * p[0] * v[1], -2.0 * p[0] * v[0], -(p[0] ** 2) * r[2]]
+
+
+@pytest.fixture(scope="module")
+def flow() -> sr.ExpressionFlow:
+    times = np.linspace(0.0, 4000.0, NODES)
+    return sr.ExpressionFlow(hill, times, parameters=[RATE], substeps=3)
+
+
+@pytest.fixture(scope="module")
+def problem(flow: sr.ExpressionFlow) -> sr.ImpulsiveProblem:
+    start, goal = [-200.0, -900.0, 100.0, 0.0, 0.3, 0.0], [0.0, 250.0, 0.0, 0.0, 0.0, 0.0]
+    return sr.ImpulsiveProblem(flow, BURNS, start, goal, dv_max=1.0)
+
+
+@pytest.fixture(scope="module")
+def erring(problem: sr.ImpulsiveProblem) -> sr.ImpulsiveProblem:
+    """Out of a ball to the end of its third leg."""
+    covariance = np.diag([2.0, 2.0, 2.0, 0.001, 0.001, 0.001]) ** 2
+    ball = sr.Keep("out", sr.Ball(np.zeros(3), 250.0), range(1, 17), "ball")
+    return replace(
+        problem,
+        initial_covariance=covariance,
+        errors=sr.GatesErrors(0.0005, 0.005, 0.0005, 0.005),
+        regions=[ball],
+        probability=0.95,
+    )
+
+
+def test_without_regions_the_flight_meets_the_final_state_at_least_cost(
+    problem: sr.ImpulsiveProblem,
+) -> None:
+    """Of two of the burns alone there is one choice: so many of all four can only cost less."""
+    plan = problem.solve()
+    assert plan.ok
+    assert plan.states[-1] == pytest.approx(np.array(problem.final_state), abs=2e-3)
+    two = replace(problem, burn_nodes=[0, 24]).solve()
+    assert plan.cost <= two.cost * (1.0 + 1e-6)
+    flown = np.array(problem.initial_state)
+    for node in range(NODES):
+        flown = flown if node == 0 else problem.flow.propagate(flown, node - 1)
+        if node in BURNS:
+            flown[3:] += plan.burns[BURNS.index(node)]
+    assert flown == pytest.approx(plan.states[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("formulation", "algorithm"),
+    [*((name, "scvx") for name in FORMULATIONS), *(("condensed", name) for name in ALGORITHMS)],
+)
+def test_every_formulation_and_algorithm_finds_the_optimum(
+    problem: sr.ImpulsiveProblem, formulation: str, algorithm: str
+) -> None:
+    plan = problem.solve(formulation=formulation, algorithm=algorithm)
+    assert plan.ok
+    assert plan.cost == pytest.approx(problem.solve().cost, rel=1e-4)
+
+
+def test_units_within_change_nothing(problem: sr.ImpulsiveProblem) -> None:
+    other = replace(problem, units=(500.0, 1500.0)).solve()
+    assert other.cost == pytest.approx(problem.solve().cost, rel=1e-5)
+
+
+@pytest.mark.parametrize("scope", ["node", "flight", "uniform"])
+def test_flights_keep_a_region_with_the_probability_that_was_planned(
+    erring: sr.ImpulsiveProblem, scope: Any
+) -> None:
+    """Hill's equations are linear: the normal law is exact, but for errors of Gates' products."""
+    plan = replace(erring, scope=scope).solve()
+    assert plan.ok
+    flights = plan.fly(4000)
+    reached = flights.whole if scope == "flight" else flights.kept["ball"]
+    assert reached.high > 0.95
+    if scope != "uniform":
+        assert reached.low < 0.96
+    spread = np.cov((flights.final - plan.states[-1]).T)
+    scale = np.sqrt(np.diag(plan.covariances[-1]))
+    assert spread / scale / scale[:, None] == pytest.approx(
+        plan.covariances[-1] / scale / scale[:, None], abs=0.1
+    )
+
+
+def around(sizes: Array) -> list[sr.Keep]:
+    """One region of each kind to be kept in or out of, none of which forbids the way."""
+    normal = np.vstack([np.eye(3), -np.eye(3)])
+    return [
+        sr.Keep("in", sr.Polytope(normal, [1500.0, 1500.0, 300.0, 1500.0, 1500.0, 300.0])),
+        sr.Keep("out", sr.Polytope(normal, np.tile(sizes, 2)), range(1, 17), "box"),
+        sr.Keep("in", sr.Ellipsoid([0.0, -300.0, 0.0], np.diag([1 / 900, 1 / 1200, 1 / 400]))),
+        sr.Keep("out", sr.Ellipsoid([0.0, 0.0, 0.0], np.diag(0.9 / sizes)), range(1, 17), "egg"),
+        sr.Keep("in", sr.Halfspaces([0.0, 1.0, 0.0], 1000.0)),
+    ]
+
+
+@pytest.mark.parametrize("scope", ["node", "flight", "uniform", None])
+def test_every_kind_of_region_is_kept(erring: sr.ImpulsiveProblem, scope: Any) -> None:
+    regions = around(np.array([120.0, 160.0, 100.0]))
+    own = replace(erring, regions=regions, scope=scope or "node")
+    if scope is None:
+        own = replace(own, initial_covariance=None, errors=None)
+    plan = own.solve()
+    assert plan.ok, plan
+    if scope is None:
+        assert min(plan.margins.values()) > -1e-3
+        return
+    flights = plan.fly(2000)
+    assert set(flights.kept) == {"polytope 1", "box", "ellipsoid 3", "egg", "halfspaces 5"}
+    assert min(estimate.high for estimate in flights.kept.values()) > 0.95
+
+
+def test_corrected_burns_fly_as_planned(erring: sr.ImpulsiveProblem) -> None:
+    measured = np.diag([1.0, 1.0, 1.0, 0.001, 0.001, 0.001])[None]
+    feedback = sr.Feedback(np.array([2]), np.array([15]), measured, "dv99", 0.99)
+    own = replace(erring, feedback=feedback, final_sigma=(30.0, None))
+    plan = own.solve()
+    assert plan.ok, plan
+    flights = plan.fly(8000)
+    assert flights.dv99 == pytest.approx(plan.cost, rel=0.02)
+    assert flights.kept["ball"].high > 0.95
+    spread = np.cov((flights.final - plan.states[-1]).T)
+    assert np.sqrt(np.trace(spread[:3, :3])) == pytest.approx(30.0, rel=0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class Off:
+    """A flow whose derivatives are changed."""
+
+    flow: sr.ExpressionFlow
+    change: Callable[[ArcDerivatives], Any]
+
+    @property
+    def arcs(self) -> int:
+        return self.flow.arcs
+
+    def propagate(self, state: Array, arc: int) -> Array:
+        return self.flow.propagate(state, arc)
+
+    def differentiate(self, state: Array) -> Any:
+        return self.change(self.flow.differentiate(state))
+
+
+@dataclass(frozen=True, eq=False)
+class Changed:
+    state: Array
+    stm: Array
+    tensor: Array
+
+
+BALL = np.zeros(3), 100.0
+FACES = np.vstack([np.eye(3), -np.eye(3)])
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            {"initial_state": [1.0, 2.0]},
+            r"initial_state: got shape \(2,\); must be finite, of shape",
+        ),
+        ({"final_state": [np.nan] * 6}, "final_state: got numbers that are not finite"),
+        ({"burn_nodes": [0, 8]}, "burn_nodes: .*the last 24"),
+        ({"burn_nodes": [8, 0, 24]}, "burn_nodes: .*must ascend"),
+        ({"dv_max": 0.0}, "dv_max: got 0.0; must be positive"),
+        ({"probability": 0.3}, "probability: got 0.3"),
+        ({"scope": "nodes"}, "scope: got 'nodes'"),
+        ({"units": (0.0, 1.0)}, "units: "),
+        ({"initial_covariance": np.eye(3)}, r"initial_covariance: got shape \(3, 3\)"),
+        ({"initial_covariance": -np.eye(6)}, "initial_covariance: got a matrix that is no"),
+        ({"regions": [sr.Keep("at", sr.Ball(*BALL))]}, "ball 1: side: got 'at'"),
+        (
+            {"regions": [sr.Keep("in", sr.Ball(np.zeros(3), 0.0))]},
+            "ball 1: got radius 0.0; must have",
+        ),
+        ({"regions": [sr.Keep("in", sr.Ball(np.zeros(2), 1.0))]}, "center of shape"),
+        ({"regions": [sr.Keep("in", sr.Ball(*BALL), [30])]}, "ball 1: nodes: .*within 0 and 24"),
+        ({"regions": [sr.Keep("in", sr.Ball(*BALL), name="a")] * 2}, "regions: .*must differ"),
+        ({"regions": [sr.Keep("in", sr.Cone(BALL[0], FACES[0], 2.0))]}, "half-angle 2.0"),
+        ({"regions": [sr.Keep("in", sr.Halfspaces(BALL[0], 2.0))]}, "a normal other than zero"),
+        (
+            {"regions": [sr.Keep("in", sr.Ellipsoid(BALL[0], np.diag([1, 1, 0])))]},
+            "must have points",
+        ),
+        ({"regions": [sr.Keep("out", sr.Polytope(FACES, -np.ones(6)))]}, "half-spaces that meet"),
+        (
+            {"feedback": sr.Feedback([1], [9], np.eye(6)[None], "dv99", 0.9)},
+            "feedback.cut_offs: .*not be after",
+        ),
+        (
+            {"feedback": sr.Feedback([1], [8], np.eye(3), "dv99", 0.9)},
+            "feedback.measurement: got shape",
+        ),
+        (lambda a: Changed(a.state[:, :3], a.stm, a.tensor), "flow: got state of shape"),
+        (lambda a: Changed(a.state, a.stm[1:], a.tensor), "flow: got stm of shape"),
+        (lambda a: Changed(a.state + 1.0, a.stm, a.tensor), "where `propagate` ends"),
+        (lambda a: Changed(a.state, 1.1 * a.stm, a.tensor), "an STM that is not its map's"),
+        (lambda a: Changed(a.state, a.stm, a.tensor + 1.0), "a tensor that is not its STM's"),
+    ],
+)
+def test_bad_input_has_one_message_each(
+    problem: sr.ImpulsiveProblem, flow: sr.ExpressionFlow, change: Any, says: str
+) -> None:
+    if not isinstance(change, dict):
+        change = {"flow": Off(flow, change)}
+    with pytest.raises(InputError, match=says):
+        replace(problem, **change).solve()
+
+
+def test_a_plan_tells_what_it_is(problem: sr.ImpulsiveProblem) -> None:
+    plan = problem.solve()
+    assert isinstance(plan, ImpulsivePlan)
+    assert repr(plan).startswith("<ImpulsivePlan: converged, cost ")
+    assert str(plan).count("node") == len(BURNS)
+    with pytest.raises(InputError, match=r"guess: got shape \(3, 6\)"):
+        problem.solve(np.zeros((3, 6)))
+    closed = replace(problem, feedback=sr.Feedback([1], [8], np.eye(6)[None], "dv99", 0.9))
+    with pytest.raises(InputError, match="feedback: got corrected burns; goes with the formul"):
+        closed.solve(formulation="frozen-stm")
