@@ -46,7 +46,12 @@ def test_the_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "cost"), [("halo_transfer", "cost 0.1945583"), ("hill_rendezvous", "cost 0.4498 m/s")]
+    ("name", "cost"),
+    [
+        ("halo_transfer", "cost 0.1945583"),
+        ("hill_rendezvous", "cost 0.4498 m/s"),
+        ("nrho_keeping", "cost 0.36 m/s"),
+    ],
 )
 def test_a_problem_by_hand_costs_what_its_page_says(
     name: str, cost: str, capsys: pytest.CaptureFixture[str]
