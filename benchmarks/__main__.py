@@ -13,7 +13,6 @@ if __name__ == "__main__":
     exit_on_sigint()
 
 import json
-import resource
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -43,14 +42,11 @@ def measure(session: Session) -> Findings:
     repeats = [Job(f"command {number}", session.out) for number in range(2 * rounds)]
     times = session.rows("commands", command_times, repeats, store)
     commands = {name: min(row[name] for row in times) for name in times[0]}
-    repeats = [Job(f"{round_} {name}", name) for round_ in range(rounds) for name in WAITS]
-    waits = session.rows("waits", lambda name: waited(name, session.out), repeats, store)
     studies = [] if session.options.quick else [Job(s.name, s) for s in growth.STUDIES]
     fits = session.rows("growth", lambda study: asdict(growth.fit(study)), studies, store)
     tables = {
         "methods": method_rows(figures),
         "ratios": ratio_rows(figures, commands),
-        "waits": shortest(waits),
         "growth": growth_rows([growth.Fit(**fit) for fit in fits]),
     }
     found = {f"{name}.csv": records(rows) for name, rows in tables.items() if rows}
@@ -93,42 +89,6 @@ def command_times(out: Path) -> dict[str, float]:
         subprocess.run([sys.executable, *command], check=True, stdout=subprocess.DEVNULL)
         found[name] = perf_counter() - begin
     return found
-
-
-FLIGHTS = ["risk.p_chance=0.9", "risk.allocation=exact", "risk.scope=flight"]
-EXACT = ["solve", "--init", "cold", *(word for entry in FLIGHTS for word in ("--set", entry))]
-WAITS = {
-    "solve --help": ["solve", "--help"],
-    "solve": ["solve", "--init", "cold"],
-    "verify": ["verify", "{out}/solve"],
-    "solve, 0.90 of whole flights": [*EXACT, "--certify", "no"],
-    "the same, plain flights certify": [*EXACT, "--set", "risk.sampling=plain"],
-    "the same, certified in strata": EXACT,
-    "design nightingale": ["design", "nightingale"],
-}
-"""Commands that users wait for; `{out}` has the plan of `solve`."""
-WRITING = ("solve", "design")
-
-
-def waited(name: str, out: Path) -> dict[str, Any]:
-    """Seconds from a command's start to its end, of the wall clock and of the processor."""
-    words = [word.format(out=out) for word in WAITS[name]]
-    if words[0] in WRITING and "--help" not in words:
-        words += ["--out", str(out / name)]
-    begin, before = perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(
-        [sys.executable, "-m", "scp_recon", *words], check=True, stdout=subprocess.DEVNULL
-    )
-    used, seconds = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter() - begin
-    processor = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
-    return {"command": name, "wall_s": seconds, "processor_s": processor}
-
-
-def shortest(waits: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each command the run of least processor time."""
-    best = sorted(waits, key=lambda row: float(row["processor_s"]), reverse=True)
-    least = {row["command"]: row for row in best}
-    return [least[name] for name in WAITS]
 
 
 STUDY = Study(

@@ -293,6 +293,7 @@ APART = {
     "python -m pip install --constraint constraints.txt --editable '.[compare]'",
     "python -m benchmarks",  # takes minutes
     "python -m benchmarks.campaign_scale",
+    "python -m benchmarks.waits",
     "python -m experiments maps",  # runs campaigns
     "python -m experiments plans --designs",
     "python -m experiments testing reliability",  # runs tests

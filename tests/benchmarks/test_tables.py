@@ -48,8 +48,6 @@ def test_a_run_leaves_the_figures_as_evidence(
 
     monkeypatch.setattr(command, "in_a_process", in_a_process)
     monkeypatch.setattr(command, "command_times", lambda _: {"solve": 1.5, "import cvxpy": 0.75})
-    waits = {name: {"command": name, "wall_s": 2.0, "processor_s": 1.0} for name in command.WAITS}
-    monkeypatch.setattr(command, "waited", lambda name, _: waits[name])
     words = ["--quick", "--out", str(tmp_path), "--quiet"]
     assert command.main(words) == 130
     assert command.main(words) == 0
@@ -60,7 +58,6 @@ def test_a_run_leaves_the_figures_as_evidence(
     rows = {row["method"]: row for row in found.tables["methods"]}
     assert rows["ipopt printed"]["later_s"] == 16.0
     assert {"replan", "montecarlo"}.isdisjoint(rows)
-    assert found.tables["waits"] == list(waits.values())
     ratios = {row["figure"]: row["value"] for row in found.tables["ratios"]}
     assert ratios["command line, s"] == 1.5
 
