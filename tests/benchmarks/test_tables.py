@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 
 import benchmarks.__main__ as command
+from benchmarks import waits
 from benchmarks.growth import STUDIES, Study
 from benchmarks.methods import METHODS, Timed
 from benchmarks.tables import method_rows, ratio_rows
@@ -94,3 +96,20 @@ def test_every_size_is_a_mission(study: Study) -> None:
         mission = Mission.from_scenario(load_scenario(None, study.overrides(size)))
         if study.name == "burns":
             assert len(mission.burn_nodes) == size
+
+
+def test_of_each_command_the_run_of_least_processor_time_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    took = itertools.count(1)
+
+    def waited(name: str, _: Path) -> dict[str, object]:
+        number = next(took)
+        return {"command": name, "wall_s": 100.0 - number, "processor_s": float(number)}
+
+    monkeypatch.setattr(waits, "waited", waited)
+    assert waits.main(["--out", str(tmp_path), "--quiet"]) == 0
+    found = Evidence.read(tmp_path / FILE).tables["waits"]
+    assert [row["command"] for row in found] == list(waits.WAITS)
+    assert [row["processor_s"] for row in found] == list(range(1, len(waits.WAITS) + 1))
+    assert next(took) == waits.ROUNDS * len(waits.WAITS) + 1
