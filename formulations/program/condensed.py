@@ -115,12 +115,13 @@ class CondensedSubproblem(ConvexSubproblem):
         self._slots: list[int] = []
 
     def update(self, lin: Linearisation) -> None:
-        """Convexify at an iterate. Raises as `Subproblem.update` does."""
-        try:
-            s = self._condense(lin, self.rows.nodes, factor=self.rows.condensed)
-        except LinearisationError as error:
-            raise SubproblemError(str(error)) from error
-        self._at, self._cones = lin, self.rows.cones(lin, s)
+        """Convexify at an iterate, once. Raises as `Subproblem.update` does."""
+        if getattr(self, "_at", None) is not lin:
+            try:
+                s = self._condense(lin, self.rows.nodes, factor=self.rows.condensed)
+            except LinearisationError as error:
+                raise SubproblemError(str(error)) from error
+            self._at, self._cones = lin, self.rows.cones(lin, s)
         constant, by_burns = final_state_map(lin)
         miss = constant - lin.problem.final_state
         self._final = {"miss_jacobian": lin.problem.by_controls(by_burns), "miss": miss}

@@ -18,6 +18,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class MeritFunction:
 
     def __init__(self, problem: FlybyProblem, rows: Rows) -> None:
         self.problem, self.rows = problem, rows
-        self._seen: tuple[Linearisation, dict[str, Array]] | None = None
+        self._seen = WeakKeyDictionary[Linearisation, dict[str, Array]]()
 
     def __call__(self, lin: Linearisation, charge: float | PenaltyParameters) -> float:
         """Total delta-v plus the charge for every violation, from the nonlinear dynamics.
@@ -104,7 +105,7 @@ class MeritFunction:
 
     def _signed(self, lin: Linearisation) -> dict[str, Array]:
         """Signed violations, negative where there is slack; defects by their size."""
-        if self._seen is None or self._seen[0] is not lin:
+        if lin not in self._seen:
             burns = lin.iterate.burns
             toward, away = (cone.inside(burns) for cone in self.problem.burn_cones)
             defects = lin.defects if self.problem.miss_weight is None else lin.defects[:-1]
@@ -114,8 +115,8 @@ class MeritFunction:
                 "dv_battery": np.concatenate([toward, away]),
             }
             rows = self.rows.margins(lin).items()
-            self._seen = lin, amounts | {name: -row.margin for name, row in rows}
-        return self._seen[1]
+            self._seen[lin] = amounts | {name: -row.margin for name, row in rows}
+        return self._seen[lin]
 
 
 class SubproblemError(RuntimeError):

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -39,7 +40,7 @@ SCALE = 1e6
 BEYOND = 4.0
 """Deviations beyond the quantile within which a margin is looked for."""
 
-STEPS, CLOSE = 60, 1e-10
+STEPS, CLOSE = 60, 1e-6
 """Most steps of Newton's method to a margin, and what is near enough, in standard deviations."""
 
 ROUNDING = 1e-15
@@ -64,7 +65,7 @@ class CorrectedBurns:
         self._problem, self._first = problem, first
         limits, feedback = 1 + int(problem.dv_cone > 0.0), problem.feedback
         self.count = 0 if feedback is None else limits * len(feedback.burns)
-        self._seen: tuple[Linearisation, dict[str, Quantiles]] | None = None
+        self._seen = WeakKeyDictionary[Linearisation, dict[str, Quantiles]]()
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins at the corrected burns' nodes, in units of speed."""
@@ -105,15 +106,15 @@ class CorrectedBurns:
 
     def _at(self, lin: Linearisation) -> dict[str, Quantiles]:
         """Margins and their derivatives by the burns and their gains."""
-        if self._seen is None or self._seen[0] is not lin:
+        if lin not in self._seen:
             feedback = self._problem.feedback
             assert feedback is not None
             which, k = feedback.burns, len(feedback.burns)
             gains = np.zeros((k, 3, 6 * k))
             for j in range(k):
                 gains[j, :, : 6 * (j + 1)] = self._problem.gains_of(lin.iterate, j)
-            self._seen = lin, margins_of(self._problem, which, lin.iterate.burns[which], gains)
-        return self._seen[1]
+            self._seen[lin] = margins_of(self._problem, which, lin.iterate.burns[which], gains)
+        return self._seen[lin]
 
 
 def margins_of(
@@ -192,6 +193,7 @@ def _margins(
         off = g.value - q
         open_ = np.abs(off) > np.maximum(CLOSE, ROUNDING * reach * np.abs(by_x))
         if not open_.any():
+            x = x - off / by_x  # which leaves the square of what is open
             break
         high, low = np.where(off < 0.0, x, high), np.where(off > 0.0, x, low)
         with np.errstate(divide="ignore", invalid="ignore"):

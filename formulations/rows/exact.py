@@ -12,6 +12,8 @@ binding a row is left affine.
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 
 from formulations.arrays import Array, Indices
@@ -156,7 +158,7 @@ class NodeRows(ExactRows):
         self.nodes = np.union1d(self.node, self.further.nodes)
         self.count = len(self.node) + self.further.count
         self._first = np.cumsum([0, *(len(event.nodes) for event in self.events)])
-        self._seen: list[tuple[Linearisation, Quantiles]] = []
+        self._seen = WeakKeyDictionary[Linearisation, Quantiles]()
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins by joint constraint, at its nodes."""
@@ -201,12 +203,11 @@ class NodeRows(ExactRows):
 
     def _at(self, lin: Linearisation) -> Quantiles:
         """The quantiles g of all rows at an iterate."""
-        for seen, found in self._seen:
-            if seen is lin:
-                return found
+        if lin in self._seen:
+            return self._seen[lin]
         mean, factor = lin.iterate.mean[self.node, :3], lin.factor[self.node, :3]
         found = self._quantiles(np.arange(len(self.node)), mean, factor)
-        self._seen = [*self._seen[-1:], (lin, found)]  # an iterate, and the step that is tried
+        self._seen[lin] = found
         return found
 
     def _quantiles(self, rows: Indices, mean: Array, factor: Array) -> Quantiles:

@@ -207,8 +207,9 @@ class FlightRows(ExactRows):
     def at(self, lin: Linearisation) -> FlightValue:
         """G at an iterate."""
         mean, factor = lin.iterate.mean[:, :3], lin.factor
-        for seen in self._seen:
+        for k, seen in enumerate(self._seen):
             if np.array_equal(seen[0], mean) and np.array_equal(seen[1], factor):
+                self._seen.insert(0, self._seen.pop(k))
                 return seen[2]
         found = self._coordinates(self.probability, mean, factor, None)
         self._seen = [(mean, factor, found), *self._seen[: REMEMBERED - 1]]
