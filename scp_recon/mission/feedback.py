@@ -4,21 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from scp_recon.errors import InputError
-from scp_recon.mission.scene import Scene
+from scp_recon.mission.scene import Scene, execution_errors
 from scp_recon.mission.schedule import SAME_S
 from scp_recon.scenario.fields import ScenarioWarning
 from scp_recon.scenario.schema import Scenario
 
+USELESS = 1e3
+"""Errors of a measurement over what a flight strays at most, from which on nothing is corrected: a
+measurement takes a millionth off a variance, and what that saves is less than plans are accurate to."""
 
-def felt_cut_offs_s(scenario: Scenario, window_s: tuple[float, float]) -> dict[int, float]:
+
+def felt_cut_offs_s(scene: Scene, window_s: tuple[float, float]) -> dict[int, float]:
     """`cut_offs_s` of the burns that the window feels, or limits at the end.
+
+    None where `in_vain`.
 
     A burn after the window serves only to make up for what an earlier correction spends, by the sum's
     99 % quantile: the merit is flat in such gains, and not convex where the burn itself is small. With
     none before the window's end, all of a whole flight's; in flight none.
     """
+    scenario = scene.scenario
     found, boundary = cut_offs_s(scenario), scenario.boundary
+    if found and in_vain(scene) >= USELESS:
+        return {}
     limits = boundary.final_sigma_position_m, boundary.final_sigma_velocity_m_s
     if limits != (None, None):
         return found
@@ -42,6 +53,24 @@ def cut_offs_s(scenario: Scenario) -> dict[int, float]:
         for burn, time in _correctable(scenario).items()
         if time - lead >= earliest
     }
+
+
+def in_vain(scene: Scene) -> float:
+    """Measurements' errors over what a flight strays until the last cut-off, where least.
+
+    On straight lines, from the initial errors and those of the largest burns before.
+    """
+    scenario = scene.scenario
+    first, last = scenario.start_s, max(cut_offs_s(scenario).values())
+    largest = np.array([[scenario.burns.dv_max_m_s, 0.0, 0.0]])
+    of_burn = float(np.linalg.norm(execution_errors(scenario).columns(largest)))
+    burns = sum(time < last for time in scenario.burn_times_s)
+    sigma = np.linalg.norm(scene.initial_factor(scene.initial_state), axis=1)
+    speed = np.hypot(np.linalg.norm(sigma[3:]), np.sqrt(burns) * of_burn)
+    position = np.hypot(np.linalg.norm(sigma[:3]), speed * (last - first))
+    strays = np.repeat([position, speed], 3)
+    measured = scene.measurement_factors(scene.initial_state[None])[0] / strays[:, None]
+    return float(np.linalg.svd(measured, compute_uv=False)[-1])
 
 
 def _correctable(scenario: Scenario) -> dict[int, float]:
@@ -118,3 +147,18 @@ def uncorrected_burns(scene: Scene) -> Iterator[ScenarioWarning]:
                 "corrected: its cut-off precedes departure",
                 f"expected at most {time - scenario.start_s:g} s",
             )
+
+
+def useless_measurement(scene: Scene) -> Iterator[ScenarioWarning]:
+    """Warn of measurements that tell nothing, so that no burn is corrected."""
+    if not cut_offs_s(scene.scenario):
+        return
+    errors = in_vain(scene)
+    if errors >= USELESS:
+        named = scene.scenario.navigation.covariance is None
+        yield ScenarioWarning.of(
+            "navigation.sigma_position_m" if named else "navigation.covariance",
+            f"measurements whose errors are {errors:.1g} times what a flight may stray, so that they "
+            "tell nothing and no burn is corrected",
+            f"expected errors of less than {USELESS:g} times that",
+        )

@@ -113,7 +113,7 @@ class Mission:
         execution_errors(scenario)
         warnings += check_state(scene)
         initial, start = scene.initial_state, scenario.start_s
-        burns_s = *scenario.burn_times_s, *felt_cut_offs_s(scenario, window).values()
+        burns_s = *scenario.burn_times_s, *felt_cut_offs_s(scene, window).values()
         fixed = start, *burns_s, *window, *scenario.grid.nodes_s
         return cls(
             scenario=scenario,
@@ -208,7 +208,7 @@ class Mission:
     @cached_property
     def feedback(self) -> Feedback | None:
         """What corrected burns know, nondimensional; None where there are none."""
-        cut_offs = felt_cut_offs_s(self.scenario, self.schedule.window_s)
+        cut_offs = felt_cut_offs_s(self.scene, self.schedule.window_s)
         if not cut_offs:
             return None
         nodes = np.searchsorted(self.times_s, list(cut_offs.values()))

@@ -20,7 +20,7 @@ import numpy as np
 from scp_recon.errors import InputError
 from scp_recon.mission.checks import known
 from scp_recon.mission.checks.intervals import INTERVALS, PLANNER_INTERVALS, STATE_INTERVALS
-from scp_recon.mission.feedback import uncorrected_burns
+from scp_recon.mission.feedback import uncorrected_burns, useless_measurement
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.windows import SCAN_STEP_S, Window
 from scp_recon.scenario.fields import ScenarioWarning
@@ -38,7 +38,11 @@ CHECKS: tuple[Check, ...] = (
     known.known_orbit,
 )
 """Checks before the window is known, in the order of checking."""
-STATE_CHECKS: tuple[Check, ...] = (*(row.check for row in STATE_INTERVALS), uncorrected_burns)
+STATE_CHECKS: tuple[Check, ...] = (
+    *(row.check for row in STATE_INTERVALS),
+    uncorrected_burns,
+    useless_measurement,
+)
 """Checks of the state where planning begins, and of the burns that are left."""
 WINDOW_SLACK = 0.05
 """Slack of the lighting limits, deg or h: room for a window given to the nearest second."""

@@ -41,6 +41,22 @@ def test_without_feedback_nothing_changes(mission: Mission) -> None:
     assert measured.problem.feedback is mission.problem.feedback is None
 
 
+@pytest.mark.parametrize("lead_s", [0.0, 3600.0])
+def test_a_measurement_that_tells_nothing_is_reported_and_leaves_the_plan_open_loop(
+    mission: Mission, lead_s: float
+) -> None:
+    """Errors a million times the dispersion: the mission is the one without feedback."""
+    errors = "navigation.sigma_position_m=5e7", "navigation.sigma_velocity_m_s=5e4"
+    found = mission_of("policy.kind=feedback", *errors, f"navigation.lead_s={lead_s:g}")
+    assert found.problem.feedback is None
+    np.testing.assert_array_equal(found.times_s, mission.times_s)
+    (word,) = (word for word in found.warnings if "no burn is corrected" in word.given)
+    assert word.entry == "navigation.sigma_position_m"
+    # One of the two told alone is a measurement.
+    half = mission_of("policy.kind=feedback", SIGMAS[0], errors[1], f"navigation.lead_s={lead_s:g}")
+    assert half.problem.feedback is not None
+
+
 @pytest.mark.parametrize(
     ("overrides", "burns", "cut_offs"),
     [
