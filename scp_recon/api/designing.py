@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from scp_recon.api.inputs import scenario_of
 from scp_recon.api.options import PlanOptions
 from scp_recon.api.planning import PlanObserver, plan_mission
-from scp_recon.mission.feedback import require_open_loop
 from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import PassResult, explain_failure
 from scp_recon.passes.design import Designer, Trial
@@ -33,12 +32,14 @@ class Design:
         best: the cheapest pass; where none has a plan, the one that came furthest.
         scenario: the given one with the pass's epoch, phases and times; None where none has a plan.
         plan: of that scenario; None before it is made.
+        start: a plan that it goes on from; None where it begins at the burns of the best pass.
     """
 
     trials: tuple[Trial, ...]
     best: PassResult
     scenario: Scenario | None
     plan: Plan | None = None
+    start: Plan | None = None
 
     @property
     def message(self) -> str:
@@ -80,7 +81,7 @@ def design(
         return found
     mission = Mission.from_scenario(found.scenario)
     plan = plan_pass(found, mission, options)
-    return Design(found.trials, found.best, found.scenario, plan)
+    return replace(found, plan=plan)
 
 
 def design_options(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
@@ -89,7 +90,6 @@ def design_options(scenario: Scenario, *, certify: bool | None) -> PlanOptions:
     Raises:
         InputError: if flights cannot certify it.
     """
-    require_open_loop(scenario, "solve and montecarlo; not yet with design")
     exact = scenario.risk.allocation == "exact"
     options = PlanOptions(facet_rounds=0 if exact else FACET_ROUNDS, certify=certify)
     options.check(scenario)
@@ -109,7 +109,7 @@ def find_pass(scenario: Scenario, observe: Callable[[Trial], None] = lambda _: N
     designer = Designer(scenario, observe)
     space, best = designer.run()
     fixed = settled(scenario, space, best.at) if best.converged else None
-    return Design(tuple(designer.trials), best, fixed)
+    return Design(tuple(designer.trials), best, fixed, start=designer.corrected)
 
 
 def plan_pass(
@@ -123,5 +123,5 @@ def plan_pass(
         options: see `design_options`.
         observe: is told how it goes on.
     """
-    start = from_burns(mission, found.best.burns_m_s, INIT)
+    start = found.start or from_burns(mission, found.best.burns_m_s, INIT)
     return plan_mission(mission, start, options, observe, init=INIT)

@@ -55,7 +55,7 @@ class Known(TypedDict, total=False):
 
 def plan_mission(
     mission: Mission,
-    start: Iterate,
+    start: Iterate | Plan,
     options: PlanOptions,
     observe: PlanObserver | None = None,
     *,
@@ -69,7 +69,7 @@ def plan_mission(
 
     Args:
         mission: to plan.
-        start: where planning begins.
+        start: where planning begins; from a plan one plan goes on, others begin at its burns.
         options: how.
         observe: is told how it goes on.
         init: what the start is called in the solution file.
@@ -79,31 +79,35 @@ def plan_mission(
         InputError: if an option does not go with the scenario, or the delta-v budget has no plan.
     """
     options.check(mission.scenario)
+    work = _ByScp(options, observe, known)
+    alone = options.objective != "probability" and (options.starts or 1) == 1
+    if options.method == "scp" and alone:
+        return work.from_one(mission, start, init)
+    if isinstance(start, Plan):
+        start = from_burns(mission, start.burns_m_s)
     if options.method == "ipopt":
         from scp_recon.planning import ipopt  # CasADi takes a second to import
 
         make = partial(ipopt.plan, problem=options.problem, variant=options.variant)
         return _on_right_grid(make, mission, start, init=init, observe=observe)
-    work = _ByScp(options, observe, known)
     if options.objective == "probability":
         return work.largest(mission, start, init)
-    if (options.starts or 1) > 1:
-        return work.from_several(mission, start, init)
-    return work.from_one(mission, start, init)
+    return work.from_several(mission, start, init)
 
 
 def _on_right_grid(
-    make_plan: Callable[..., Plan], mission: Mission, start: Iterate, **how: Any
+    make_plan: Callable[..., Plan], mission: Mission, start: Iterate | Plan, **how: Any
 ) -> Plan:
     """Make a plan, and where its steps were too long make it again with shorter ones, from its burns.
 
-    Its mission then has that grid, and a warning that says so.
+    Its mission then has that grid, and a warning that says so. A plan with gains goes on with them.
     """
     found = make_plan(mission, start, **how)
     finer = refined(found)
     if finer is None:
         return found
-    return make_plan(finer, from_burns(finer, found.burns_m_s), **how)
+    corrected = found.provenance.method == "scp" and found.final.result.lin.iterate.gains.any()
+    return make_plan(finer, found if corrected else from_burns(finer, found.burns_m_s), **how)
 
 
 @dataclass(frozen=True)

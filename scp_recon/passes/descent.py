@@ -63,8 +63,8 @@ class PassResult:
 
     @property
     def dv_m_s(self) -> float:
-        """Total delta-v of the plan; infinite if it did not converge."""
-        total = self.stage.result.lin.iterate.total_dv * self.mission.units.speed_m_s
+        """Total delta-v of the plan, as it is minimised; infinite if it did not converge."""
+        total = self.stage.result.lin.cost.value * self.mission.units.speed_m_s
         return total if self.converged else float("inf")
 
     @property

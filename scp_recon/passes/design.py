@@ -15,11 +15,15 @@ from typing import Literal
 import numpy as np
 
 from formulations.arrays import Array, Booleans
+from scp_recon.mission.mission import Mission
 from scp_recon.passes.descent import ROUNDS_MAX, WORTH, PassResult, descend
 from scp_recon.passes.ring import TURN
 from scp_recon.passes.scan import scan, starts
-from scp_recon.passes.setting import BURNS_MAX, spaces_of
+from scp_recon.passes.setting import BURNS_MAX, settled, spaces_of
 from scp_recon.passes.space import Pass, Space, nearest_legal
+from scp_recon.planning.initial_guess import from_burns
+from scp_recon.planning.plan import Plan
+from scp_recon.planning.planner import Planner
 from scp_recon.planning.primer import WORTH as PRIMER_WORTH
 from scp_recon.planning.primer import PrimerHistory, primer_history
 from scp_recon.scenario.schema import Scenario
@@ -39,12 +43,17 @@ SURROGATE = {
 }
 """Risk planned with in place of exact risk until the last descent: quicker, and near it."""
 
+CORRECTED_MAX = 3
+"""Passes that are planned with gains, at most, until one has a plan."""
+
 PLACES_MAX = 3
 """Peaks of the primer at which another burn is tried."""
 VANISHED_M_S = 1e-6
 """Size in m/s below which a burn has vanished."""
 
-Step = Literal["map", "descent", "certain", "window", "refinement", "fewer", "number", "exact"]
+Step = Literal[
+    "map", "descent", "certain", "window", "refinement", "fewer", "number", "exact", "corrected"
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +100,15 @@ Best = tuple[Around, PassResult]
 
 @dataclass
 class Designer:
-    """Designs a pass for a scenario with a home orbit; keeps every plan and reports it to `observe`."""
+    """Designs a pass for a scenario with a home orbit; keeps every plan and reports it to `observe`.
+
+    `corrected` is the plan with gains of the pass that was found, with feedback.
+    """
 
     scenario: Scenario
     observe: Callable[[Trial], None]
     trials: list[Trial] = field(default_factory=list)
+    corrected: Plan | None = None
 
     @property
     def effort(self) -> Effort:
@@ -110,10 +123,9 @@ class Designer:
         """
         exact = self.scenario.risk.allocation == "exact"
         given = self.scenario.changed(SURROGATE) if exact else self.scenario
-        around = [
-            Around(space, number, times[0], tuple(time - times[0] for time in times))
-            for number, (space, times) in enumerate(spaces_of(given))
-        ]
+        if self.scenario.policy.kind == "feedback":
+            return self._with_corrections(_around(self.scenario))
+        around = _around(given)
         begun = []
         for first in around:
             begun.append(self._map_and_descend(first))
@@ -132,6 +144,44 @@ class Designer:
         if exact:
             where, best = self._descend_exact(where, best)
         return where.space, best
+
+    def _with_corrections(self, around: list[Around]) -> tuple[Space, PassResult]:
+        """The first pass that has a plan with gains, of those that are cheapest without uncertainty.
+
+        What errors and limits cost without corrections says little of passes with them. Windows with
+        more burns before them come first: these correct what the earlier ones missed.
+        """
+        tries: list[Best] = []
+        for where in sorted(around, key=lambda one: -one.space.before(one.times_s)):
+            for one in self._certain(where)[:CORRECTED_MAX]:
+                planned = self._correct(where, one) if one.converged else one
+                tries.append((where, planned))
+                if planned.converged:
+                    return where.space, planned
+        where, best = min(tries, key=lambda one: violation(one[1]))
+        return where.space, best
+
+    def _certain(self, where: Around) -> list[PassResult]:
+        """Passes about a window without uncertainty, the cheapest first."""
+        mapped = scan(where.space, where.times_s, self._seen("map", where))
+        seen = self._seen("certain", where)
+        found = [
+            descend(
+                centred_on(where.space, one.at), one.at, one.burns_m_s, seen, *FIRST, certain=True
+            )
+            for one in starts(mapped, STARTS_MAX)
+        ]
+        return sorted(found, key=lambda one: one.dv_m_s) or [min(mapped, key=violation)]
+
+    def _correct(self, where: Around, one: PassResult) -> PassResult:
+        """Plan a pass with gains, in its own scenario."""
+        mission = Mission.from_scenario(settled(self.scenario, where.space, one.at))
+        plan = Planner(mission).plan(from_burns(mission, one.burns_m_s), once=True)
+        result = PassResult(one.at, mission, plan.final)
+        self._seen("corrected", where)(result)
+        if result.converged:
+            self.corrected = plan
+        return result
 
     def _descend_exact(self, where: Around, best: PassResult) -> Best:
         """Descend from a pass under the scenario's own, exact risk."""
@@ -213,6 +263,14 @@ class Designer:
             self.observe(self.trials[-1])
 
         return seen
+
+
+def _around(scenario: Scenario) -> list[Around]:
+    """Every window's space, its times from its own first burn on."""
+    return [
+        Around(space, number, times[0], tuple(time - times[0] for time in times))
+        for number, (space, times) in enumerate(spaces_of(scenario))
+    ]
 
 
 def cheapest(tries: Iterable[Best]) -> Best:

@@ -8,6 +8,7 @@ import numpy as np
 
 from formulations.arrays import Array
 from scp_recon.errors import InputError
+from scp_recon.mission.legal_burns import before_burn_s, sun_leg_s
 from scp_recon.mission.mission import Mission
 from scp_recon.mission.scene import Scene
 from scp_recon.mission.survey import survey
@@ -103,18 +104,44 @@ def _first_times(
 ) -> tuple[float, ...] | None:
     """Legal times nearest to the scenario's own, shifted with the window.
 
-    As many burns come before the window as in the scenario, or any other number if that is not legal.
+    As many burns come before the window as in the scenario, or any other number if that is not legal;
+    with feedback as many as there is time for.
     """
     times, rules = np.array(scenario.burns.times_s), scenario.schedule
     middle = 0.5 * (window[0] + window[1])
     begin = float(np.clip(middle - WINDOW_AT * times[-1], *departure))
     given = (scenario.design or Design()).burn_times == "given"
+    if scenario.policy.kind == "feedback" and not given:
+        return _times_to_correct(scenario, window, departure, arrival)
     wanted = times if given else times + begin
     free = (departure[0], arrival[1])
     spans = [departure, *([(t, t) for t in wanted[1:-1]] if given else [free] * (len(times) - 2))]
     own = min(int(np.sum(wanted[1:] <= middle)), len(times) - 2)
     for before in sorted(range(len(times) - 1), key=lambda count: abs(count - own)):
         legal = nearest_legal(wanted.tolist(), [*spans, arrival], window, before, rules)
+        if legal is not None:
+            return legal
+    return None
+
+
+def _times_to_correct(
+    scenario: Scenario, window: Window, departure: Span, arrival: Span
+) -> tuple[float, ...] | None:
+    """Legal times with as many burns before the window as fit, evenly spaced from the first departure.
+
+    Each learns what the ones before it missed. After the window there are as many as the scenario has.
+    """
+    times, rules = np.array(scenario.burns.times_s), scenario.schedule
+    after = max(int(np.sum(times > WINDOW_AT * times[-1])), 1)
+    last = window[0] - rules.attitude_s - sun_leg_s(rules)
+    following = window[1] + sun_leg_s(rules) + before_burn_s(rules)
+    for before in range(BURNS_MAX - 1 - after, -1, -1):
+        wanted = [
+            *np.linspace(departure[0], last, before + 1).tolist(),
+            *np.linspace(following, arrival[1], after).tolist(),
+        ]
+        spans = [departure, *[(departure[0], arrival[1])] * (before + after - 1), arrival]
+        legal = nearest_legal(wanted, spans, window, before, rules)
         if legal is not None:
             return legal
     return None
@@ -134,7 +161,9 @@ def _space(
     circle = {"flown": False, "ephemeris_file": None, "spacecraft_id": None} | {
         f"{end}_deg": (getattr(home, f"{end}_deg")[0],) * 2 for end in ("departure", "arrival")
     }
-    circling = unchecked(scenario, boundary={"home": home.model_copy(update=circle)})
+    circling = unchecked(
+        scenario, boundary={"home": home.model_copy(update=circle)}, policy={"kind": "open"}
+    )
     fixed = at_epoch(circling, begin).replace(
         {
             "burns.times_s": [time - begin for time in times],
@@ -184,7 +213,7 @@ def settled(scenario: Scenario, space: Space, one: Pass) -> Scenario:
     )
     window = space.window_s[0] - begin, space.window_s[1] - begin
     fixed = unchecked(
-        base.model_copy(update={"design": None}),
+        base.model_copy(update={"design": None, "policy": scenario.policy}),
         boundary={**ends, "home": None},
         burns={"times_s": times},
         observation={"window_s": None},

@@ -7,6 +7,13 @@ from typing import Any
 from scp_recon.scenario.load import validate_scenario
 from scp_recon.scenario.schema import Scenario
 
+MEASURED: dict[str, object] = {
+    "policy.kind": "feedback",
+    "navigation.sigma_position_m": 10.0,
+    "navigation.sigma_velocity_m_s": 5e-4,
+}
+"""Feedback by a measurement at each burn's time."""
+
 
 def home_scenario(
     changes: dict[str, Any] | None = None, design: dict[str, Any] | None = None, **home: Any

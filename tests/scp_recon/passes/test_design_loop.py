@@ -12,7 +12,8 @@ from scp_recon.passes import design
 from scp_recon.passes.design import Candidate, Designer, Trial
 from scp_recon.passes.setting import spaces_of
 from scp_recon.passes.space import Pass
-from tests.scp_recon.passes.support import home_scenario
+from scp_recon.scenario.load import load_scenario
+from tests.scp_recon.passes.support import MEASURED, home_scenario
 
 SPANS = {"departure_s": [-20_000.0, 30_000.0], "arrival_s": [10_000.0, 70_000.0]}
 """Of dates with three windows."""
@@ -114,6 +115,27 @@ def test_a_valley_without_a_plan_is_left_by_way_of_one_without_uncertainty(
     assert window == 0
     first = [one.step for one in tried if one.step in ("descent", "certain")][:3]
     assert first == ["descent", "certain", "descent"]
+
+
+@pytest.mark.parametrize(("planned", "tried"), [({1}, [1]), ({0}, [1, 0]), (set(), [1, 0])])
+def test_with_feedback_a_pass_without_uncertainty_has_to_have_a_plan_with_gains(
+    monkeypatch: pytest.MonkeyPatch, planned: set[int], tried: list[int]
+) -> None:
+    """Windows with more burns before them come first."""
+    scenario = load_scenario("kingfisher").replace(MEASURED)
+    edges = [space.window_s for space, _ in spaces_of(scenario)]
+    World({0, 1}, set()).install(monkeypatch, edges)
+    asked = []
+
+    def correct(_: Designer, where: Any, one: Made) -> Made:
+        asked.append(where.number)
+        return replace(one, converged=where.number in planned, short=0.1 * where.number)
+
+    monkeypatch.setattr(Designer, "_correct", correct)
+    space, found = Designer(scenario, lambda _: None).run()
+    assert asked == tried
+    assert found.converged == bool(planned)
+    assert space.window_s == edges[next(iter(planned), 0)]
 
 
 @pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])

@@ -17,7 +17,7 @@ from scp_recon.passes.setting import settled, spaces_of
 from scp_recon.passes.space import Pass, nearest_legal
 from scp_recon.scenario.load import load_scenario, scenario_text, validate_scenario
 from scp_recon.scenario.schema import ScheduleRules
-from tests.scp_recon.passes.support import home_scenario
+from tests.scp_recon.passes.support import MEASURED, home_scenario
 from tests.scp_recon.support import integrate
 
 RULES = ScheduleRules(attitude_s=1800.0, heating_s=1800.0, recharge_s=1200.0)
@@ -63,6 +63,22 @@ def test_packaged_designs_have_a_window_and_legal_times(site: str) -> None:
     assert scenario.site.name.casefold() == site
     assert scenario.body == load_scenario("recon_b").body
     assert spaces_of(scenario)
+
+
+def test_with_feedback_as_many_burns_as_fit_come_before_each_window() -> None:
+    """Legal, planned open loop, and told to correct again in the scenario that is found."""
+    scenario = load_scenario("kingfisher").replace(MEASURED)
+    counts = []
+    for space, times in spaces_of(scenario):
+        counts.append(space.before(tuple(time - times[0] for time in times)))
+        assert space.mission.scenario.policy.kind == "open"
+        begun = tuple(time - times[0] for time in times)
+        make_schedule(begun, space.window_s, scenario.schedule)
+        cycle = space.window_s[0] - begun[0] - 4800.0 - 6600.0 * counts[-1]
+        assert 0.0 <= cycle < 6600.0  # no room for another
+    assert counts == [1, 3]
+    fixed = settled(scenario, space, Pass((4.0, 5.8), begun))
+    assert fixed.policy == scenario.policy
 
 
 def test_a_home_orbit_with_fixed_phases_is_planned_like_any_boundary() -> None:
