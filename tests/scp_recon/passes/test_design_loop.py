@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import scp_recon as sr
 from scp_recon.passes import design
 from scp_recon.passes.design import Candidate, Designer, Trial
 from scp_recon.passes.setting import spaces_of
 from scp_recon.passes.space import Pass
 from scp_recon.scenario.load import load_scenario
+from tests.helpers import nightly
 from tests.scp_recon.passes.support import MEASURED, home_scenario
 
 SPANS = {"departure_s": [-20_000.0, 30_000.0], "arrival_s": [10_000.0, 70_000.0]}
@@ -136,6 +138,19 @@ def test_with_feedback_a_pass_without_uncertainty_has_to_have_a_plan_with_gains(
     assert asked == tried
     assert found.converged == bool(planned)
     assert space.window_s == edges[next(iter(planned), 0)]
+
+
+@nightly
+def test_kingfisher_as_packaged_has_a_pass_with_feedback() -> None:
+    """It has none open loop."""
+    scenario = load_scenario("kingfisher").replace(MEASURED | {"risk.p_chance": 0.9})
+    plan = sr.design(scenario).plan
+    assert plan is not None
+    assert plan.certificate is not None
+    assert plan.certificate.certifies(0.9)
+    assert min(margin for margin, _ in plan.worst_margins.values()) > -1e-4
+    cost_m_s = plan.final.result.lin.cost.value * plan.mission.units.speed_m_s
+    assert plan.total_dv_m_s < cost_m_s < 0.56
 
 
 @pytest.mark.parametrize(("mapped", "furthest"), [(set(), 0), ({1}, 1)])
