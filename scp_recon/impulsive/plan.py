@@ -12,7 +12,7 @@ from formulations.linearisation.dynamics import Dynamics
 from formulations.rows.node_probability import joint_events
 from scp_recon.monte_carlo.estimates import Estimate, proportion
 from scp_recon.monte_carlo.sampling import BLOCK, NAVIGATION, draw
-from scp_recon.planning.plan import Stage
+from scp_recon.planning.plan import Certificate, Stage
 from scp_recon.scp.loop import Timing
 from scp_recon.scp.status import Status
 
@@ -55,6 +55,7 @@ class ImpulsivePlan:
         stages: all stages.
         timing: seconds by what they were spent on.
         target: probability that exact risk aimed at.
+        certificate: what fresh flights reached, where they were looked at.
     """
 
     dynamics: Dynamics
@@ -63,11 +64,19 @@ class ImpulsivePlan:
     stages: tuple[Stage, ...]
     timing: Timing
     target: float
+    certificate: Certificate | None = None
 
     @property
     def status(self) -> Status:
         """How the last stage ended."""
         return self.final.result.status
+
+    @property
+    def slack(self) -> float:
+        """Standard deviations by which the normal law's probabilities exceed the target."""
+        found = self.final.margins.items()
+        own = [m.margin.min() for name, m in found if self.final.unit(name) == "sigma"]
+        return float(min(own, default=0.0))
 
     @property
     def ok(self) -> bool:

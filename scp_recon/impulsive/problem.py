@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtri
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
@@ -27,9 +28,20 @@ from formulations.problem.flow import Flow, ScaledFlow, check_flow
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
+from scp_recon.certification.certify import BINDING, ROUNDS_MAX, Aiming
 from scp_recon.errors import InputError, one_of
 from scp_recon.impulsive.plan import ImpulsivePlan
+from scp_recon.monte_carlo.estimates import (
+    FIRST_SEED,
+    LOOK_CONFIDENCE,
+    LOOKS_MAX,
+    flights_needed,
+    look_flights,
+    look_interval,
+    look_seed,
+)
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
+from scp_recon.planning.plan import Certificate
 from scp_recon.planning.planner import ScpStages
 from scp_recon.planning.stages import Observer, StageRunner
 
@@ -315,6 +327,67 @@ class ImpulsiveProblem:
         return ImpulsivePlan(
             self.dynamics, self.unit, final, tuple(runner.stages), runner.timing, stages.target
         )
+
+    def certify(
+        self,
+        states: npt.ArrayLike | None = None,
+        *,
+        burns: npt.ArrayLike | None = None,
+        formulation: str = FORMULATION,
+        algorithm: str = ALGORITHM,
+        solver: str = SOLVER,
+    ) -> ImpulsivePlan:
+        """Plan so that flights of which planning knows nothing reach the probability: see `solve`.
+
+        Rounds of flights find what to aim at, and fresh ones judge, as `scp_recon.certification` does.
+
+        Returns:
+            The plan that passed, or the last one, with its certificate; one without a certificate where
+            there is no plan at an aim.
+
+        Raises:
+            InputError: as `solve`; or if risk is not exact.
+        """
+        if self.is_deterministic or self.risk.allocation != "exact":
+            raise InputError("scope", self.scope, "must be node or flight, of regions, with errors")
+        p, looks = self.probability, 0
+        aiming, fresh = Aiming(p, flights_needed(p), look_flights(p)), look_flights(p)
+        for number in range(1, ROUNDS_MAX + LOOKS_MAX + 1):
+            plan = self.solve(
+                states,
+                burns=burns,
+                formulation=formulation,
+                algorithm=algorithm,
+                solver=solver,
+                target=aiming.next(),
+            )
+            if not plan.ok:
+                break
+            law = float(ndtri(plan.target)) + max(plan.slack, 0.0)
+            if not looks and number <= ROUNDS_MAX:
+                seed = FIRST_SEED + number
+                aiming.learn(law, self._kept(plan, aiming.samples, seed), aiming.samples)
+                if not aiming.is_settled(law, binds=plan.slack <= BINDING):
+                    continue
+            looks, seed = looks + 1, look_seed(looks + 1)
+            kept = self._kept(plan, fresh, seed)
+            seen = look_interval(kept, fresh)
+            plan = replace(
+                plan,
+                certificate=Certificate(
+                    fresh, seed, *seen, seen.value, min(number, ROUNDS_MAX), looks, LOOK_CONFIDENCE
+                ),
+            )
+            if seen.low >= p or looks == LOOKS_MAX:
+                break
+            aiming.learn(law, kept, fresh)
+        return plan
+
+    def _kept(self, plan: ImpulsivePlan, samples: int, seed: int) -> int:
+        """Number of flights that keep what has to hold: all, or each region at its worst node."""
+        flights = plan.fly(samples, seed)
+        found = [flights.whole] if self.scope == "flight" else flights.kept.values()
+        return round(samples * min(estimate.value for estimate in found))
 
 
 def scaled(name: str, region: Region, nodes: Indices, length: float) -> Region:

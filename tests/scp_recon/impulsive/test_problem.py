@@ -104,6 +104,21 @@ def test_flights_keep_a_region_with_the_probability_that_was_planned(
     )
 
 
+def test_a_certified_plan_costs_more_and_fresh_flights_reach_the_probability(
+    erring: sr.ImpulsiveProblem,
+) -> None:
+    own = replace(erring, probability=0.9)
+    plan, aimed = own.certify(), own.solve()
+    assert plan.certificate is not None
+    assert plan.certificate.certifies(0.9)
+    assert plan.fly(4000, 7).kept["ball"].high > 0.9
+    assert 0.9 < plan.certificate.reached < 0.92  # and no more than sampling explains
+    assert plan.target > 0.9
+    assert plan.cost > aimed.cost
+    with pytest.raises(InputError, match="must be node or flight"):
+        replace(own, scope="uniform").certify()
+
+
 def around(sizes: Array) -> list[sr.Keep]:
     """One region of each kind to be kept in or out of, none of which forbids the way."""
     normal = np.vstack([np.eye(3), -np.eye(3)])
