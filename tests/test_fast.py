@@ -1,4 +1,4 @@
-"""What `make fast` runs: the cheapest tests, and every new one."""
+"""The tests of `make fast`: the cheapest ones, and every new one."""
 
 from __future__ import annotations
 

@@ -178,7 +178,7 @@ QUICK = {
     # planning
     f"{SOLVE} --init warm --facet-rounds 1": PLAIN,
     f"{SOLVE} --scenario mine.toml --set risk.p_chance=0.8 --out runs/mine": PLAIN,
-    f"{SOLVE} --starts 8 --seed 0 --workers 2": Quick("--starts 2 --problem P3", nightly=True),
+    f"{SOLVE} --starts 8 --seed 0 --workers 2": Quick("--starts 2 --problem P3 --workers 1"),
     f"{SOLVE} --method ipopt": LATER,
     f"{SOLVE} --formulation lifted": LATER,
     f"{SOLVE} --set 'boundary.frame=\"j2000\"'": P3,
@@ -235,7 +235,7 @@ QUICK = {
     TABLE: Quick(FEW),
     f"{TABLE} --as-flown FILE": Quick(f"--as-flown flight.bsp {FEW}", needs="spiceypy"),
     COMPARISON: Quick(less=ONE_CELL, nightly=True),
-    "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL),
+    "python -m experiments compare_solvers --exact": Quick(less=ONE_CELL, nightly=True),
     "python -m experiments nlp_tricks": Quick(
         less=(
             (
@@ -265,7 +265,6 @@ QUICK = {
     ),
     "python -m experiments model_fidelity": Quick(
         "--solution runs/short",
-        nightly=True,
         less=(("experiments.model_fidelity.study.flights", lambda fly: lambda *a: fly(*a)[1:]),),
     ),
     CONES: Quick("--samples 500"),

@@ -1,4 +1,4 @@
-"""What the benchmarks say of their figures; the figures themselves are no test's business."""
+"""Tables and ratios of the benchmarks from made-up times; no time is tested."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What stands for the solving of a cell; few modules, for the process that runs it."""
+"""Stand-ins for the solving of a cell; few modules, for the process that runs it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What several tests of this wing use."""
+"""Sessions, tables and flights that several tests of this wing use."""
 
 from __future__ import annotations
 

@@ -19,6 +19,7 @@ from scp_recon.physics.flow import propagate
 from scp_recon.planning import initial_guess
 from scp_recon.results.read import read_solution
 from scp_recon.scenario.schema import Epoch
+from tests.helpers import nightly
 
 from .support import QUICK, table_of, write_kernel
 
@@ -68,6 +69,7 @@ def test_fitted_impulses_follow_a_burn_that_was_fired_away_from_the_firing_times
     assert np.linalg.norm(lost[window, :3] - flown[window, :3] / mission.units.length_m) > 0.1
 
 
+@nightly
 def test_the_flight_gets_a_row_and_warm_rows_are_designed_anew_when_their_start_changes(
     copy: Path, kernel: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -42,7 +42,6 @@ from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
-from tests.helpers import nightly
 from tests.scp_recon.support import flight_beyond
 
 from .cell_works import works_for_ever
@@ -147,7 +146,6 @@ def test_every_problem_is_crossed_with_every_method_and_repeated(name: str) -> N
     assert plan(mission, initial_guess.cold(mission)).status is Status.CONVERGED
 
 
-@nightly
 def test_uno_finds_the_optimum_that_scp_finds() -> None:
     ours, theirs = (
         solve_cell(Cell("scenarios", "recon_b", (), method, "p3"), 0)

@@ -27,6 +27,7 @@ from scp_recon.mission.mission import Mission
 from scp_recon.physics.flow import propagate
 from scp_recon.results.solution import ballistic_arc
 from scp_recon.simulation.vehicle import load_vehicle
+from tests.helpers import nightly
 
 from .support import session_in
 
@@ -109,6 +110,7 @@ def test_the_lowest_fidelity_within_the_limit_is_named() -> None:
     assert passing(names, dict.fromkeys(distance, 10.0), 10.0) == "truth"
 
 
+@nightly
 def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
     """Orders of magnitude that follow from the forces alone; no light pressure shifts by 10 m."""
     assert len(compared) == 2 + len(list(Choices.of(flight).single()))
@@ -131,6 +133,7 @@ def test_distances_on_the_arc(compared: list[Compared], flight: Flight) -> None:
 # --- the command ----------------------------------------------------------------------------------
 
 
+@nightly
 def test_the_command_writes_tables_and_verdicts(
     tmp_path: Path, flight: Flight, compared: list[Compared], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""What the tests reach, counted from what the tools leave behind."""
+"""The study of the tests: counts from what the tools leave behind."""
 
 from __future__ import annotations
 

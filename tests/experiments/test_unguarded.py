@@ -1,4 +1,4 @@
-"""What successive convex programming does when nothing holds it back."""
+"""Successive convex programming without a trust region or a test."""
 
 from __future__ import annotations
 

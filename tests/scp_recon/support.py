@@ -1,4 +1,4 @@
-"""What several tests of this wing use: missions, and an integrator of their own."""
+"""Missions, an integrator and command lines that several tests of this wing use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever a function of `scp_recon` returns, each of its attributes is described at its class."""
+"""Attributes of all that functions of `scp_recon` return are described at their class."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where lines lie in regions: against points along them, and where they graze or stand."""
+"""Chords of lines in regions: against points along them, and where they graze or stand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What proves an answer optimal, and what proves nothing."""
+"""The proof that an answer is optimal, and answers that it does not prove."""
 
 from __future__ import annotations
 

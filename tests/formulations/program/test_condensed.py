@@ -1,4 +1,4 @@
-"""Which rows a condensed subproblem takes, in which slots, and that neither changes its answer."""
+"""Rows and slots of a condensed subproblem; neither changes its answer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where burns are kept out of the battery's cones, and what a step says of its seconds."""
+"""Planes that keep burns out of the battery's cones, and the seconds of a step."""
 
 from __future__ import annotations
 

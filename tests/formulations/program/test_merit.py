@@ -1,4 +1,4 @@
-"""What an iterate costs and violates, said by its definition."""
+"""Cost and violations of an iterate, by their definitions."""
 
 from __future__ import annotations
 

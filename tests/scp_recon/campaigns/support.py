@@ -1,4 +1,4 @@
-"""What the tests compare of campaigns."""
+"""The part of a campaign's table that the tests compare."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is shown of a campaign: its ends, pictures and page."""
+"""Ends, pictures and page of a campaign."""
 
 from __future__ import annotations
 

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial import ConvexHull, KDTree
 
 from scp_recon.bodies.surface import Ellipsoid, Mesh, Surface, direction_of
+from scp_recon.campaigns.axes import ShapeSites
 from scp_recon.campaigns.cases import changed
 from scp_recon.campaigns.sites import even_sites, fibonacci, noons_of, parts, surface_of
 from scp_recon.campaigns.study import Study
@@ -94,3 +95,13 @@ def test_a_body_without_a_shape_has_no_sites_to_spread() -> None:
     body = base.body.model_copy(update={"radii_m": None})
     with pytest.raises(InputError, match=r"body\.radii_m"):
         surface_of(base.model_copy(update={"body": body}))
+
+
+def test_the_first_sites_are_spread_too() -> None:
+    base = load_scenario("recon_b")
+    rows = ShapeSites.model_validate({"spread": {"count": 128}}).rows(base, (0,))
+    places = [direction_of(row["site.latitude_deg"], row["site.longitude_deg"]) for row in rows]
+    far = KDTree(places[:32]).query(fibonacci(2000))[0].max()
+    alone = KDTree(fibonacci(32)).query(fibonacci(2000))[0].max()
+    assert far < 1.8 * alone
+    assert len({row["site.name"] for row in rows}) == 128

@@ -1,4 +1,4 @@
-"""What a study says, and what is refused of it before any work."""
+"""Studies as read, and refused before any work."""
 
 from __future__ import annotations
 

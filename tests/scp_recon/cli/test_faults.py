@@ -1,4 +1,4 @@
-"""What breaks around the planner: conic solvers, disks, the terminal, and being killed.
+"""Faults around the planner: conic solvers, disks, the terminal, and being killed.
 
 Usual runs take a few faults of each kind, ten of the conic solvers' in all; `nightly` takes every one.
 """
@@ -249,7 +249,7 @@ def test_a_wrong_status_is_found_out(liar: type[Liar], monkeypatch: pytest.Monke
     assert_honest(mission, found)
 
 
-@pytest.mark.parametrize("formulation", ["condensed", "lifted"])
+@pytest.mark.parametrize("formulation", usually(["condensed", "lifted"], 1))
 def test_a_solver_behind_cvxpy_that_raises_ends_in_a_status(
     formulation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

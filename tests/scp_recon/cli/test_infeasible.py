@@ -1,4 +1,4 @@
-"""What an infeasible run says: what binds, the largest probability, a line that is feasible."""
+"""The diagnosis of an infeasible run: what binds, the largest probability, a line that is feasible."""
 
 from __future__ import annotations
 
@@ -253,3 +253,11 @@ def test_burns_that_are_too_small_are_what_binds() -> None:
     larger = mission_of(f"burns.dv_max_m_s={out.burn_m_s + 1e-6}", COARSE)
     p3 = plan(larger, initial_guess.cold(larger), problem="P3")
     assert p3.status is Status.CONVERGED
+
+
+def test_what_has_not_ended_shows_nothing_of_lower_probabilities() -> None:
+    found = failed("burns.dv_max_m_s=0.02", COARSE)
+    unknown = Diagnosis(Status.MAX_ITERATIONS, (), ())
+    words = "\n".join([what_binds(unknown), *what_would_do(unknown, found, ())])
+    assert "no lower probability helps" not in words
+    assert "max_iterations" in words

@@ -1,4 +1,4 @@
-"""What a command says of what was typed or written wrongly: one line, with the file or the line."""
+"""Messages about wrong words and files: one line, with the file or the line."""
 
 from __future__ import annotations
 
@@ -115,3 +115,8 @@ def test_a_number_that_is_none_in_an_oem_is_named_by_its_line(tmp_path: Path) ->
     )
     with pytest.raises(InputError, match=r"flight\.oem, line 4: got 1 2 NaN 3; must be finite"):
         oem_track(file, "BENNU")
+
+
+def test_it_says_its_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"scp-recon {sr.__version__}\n"

@@ -83,3 +83,18 @@ def test_bad_input_is_told_in_one_message(
     said = capsys.readouterr().err
     assert words in said
     assert "Traceback" not in said
+
+
+def test_a_site_without_windows_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra [report]")
+    dark, always = tmp_path / "dark.toml", tmp_path / "always.toml"
+    dark.write_text('base = "recon_b"\n[observation]\nincidence_max_deg = 5.0\n', "utf-8")
+    always.write_text(
+        'base = "recon_b"\n[observation]\nincidence_max_deg = 180.0\nlocal_solar_time_min_h = 0.0\n'
+        "local_solar_time_max_h = 24.0\n",
+        "utf-8",
+    )
+    assert run(str(dark), "--chart", str(tmp_path / "dark.png")) == 0
+    assert "no whole window" in capsys.readouterr().out
+    assert run(str(always)) == 0
+    assert "the limits hold throughout" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""How the tests run jobs into a store, and what they compare."""
+"""Run jobs into a store, and compare rows."""
 
 from __future__ import annotations
 

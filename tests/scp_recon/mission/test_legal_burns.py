@@ -1,4 +1,4 @@
-"""Where burns may be: against a linear program, and against what the schedule accepts."""
+"""Legal burn times: against a linear program, and against what the schedule accepts."""
 
 from __future__ import annotations
 

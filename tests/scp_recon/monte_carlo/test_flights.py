@@ -1,4 +1,4 @@
-"""What flights add up to depends on their configuration alone; intervals narrow as promised."""
+"""Tallies of flights depend on their configuration alone; intervals narrow as promised."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which flights keep what, between looks too: whatever the speed, and at the moment of a burn."""
+"""Limits that flights keep, between looks too: at any speed, and at the moment of a burn."""
 
 from __future__ import annotations
 

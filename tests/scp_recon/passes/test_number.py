@@ -1,4 +1,4 @@
-"""How many burns: what is tried, that it is legal, and that it helps where the primer says so."""
+"""The number of burns: trials are legal, and help where the primer says so."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever is delivered that cannot be is refused in one message; what hardly can be is told."""
+"""Deliveries that cannot be are refused in one message; unlikely ones are told."""
 
 from __future__ import annotations
 

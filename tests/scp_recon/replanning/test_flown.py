@@ -1,4 +1,4 @@
-"""What a plan predicts in flight: the spread of flights, whichever of their burns were measured."""
+"""A plan's prediction in flight: the spread of flights, whichever of their burns were measured."""
 
 from __future__ import annotations
 

@@ -260,9 +260,10 @@ def test_a_replan_is_made_as_its_parent_was(flown: FlownPlan) -> None:
     mission = mission_of(COARSE)
     planner = Planner(mission, formulation="lifted", algorithm="ptr")
     parent = planner.plan(initial_guess.cold(mission), problem="P3")
-    for given in (parent, make_solution(parent)):
-        made = again(FlownPlan.of(given), 17_000.0, OFF).provenance
-        assert (made.formulation, made.algorithm) == ("lifted", "ptr")
+    flown_parent, stored = (FlownPlan.of(given) for given in (parent, make_solution(parent)))
+    assert flown_parent.method == stored.method
+    made = again(stored, 17_000.0, OFF).provenance
+    assert (made.formulation, made.algorithm) == ("lifted", "ptr")
     star = replace(flown, method=ScpMethod("condensed", "scvx-star", "CLARABEL"))
     assert again(star, 26_000.0, OFF).provenance.algorithm == "scvx"  # which can weigh a miss
     frozen = replace(flown, method=ScpMethod("frozen-stm", "scvx", "CLARABEL"))

@@ -1,4 +1,4 @@
-"""What the report computes: held against closed forms, SPICE's habits, and the verification."""
+"""Geometry of the report: against closed forms, SPICE's habits, and the verification."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What follows from what: the graph, and what a file takes over from its base by it."""
+"""The graph of dependencies, and what a file takes over from its base by it."""
 
 from __future__ import annotations
 

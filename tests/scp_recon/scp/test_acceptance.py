@@ -1,4 +1,4 @@
-"""Which steps are taken, told from a stub's predicted and actual reductions alone."""
+"""Accepted and refused steps, by a stub's predicted and actual reductions alone."""
 
 from __future__ import annotations
 

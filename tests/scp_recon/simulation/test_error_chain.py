@@ -1,4 +1,4 @@
-"""What errs in a simulated flight errs by as much as was drawn, and nothing else moves it."""
+"""Errors of a simulated flight are as large as was drawn, and nothing else moves it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where steps are too long for right covariances the planner takes shorter ones, and says so."""
+"""Finer grids where steps are too long for right covariances."""
 
 from __future__ import annotations
 

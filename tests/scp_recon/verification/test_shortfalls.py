@@ -1,4 +1,4 @@
-"""What flights refute, and what a certificate does not promise, is named."""
+"""Shortfalls: what flights refute, and what a certificate does not promise."""
 
 from __future__ import annotations
 
