@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import Linearisation
@@ -27,7 +28,7 @@ from scp_recon.scp.algorithms import SCvx
 from scp_recon.scp.loop import Record, Result, run
 from scp_recon.scp.status import Status
 from scp_recon.verification.reintegration import verify
-from tests.helpers import near_from
+from tests.helpers import MANY, near_from
 from tests.scenarios import COARSE
 from tests.scp_recon.support import flight_beyond, mission_of
 
@@ -204,6 +205,25 @@ def test_lifted_and_condensed_agree_at_convergence(
     assert [one.status for one in found] == 2 * [Status.CONVERGED]
     ours, theirs = (one.lin.iterate.total_dv for one in found)
     assert ours == pytest.approx(theirs, rel=1e-6)
+
+
+@pytest.mark.skipif(settings().max_examples < MANY, reason="four plans, seconds each")
+@pytest.mark.parametrize("risk", [[], ["risk.allocation=exact", "risk.p_chance=0.9"]])
+def test_lifted_and_condensed_agree_with_corrected_burns(risk: list[str]) -> None:
+    """On few nodes, with exact risk of nodes and with facets."""
+    navigation = ("sigma_position_m=10", "sigma_velocity_m_s=0.0005", "lead_s=0")
+    mission = mission_of(
+        "grid.step_max_s=2000.0",
+        "policy.kind=feedback",
+        *(f"navigation.{entry}" for entry in navigation),
+        *risk,
+    )
+    cold = initial_guess.cold(mission)
+    found = [plan(mission, cold, formulation=name) for name in ("lifted", "condensed")]
+    assert [one.status for one in found] == 2 * [Status.CONVERGED]
+    ours, theirs = (one.final.result.lin for one in found)
+    assert ours.iterate.gains.any()
+    assert ours.cost.value == pytest.approx(theirs.cost.value, rel=5e-6)
 
 
 def test_frozen_stm_stops_where_the_exact_model_goes_on(default_plan: Plan) -> None:
