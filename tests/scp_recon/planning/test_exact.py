@@ -26,7 +26,7 @@ from scp_recon.planning.stages import StageRunner
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scp.algorithms import ALGORITHMS
 from scp_recon.scp.status import Status
-from tests.helpers import share_of_examples
+from tests.helpers import share_of_examples, usually
 from tests.properties.test_optimality import Values, conditions_of
 from tests.scenarios import COARSE, planned, scenarios
 from tests.scp_recon.support import mission_of
@@ -122,6 +122,22 @@ def test_started_at_a_plan_with_inner_polytopes_exact_never_costs_more(
         stage.result.lin.iterate.total_dv
         <= uniform.final.result.lin.iterate.total_dv * (1.0 + off) + 1e-7
     )
+
+
+def test_with_better_measurements_no_plan_costs_more_than_its_neighbour() -> None:
+    """Each begins at the plan before it, the first at the plan without corrections."""
+    last = found("flight", 0.9)
+    for metres in usually([10.0, 3.0, 1.0], 1):
+        measured = (
+            f"navigation.sigma_position_m={metres}",
+            f"navigation.sigma_velocity_m_s={5e-5 * metres}",
+        )
+        given = exact("flight", 0.9, "policy.kind=feedback", "navigation.lead_s=0", *measured)
+        of = Planner(mission_of(*given)).plan(last)
+        assert of.status is Status.CONVERGED
+        before, after = (one.final.result.lin.cost.value for one in (last, of))
+        assert after <= before * (1.0 + 1e-4)
+        last = of
 
 
 # --- what they reach ----------------------------------------------------------------------------
