@@ -10,7 +10,6 @@ from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import unit
 from scp_recon.planning import initial_guess
-from scp_recon.planning.ipopt import plan as plan_by_ipopt
 from scp_recon.planning.planner import plan
 from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
@@ -208,8 +207,6 @@ def test_a_method_without_gains_refuses_feedback() -> None:
     guess = initial_guess.cold(corrected)
     with pytest.raises(InputError, match=r"^policy\.kind: .*condensed and lifted"):
         plan(corrected, guess, formulation="frozen-stm")
-    with pytest.raises(InputError, match=r"^policy\.kind: .*'scp' only"):
-        plan_by_ipopt(corrected, guess)
 
 
 def test_designs_refuse_feedback() -> None:
