@@ -129,11 +129,12 @@ def look_at(
 
 def certificate_of(kept: Kept, look: int, rounds: int) -> Certificate:
     """Result of the flights of a look."""
+    reached = reached_of(kept, LOOK_CONFIDENCE)
     return Certificate(
         flown_of(kept),
         look_seed(look),
-        *reached_of(kept, LOOK_CONFIDENCE),
-        at_nodes=kept.at_nodes / kept.samples,
+        *reached,
+        at_nodes=max(reached.value, kept.at_nodes / kept.samples),  # but for rounding it is
         rounds=rounds,
         looks=look,
         confidence=LOOK_CONFIDENCE,

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
-from formulations.risk.strata import Allocation
+from formulations.risk.strata import Allocation, Counted
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.certification import flights
 from scp_recon.certification.certify import ROUNDS_MAX, certify
@@ -127,6 +127,16 @@ def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
         assert certificate_of(kept, reached.looks, reached.rounds) == reached
         assert reached.samples == sum(reached.strata.flown) < look_flights(ASKED)
         assert "draws of look" in str(reached)
+
+
+def test_rounding_leaves_no_flight_that_keeps_all_but_not_the_nodes() -> None:
+    """In strata flights are as many plain ones as they are worth: a share of them is a quotient."""
+    allocation = Allocation(1e4, 5.0, (0.1, 0.5, 0.6, 0.6, 0.5, 0.1), (0.09, 0.1))
+    for failing in range(60):
+        drawn = (failing, 0, 0, 0, 0, 9_000)
+        counted = Counted(allocation, drawn, (0,) * 6, (0,) * 6)
+        told = certificate_of(flights._kept(counted, counted), 1, 1)
+        assert told.reached <= told.at_nodes == pytest.approx(told.reached)
 
 
 def test_what_judges_no_round_has_flown(run: Certified) -> None:
