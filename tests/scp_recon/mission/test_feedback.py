@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scp_recon.api.designing import design_options
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.frames import unit
 from scp_recon.planning import initial_guess
 from scp_recon.planning.planner import plan
-from scp_recon.scenario.load import load_scenario
 from scp_recon.scenario.schema import Scenario
 from tests.scp_recon.support import mission_of
 
@@ -207,9 +205,3 @@ def test_a_method_without_gains_refuses_feedback() -> None:
     guess = initial_guess.cold(corrected)
     with pytest.raises(InputError, match=r"^policy\.kind: .*condensed and lifted"):
         plan(corrected, guess, formulation="frozen-stm")
-
-
-def test_designs_refuse_feedback() -> None:
-    scenario = load_scenario("nightingale", FEEDBACK)
-    with pytest.raises(InputError, match=r"^policy\.kind: .*not yet with design"):
-        design_options(scenario, certify=None)
