@@ -23,6 +23,7 @@ STUDIES = {
     "observation_table": "the paper's table of observation times",
     "plans": "the plans, and with --designs the passes, that the pages quote",
     "frontier": "delta-v against the required probability, and the cost of certifying",
+    "feedback": "what feedback is worth, beside open loop and targeting gains",
     "compare_solvers": "forms, algorithms and conic solvers against IPOPT",
     "lifted": "sizes and times of P2 in its lifted and its condensed form",
     "nlp_tricks": "what each trick gains the nonlinear program",

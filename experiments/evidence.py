@@ -65,6 +65,11 @@ SOURCES: Mapping[str, Source] = {
         ("experiments.frontier",),
         figures=("paper_figs frontier --runs {out} --out docs/frontier.png",),
     ),
+    "feedback": Source(
+        "experiments feedback",
+        ("experiments.feedback",),
+        figures=("paper_figs feedback --runs {out} --out docs/feedback.png",),
+    ),
     "compare_solvers": Source(
         "experiments compare_solvers --full",
         (_SOLVERS,),

@@ -18,6 +18,7 @@ from typing import Any
 from experiments.harness import Findings, Record, Session, Study, fly_plan, option, records, view
 from scp_recon.api.planning import plan
 from scp_recon.jobs.job import Job
+from scp_recon.monte_carlo.flights import FlightTally
 from scp_recon.monte_carlo.observation_time import ALL
 from scp_recon.planning.plan import Plan
 from scp_recon.results.table import Column, Table, Value
@@ -56,7 +57,8 @@ def measure(flights: int, case: tuple[str, float]) -> Record:
     scenario = load_scenario().replace({**changes, "risk.p_chance": p})
     begin = process_time()
     found = plan(scenario, certify=certified)
-    return record(kind, p, found, flights, process_time() - begin)
+    took = process_time() - begin
+    return record(kind, p, found, fly_plan(found, flights, SEED), took)
 
 
 def with_costs(rows: Sequence[Record]) -> list[Record]:
@@ -71,9 +73,8 @@ def with_costs(rows: Sequence[Record]) -> list[Record]:
     return result
 
 
-def record(kind: str, p: float, found: Plan, flights: int, processor_s: float) -> Record:
-    """Fly a plan: a row of its cost and the probability reached; the time is that of all its rounds."""
-    flown = fly_plan(found, flights, SEED)
+def record(kind: str, p: float, found: Plan, flown: FlightTally, processor_s: float) -> Record:
+    """A row of a plan's cost and the probability its flights reach; the time is of all its rounds."""
     node = min(flown.worst_probability(name)[1].value for name in flown.node_counts if name != ALL)
     reached = found.certificate
     converged = found.status is Status.CONVERGED

@@ -25,6 +25,7 @@ from paper_figs.paper import (
 from paper_figs.studies import (
     attitude_and_actuators,
     battery_cones,
+    feedback,
     flown_plan,
     frontier,
     model_fidelity,
@@ -97,6 +98,7 @@ STUDIES: dict[str, Item] = {
     module.__name__.rpartition(".")[2]: _study(module)
     for module in (
         frontier,
+        feedback,
         battery_cones,
         model_fidelity,
         uncertainty_sources,

@@ -245,6 +245,13 @@ QUICK = {
         )
     ),
     "python -m experiments frontier": Quick(less=TWO_KINDS),
+    "python -m experiments feedback": Quick(
+        "--quick",
+        less=(
+            ("experiments.feedback.QUICK", lambda cases: cases[:1]),
+            ("experiments.feedback.ERRORS_AT", lambda at: at[-1:]),
+        ),
+    ),
     "python -m experiments lifted": Quick(less=ONE_FORM),
     "python -m experiments openscvx_peer": Quick(
         needs="openscvx", less=(("experiments.openscvx_peer.CASES", lambda cases: cases[:1]),)

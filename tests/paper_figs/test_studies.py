@@ -27,6 +27,7 @@ from paper_figs.registry import EVERYTHING, STUDIES, Item
 from paper_figs.studies import (
     attitude_and_actuators,
     battery_cones,
+    feedback,
     flight_record,
     flown_plan,
     frontier,
@@ -169,6 +170,20 @@ def write_frontier(folder: Path) -> None:
     (folder / "frontier.csv").write_text(to_csv(rows), encoding="utf-8")
 
 
+def write_feedback(folder: Path) -> None:
+    """Made-up costs in the study's own columns, one without a plan, and some over the error."""
+    folder.mkdir()
+    figures = ("dv99_m_s", "program_m_s", "final_sigma_m")
+    rows = [
+        {"kind": kind, "asked": p, "scope": "flight", "scale": 10.0**i}
+        | dict.fromkeys(figures, 0.11 + 0.001 * i + 0.01 * p if i or p < 0.9 else None)
+        for i, kind in enumerate(feedback.MARKS)
+        for p in (0.7, 0.9, 0.99)
+    ]
+    for name in feedback.SOURCE.tables:
+        (folder / name).write_text(to_csv(rows), encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders of all studies."""
@@ -182,6 +197,7 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_flown(out / flown_plan.SOURCE.folder)
     write_timing(out / timing_rules.SOURCE.folder)
     write_frontier(out / frontier.SOURCE.folder)
+    write_feedback(out / feedback.SOURCE.folder)
     return out
 
 

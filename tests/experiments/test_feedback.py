@@ -1,0 +1,102 @@
+"""The study of feedback: scaled targeting gains do what they say, and claims judge what is there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments import feedback
+from experiments.feedback import CORRECTED, ENDING, ERRORS, OPEN, TARGETED, Case
+from experiments.harness import Record
+from experiments.plans import FLIGHT
+from scp_recon.errors import InputError
+from scp_recon.mission.mission import Mission
+from scp_recon.planning import initial_guess
+from scp_recon.results.policy import policy_of, transition
+from scp_recon.scenario.load import load_scenario
+
+
+@pytest.fixture(scope="module")
+def mission() -> Mission:
+    changes = FLIGHT | feedback.measured(lead_s=feedback.LEAD_S) | {"risk.p_chance": 0.9}
+    return Mission.from_scenario(load_scenario().replace(changes))
+
+
+def test_the_whole_gain_targets_the_planned_position_from_the_estimate(mission: Mission) -> None:
+    """Carried to the burn, corrected, and carried on, what is estimated leaves no deviation there."""
+    burns = np.array(
+        [[-0.01, 0.045, 0.02], [-0.007, 0.026, -0.007], [0.0] * 3, [-0.009, 0.035, 0.014]]
+    )
+    iterate = initial_guess.from_burns(mission, burns)
+    problem = mission.problem
+    assert problem.feedback is not None
+    lin = mission.dynamics.linearise(
+        problem, type(iterate)(iterate.burns, iterate.mean, np.zeros(problem.feedback.size))
+    )
+    node, cut_off = int(problem.burn_nodes[1]), int(problem.feedback.cut_offs[0])
+    end = int(mission.window_nodes[3])
+    (one,) = policy_of(mission, feedback.targeted(lin, end)(1.0))
+    (part,) = policy_of(mission, feedback.targeted(lin, end)(0.25))
+    np.testing.assert_allclose(part.gains, 0.25 * one.gains, rtol=1e-9)
+    gain = one.gains[0] * mission.units.state / mission.units.speed_m_s
+    before, after = (transition(lin.arcs.stm, *ends) for ends in ((cut_off, node), (node, end)))
+    left = after @ (before + np.vstack([np.zeros((3, 6)), gain]))
+    size = np.abs(after @ before)[:3].max()
+    np.testing.assert_allclose(left[:3] / size, 0.0, atol=1e-7)
+
+
+def test_the_least_share_reaches_what_is_asked_and_no_less_does() -> None:
+    """Of a made-up surplus that rises and falls again."""
+
+    class Rows:
+        required = 1.0
+
+        @staticmethod
+        def at(share: Any) -> Any:
+            return share
+
+    class At:
+        def __init__(self, share: float) -> None:
+            self.value = 4.0 * share * (1.2 - share)
+            self.cost = self
+
+    found = feedback.scaled(At, Rows())  # type: ignore[arg-type]
+    assert found.share == pytest.approx(0.6 - np.sqrt(0.11), abs=1e-3)
+    assert found.cost == pytest.approx(1.0, abs=1e-3)
+    Rows.required = 2.0
+    assert feedback.scaled(At, Rows()) is feedback.NO_GAIN  # type: ignore[arg-type]
+
+
+def test_a_case_that_fails_is_a_row_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise InputError("policy.kind", "'feedback'", "goes with nothing")
+
+    monkeypatch.setattr(feedback, "plan", fail)
+    found = feedback.measure(100, Case(CORRECTED, 0.9))
+    assert found["status"] == "failed: policy.kind: got 'feedback'; goes with nothing"
+    assert not any(one.holds for one in feedback.claims([found | {"asked": 0.99}], []))
+
+
+def figures(kind: str, p: float, cost: float, sigma: float = 200.0) -> Record:
+    return {"kind": kind, "asked": p, "dv99_m_s": cost, "program_m_s": cost, "final_sigma_m": sigma}
+
+
+def test_claims_tell_what_falls_short() -> None:
+    rows = [
+        figures(OPEN, 0.99, 0.13),
+        figures(CORRECTED, 0.99, 0.1155),
+        figures(TARGETED, 0.99, 0.1150),
+        figures(ENDING, 0.99, 0.118, 60.0),
+        figures(ENDING, 0.99, 0.12, 80.0),
+    ]
+    costs = [0.12, *(0.12 - 1e-3 * i for i in range(len(ERRORS) - 1))]
+    errors = [{"scope": "flight"} | figures(CORRECTED, 0.9, cost) for cost in costs]
+    made = feedback.claims(feedback.beside(rows), errors)
+    assert [one.holds for one in made] == [True, False, True, False, True, True]
+    errors[-1]["program_m_s"] = 0.13
+    assert [one.holds for one in feedback.claims([], errors)] == [True, False]
+    assert [case.changes for case in feedback.limited(rows[:1])] == [
+        {feedback.LIMIT: 200.0 / (3.0 * more)} for more in feedback.FURTHER
+    ]
