@@ -24,7 +24,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Protocol
+from typing import Any, Generic, Protocol, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -37,6 +38,16 @@ from formulations.problem.flyby import FlybyProblem, Iterate
 
 DYNAMICALLY_FEASIBLE = 1e-9
 """Largest defect of an arc that obeys the dynamics."""
+
+
+Found = TypeVar("Found")
+
+
+class Seen(WeakKeyDictionary["Linearisation", Found], Generic[Found]):
+    """What was found at iterates that are still in use; a copy in another process begins empty."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Seen, ()
 
 
 class LinearisationError(ArithmeticError):

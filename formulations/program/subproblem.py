@@ -18,12 +18,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Literal
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from formulations.arrays import Array
-from formulations.linearisation.linearisation import Linearisation
+from formulations.linearisation.linearisation import Linearisation, Seen
 from formulations.problem.flyby import NO_GAINS, FlybyProblem
 from formulations.rows.cones import Margins, Rows
 
@@ -55,7 +54,7 @@ class MeritFunction:
 
     def __init__(self, problem: FlybyProblem, rows: Rows) -> None:
         self.problem, self.rows = problem, rows
-        self._seen = WeakKeyDictionary[Linearisation, dict[str, Array]]()
+        self._seen = Seen[dict[str, Array]]()
 
     def __call__(self, lin: Linearisation, charge: float | PenaltyParameters) -> float:
         """Total delta-v plus the charge for every violation, from the nonlinear dynamics.

@@ -14,13 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array, Indices
-from formulations.linearisation.linearisation import Linearisation, Sensitivity
+from formulations.linearisation.linearisation import Linearisation, Seen, Sensitivity
 from formulations.problem.feedback import Feedback
 from formulations.problem.flyby import FlybyProblem
 from formulations.problem.regions import Ball, Cone
@@ -65,7 +64,7 @@ class CorrectedBurns:
         self._problem, self._first = problem, first
         limits, feedback = 1 + int(problem.dv_cone > 0.0), problem.feedback
         self.count = 0 if feedback is None else limits * len(feedback.burns)
-        self._seen = WeakKeyDictionary[Linearisation, dict[str, Quantiles]]()
+        self._seen = Seen[dict[str, Quantiles]]()
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins at the corrected burns' nodes, in units of speed."""

@@ -12,13 +12,12 @@ binding a row is left affine.
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
-
 import numpy as np
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import (
     Linearisation,
+    Seen,
     Sensitivity,
     condense,
 )
@@ -158,7 +157,7 @@ class NodeRows(ExactRows):
         self.nodes = np.union1d(self.node, self.further.nodes)
         self.count = len(self.node) + self.further.count
         self._first = np.cumsum([0, *(len(event.nodes) for event in self.events)])
-        self._seen = WeakKeyDictionary[Linearisation, Quantiles]()
+        self._seen = Seen[Quantiles]()
 
     def margins(self, lin: Linearisation) -> dict[str, Margins]:
         """Margins by joint constraint, at its nodes."""
