@@ -127,8 +127,7 @@ class ScpStages:
         if task.problem.feedback is not None:
             special["max_iterations"] = ITERATIONS_WITH_GAINS
         self.algorithm: Algorithm = ALGORITHMS[algorithm](**special)
-        led = special | {"max_iterations": LED_ITERATIONS}
-        self._leading: Algorithm = ALGORITHMS[algorithm](**led)
+        self._special = special
         if self.algorithm.penalty == "augmented" and task.problem.miss_weight is not None:
             raise InputError(
                 "algorithm",
@@ -220,7 +219,10 @@ class ScpStages:
             rows.aim(start)
         subproblem = self.subproblem(rows)
         setup = perf_counter() - begin
-        algorithm = self._leading if name.endswith(LED_STAGE) else self.algorithm
+        algorithm = self.algorithm
+        if name.endswith(LED_STAGE):
+            led = self._special | {"max_iterations": LED_ITERATIONS}
+            algorithm = ALGORITHMS[self.algorithm_name](**led)
         algorithm = algorithm.resolving(rows.resolution)
         result = run(subproblem, dynamics, start, algorithm, partial(observe, name))
         result.timing.setup += setup
