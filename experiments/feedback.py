@@ -96,13 +96,16 @@ class Case(NamedTuple):
     certified: bool = True
 
 
+TARGET = dict.fromkeys(("planned_for", "share", "target_s"), np.nan)
+"""Of plans that no scaled targeting gain corrects."""
+
 QUICK = (Case(OPEN, 0.9), Case(CORRECTED, 0.9))
 
 
 def measure(flights: int, case: Case) -> Record:
     """Plan a case from a cold start and fly it: a row, which says so where that failed."""
     changes = FLIGHT | KINDS[case.kind] | dict(case.changes) | {"risk.p_chance": case.asked}
-    scenario, begin, more = load_scenario().replace(changes), process_time(), dict[str, float]()
+    scenario, begin, more = load_scenario().replace(changes), process_time(), TARGET
     try:
         if case.kind in AGAINST:
             found, more = by_targeting(Mission.from_scenario(scenario))
@@ -168,7 +171,7 @@ def by_targeting(mission: Mission) -> tuple[Plan, dict[str, float]]:
     search = Search()
     found = certify(mission, initial_guess.cold(mission), search)
     gain = next((gain for final, gain in search.made if final is found.final), NO_GAIN)
-    return found, {name: getattr(gain, name) for name in ("planned_for", "share", "target_s")}
+    return found, {name: getattr(gain, name) for name in TARGET}
 
 
 @dataclass

@@ -27,6 +27,10 @@ class Halfspaces:
 
     As planes that touch an ellipsoid their normals are shorter.
 
+    Attributes:
+        normal: a.
+        offset: b.
+
     >>> Halfspaces(np.array([[1.0, 0.0, 0.0]]), np.array([3.0])).inside(np.ones((1, 3))).item()
     2.0
     """
@@ -280,6 +284,11 @@ class Ellipsoid:
 
     A ball of this radius in the coordinates matrix (y - center).
 
+    Attributes:
+        center: one a node.
+        matrix: of all nodes.
+        radius: in the units of positions.
+
     >>> egg = Ellipsoid(np.zeros((1, 3)), np.diag([1.0, 0.5, 0.5]), 2.0)
     >>> egg.inside(np.array([[0.0, 4.0, 0.0]])).item()
     0.0
@@ -332,6 +341,10 @@ class Polytope:
     """Points with a'y <= b for all m faces, to be kept out of: unit normals (m, 3), offsets (m,).
 
     The same at all nodes. A polytope to be kept in is so many half-spaces.
+
+    Attributes:
+        normal: a.
+        offset: b.
 
     >>> box = Polytope(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
     >>> box.inside(np.array([0.0, 0.75, 0.0])).item()

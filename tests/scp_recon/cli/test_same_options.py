@@ -22,11 +22,10 @@ OWN = {
 
 
 def test_every_verb_has_its_command() -> None:
-    """But for reading and writing what commands read and write themselves."""
+    """But for what commands read and write themselves. Classes are parts of problems by hand."""
     verbs = {function.rpartition(".")[2] for function in FUNCTIONS.values()}
-    assert {*sr.__all__} - verbs == {
-        *("InputError", "load", "load_scenario", "read_campaign", "save"),
-    }
+    functions = {name for name in sr.__all__ if not inspect.isclass(getattr(sr, name))}
+    assert functions - verbs == {"load", "load_scenario", "read_campaign", "save"}
     assert COMMANDS.keys() - FUNCTIONS.keys() == {"schema"}
 
 

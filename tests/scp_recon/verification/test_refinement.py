@@ -71,7 +71,10 @@ def test_no_flights_certify_a_plan_whose_covariances_are_wrong(
         return kept_flights(mission, burns, samples, seed)
 
     monkeypatch.setattr(flights, "kept_flights", fly)
-    overrides = ('risk.allocation="exact"', 'risk.scope="node"', "risk.p_chance=0.6")
+    overrides = (
+        *('risk.allocation="exact"', 'risk.scope="node"', "risk.p_chance=0.6"),
+        'risk.sampling="plain"',
+    )
     plan = sr.plan(overrides=overrides)
     assert plan.certificate is not None
     assert plan.certificate.certifies(0.6)
