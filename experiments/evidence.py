@@ -91,6 +91,9 @@ SOURCES: Mapping[str, Source] = {
     "timing_rules": Source("experiments timing_rules", ("experiments.timing_rules",)),
     "flown_plan": Source("experiments flown_plan", ("experiments.flown_plan",)),
     "benchmarks": Source("benchmarks", ("benchmarks.methods", "benchmarks.growth")),
+    "waits": Source(
+        "benchmarks.waits", ("benchmarks.waits", "formulations", "scp_recon"), without=()
+    ),
     "campaign_scale": Source("benchmarks.campaign_scale", ("benchmarks.campaign_scale",)),
     "maps": Source("experiments maps --pictures docs", ("experiments.maps", "examples.studies")),
     "reliability": Source("experiments testing reliability", _ALL, without=()),
