@@ -14,7 +14,8 @@ it the quantile's curvature over the draws, which goes on straight (`bend`).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from functools import cached_property, lru_cache
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -83,11 +84,10 @@ def cost(problem: FlybyProblem, iterate: Iterate) -> Valued:
     feedback = problem.feedback
     if feedback is None or feedback.cost == "nominal" or not iterate.gains.any():
         return formula(problem, iterate)
-    sizes = _Sizes(problem, iterate)
+    sizes = _Sizes.of(problem, iterate)
     if feedback.cost == "expected":
         return Valued(float(sizes.total.mean()), sizes.slope(np.full(DRAWS, 1.0 / DRAWS)))
-    at = _quantile(sizes.total)
-    return Valued(at.value, sizes.slope(at.by_value))
+    return Valued(sizes.quantile.value, sizes.slope(sizes.quantile.by_value))
 
 
 def formula(problem: FlybyProblem, iterate: Iterate) -> Valued:
@@ -127,9 +127,8 @@ def bend(problem: FlybyProblem, iterate: Iterate) -> Bend:
     if not iterate.gains.any():
         root[: len(along)] = QUANTILE * jacobian
         return Bend(root, 0.0)
-    sizes = _Sizes(problem, iterate)
-    at = _quantile(sizes.total)
-    hessian = sizes.curvature(at)
+    sizes = _Sizes.of(problem, iterate)
+    at, hessian = sizes.quantile, sizes.curvature()
     for burn in feedback.burns:
         own = slice(*problem.controls_before[burn : burn + 2])
         z = problem.controls(iterate.burns, iterate.gains)[own]
@@ -191,6 +190,17 @@ class _Sizes:
             self._burns.append((own, known, size, commanded / size[:, None]))
             self.total += size
 
+    @classmethod
+    @lru_cache(maxsize=2)
+    def of(cls, problem: FlybyProblem, iterate: Iterate) -> Self:
+        """Those of an iterate: value and curvature are asked of the same one."""
+        return cls(problem, iterate)
+
+    @cached_property
+    def quantile(self) -> _Quantile:
+        """The 99 % quantile of `total`."""
+        return _quantile(self.total)
+
     def slope(self, weights: Array) -> Array:
         """Gradient of sum_n weights_n T_n by the controls, shape (controls,)."""
         slope = self._fixed * weights.sum()
@@ -199,8 +209,9 @@ class _Sizes:
             slope[own] = np.r_[weighed.sum(axis=0), (weighed.T @ known).ravel()]
         return np.asarray(slope)
 
-    def curvature(self, at: _Quantile) -> Array:
+    def curvature(self) -> Array:
         """Second derivative of the quantile by the controls, but for that of the kernel's width."""
+        at = self.quantile
         some, off = np.flatnonzero(at.weight), self.total - self.total.mean()
         hessian = np.zeros((len(self._fixed),) * 2)
         steps = np.zeros((len(some), len(self._fixed)))
@@ -229,7 +240,7 @@ class _Sizes:
 
 def total_sizes(problem: FlybyProblem, iterate: Iterate) -> Array:
     """The sum of the commanded burns' sizes at every draw, shape (DRAWS,)."""
-    return _Sizes(problem, iterate).total
+    return _Sizes.of(problem, iterate).total
 
 
 class _Quantile(NamedTuple):
