@@ -1,22 +1,39 @@
-"""Evidence: what its hash counts, when it is out of date, what a study leaves, how it is renewed."""
+"""The shell of the studies and what they leave: evidence, the pages that show it, tests counted."""
 
 from __future__ import annotations
 
+import json
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from experiments import battery_cones, evidence, pages, renewal
-from experiments.__main__ import STUDIES, main
-from experiments.evidence import SOURCES, UNKNOWN, Evidence, Source, out_of_date, path_of
-from experiments.harness import Findings, Record, Session, Study, run
+from experiments import battery_cones, evidence, frontier, harness, pages, renewal, testing
+from experiments.__main__ import STUDIES, main, module_of
+from experiments.evidence import (
+    FILE,
+    ROOT,
+    SOURCES,
+    UNKNOWN,
+    Evidence,
+    Source,
+    out_of_date,
+    path_of,
+)
+from experiments.harness import Findings, Record, Session, Study, plan_or_default, run
 from scp_recon.errors import InputError
 from scp_recon.jobs import store
 from scp_recon.jobs.job import Job
 from scp_recon.results.table import Table
+from scp_recon.scenario.load import load_scenario
+from tests import reliability
+
+from .support import session_in
 
 QUICK = Source("experiments battery_cones --samples 100", (battery_cones.__name__,))
 
@@ -163,3 +180,227 @@ def test_a_study_that_fails_is_named_and_does_not_stop_the_others(
     assert main(["evidence"]) == 2
     assert "none: python -m experiments none --out" in capsys.readouterr().out
     assert out_of_date() == {"none": "never measured"}
+
+
+PACKAGE = Path(frontier.__file__).parent
+
+
+def test_every_study_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    having = {path for path in PACKAGE.rglob("*.py") if "\nSTUDY = " in path.read_text("utf-8")}
+    places = {PACKAGE.parent.joinpath(*module_of(name).split(".")) for name in STUDIES}
+    assert {place.with_suffix(".py") for place in places} == having
+    assert main([]) == 0
+    said = capsys.readouterr().out
+    assert all(f"  {name} " in said for name in STUDIES)
+    assert main(["no_such_study"]) == 2
+    assert "battery_cones" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "battery_cones --samples 1",
+        "observation_table --samples 1",
+        "observation_table --samples x",
+        "timing_rules --slews 2",
+        "uncertainty_sources --paths 19",
+    ],
+)
+def test_a_number_out_of_its_range_exits_with_two(words: str) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(words.split())
+    assert stop.value.code == 2
+
+
+def test_a_study_refuses_a_plan_that_it_would_fly_open_loop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measured = {"navigation.sigma_position_m": 10.0, "navigation.sigma_velocity_m_s": 5e-4}
+    scenario = load_scenario().replace({"policy.kind": "feedback", **measured})
+    monkeypatch.setattr(harness, "read_solution", lambda _: SimpleNamespace(scenario=scenario))
+    with pytest.raises(InputError, match=r"policy.kind: got 'feedback'; goes with"):
+        plan_or_default(Path("of_one_s_own"))
+
+
+def test_a_study_is_one_document_or_silent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["battery_cones", "--samples", "100", "--out", str(tmp_path)]
+    assert main([*words, "--json"]) == 0
+    said = capsys.readouterr()
+    document = json.loads(said.out)
+    assert document["folder"] == str(tmp_path)
+    assert [claim["holds"] for claim in document["claims"]] == [False, True, True]
+    assert "written: " in said.err
+    assert main([*words, "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert {str(path) for path in tmp_path.iterdir()} == set(document["files"])
+
+
+def test_a_study_goes_on_after_ctrl_c(tmp_path: Path) -> None:
+    jobs, done, said = [Job(k, k) for k in range(4)], [], list[str]()
+
+    def work(k: int) -> Record:
+        if k == 2 and done == [0, 1]:
+            raise KeyboardInterrupt
+        done.append(k)
+        return {"root": math.sqrt(k), "never": math.inf}
+
+    def rows() -> list[Record]:
+        with session_in(tmp_path) as session:
+            session.say = said.append  # type: ignore[method-assign]
+            return session.rows("roots", work, jobs, session.store(), line=lambda r: str(r["root"]))
+
+    with pytest.raises(KeyboardInterrupt):
+        rows()
+    done.append(-1)  # from now on nothing stops it
+    assert [row["root"] for row in rows()] == [math.sqrt(k) for k in range(4)]
+    assert done == [0, 1, -1, 2, 3]
+    assert said == [str(math.sqrt(k)) for k in (0, 1, 0, 1, 2, 3)]
+    assert {row["never"] for row in rows()} == {math.inf}
+
+
+def test_what_was_kept_goes_once_the_tables_have_it(tmp_path: Path) -> None:
+    with session_in(tmp_path) as session:
+        for file in ("", "stays.jsonl"):
+            session.store(file).put(0, {})
+        session.end(Study("", "", lambda _: Findings([], {})), Findings([], {}))
+    kept = [path.name for path in tmp_path.iterdir() if not path.name.startswith(".")]
+    assert sorted(kept) == ["evidence.json", "stays.jsonl"]
+
+
+FIGURE = re.compile(r"\b\d{1,2}\.\d{4,}\b")
+"""More digits than anybody chooses."""
+SPEED = re.compile(r"<!--= (On one machine, .*?) -->", re.DOTALL)
+
+
+@pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: page.name)
+def test_a_page_is_current_and_no_result_is_typed(page: Path) -> None:
+    text = page.read_text("utf-8")
+    assert pages.render(text) == text, "run `python -m experiments evidence --render`"
+    typed = re.sub(r"```.*?```|^ {4}.*?$|`[^`]*`", "", pages.MARK.sub("", text), flags=re.S | re.M)
+    assert FIGURE.findall(typed) == [], "a result has to come from the evidence"
+
+
+def test_every_evidence_is_shown() -> None:
+    shown = {name for page in pages.PAGES for name in pages.used(page.read_text("utf-8"))}
+    assert shown == set(SOURCES)
+
+
+def test_pages_that_speak_of_speed_say_the_same() -> None:
+    said = [mark for page in pages.PAGES for mark in SPEED.findall(page.read_text("utf-8"))]
+    assert len(said) >= 2
+    assert len(set(said)) == 1
+    assert SPEED.search((ROOT / "README.md").read_text("utf-8"))
+
+
+ROWS = [
+    {"kind": "exact", "asked": 0.9, "dv": 0.11019, "ok": True, "note": None},
+    {"kind": "exact", "asked": 0.99, "dv": 0.13016, "ok": False, "note": "late"},
+    {"kind": "even", "asked": 0.9, "dv": "infeasible", "ok": None, "note": ""},
+]
+
+
+@pytest.fixture
+def rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evidence, "FOLDER", tmp_path)
+    monkeypatch.setattr(pages, "_tables", pages._tables.__wrapped__)
+    tables = {"plans": ROWS, "more": ROWS[:1]}
+    Evidence("", "", "", "", {}, "", 1.0, resumed=False, tables=tables).write(path_of("plans"))
+
+
+@pytest.mark.parametrize(
+    ("template", "filled"),
+    [
+        ("{plans[exact 0.9].dv:.4f} m/s", "0.1102 m/s"),
+        ("{plans[kind=exact; asked=0.99].dv:*1e3 .2f} mm/s", "130.16 mm/s"),
+        ("{plans.more[exact].dv:.2f}", "0.11"),
+        ("{plans[even].dv:.4f}", "infeasible"),
+        ("{plans[exact 0.99].note}, {plans[exact 0.9].note}", "late, "),
+        ("{plans[exact 0.9].ok} {plans[exact 0.99].ok}", "yes no"),
+        ("{plans[kind^=ev].dv}", "infeasible"),
+        (
+            "plans kind=exact\n| p |\n| {asked:g} of {plans[even].asked:g} |\n",
+            "\n| p |\n| 0.9 of 0.9 |\n| 0.99 of 0.9 |\n",
+        ),
+        ("\nall {plans[even].kind}\n", "\nall even\n"),
+    ],
+)
+@pytest.mark.usefixtures("rows")
+def test_a_template_is_filled(template: str, filled: str) -> None:
+    head = template if "\n" in template else f" {template} "
+    text = f"before <!--={head}-->old<!--/--> after"
+    once = pages.render(text)
+    assert once == f"before <!--={head}-->{filled}<!--/--> after"
+    assert pages.render(once) == once
+    assert pages.used(text) == ["plans"]
+
+
+@pytest.mark.parametrize(
+    ("template", "said"),
+    [
+        (" {plans[exact].dv} ", "2 rows"),
+        (" {plans[none].dv} ", "0 rows"),
+        (" {plans[even].cost} ", "must be one of kind, asked"),
+        (" {plans.less[even].dv} ", "must be one of plans, more"),
+        (" {others[even].dv} ", "no such evidence"),
+        ("plans kind=none\n{asked}\n", "no row"),
+    ],
+)
+@pytest.mark.usefixtures("rows")
+def test_what_no_evidence_has_is_told(template: str, said: str) -> None:
+    with pytest.raises(InputError, match=re.escape(said)):
+        pages.render(f"<!--={template}--><!--/-->")
+
+
+def evidence_of(what: str, out: Path) -> dict[str, dict[str, object]]:
+    words = [what, "--out", str(out), "--quiet"]
+    assert run("python -m experiments testing", testing.STUDY, testing.__name__, words) == 0
+    rows = Evidence.read(out / FILE).tables[what]
+    return {str(next(iter(row.values()))): dict(row) for row in rows}
+
+
+def test_counts_of_all_seeds_are_added_and_a_stopped_run_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[int] = []
+
+    def pytest_run(*words: str, profile: str) -> str:
+        assert profile == "nightly"
+        seed = next(int(w.rpartition("=")[2]) for w in words if "seed=" in w)
+        ran.append(seed)
+        if ran == [1, 2, 3]:
+            raise KeyboardInterrupt
+        path = next(Path(w.rpartition("=")[2]) for w in words if "--reliability=" in w)
+        reliability.write(path, reliability.Counter({reliability.SOLVED: 10 * seed}))
+        return ""
+
+    monkeypatch.setattr(testing, "_pytest", pytest_run)
+    with pytest.raises(AssertionError):
+        evidence_of("reliability", tmp_path)
+    row = evidence_of("reliability", tmp_path)[reliability.SOLVED]
+    assert row["seed_4"] == 40
+    assert row["all"] == 150
+    assert ran == [1, 2, 3, 3, 4, 5]
+
+
+def test_mutants_are_drawn_tried_and_counted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends = {f"formulations.{m}.x__mutmut_{k}": "not checked" for m in "ab" for k in range(30)}
+
+    def mutmut(*words: str) -> str:
+        for name in words[3:] if words[0] == "run" else ():
+            if name in ends:
+                ends[name] = {"0": "survived", "1": "no tests"}.get(name[-1], "killed")
+        return "\n".join(f"    {name}: {end}" for name, end in ends.items())
+
+    monkeypatch.setattr(testing, "_mutmut", mutmut)
+    found = evidence_of("mutation", tmp_path)
+    tried = {end: sum(e == end for e in ends.values()) for end in set(ends.values())}
+    assert found["all"]["mutants"] == 60
+    assert found["all"]["tried"] == 20 == 60 - tried["not checked"]
+    assert found["all"]["found_out"] == tried["killed"]
+    assert found["all"]["share_low"] < found["all"]["share"] < found["all"]["share_high"]  # type: ignore[operator]
+    named = [name for row in found.values() for name in str(row["survivors"] or "").split("; ")]
+    assert sorted(filter(None, named)) == sorted(n for n, e in ends.items() if e == "survived")

@@ -19,15 +19,6 @@ from scp_recon.planning import initial_guess
 MISSING = importlib.util.find_spec("openscvx") is None
 
 
-@pytest.mark.skipif(not MISSING, reason="OpenSCvx is installed")
-def test_without_it_the_command_names_the_extra(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["openscvx_peer", "--out", str(tmp_path)]) == 2
-    assert "scp_recon[peer]" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 def test_our_row_flies_the_burns_that_it_reports(mission: Mission) -> None:
     row = openscvx_peer.our_row(mission, initial_guess.ballistic(mission), "scvx", "CLARABEL")
     assert (row.group, row.problem, row.status) == ("peer", "P3", "converged")

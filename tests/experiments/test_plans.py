@@ -1,11 +1,32 @@
-"""Rows of plans and passes as the plans themselves have them, and campaigns summed up."""
+"""Studies of plans: rows are what their cases describe, all rounds count, maps are summed up."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from time import process_time
+
 import pytest
 
-from experiments import maps, plans
+from experiments import frontier, maps, plans
+from experiments.frontier import (
+    NOT_CERTIFIED,
+    measure,
+    record,
+    with_costs,
+)
+from experiments.harness import Record, fly_plan
+from experiments.nlp_tricks import measuring, tricks
+from formulations.nlp.solve import VARIANTS
+from formulations.problem.flyby import Iterate
+from scp_recon.api import planning
+from scp_recon.api.planning import plan
+from scp_recon.certification.certify import AimedPlanning
+from scp_recon.mission.mission import Mission
+from scp_recon.planning.plan import Certificate, Plan
 from scp_recon.scenario.load import load_scenario
+from scp_recon.scenario.schema import Scenario
+from tests.scenarios import COARSE
 from tests.scp_recon.support import fly_few
 
 
@@ -46,3 +67,73 @@ def test_cases_are_summed_up() -> None:
     assert maps.summary(cases[3:])["dv_m_s_min"] is None
     assert maps.latitude({"site.latitude_deg": -5.0}) == "0 to 40 S"
     assert maps.latitude({"site.latitude_deg": 80.0}) == "above 70 N"
+
+
+def aiming_higher(mission: Mission, start: Iterate, make_plan: AimedPlanning, _: object) -> Plan:
+    """What certifying comes to: two plans, the second with a higher aim."""
+    make_plan(mission, start, 0.9)
+    return make_plan(mission, start, 0.91)
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Record]:
+    """Of one probability, per node, on the coarse grid."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planning, "certify", aiming_higher)
+        patch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
+        kinds = ("exact, each node", "certified, each node")
+        return with_costs([measure(200, (kind, 0.9)) for kind in kinds])
+
+
+def test_certifying_costs_more_than_aiming_at_the_probability(rows: list[Record]) -> None:
+    aimed, certified = rows
+    assert math.isnan(float(aimed["certifying_dv_m_s"]))
+    more = float(certified["certifying_dv_m_s"])
+    assert more == float(certified["total_dv_m_s"]) - float(aimed["total_dv_m_s"])
+    assert more > 0.0
+    took = float(certified["processor_s"]) - float(aimed["processor_s"])
+    assert certified["certifying_processor_s"] == took
+
+
+def test_all_rounds_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not only the last one's planning."""
+
+    def rounds(scenario: Scenario, certify: bool | None) -> Plan:
+        begin = process_time()
+        while process_time() - begin < 0.2:  # what the rounds before the last one take
+            pass
+        return plan(scenario, certify=certify)
+
+    monkeypatch.setattr(frontier, "plan", rounds)
+    monkeypatch.setattr(frontier, "load_scenario", lambda: load_scenario(None, (COARSE,)))
+    row = measure(100, ("uniform, paper polytopes", 0.7))
+    assert float(row["processor_s"]) >= 0.2
+    assert math.isnan(with_costs([row])[0]["certifying_dv_m_s"])  # it has no counterpart
+
+
+def test_a_plan_whose_flights_fall_short_is_no_certified_one() -> None:
+    """Its delta-v is not the price of what was asked."""
+    short = Certificate(20_000, 2_000, 0.7, 0.69, 0.71, 0.7, 1, 1, 0.975)
+    plain = plan(load_scenario(None, (COARSE,)))
+    found = replace(plain, certificate=short, target=0.7)
+    flown = fly_plan(found, 100, 0)
+    kept, missed = (record("certified, each node", p, found, flown, 1.0) for p in (0.69, 0.7))
+    assert kept["total_dv_m_s"] == plain.total_dv_m_s
+    assert (missed["status"], math.isnan(float(missed["total_dv_m_s"]))) == (NOT_CERTIFIED, True)
+
+
+def test_the_ladder_leads_from_the_printed_program_to_the_tuned_one() -> None:
+    variants = tricks()
+    assert next(iter(variants.values())) is VARIANTS["printed"]
+    assert variants["+ derivatives arc by arc = tuned"] is VARIANTS["tuned"]
+    assert variants["single shooting, L-BFGS = shooting"] == VARIANTS["shooting"]
+
+
+def test_a_row_holds_what_ipopt_did(mission: Mission) -> None:
+    chosen = {k: v for k, v in tricks().items() if k.endswith(("= tuned", "= shooting"))}
+    tuned, shooting = map(measuring(mission, chosen), chosen)
+    assert shooting["status"] == "converged (Solve_Succeeded)"
+    assert shooting["unknowns"] == "12"
+    # Two transcriptions of one problem.
+    assert shooting["delta-v m/s"] == tuned["delta-v m/s"]
+    assert float(shooting["processor s"]) > 0.0

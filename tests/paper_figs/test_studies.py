@@ -1,8 +1,9 @@
-"""Figures of the studies: each is drawn once, in silence, and its caption is true to the tables."""
+"""Figures of the studies: each drawn once, in silence, true to its tables; missing studies are run."""
 
 from __future__ import annotations
 
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,6 +24,7 @@ from experiments.uncertainty_sources.study import SPACECRAFT as BY_SPACECRAFT
 from experiments.uncertainty_sources.study import row as uncertainty_row
 from paper_figs import __main__ as command_line
 from paper_figs.__main__ import PICTURES, main, make_all
+from paper_figs.inputs import PLAN, TABLE, Row, run_missing
 from paper_figs.registry import EVERYTHING, STUDIES, Item
 from paper_figs.studies import (
     attitude_and_actuators,
@@ -33,6 +35,7 @@ from paper_figs.studies import (
     frontier,
     model_fidelity,
     power_history,
+    solver_comparison,
     timing_rules,
     uncertainty_sources,
 )
@@ -49,7 +52,7 @@ def to_csv(rows: list[dict[str, Any]]) -> str:
     return as_table(rows).csv()
 
 
-PLAN = "1f" * 32
+NO_PLAN = "1f" * 32
 """Hash of no plan."""
 OF_FLIGHTS = ("attitude_and_actuators", "power_history", "flown_plan")
 
@@ -98,7 +101,7 @@ def write_uncertainty(folder: Path) -> None:
     (folder / "uncertainty_quantiles.csv").write_text(points, encoding="utf-8")
 
 
-def write_flight(folder: Path, seed: int = 4, plan_hash: str | None = PLAN) -> None:
+def write_flight(folder: Path, seed: int = 4, plan_hash: str | None = NO_PLAN) -> None:
     """A made-up flight of two hours: a slew each half hour, a dump, a battery that runs low."""
     t = np.arange(0.0, 7200.0, 10.0)
     n, step = len(t), (t // 1800.0)
@@ -228,7 +231,7 @@ def test_a_study_alone_is_drawn_or_says_what_is_missing(
     study, file = STUDIES[name], tmp_path / "figure.png"
     monkeypatch.setitem(EVERYTHING, name, replace(study, dpi=40.0))
     assert main([name, "--studies", str(studies), "--out", str(file)]) == 0
-    assert (PLAN.encode() in file.read_bytes()) == (name in OF_FLIGHTS)
+    assert (NO_PLAN.encode() in file.read_bytes()) == (name in OF_FLIGHTS)
     assert main([name, "--runs", str(tmp_path), "--out", str(file)]) == 2
     assert f"{study.source.command} --out {tmp_path}" in capsys.readouterr().err
     damaged = Path(shutil.copytree(studies / study.source.folder, tmp_path / "copy"))
@@ -247,7 +250,7 @@ def solution() -> Solution:
     return ballistic_arc(Mission.from_scenario(load_scenario()))
 
 
-@pytest.mark.parametrize("plan_hash", [PLAN, None])
+@pytest.mark.parametrize("plan_hash", [NO_PLAN, None])
 def test_a_flight_of_another_plan_than_the_one_beside_it_is_refused(
     solution: Solution, tmp_path: Path, plan_hash: str | None
 ) -> None:
@@ -274,7 +277,7 @@ def test_a_flight_of_before_torques_is_to_be_flown_again(tmp_path: Path) -> None
     record = power_history.read(tmp_path / "flight")
     kept = {name: a for name, a in record.arrays.items() if name not in ADDED}
     write_record(Record(kept, record.summary), tmp_path / "flight")
-    assert power_history.read(tmp_path / "flight").plan_hash == PLAN
+    assert power_history.read(tmp_path / "flight").plan_hash == NO_PLAN
     with pytest.raises(InputError, match="python -m scp_recon simulate"):
         attitude_and_actuators.read(tmp_path / "flight")
 
@@ -285,3 +288,108 @@ def test_flights_of_different_plans_make_no_figure(tmp_path: Path) -> None:
     write_flight(tmp_path / "seed_2", 2, "2e" * 32)
     with pytest.raises(InputError, match="flights of different plans"):
         flown_plan.read(tmp_path)
+
+
+WANTED = [item.source for item in STUDIES.values()]
+
+
+def test_what_is_missing_is_run_once_and_what_is_there_is_left_alone(tmp_path: Path) -> None:
+    there = STUDIES["frontier"].source.folder
+    (tmp_path / there).mkdir()
+    ran: list[list[str]] = []
+    said: list[str] = []
+
+    def run(words: list[str]) -> int:
+        ran.append(words)
+        return 2 if "simulate" in words else 0
+
+    runs = tmp_path / "paper"
+    run_missing(runs, tmp_path, WANTED, said.append, run)
+    assert ran[0] == [sys.executable, "-m", "experiments", "observation_table", "--out", str(runs)]
+    places = [words[-1] for words in ran[1:]]
+    folders = {source.folder for source in WANTED} - {there}
+    assert sorted(places) == sorted(str(tmp_path / folder) for folder in folders)
+    assert all("SOLUTION" not in words for words in ran)
+    simulated = next(words for words in ran if "simulate" in words)
+    assert simulated[4] == str(runs / PLAN)
+    assert said.count("exit status 2: left out") == 1
+
+
+def test_of_a_plan_of_one_s_own_no_table_is_made(tmp_path: Path) -> None:
+    (tmp_path / "solution.json").write_text("{}", "utf-8")
+    ran: list[list[str]] = []
+    run_missing(
+        tmp_path, tmp_path / "studies", WANTED, lambda _: None, lambda w: ran.append(w) or 0
+    )
+    assert not [words for words in ran if "observation_table" in words]
+    assert str(tmp_path) in next(words for words in ran if "simulate" in words)
+    (tmp_path / "paper").mkdir()
+    (tmp_path / "paper" / TABLE).touch()
+    run_missing(tmp_path / "paper", tmp_path, [], lambda _: None, lambda w: ran.append(w) or 0)
+    assert not [words for words in ran if "observation_table" in words]
+
+
+def row(group: str, method: str, dv: float, status: str = "converged", **other: str) -> Row:
+    formulation, algorithm, solver = method.split("/")
+    return {
+        "group": group,
+        "scenario": "recon_b",
+        "start": "cold",
+        "method": method,
+        "formulation": formulation,
+        "algorithm": algorithm,
+        "solver": solver,
+        "status": status,
+        "problem": "P2",
+        "total_dv_m_s": str(dv),
+        "cpu_s": "0.5",
+        "first_status": "",
+        **other,
+    }
+
+
+OURS, THEIRS = "condensed/scvx/CLARABEL", "tuned/hard/IPOPT"
+GUESSES = [
+    *(row("guesses", OURS, 0.14) for _ in range(2)),
+    row("guesses", OURS, 0.14, first_status="infeasible"),
+    row("guesses", OURS, 0.26, "infeasible"),
+    row("guesses", THEIRS, 0.15),
+    row("guesses", THEIRS, float("nan"), "failed"),
+]
+
+
+def test_shares_of_solved_guesses_and_of_those_at_the_best() -> None:
+    left, right = solver_comparison.draw_guesses(GUESSES).axes
+    assert [label.get_text() for label in left.get_yticklabels()] == [THEIRS, OURS]
+    shares = [line.get_xdata()[0] for line in left.lines if line.get_marker() == "o"]
+    assert shares == pytest.approx([0.5, 0.5, 0.75, 0.5])  # each time over at the first try
+    assert [text.get_text() for text in right.texts] == [
+        "0 of 2 at the best",
+        "3 of 4 at the best",
+    ]
+
+
+def test_what_was_not_solved_is_hollow() -> None:
+    rows = [row("matrix", OURS, 0.14), row("matrix", THEIRS, 0.2, "failed")]
+    axes = solver_comparison.draw_times(rows).axes[0]
+    points = [line for line in axes.lines if len(line.get_xdata())]
+    assert [line.get_markerfacecolor() != "none" for line in points] == [True, False]
+
+
+def test_profiles_rise_to_the_share_that_is_solved() -> None:
+    rows = [
+        row("scenarios", OURS, 0.14, cpu_s="0.1"),
+        row("scenarios", THEIRS, 0.14, cpu_s="1.0"),
+        row("scenarios", OURS, 0.2, scenario="bold"),
+        row("scenarios", THEIRS, 0.3, scenario="bold"),
+    ]
+    ours, theirs = solver_comparison.draw_profiles(rows).axes[0].lines
+    assert list(ours.get_xdata()) == [1.0, 1.0]
+    assert list(ours.get_ydata()) == [0.5, 1.0]
+    assert list(theirs.get_xdata()) == pytest.approx([10.0])
+    assert list(theirs.get_ydata()) == [0.5]
+
+
+def test_a_missing_table_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["solver_comparison", "--runs", str(tmp_path), "--out", str(tmp_path)]) == 2
+    assert "comparison.csv" in capsys.readouterr().err
