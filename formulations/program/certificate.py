@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ class ConeProgram:
         nonnegative: rows of the non-negative cone.
         second_order: dimensions of the second-order cones.
         form: CVXPY's parametric form from which it was evaluated, if any.
-        values: values of that form's parameters, by number.
     """
 
     cost: Array
@@ -37,7 +35,6 @@ class ConeProgram:
     nonnegative: int
     second_order: tuple[int, ...]
     form: Any = None
-    values: Mapping[int, Array] = field(default_factory=dict)
 
 
 def is_optimal(program: ConeProgram, x: Array, z: Array) -> bool:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from time import perf_counter
 from typing import NamedTuple
 
@@ -29,9 +29,9 @@ from formulations.problem.flyby import FlybyProblem
 from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import (
     CompiledProgram,
+    Numbers,
     Shape,
     StateModel,
-    sparse_parameter,
     write_model,
 )
 from formulations.program.solvers import SOLVERS, FallbackSolver
@@ -74,27 +74,26 @@ def compile_condensed(
     shape: Shape, penalty: Penalty, sizes: tuple[ConeSize, ...]
 ) -> CompiledProgram:
     """Compile the program for controls of a shape and sizes of cones, once per process."""
-    model = write_model(shape, penalty, lambda burns: write_states(burns, sizes))
-    return CompiledProgram(model)
+    return CompiledProgram(write_model(shape, penalty, partial(write_states, sizes)))
 
 
-def write_states(controls: cp.Variable, sizes: Sequence[ConeSize]) -> StateModel:
-    """Write final state and rows as affine functions of the controls; coefficients are parameters."""
-    jacobian, constant = cp.Parameter((6, controls.size)), cp.Parameter(6)
-    parameters, rows = {"miss_jacobian": jacobian, "miss": constant}, []
+def write_states(sizes: Sequence[ConeSize], controls: cp.Variable, numbers: Numbers) -> StateModel:
+    """Write final state and rows as affine functions of the controls; coefficients are numbers."""
+    rows = []
+    miss = numbers.array("miss_jacobian", 6, controls.size) @ controls + numbers.array("miss", 6)
     for block, size in enumerate(sizes):
         row, column = size.entries
         cone = np.arange(size.slots)[:, None]
-        entries, values = sparse_parameter(
+        values = numbers.matrix(
+            f"values_{block}",
             (size.slots * size.dimension, size.controls),
             (cone * size.dimension + row).ravel(),
             np.tile(column, size.slots),
         )
-        constants = cp.Parameter((size.slots, size.dimension))
+        constants = numbers.array(f"constants_{block}", size.slots, size.dimension)
         y = cp.reshape(values @ controls[: size.controls], constants.shape, order="C") + constants
         rows.append(y)
-        parameters |= {f"values_{block}": entries, f"constants_{block}": constants}
-    return StateModel(jacobian @ controls + constant, rows, [], parameters)
+    return StateModel(miss, rows, [])
 
 
 class CondensedSubproblem(ConvexSubproblem):

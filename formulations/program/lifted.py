@@ -39,6 +39,7 @@ from formulations.program.convex_subproblem import ConvexSubproblem
 from formulations.program.model import (
     CompiledProgram,
     Model,
+    Numbers,
     Shape,
     StateModel,
     write_model,
@@ -76,14 +77,14 @@ class LiftedSubproblem(ConvexSubproblem):
             self._solver = FallbackSolver(self._name, SETTINGS)
         self._at, self._model, self._compiled = lin, model, None
 
-    def _states(self, lin: Linearisation, controls: cp.Variable) -> StateModel:
+    def _states(self, lin: Linearisation, controls: cp.Variable, _: Numbers) -> StateModel:
         """Final state, rows and equations of the dynamics, in the states and the controls."""
         states, miss = cp.Variable(self._dynamics.size), cp.Variable(6)
         equations = self._dynamics.equations(lin, controls, states, miss)
         cones = self.rows.state_cones(lin)
         self._buffers = np.concatenate([np.zeros(0, np.intp), *(block.rows for block in cones)])
         rows = [write_row(one, self._dynamics.index(one.places), states, controls) for one in cones]
-        return StateModel(miss, rows, equations, {})
+        return StateModel(miss, rows, equations)
 
     def _attempt(self, radius: float, charge: PenaltyParameters, planes: Array) -> Step:
         start = perf_counter()

@@ -13,13 +13,13 @@
 with the burns z, and s the sum of squares that a penalty may charge: a cone, because with a quadratic
 objective the solvers do not reach their tolerances. Each formulation writes the miss and the rows y as
 functions of the burns: see `condensed` and `lifted`. Everything that changes between iterations is a
-parameter, so that the program is compiled once.
+parameter or one of `Numbers`, so that the program is compiled once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Self
 
 import cvxpy as cp
@@ -35,7 +35,43 @@ from formulations.program.certificate import ConeProgram
 from formulations.program.subproblem import DYNAMICS_WEIGHT, Penalty, PenaltyParameters
 
 Values = dict[str, Array]
-"""Numbers by a parameter's name."""
+"""Numbers by their name."""
+
+MARK = 2.0**40
+"""Number n of `Numbers` is written as the constant MARK + n, far from any other."""
+
+
+class Numbers:
+    """Numbers of a program that change between iterations, other than CVXPY's parameters.
+
+    They are marked constants, found again in the compiled form: 150,000 of them take 0.5 s of a core,
+    as many parameters of CVXPY 14 s. Each has to stand alone in its entry of A or b, not in a sum.
+
+    Attributes:
+        slices: of all numbers, those of each array by its name.
+        size: their number.
+    """
+
+    def __init__(self) -> None:
+        self.slices: dict[str, slice] = {}
+        self.size = 0
+
+    def array(self, name: str, *shape: int) -> cp.Constant:
+        """A vector or matrix, its numbers in column-major order as a parameter's are."""
+        return cp.Constant(np.reshape(self._marks(name, int(np.prod(shape))), shape, order="F"))
+
+    def matrix(
+        self, name: str, shape: tuple[int, int], rows: Indices, columns: Indices
+    ) -> cp.Constant:
+        """A sparse matrix with numbers at some places."""
+        return cp.Constant(
+            sp.csr_array((self._marks(name, len(rows)), (rows, columns)), shape=shape)
+        )
+
+    def _marks(self, name: str, count: int) -> Array:
+        first, self.size = self.size, self.size + count
+        self.slices[name] = slice(first, self.size)
+        return MARK + np.arange(first, self.size, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -49,20 +85,20 @@ class StateModel:
     miss: cp.Expression
     rows: list[cp.Expression]
     constraints: list[cp.Constraint]
-    parameters: Mapping[str, cp.Parameter]
 
 
-StateModelWriter = Callable[[cp.Variable], StateModel]
-"""From all burns stacked, shape (3 m,)."""
+StateModelWriter = Callable[[cp.Variable, Numbers], StateModel]
+"""From all controls; what changes between iterations is among the numbers."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """The program with its variables and parameters by name."""
+    """The program with its controls, its parameters by name, and its other numbers."""
 
     program: cp.Problem
     controls: cp.Variable
     parameters: Mapping[str, cp.Parameter]
+    numbers: Numbers = field(default_factory=Numbers)
 
 
 class Shape(NamedTuple):
@@ -105,7 +141,7 @@ class Shape(NamedTuple):
 
 
 def write_cost(
-    shape: Shape, controls: cp.Variable, size: cp.Variable
+    shape: Shape, controls: cp.Variable, size: cp.Variable, numbers: Numbers
 ) -> tuple[cp.Expression, dict[str, cp.Parameter]]:
     """The objective: the sum of the burns' sizes, or with corrections its mean or its 99 % quantile.
 
@@ -126,9 +162,9 @@ def write_cost(
     if shape.cost == "expected":
         return total, {"tilt": tilt}
     n = sum(3 + one.size for one in gains)
-    root, constant, over = cp.Parameter((n, controls.size)), cp.Parameter(n), cp.Parameter()
-    total += cp.norm(cp.hstack([root @ controls + constant, over]))
-    return total, {"bend": root, "bend_constant": constant, "bend_over": over, "tilt": tilt}
+    root, constant = numbers.array("bend", n, controls.size), numbers.array("bend_constant", n)
+    total += cp.norm(cp.hstack([root @ controls + constant, numbers.array("bend_over", 1)]))
+    return total, {"tilt": tilt}
 
 
 def cost_values(lin: Linearisation) -> tuple[Values, float]:
@@ -150,8 +186,8 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
     """Write the program with one formulation's states and one penalty."""
     m = shape.burns
     z = cp.Variable(3 * m + int(shape.gains.sum()))
-    size, squares = cp.Variable(m), cp.Variable()
-    states = write_states(z)
+    size, squares, numbers = cp.Variable(m), cp.Variable(), Numbers()
+    states = write_states(z, numbers)
     n_rows = sum(rows.shape[0] for rows in states.rows)
     excess, violation = cp.Variable(6), cp.Variable(3 * m + n_rows)
     charged = cp.hstack([excess, violation])
@@ -164,7 +200,7 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
         "curvature": cp.Parameter(),
     }
     step, (burns, _) = z - own["centre"], shape.split(z)
-    total, of_cost = write_cost(shape, z, size)
+    total, of_cost = write_cost(shape, z, size, numbers)
     own |= of_cost
     constraints = [
         *states.constraints,
@@ -198,8 +234,7 @@ def write_model(shape: Shape, penalty: Penalty, write_states: StateModelWriter) 
     else:
         objective += own["curvature"] * squares
         constraints.append(cp.sum_squares(step if penalty == "proximal" else charged) <= squares)
-    parameters = {**own, **states.parameters}
-    return Model(cp.Problem(cp.Minimize(objective), constraints), z, parameters)
+    return Model(cp.Problem(cp.Minimize(objective), constraints), z, own, numbers)
 
 
 def penalty_values(
@@ -226,25 +261,11 @@ def penalty_values(
     return {"prices": prices}
 
 
-def sparse_parameter(
-    shape: tuple[int, int], rows: Indices, columns: Indices
-) -> tuple[cp.Parameter, cp.Expression]:
-    """A parameter for a sparse matrix's entries, and the matrix.
-
-    The matrix is a constant sparse map of a vector, which compiles faster than CVXPY's own sparse
-    parameters.
-    """
-    entries, n = cp.Parameter(len(rows)), len(rows)
-    places = (rows + shape[0] * columns, np.arange(n))
-    spread = sp.csr_array((np.ones(n), places), shape=(shape[0] * shape[1], n))
-    return entries, cp.reshape(spread @ entries, shape, order="F")
-
-
 class CompiledProgram:
-    """A model reduced to cones: parameters' values in, a `ConeProgram` out.
+    """A model reduced to cones: values of parameters and numbers in, a `ConeProgram` out.
 
     CVXPY reduces the parametrised program to cones once (DPP). An iteration then only evaluates that
-    form, a linear map from the parameters to q, A and b with fixed sparsity, so that a solver can be
+    form, a linear map from the values to q, A and b with fixed sparsity, so that a solver can be
     updated in place. Values are arguments of the call: a compiled program has no state and can be
     shared.
 
@@ -263,15 +284,19 @@ class CompiledProgram:
             cp.CLARABEL, canon_backend="COO", solver_opts=options
         )
         self._form: Any = data[cp.settings.PARAM_PROB]
-        self._ids = {name: parameter.id for name, parameter in model.parameters.items()}
+        column, constants = self._form.param_id_to_col, self._form.total_param_size + 1
+        self._first = {name: column[one.id] for name, one in model.parameters.items()}
+        self._first |= {name: constants + s.start for name, s in model.numbers.slices.items()}
+        self._size = constants + model.numbers.size
         first = self._form.var_id_to_col[model.controls.id]
         self._controls = slice(first, first + model.controls.size)
-        # Maps of all parameters and 1 to the cost, and to [A b] column by column.
+        # Maps of all parameters, 1 and the numbers to the cost, and to [A b] column by column.
         rows, columns = self._form.constr_size, self._form.x.size
         both, cost = sp.coo_array(self._form.A), sp.csr_array(self._form.q)
         # Only entries that can be other than zero are indexed: a large program has few of all.
         filled, place = np.unique(both.row, return_inverse=True)
-        maps = sp.csr_array((both.data, (place, both.col)), shape=(len(filled), both.shape[1]))
+        share, number = found(both, model.numbers)
+        maps = sp.csr_array((share, (place, number)), shape=(len(filled), self._size))
         split = int(np.searchsorted(filled, rows * columns))
         entries, self._entries = filled[:split], maps[:split]
         own = filled[split:] - rows * columns, np.arange(len(filled) - split)
@@ -282,30 +307,46 @@ class CompiledProgram:
         self._row, self._starts = (entries % rows).astype(np.int32), starts.astype(np.int32)
 
     def evaluate(self, values: Mapping[str, Array]) -> ConeProgram:
-        """The numbers of the program for every parameter's value, by name.
+        """The program for the values of every parameter and number, by name.
 
         As `ParamConeProg.apply_parameters`, without computing the sparsity again.
         """
         form = self._form
-        by_id = {self._ids[name]: value for name, value in values.items()}
-        parameters = np.ones(form.total_param_size + 1)
-        for number, value in by_id.items():
-            first = form.param_id_to_col[number]
-            parameters[first : first + value.size] = value.ravel(order="F")
+        given = np.ones(self._size)
+        for name, value in values.items():
+            first = self._first[name]
+            given[first : first + value.size] = value.ravel(order="F")
         shape = form.constr_size, form.x.size
-        matrix = sp.csc_array((-(self._entries @ parameters), self._row, self._starts), shape=shape)
+        matrix = sp.csc_array((-(self._entries @ given), self._row, self._starts), shape=shape)
         dims = form.cone_dims
         return ConeProgram(
-            self._cost @ parameters,
+            self._cost @ given[: self._cost.shape[1]],
             matrix,
-            self._bound @ parameters,
+            self._bound @ given,
             dims.zero,
             dims.nonneg,
             tuple(dims.soc),
             form,
-            by_id,
         )
 
     def controls(self, x: Array) -> Array:
         """The controls in an answer."""
         return x[self._controls].copy()
+
+
+def found(maps: sp.coo_array, numbers: Numbers) -> tuple[Array, Indices]:
+    """Shares and columns of a tensor's entries, of numbers sign and column behind the others.
+
+    Raises:
+        ValueError: if a number does not stand alone in its entries.
+    """
+    share, column = maps.data.copy(), maps.col.astype(np.intp)
+    if not numbers.size:
+        return share, column
+    marked = np.abs(share) >= MARK
+    number = (np.abs(share[marked]) - MARK).astype(np.intp)
+    known = number[number < numbers.size]
+    if len(known) < len(number) or not np.bincount(known, minlength=numbers.size).all():
+        raise ValueError("a number of the program does not stand alone in its entries")
+    share[marked], column[marked] = np.sign(share[marked]), maps.shape[1] + number
+    return share, column

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping
-from threading import Lock
 from time import perf_counter
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -117,8 +116,16 @@ HUGE = 1e30
 """Values above it count as diverged: nondimensional variables are of order one."""
 
 
-FORMS = Lock()
-"""Held while a compiled form is given values of its own."""
+def numeric_form(program: ConeProgram) -> Any:
+    """CVXPY's form of a program, without parameters."""
+    from cvxpy.reductions.dcp2cone.cone_matrix_stuffing import ParamConeProg
+
+    form = program.form
+    cost = sp.csc_array(np.r_[program.cost, 0.0][:, None])
+    both = sp.hstack([-program.matrix, sp.csc_array(program.bound[:, None])])
+    tensor = sp.csc_array(both.reshape((-1, 1), order="F"))
+    known = form.variables, form.var_id_to_col, form.constraints
+    return ParamConeProg(cost, form.x, tensor, *known, [], {}, formatted=True)
 
 
 class ByCvxpy:
@@ -140,11 +147,8 @@ class ByCvxpy:
 
     def solve(self, program: ConeProgram) -> Answer:
         """See `ConicSolver`."""
-        form = program.form
-        with FORMS:  # which threads share, and whose values the interface reads
-            for parameter in form.parameters:
-                parameter.value = program.values[parameter.id]
-            data, inverse = self._interface.apply(form)
+        form = numeric_form(program)
+        data, inverse = self._interface.apply(form)
         start = perf_counter()
         raw = self._interface.solve_via_data(data, True, False, dict(self._settings), self._last)
         seconds = perf_counter() - start

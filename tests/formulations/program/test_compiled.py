@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
+from formulations.program import model as written
 from formulations.program.condensed import (
     ConeSize,
     write_states,
 )
 from formulations.program.lifted import LiftedSubproblem
-from formulations.program.model import CompiledProgram, Model, Shape, write_model
+from formulations.program.model import CompiledProgram, Model, Numbers, Shape, write_model
 from formulations.program.subproblem import Penalty
 from tests.helpers import generators, share_of_examples
 
@@ -30,7 +33,12 @@ SIZES = (
 
 
 def condensed_model(penalty: Penalty, _: str = "") -> Model:
-    return write_model(Shape(4), penalty, lambda burns: write_states(burns, SIZES))
+    return write_model(Shape(4), penalty, partial(write_states, SIZES))
+
+
+def corrected_model(penalty: Penalty, _: str = "") -> Model:
+    shape = Shape(3, (1, 2), "dv99")
+    return write_model(shape, penalty, partial(write_states, (ConeSize(3, 24, True, 2),)))
 
 
 def lifted_model(penalty: Penalty, name: str) -> Model:
@@ -41,35 +49,78 @@ def lifted_model(penalty: Penalty, name: str) -> Model:
 
 MODELS: dict[str, Callable[[Penalty], Model]] = {
     "condensed": condensed_model,
+    "with corrected burns": corrected_model,
     "lifted P3": lambda penalty: lifted_model(penalty, "P3"),
     "lifted P2": lambda penalty: lifted_model(penalty, "P2"),
 }
 
 
-def random_values(model: Model, rng: np.random.Generator) -> dict[str, Array]:
+class Parameters(Numbers):
+    """Numbers as parameters of CVXPY, whose own form is then the whole program's."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.own: dict[str, cp.Parameter] = {}
+
+    def array(self, name: str, *shape: int) -> cp.Parameter:
+        super().array(name, *shape)
+        self.own[name] = cp.Parameter(shape)
+        return self.own[name]
+
+    def matrix(
+        self, name: str, shape: tuple[int, int], rows: Indices, columns: Indices
+    ) -> cp.Expression:
+        super().matrix(name, shape, rows, columns)
+        self.own[name], n = cp.Parameter(len(rows)), len(rows)
+        places = rows + shape[0] * columns, np.arange(n)
+        spread = sp.csr_array((np.ones(n), places), shape=(shape[0] * shape[1], n))
+        return cp.reshape(spread @ self.own[name], shape, order="F")
+
+
+def parametric(
+    kind: str, penalty: Penalty, monkeypatch: pytest.MonkeyPatch
+) -> tuple[Any, dict[str, cp.Parameter]]:
+    """CVXPY's own form of a model, and its parameters by name."""
+    monkeypatch.setattr(written, "Numbers", Parameters)
+    model = MODELS[kind](penalty)
+    monkeypatch.undo()
+    assert isinstance(model.numbers, Parameters)
+    parameters = {**model.parameters, **model.numbers.own}
+    for parameter in parameters.values():
+        parameter.value = np.zeros(parameter.shape)
+    options = {"use_quad_obj": False}
+    data, _, _ = model.program.get_problem_data(cp.CLARABEL, solver_opts=options)
+    return data[cp.settings.PARAM_PROB], parameters
+
+
+def random_values(
+    parameters: dict[str, cp.Parameter], rng: np.random.Generator
+) -> dict[str, Array]:
     """Of every parameter, some of them exactly zero."""
     return {
         name: rng.normal(size=parameter.shape) * (rng.uniform(size=parameter.shape) < 0.8)
-        for name, parameter in model.parameters.items()
+        for name, parameter in parameters.items()
     }
 
 
 @pytest.mark.parametrize("penalty", PENALTIES)
 @pytest.mark.parametrize("kind", MODELS)
-def test_its_numbers_are_what_cvxpys_own_form_gives(kind: str, penalty: Penalty) -> None:
-    model = MODELS[kind](penalty)
+def test_its_numbers_are_what_cvxpys_own_form_gives(
+    kind: str, penalty: Penalty, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model, (form, parameters) = MODELS[kind](penalty), parametric(kind, penalty, monkeypatch)
     compiled = CompiledProgram(model)
+    assert bool(model.numbers.size) == ("lifted" not in kind)
     sparsity: list[tuple[Array, Array]] = []
 
     @settings(max_examples=share_of_examples(50, usual=2))
     @given(generators)
     def check(rng: np.random.Generator) -> None:
-        values, between = random_values(model, rng), random_values(model, rng)
+        values, between = random_values(parameters, rng), random_values(parameters, rng)
         program = compiled.evaluate(values)
         kept = program.cost.copy(), program.matrix.data.copy(), program.bound.copy()
-        form = program.form
-        by_id = {model.parameters[name].id: value for name, value in values.items()}
-        assert set(program.values) == set(by_id) == set(form.id_to_param)
+        by_id = {parameters[name].id: value for name, value in values.items()}
+        assert set(by_id) == set(form.id_to_param)
         q, _, a, b = form.apply_parameters(by_id, keep_zeros=True)
         a.sort_indices()
         assert program.matrix.shape == a.shape
@@ -94,6 +145,14 @@ def test_its_numbers_are_what_cvxpys_own_form_gives(kind: str, penalty: Penalty)
 
     check()
     assert len(sparsity) >= 2
+
+
+def test_a_number_in_a_sum_is_refused() -> None:
+    z, numbers = cp.Variable(2), Numbers()
+    sums = numbers.array("one", 2) + numbers.array("other", 2)
+    program = cp.Problem(cp.Minimize(cp.sum(z)), [z >= sums])
+    with pytest.raises(ValueError, match="does not stand alone"):
+        CompiledProgram(Model(program, z, {}, numbers))
 
 
 def test_a_program_that_is_not_disciplined_is_refused() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 
 from formulations.arrays import Array
 from formulations.linearisation.linearisation import CONDENSATIONS, Linearisation
-from formulations.program.model import penalty_values, sparse_parameter
+from formulations.program.model import penalty_values
 from formulations.program.subproblem import (
     DYNAMICS_WEIGHT,
     Penalty,
@@ -122,14 +122,3 @@ def test_prices_are_those_of_the_charge_each_at_its_place() -> None:
     assert augmented["curvature"] == 2.5
     own = [multipliers[limits + 3], multipliers[limits], 0.0, multipliers[limits + 2]]
     assert augmented["prices"].tolist() == [*multipliers[:limits], *own]
-
-
-def test_a_sparse_parameter_is_a_matrix_with_its_entries_at_their_places() -> None:
-    rows, columns = np.array([2, 0, 1, 2]), np.array([0, 3, 1, 3])
-    entries, matrix = sparse_parameter((3, 4), rows, columns)
-    entries.value = np.array([5.0, 6.0, 7.0, 8.0])
-    expected = np.zeros((3, 4))
-    expected[rows, columns] = entries.value
-    assert np.array_equal(np.asarray(matrix.value), expected)
-    assert matrix.is_affine()
-    assert (matrix @ np.ones(4)).is_dpp()

@@ -431,7 +431,7 @@ class FakeInterface:
         pass
 
     def apply(self, form: Any) -> tuple[Any, Any]:
-        self.values = [parameter.value.tolist() for parameter in form.parameters]
+        self.values = list(form.apply_parameters())
         return {"form": form}, {}
 
     def solve_via_data(self, data: Any, warm: bool, verbose: bool, options: Any, _: Any) -> Any:
@@ -460,7 +460,13 @@ def test_solvers_get_their_settings_and_what_is_asked_besides(
     settings = ByCvxpy.SETTINGS.get(solver, {})
     ByCvxpy(solver, {"extra": 3}).solve(program)
     assert interface.asked == {"warm": True, "verbose": False, **settings, "extra": 3}
-    assert sorted(interface.values) == [[0.5, 2.0], [1.0, 3.0]]
+    cost, offset, matrix, bound = interface.values
+    assert (cost.tolist(), offset, bound.tolist()) == (
+        program.cost.tolist(),
+        0.0,
+        program.bound.tolist(),
+    )
+    assert np.array_equal(matrix.toarray(), -program.matrix.toarray())
     if settings:
         key = next(iter(settings))
         ByCvxpy(solver, {key: 5}).solve(program)
