@@ -294,7 +294,7 @@ QUICK = {
     ),
 }
 
-STUDIES = ("reconnaissance_map", "errors", "asteroid_year", "sizes")
+STUDIES = ("reconnaissance_map", "errors", "asteroid_year", "sizes", "navigation")
 APART = {
     "python -m pip install --constraint constraints.txt --editable '.[compare]'",
     "python -m benchmarks",  # takes minutes

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from scp_recon.api.designing import design
 from scp_recon.api.files import Opened
 from scp_recon.api.flights import FlyOptions, flown_summary, shortfalls, simulate
@@ -21,8 +23,10 @@ from scp_recon.errors import InputError, imported, option, path_of, whole_number
 from scp_recon.jobs.store import Row
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.observation_time import ALL
+from scp_recon.monte_carlo.sampling import PolicyKind
 from scp_recon.planning.initial_guess import cold
 from scp_recon.planning.plan import Plan, Stage
+from scp_recon.results.corrections import sigmas
 from scp_recon.results.facts import Verification
 from scp_recon.results.figures import FINAL_STATE
 from scp_recon.results.solution import Solution, make_solution
@@ -181,9 +185,10 @@ class StudyWork:
         if do == "certify":
             row |= certified_row(found)
         elif do == "fly" and found.status is Status.CONVERGED:
-            row |= flown_row(found, solution, self.campaign.samples, case.seed)
+            options = FlyOptions(self.campaign.samples, seed=case.seed, policy=self.campaign.policy)
+            row |= flown_row(found, solution, options)
         elif do == "simulate" and found.status is Status.CONVERGED:
-            row |= simulated_row(solution, case.seed)
+            row |= simulated_row(solution, case.seed, self.campaign.policy)
         files = {}
         if self.campaign.keep_solutions:
             files[solution_name(case.number)] = solution.text().encode()
@@ -232,6 +237,8 @@ def planned_row(solution: Solution, verification: Verification) -> dict[str, Any
         "status": solution.status,
         "verdict": verification.verdict,
         "total_dv_m_s": solution.total_dv_m_s,
+        "dv99_m_s": solution.policy.dv99_m_s if solution.policy else solution.total_dv_m_s,
+        "final_sigma_m": sigmas(np.array(solution.nodes.covariance[-1]))[0],
         "probability": None if lowest is None else lowest.estimate,
         "probability_of": None if lowest is None else lowest.name,
         "iterations": len(solution.iterations),
@@ -254,29 +261,32 @@ def certified_row(found: Plan) -> dict[str, Any]:
     }
 
 
-def flown_row(found: Plan, solution: Solution, samples: int, seed: int) -> dict[str, Any]:
+def flown_row(found: Plan, solution: Solution, options: FlyOptions) -> dict[str, Any]:
     """Columns of many flights."""
-    summary = flown_summary(Opened(found.mission, solution), FlyOptions(samples, seed=seed))
+    summary = flown_summary(Opened(found.mission, solution), options)
     joint = {name: found for name, found in summary.probability.items() if name != ALL}
     name, lowest = min(joint.items(), key=lambda item: item[1].estimate.value, default=(None, None))
-    whole = summary.whole_flight
+    whole, commanded = summary.whole_flight, summary.commanded
+    dispersion = summary.terminal.sigma_position_m
     return {
-        "flights": samples,
+        "flights": options.samples,
         "flown_lowest": None if lowest is None else lowest.value,
         "flown_lowest_of": name,
         "flown_whole": None if whole is None else whole.value,
         "flown_whole_low": None if whole is None else whole.low,
         "flown_whole_high": None if whole is None else whole.high,
+        "flown_dv99_m_s": commanded.dv99_m_s.value if commanded else solution.total_dv_m_s,
+        "flown_final_sigma_m": None if dispersion is None else dispersion.value,
         "flown_shortfalls": "; ".join(shortfalls(summary, solution)) or None,
     }
 
 
-def simulated_row(solution: Solution, seed: int) -> dict[str, Any]:
+def simulated_row(solution: Solution, seed: int, policy: PolicyKind | None) -> dict[str, Any]:
     """Columns of a simulated flight."""
     from scp_recon.simulation.record import shortfalls as of_simulation
     from scp_recon.simulation.vehicle import check_vehicle, load_vehicle
 
-    summary = simulate(solution, seed=seed).summary
+    summary = simulate(solution, seed=seed, policy=policy).summary
     doubts = check_vehicle(load_vehicle(None), solution.scenario)
     strange = "; ".join(map(str, [*solution.warnings, *doubts]))
     return {

@@ -6,6 +6,7 @@ An *ineffective* axis or entry changes nothing. Nobody means that, so it is an e
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from math import prod
 from numbers import Real
 from pathlib import Path
@@ -16,6 +17,8 @@ import numpy as np
 from scp_recon.campaigns.axes import LATITUDE, LONGITUDE, NAME
 from scp_recon.campaigns.cases import Changes, changed
 from scp_recon.errors import InputError, shortened
+from scp_recon.mission.feedback import check_feedback
+from scp_recon.monte_carlo.replans import require_measured
 from scp_recon.scenario.schema import Scenario
 
 ROWS_MAX = 1_000_000
@@ -24,6 +27,7 @@ CHECKED = 100
 """Rows of an axis whose scenarios are made before the work, spread evenly from first to last."""
 SHOWN = 5
 CERTIFIED, DESIGN, FLY = "exact", "design", "fly"
+FLOWN = FLY, "simulate"
 
 
 def check_do(do: str, base: Scenario) -> None:
@@ -76,6 +80,8 @@ def check_axes(
     axes: Sequence[list[Changes]],
     random: Sequence[bool],
     ineffective: Iterable[InputError] = (),
+    *,
+    replanned: bool = False,
 ) -> None:
     """Refuse entries on two axes and invalid values, in up to `CHECKED` rows of each axis.
 
@@ -85,26 +91,28 @@ def check_axes(
         axes: rows of each axis.
         random: whether each axis is drawn: its invalid rows are refused cases, unless all are.
         ineffective: further errors for the same message.
+        replanned: whether plans are made again in flight, which needs a measurement.
 
     Raises:
         InputError: one message with all errors.
     """
+    _refusal = partial(_refusal_of, base, folder, replanned)
     wrong = [*ineffective, *_twice(axes)]
     first = {entry: value for rows in axes for entry, value in rows[0].items()}
     for number, rows in enumerate(axes, start=1):
         looked = sorted({round(place) for place in np.linspace(0, len(rows) - 1, CHECKED)})
         refused: list[InputError] = []
         for place in looked:
-            error = _refusal(base, folder, rows[place])
+            error = _refusal(rows[place])
             # What it makes of the base alone may be mended by the other axes.
-            if error and _refusal(base, folder, {**first, **rows[place]}):
+            if error and _refusal({**first, **rows[place]}):
                 where = f"axis {number}, row {place + 1}: {error.entry}"
                 refused.append(InputError(where, error.given, error.allowed))
         if not random[number - 1] or len(refused) == len(looked):
             wrong += refused
-    if not wrong and not any(random) and (error := _refusal(base, folder, first)):
+    if not wrong and not any(random) and (error := _refusal(first)):
         last = {entry: value for rows in axes for entry, value in rows[-1].items()}
-        if _refusal(base, folder, last):
+        if _refusal(last):
             together = f"all axes together: {error.entry}"
             raise InputError(together, error.given, error.allowed)
     if wrong:
@@ -123,10 +131,15 @@ def _twice(axes: Sequence[list[Changes]]) -> Iterator[InputError]:
             seen.append((entry, number))
 
 
-def _refusal(base: Scenario, folder: Path, changes: Changes) -> InputError | None:
-    """The error with which changes are no valid scenario; None if they are valid."""
+def _refusal_of(
+    base: Scenario, folder: Path, replanned: bool, changes: Changes
+) -> InputError | None:
+    """The error with which changes are no valid scenario, or no policy's; None if they are valid."""
     try:
-        changed(base, changes, folder)
+        scenario = changed(base, changes, folder)
+        check_feedback(scenario)
+        if replanned:
+            require_measured(scenario)
     except InputError as error:
         return error
     return None
@@ -146,13 +159,18 @@ def refuse(wrong: Sequence[InputError]) -> NoReturn:
 
 
 def ineffective(
-    do: str, given: Mapping[str, Any], axes: Sequence[list[Changes]], windows: Sequence[bool]
+    base: Scenario,
+    do: str,
+    given: Mapping[str, Any],
+    axes: Sequence[list[Changes]],
+    windows: Sequence[bool],
 ) -> Iterator[InputError]:
     """Find entries and axes of a study that have no effect, or another than they seem to.
 
     `given` is the table `[campaign]` as written; `windows` says which axes are of lighting windows.
     """
     yield from unused(do, given, axes)
+    yield from unfelt(base, given, axes)
     yield from replaced(given.get("overrides", {}), axes)
     yield from doubled(axes)
     if True in windows:
@@ -167,6 +185,12 @@ def unused(
         yield InputError(
             "campaign.samples", f"{given['samples']} with do = '{do}'", "needs do = 'fly'"
         )
+    if do not in FLOWN and "policy" in given:
+        yield InputError(
+            "campaign.policy",
+            f"{given['policy']!r} with do = '{do}'",
+            f"needs do = {FLOWN[0]!r} or {FLOWN[1]!r}",
+        )
     if do == DESIGN:
         return
     entries = [("campaign.overrides", entry) for entry in leaves(given.get("overrides", {}))]
@@ -178,6 +202,23 @@ def unused(
     for where, entry in entries:
         if overlap(entry, DESIGN):
             yield InputError(f"{where}: {entry}", f"with do = '{do}'", "needs do = 'design'")
+
+
+def unfelt(
+    base: Scenario, given: Mapping[str, Any], axes: Sequence[list[Changes]]
+) -> Iterator[InputError]:
+    """Find axes of what only feedback feels, or plans made again, where no case has either."""
+    rows = [row for rows in axes for row in rows]
+    kinds = {base.policy.kind, *(row.get("policy.kind") for row in rows)}
+    tables = [row["policy"] for row in rows if isinstance(row.get("policy"), Mapping)]
+    if "feedback" in kinds | {table.get("kind") for table in tables}:
+        return
+    replanned = given.get("policy") == "replan"
+    for number, some in enumerate(axes, start=1):
+        for entry in leaves(some[0]):
+            if entry == "policy.cost" or (not replanned and overlap(entry, "navigation")):
+                needed = "needs policy.kind = 'feedback'"
+                yield InputError(f"axis {number}: {entry}", "with policy.kind = 'open'", needed)
 
 
 def replaced(overrides: Mapping[str, Any], axes: Sequence[list[Changes]]) -> Iterator[InputError]:

@@ -25,6 +25,8 @@ FIXED: dict[str, type] = {
     "status": str,
     "verdict": str,
     "total_dv_m_s": float,
+    "dv99_m_s": float,
+    "final_sigma_m": float,
     "probability": float,
     "probability_of": str,
     "asked": float,
@@ -51,6 +53,8 @@ OWN: dict[str, dict[str, type]] = {
         "flown_whole": float,
         "flown_whole_low": float,
         "flown_whole_high": float,
+        "flown_dv99_m_s": float,
+        "flown_final_sigma_m": float,
         "flown_shortfalls": str,
     },
     "simulate": {

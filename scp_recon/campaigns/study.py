@@ -6,6 +6,7 @@ import hashlib
 import json
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,8 +14,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from scp_recon.campaigns.axes import Axis, Draws, Windows, axis_of
-from scp_recon.campaigns.cases import Cases, Changes, layer_of
+from scp_recon.campaigns.axes import Axis, Draws, Grid, Values, Windows, axis_of
+from scp_recon.campaigns.cases import Cases, Changes, changed, layer_of
 from scp_recon.campaigns.checks import check_axes, check_count, check_do, ineffective, refuse
 from scp_recon.campaigns.results import kind_of
 from scp_recon.errors import InputError, shortened
@@ -41,6 +42,8 @@ class Campaign(Section):
     """Packaged scenario, or a file relative to the study."""
     do: Do = "plan"
     """plan; design a pass from the home orbit; certify an exact plan; fly a plan often; simulate it."""
+    policy: Literal["open", "replan"] | None = None
+    """What burns are flown: as planned, or planned again before each (default: the plan's gains)."""
     samples: Annotated[int, Field(ge=20, le=10_000_000)] = 10_000
     """Flights of a case with do = "fly"."""
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
@@ -86,14 +89,15 @@ class Study:
         kinds = _axes(tables.get("axis", []))
         name = campaign.base
         base = load_scenario(name if name in base_names() else folder / name)
-        base = base.changed(layer_of(campaign.overrides, folder)) if campaign.overrides else base
+        base = _overridden(base, campaign.overrides, kinds, folder)
         check_do(campaign.do, base)
         check_count([axis.count(base) for axis in kinds], ASK_FROM, yes=yes)
         rows = tuple(axis.rows(base, (campaign.seed, place)) for place, axis in enumerate(kinds))
         study = cls(campaign, base, rows, folder, tables)
         random, windows = ([isinstance(axis, kind) for axis in kinds] for kind in (Draws, Windows))
         given = campaign.model_dump(exclude_unset=True)
-        check_axes(base, folder, rows, random, ineffective(campaign.do, given, rows, windows))
+        unfelt = ineffective(base, campaign.do, given, rows, windows)
+        check_axes(base, folder, rows, random, unfelt, replanned=campaign.policy == "replan")
         return study
 
     @property
@@ -154,6 +158,18 @@ def study_of(given: str | Path | Mapping[str, Any], *, yes: bool = False) -> Stu
     if not isinstance(given, Mapping):
         raise InputError("study", shortened(given), "must be a file, or tables as in one")
     return Study.validated(given, yes=yes)
+
+
+def _overridden(base: Scenario, overrides: Changes, axes: list[Axis], folder: Path) -> Scenario:
+    """The base with overrides; where these lack an entry that an axis has, with its first row."""
+    try:
+        return changed(base, overrides, folder)
+    except InputError as error:
+        named = [axis for axis in axes if isinstance(axis, Values | Grid)]
+        first = {entry: value for axis in named for entry, value in axis.rows(base, ())[0].items()}
+        with suppress(InputError):
+            return changed(base, {**first, **overrides}, folder)
+        raise error
 
 
 def _model(schema: Any, table: Any, name: str) -> Any:

@@ -22,6 +22,7 @@ from scp_recon.mission.schedule import BURNS_TO_MEET
 from scp_recon.monte_carlo.closed_loop import MEASURED
 from scp_recon.physics.flow import propagate
 from scp_recon.results.policy import CutOff
+from scp_recon.scenario.schema import Scenario
 
 LEAST_LEAD_S = 1.0
 """From a measurement to the burn that is planned from it, where navigation has no lead at all."""
@@ -44,6 +45,21 @@ Replans = tuple[Replan, ...]
 """In the order of their cut-offs and burns."""
 
 
+def require_measured(scenario: Scenario) -> None:
+    """Refuse a scenario in which nothing is measured to plan again from.
+
+    Raises:
+        InputError: then.
+    """
+    if not scenario.navigation.measures:
+        raise InputError(
+            option("policy"),
+            "'replan' of a plan without a measurement",
+            "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, or "
+            "covariance with frame",
+        )
+
+
 def replans(mission: Mission, burns_m_s: Array) -> Replans:
     """Planning again before every burn of a plan whose cut-off is after its beginning.
 
@@ -52,13 +68,7 @@ def replans(mission: Mission, burns_m_s: Array) -> Replans:
             burn before.
     """
     scenario = mission.scenario
-    if not scenario.navigation.measures:
-        raise InputError(
-            option("policy"),
-            "'replan' of a plan without a measurement",
-            "must be 'open', or [navigation] must have sigma_position_m with sigma_velocity_m_s, or "
-            "covariance with frame",
-        )
+    require_measured(scenario)
     lead, firing = max(scenario.navigation.lead_s, LEAST_LEAD_S), scenario.burn_times_s
     cut_offs = {i: t - lead for i, t in enumerate(firing) if t - lead > scenario.start_s}
     early = [i for i, at in cut_offs.items() if i > 0 and at <= firing[i - 1]]

@@ -12,7 +12,7 @@ from scp_recon.api.campaigns import work_of
 from scp_recon.campaigns.study import Study
 
 STUDIES = Path(__file__).parents[3] / "examples" / "studies"
-SIZES = {"reconnaissance_map": 324, "errors": 64, "sizes": 24}
+SIZES = {"reconnaissance_map": 324, "errors": 64, "sizes": 24, "navigation": 6}
 
 
 @functools.cache
@@ -41,3 +41,16 @@ def test_a_site_in_the_dark_is_refused_with_its_reason() -> None:
     with pytest.raises(ValueError, match="lighting window"):
         work_of(study)(dark)
     assert {path.stem for path in STUDIES.glob("*.toml")} == {*SIZES, "asteroid_year"}
+
+
+@pytest.mark.usefixtures("few_flights")
+def test_a_case_is_flown_by_the_campaigns_policy() -> None:
+    """Planned again, it ends nearer to where it is to than its gains alone bring it, at its cost."""
+    tables = tomllib.loads((STUDIES / "navigation.toml").read_text("utf-8"))
+    quick = {"grid.step_max_s": 450.0, "policy.cost": "nominal"}
+    tables["campaign"] |= {"samples": 20, "policy": "replan", "overrides": quick}
+    study = Study.validated(tables)
+    row = work_of(study)(study.cases[4]).values
+    assert row["status"] == "converged"
+    assert row["total_dv_m_s"] < row["dv99_m_s"] < row["flown_dv99_m_s"]
+    assert row["flown_final_sigma_m"] < 0.5 * row["final_sigma_m"]

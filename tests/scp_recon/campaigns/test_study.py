@@ -174,6 +174,11 @@ def test_a_bad_campaign_is_refused(campaign: dict[str, Any], entry: str, words: 
 
 
 MEAN_P = {"overrides": {"risk": {"p_chance": 0.9}}}
+MEASURED = {"navigation": {"sigma_position_m": 10.0, "sigma_velocity_m_s": 5e-4}}
+FEEDBACK = {"policy.kind": "feedback", "navigation.sigma_velocity_m_s": 5e-4}
+KIND = {"entry": "policy.kind", "values": ["open", "feedback"]}
+COST = {"entry": "policy.cost", "values": ["nominal", "dv99"]}
+LEAD = {"entry": "navigation.lead_s", "values": [0.0, 60.0]}
 SITES = {
     "latitude_deg": {"from": 90, "to": -30, "count": 5},
     "longitude_deg": {"from": 0, "to": 360, "count": 5},
@@ -216,6 +221,17 @@ SITES = {
             {},
             r"axis 1.windows: got beside site.latitude_deg on axis 2; are windows of the base's",
         ),
+        ([COST], {"overrides": MEASURED}, r"axis 1: policy.cost: got with policy.kind = 'open'"),
+        ([LEAD], {}, r"axis 1: navigation.lead_s: got with policy.kind = 'open'; needs"),
+        ([], {"policy": "replan"}, r"campaign.policy: got 'replan' with do = 'plan'; needs"),
+        ([LEAD], {"do": "fly", "policy": "replan"}, r"'replan' of a plan without a measurement"),
+        ([KIND], {}, r"axis 1, row 2: policy.kind: got 'feedback' without a measurement"),
+        ([LEAD], {"overrides": FEEDBACK}, r"navigation: .* must have sigma_position_m"),
+        (
+            [LEAD | {"values": [0.0, 30000.0]}],
+            {"overrides": {"policy.kind": "feedback"} | MEASURED},
+            r"axis 1, row 2: navigation.lead_s: .* every cut-off precedes departure",
+        ),
     ],
 )
 def test_what_no_case_would_do_is_refused(
@@ -224,6 +240,19 @@ def test_what_no_case_would_do_is_refused(
     """Rather than left out without a word."""
     with pytest.raises(InputError, match=words):
         study(*axes, **campaign)
+
+
+def test_policies_and_navigation_are_axes() -> None:
+    """One figure of a measurement may be swept where the other one is the same in all cases."""
+    assert len(study(KIND, COST, LEAD, overrides=MEASURED).cases) == 8
+    swept = study(
+        {"entry": "navigation.sigma_position_m", "values": [1.0, 50.0]}, overrides=FEEDBACK
+    )
+    found = [changed(swept.base, case.changes, swept.folder).navigation for case in swept.cases]
+    assert [(one.sigma_position_m, one.sigma_velocity_m_s) for one in found] == [
+        *((1.0, 5e-4), (50.0, 5e-4)),
+    ]
+    assert study(LEAD, do="fly", policy="replan", overrides=MEASURED).campaign.policy == "replan"
 
 
 def test_a_billion_cases_are_counted_not_made_and_have_to_be_meant() -> None:
