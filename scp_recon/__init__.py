@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from scp_recon.api.campaigns import campaign, read_campaign
     from scp_recon.api.designing import design
     from scp_recon.api.drafts import new
-    from scp_recon.api.files import compare, export, load, report, save, verify
+    from scp_recon.api.files import charts, compare, export, load, report, save, verify
     from scp_recon.api.flights import fly, simulate
     from scp_recon.api.inputs import scenarios
     from scp_recon.api.planning import plan
@@ -54,6 +54,7 @@ __all__ = [
     "Keep",
     "Polytope",
     "campaign",
+    "charts",
     "compare",
     "design",
     "export",

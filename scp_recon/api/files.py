@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from scp_recon.api.keeping import keep_plan
 from scp_recon.errors import (
@@ -28,6 +28,9 @@ from scp_recon.results.runs import resolve_run
 from scp_recon.results.solution import FILE_NAME, Solution, make_solution
 from scp_recon.simulation.vehicle import load_vehicle
 from scp_recon.verification import reintegration
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 AnyPlan = Plan | Solution | str | Path
 """A plan, a solution, or the file or folder of one."""
@@ -196,8 +199,29 @@ def report(
         ),
         whole_number(option("pixels"), usual.pixels if pixels is None else pixels, 1, PIXELS_MAX),
     )
-    found = [load(p) if isinstance(p, Plan | Solution) else Path(p) for p in plans]
-    return write.write_report(found, path_of(option("out"), out), camera)
+    return write.write_report(_shown(plans), path_of(option("out"), out), camera)
+
+
+def charts(*plans: AnyPlan) -> dict[str, Figure]:
+    """Draw the charts of `report`, for a notebook: Plotly's figures by name.
+
+    With feedback these are, besides others, "knowledge" and dispersion over time, "ellipses" before
+    and after each correction, and the distribution of the "commanded" delta-v.
+
+    Args:
+        plans: one to six, of one body; what lies beside a plan's file is shown with it.
+
+    Raises:
+        InputError: if one is no plan and no file of a solution, or the extra [report] is missing.
+    """
+    from scp_recon.reports import write
+
+    _require_some(plans)
+    return write.charts_of(_shown(plans))
+
+
+def _shown(plans: tuple[AnyPlan, ...]) -> list[Solution | Path]:
+    return [load(p) if isinstance(p, Plan | Solution) else Path(p) for p in plans]
 
 
 def is_campaign(plans: tuple[AnyPlan, ...]) -> bool:

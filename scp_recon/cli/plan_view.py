@@ -143,11 +143,7 @@ def _show_policy(console: Console, solution: Solution) -> None:
     console.print()
     console.print(terminal(corrections))
     show_line(console, corrections.note, "dim")
-    show_line(
-        console,
-        f"commanded delta-v, by the normal law: mean {policy.mean_m_s:.6f} m/s, "
-        f"99 % {policy.dv99_m_s:.6f} m/s; of the plan itself {solution.total_dv_m_s:.6f} m/s",
-    )
+    show_line(console, f"{policy}; of the plan itself {solution.total_dv_m_s:.6f} m/s")
 
 
 def frame_and_time(scenario: Scenario) -> str:

@@ -100,9 +100,24 @@ def heading(export: Export) -> list[str]:
         f"flight (required: {WITHIN_M:g}), a cubic of both states within {path.cubic_error_m:.1e} m",
         f"{len(solution.executed)} burns, impulses; {solution.total_dv_m_s:.6f} m/s in all:",
         *(burn_line(export, number) for number in range(1, len(solution.burns) + 1)),
+        *_policy_lines(solution),
     ]
     plain = [printable(line).encode("ascii", "replace").decode() for line in lines]
     return [part for line in plain for part in textwrap.wrap(line, LINE) or [""]]
+
+
+def _policy_lines(solution: Solution) -> list[str]:
+    """What feedback adds to the burns, which alone are in the files, and to the covariances."""
+    if solution.policy is None:
+        return []
+    return [
+        *(
+            f"burn {one.burn} is corrected in flight, from a measurement at t_s = {one.cut_off_s:g}; "
+            f"1 sigma of the correction is {one.sigma_m_s:.6f} m/s"
+            for one in solution.policy.corrections
+        ),
+        f"{solution.policy}; burns are without corrections, covariances with them",
+    ]
 
 
 def burn_line(export: Export, number: int) -> str:
@@ -110,9 +125,12 @@ def burn_line(export: Export, number: int) -> str:
     burn = export.solution.burns[number - 1]
     when = export.instant(burn.t_s)
     x, y, z = burn.dv_m_s
-    named = f"burn {export.burns_flown + number}"
+    number, policy = export.burns_flown + number, export.solution.policy
+    named, corrections = f"burn {number}", policy.corrections if policy is not None else []
     if not any(burn.dv_m_s):
-        return f"{named}: none, as it would be too small to execute"
+        corrected = any(one.burn == number for one in corrections)
+        why = "but its correction" if corrected else "as it would be too small to execute"
+        return f"{named}: none, {why}"
     return (
         f"{named}: t_s = {burn.t_s:g}, {iso_tdb(when)} TDB, {iso_utc(when)} UTC, "
         f"{x:+.9f} {y:+.9f} {z:+.9f} m/s along J2000 x, y, z"

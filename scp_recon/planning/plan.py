@@ -16,6 +16,7 @@ from pydantic import Field
 
 from formulations.arrays import Array
 from formulations.linearisation.factor import knowledge
+from formulations.problem.cost import PROBABILITY, total_sizes
 from formulations.problem.facets import Facets
 from formulations.problem.flyby import Iterate
 from formulations.program.subproblem import MeritFunction
@@ -313,6 +314,16 @@ class Plan:
         return float(np.linalg.norm(self.burns_m_s, axis=1).sum())
 
     @cached_property
+    def commanded(self) -> tuple[float, float] | None:
+        """Mean and 99 % quantile of the delta-v commanded in flight, m/s; None with fixed burns."""
+        lin = self.final.result.lin
+        if lin.problem.feedback is None:
+            return None
+        # Not as the program smooths them, which for a skewed law is up to 0.2 standard deviations low.
+        total = self.mission.units.speed_m_s * total_sizes(lin.problem, lin.iterate)
+        return float(total.mean()), float(np.quantile(total, PROBABILITY))
+
+    @cached_property
     def worst_margins(self) -> dict[str, tuple[float, Unit]]:
         """The smallest margin of each constraint with its unit; >= 0 where it holds."""
         found: Named[tuple[float, Unit]] = Named()
@@ -330,6 +341,12 @@ class Plan:
             f"total delta-v {self.total_dv_m_s:.6f} m/s, required p_chance {scenario.risk.p_chance:g}",
             "burn   time s      x m/s      y m/s      z m/s   size m/s",
         ]
+        feedback = self.final.result.lin.problem.feedback
+        if feedback is not None and self.commanded is not None:
+            numbers = ", ".join(str(1 + scenario.burns_flown + burn) for burn in feedback.burns)
+            mean, most = self.commanded
+            said = f"commanded with feedback: mean {mean:.6f} m/s, 99 % {most:.6f} m/s"
+            lines.insert(2, f"{said}; corrected burns: {numbers}")
         for number, (time, burn) in enumerate(
             zip(scenario.burn_times_s, self.burns_m_s, strict=True), start=1 + scenario.burns_flown
         ):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from scp_recon.errors import InputError, imported, option
 from scp_recon.files import unwritable, write_atomically
@@ -29,6 +29,9 @@ from scp_recon.reports.surfaces import shape_of
 from scp_recon.results.comparison import compare
 from scp_recon.results.solution import Solution
 from scp_recon.results.table import Table
+
+if TYPE_CHECKING:
+    from plotly.graph_objects import Figure
 
 FILE_NAME, UNVERIFIED_NAME = "report.html", "report_unverified.html"
 """Beside a plan, and beside one that a verified one keeps from its place."""
@@ -84,6 +87,24 @@ def page_of(subjects: Sequence[Subject], camera: Camera, made: datetime) -> Page
         charts=tuple(_charts(plans)),
         made=made,
     )
+
+
+def charts_of(given: Sequence[Solution | Path]) -> dict[str, Figure]:
+    """The page's charts but the view in 3-D, by their keys, as figures of Plotly.
+
+    Raises:
+        InputError: as `write_report`.
+    """
+    check_extra()
+    from plotly.graph_objects import Figure
+
+    subjects = subjects_of(given)
+    shape = shape_of(subjects[0].solution.scenario)
+    drawn = _charts([Shown.of(subject, shape, Camera()) for subject in subjects])
+    return {
+        one["key"]: Figure(one["data"], one["layout"] | {"title": {"text": one["title"]}})
+        for one in drawn
+    }
 
 
 def tables_of(subject: Subject, budget: Budget) -> list[Table]:

@@ -75,6 +75,10 @@ def compare(names: Sequence[str], solutions: Sequence[Solution]) -> Comparison:
         ("p_chance asked", "", tuple(s.scenario.risk.p_chance for s in solutions)),
         ("total delta-v", "m/s", tuple(s.total_dv_m_s for s in solutions)),
     ]
+    if any(s.policy for s in solutions):
+        for name, figure in (("mean", "mean_m_s"), ("99 %", "dv99_m_s")):
+            figures = (getattr(s.policy, figure) if s.policy else s.total_dv_m_s for s in solutions)
+            rows.append((f"commanded delta-v, {name}", "m/s", tuple(figures)))
     if any(len(s.flown_m_s) for s in solutions):
         rows += _history(solutions)
     flights = (np.linalg.norm(_whole_flight(s), axis=1).tolist() for s in solutions)

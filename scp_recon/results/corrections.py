@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Field
 
 from formulations.arrays import Array
-from formulations.problem.cost import PROBABILITY, total_sizes
 from scp_recon.planning.plan import Plan
 from scp_recon.results.policy import Correction, Policy, policy_of
 from scp_recon.scenario.fields import Number
@@ -66,6 +65,11 @@ class StoredPolicy:
     mean_m_s: Annotated[float, Field(ge=0)]
     dv99_m_s: Annotated[float, Field(ge=0)]
 
+    def __str__(self) -> str:
+        """What it commands, in a line."""
+        mean, most = f"mean {self.mean_m_s:.6f} m/s", f"99 % {self.dv99_m_s:.6f} m/s"
+        return f"commanded delta-v, by the normal law: {mean}, {most}"
+
     def __post_init__(self) -> None:
         """Refuse corrections out of order, or with more or fewer gains than cut-offs so far."""
         burns = [correction.burn for correction in self.corrections]
@@ -80,7 +84,7 @@ def stored_policy(plan: Plan) -> StoredPolicy | None:
     """The policy of a plan; None where its burns are fixed before departure."""
     mission, lin = plan.mission, plan.final.result.lin
     feedback, scenario = lin.problem.feedback, plan.mission.scenario
-    if feedback is None:
+    if feedback is None or plan.commanded is None:
         return None
     speed, spread = mission.units.speed_m_s, lin.spread
     corrections = []
@@ -99,10 +103,7 @@ def stored_policy(plan: Plan) -> StoredPolicy | None:
                 sigma_m_s=float(speed * np.linalg.norm(command)),
             )
         )
-    # Not as the program smooths them, which for a skewed law is up to 0.2 standard deviations low.
-    total = speed * total_sizes(lin.problem, lin.iterate)
-    mean, dv99 = float(total.mean()), float(np.quantile(total, PROBABILITY))
-    return StoredPolicy(corrections, mean, dv99)
+    return StoredPolicy(corrections, *plan.commanded)
 
 
 def policy_in(stored: StoredPolicy | None, burns_flown: int) -> Policy:

@@ -33,7 +33,7 @@ door: Any = sr
 campaign: Any = sr.campaign  # imported here, before a test puts anything in its modules' place
 
 PROJECT = Path(__file__).parents[2]
-NEED_EXTRAS = {"read_campaign", "campaign", "report", "simulate", "design"}
+NEED_EXTRAS = {"read_campaign", "campaign", "charts", "report", "simulate", "design"}
 
 
 @pytest.mark.usefixtures("few_flights")

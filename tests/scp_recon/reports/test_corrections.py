@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 import pytest
 
+import scp_recon as sr
 from scp_recon.reports.corrections import ELLIPSE, Spreads, correction_charts
 from scp_recon.reports.flights import Shown, fly
 from scp_recon.reports.ground import Camera
 from scp_recon.reports.subject import Subject
 from scp_recon.reports.surfaces import shape_of
+from scp_recon.reports.write import page_of
 from scp_recon.results.solution import Solution
 from tests.scp_recon.verification.test_closed_loop import LAST_TOO, with_gains
 
@@ -81,6 +84,18 @@ def test_delta_v_is_that_of_the_flights(charts: dict[str, dict[str, Any]], shown
     most = 1000.0 * float(np.quantile(shown.flown.commanded_m_s, 0.99))
     assert figures[2]["name"] == f"99 % {most:.2f} mm/s"
     assert figures[2]["x"][0] == pytest.approx(most, rel=1e-4)
+
+
+def test_python_has_the_charts_of_the_page(
+    shown: Shown, subject: Subject, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Shown, "of", lambda *_: shown)
+    drawn = sr.charts(subject.solution)
+    on_page = page_of([subject], Camera(), datetime.now(UTC)).charts
+    assert [*drawn] == [chart["key"] for chart in on_page]
+    assert {"knowledge", "ellipses", "commanded"} < drawn.keys()
+    for chart in on_page:
+        assert len(drawn[chart["key"]].data) == len(chart["data"])
 
 
 def test_a_plan_without_corrections_has_none_of_these(solution: Solution, shown: Shown) -> None:

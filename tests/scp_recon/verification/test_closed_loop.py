@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,12 +24,14 @@ from formulations.rows.uniform import DeterministicRows
 from scp_recon.cli.command import WIDE
 from scp_recon.cli.plan_view import show_solution, show_verification
 from scp_recon.errors import InputError
+from scp_recon.interop.export import Export, Ids, heading
 from scp_recon.interop.path import fly_path
 from scp_recon.mission.mission import Mission
 from scp_recon.physics.geometry import angle
 from scp_recon.planning import initial_guess
 from scp_recon.planning.plan import Plan, Provenance, Stage
 from scp_recon.planning.planner import plan
+from scp_recon.results.comparison import compare
 from scp_recon.results.facts import Verification
 from scp_recon.results.read import parse_solution, read_solution
 from scp_recon.results.solution import FILE_NAME, HASH, Solution, make_solution
@@ -83,6 +86,23 @@ def checked(solution: Solution, mission: Mission | None = None) -> Verification:
     with pytest.MonkeyPatch.context() as patch:
         fly_few(patch)
         return verify(mission or solution.mission, solution)
+
+
+def test_what_is_told_of_a_plan_tells_of_its_corrections(crossed: Solution) -> None:
+    """In the heading of every file for other tools, and beside other plans."""
+    policy, ids = crossed.policy, Ids(-999, 2101955)
+    assert policy is not None
+    path = fly_path(crossed.mission, crossed)
+    told = " ".join(heading(Export(crossed, crossed.mission, path, ids)))
+    numbers = [one.burn for one in policy.corrections]
+    assert [int(burn) for burn in re.findall(r"burn (\d) is corrected in flight", told)] == numbers
+    assert f"99 % {policy.dv99_m_s:.6f} m/s; burns are without corrections" in told
+    none = [replace(burn, dv_m_s=(0.0, 0.0, 0.0)) for burn in crossed.burns]
+    without = Export(replace(crossed, burns=none), crossed.mission, path, ids)
+    told = " ".join(heading(without))
+    assert [int(burn) for burn in re.findall(r"burn (\d): none, but its", told)] == numbers
+    beside = compare(["one", "two"], [crossed, replace(crossed, policy=None)])
+    assert beside["commanded delta-v, 99 %"] == (policy.dv99_m_s, crossed.total_dv_m_s)
 
 
 def some_gains(mission: Mission) -> Array:
