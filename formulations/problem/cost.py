@@ -7,20 +7,27 @@ about the size
     ||(v, U)|| + s'xi,    s = U'v / ||(v, U, d)||,
 
 whose first term bounds the mean from above (Jensen's inequality), with a small d for burns without a
-direction, and the 99 % quantile is about sum_i ||(v_i, U_i)|| + 2.326 ||sum_i s_i||. The convex program
-has the first sum, tilted so that at the iterate value and gradient are those over the draws, and beside
-it the quantile's curvature over the draws, which goes on straight (`bend`).
+direction, and the 99 % quantile is about sum_i ||(v_i, U_i)|| + 2.326 ||sum_i s_i||. The slope of the
+quantile is that of a mean over draws near it, in which xi is larger than in all. The convex program has
+
+    sum_i ||(v_i, U_i) R_i||,    R_i R_i' = sum_n w_n (1, xi_n)(1, xi_n)',
+
+with the draws' weights w in that slope, or all alike for the mean. Where burn and gains vanish, no step
+costs less than this to first order (Jensen's inequality again). It is tilted so that at the iterate
+value and gradient are those over the draws, and beside it stands the curvature of the quantile that it
+lacks, which goes on straight (`bend`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property, lru_cache
 from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from formulations.arrays import Array
+from formulations.arrays import Array, Indices
 from formulations.problem.flyby import FlybyProblem, Iterate
 from formulations.risk.directions import normal_points
 from formulations.risk.lines import normal_density
@@ -50,6 +57,9 @@ FAR = 12.0
 
 NOTHING = 1e-12
 """Share of a draw in the kernel that counts as none."""
+
+VANISHED = 1e-7
+"""Over the largest burn: a corrected burn is none up to which its components and gains are rounding."""
 
 TINY = 1e-300
 """Stands for zero in a quotient."""
@@ -83,15 +93,15 @@ def cost(problem: FlybyProblem, iterate: Iterate) -> Valued:
     """The total delta-v that is minimised, as the problem's feedback counts it."""
     feedback = problem.feedback
     if feedback is None or feedback.cost == "nominal" or not iterate.gains.any():
-        return formula(problem, iterate)
+        return formula(problem, iterate, roots_of(problem, iterate))
     sizes = _Sizes.of(problem, iterate)
     if feedback.cost == "expected":
         return Valued(float(sizes.total.mean()), sizes.slope(np.full(DRAWS, 1.0 / DRAWS)))
     return Valued(sizes.quantile.value, sizes.slope(sizes.quantile.by_value))
 
 
-def formula(problem: FlybyProblem, iterate: Iterate) -> Valued:
-    """The sum of ||(v, U)|| over all burns, or with the smallest price of gains, and its gradient."""
+def formula(problem: FlybyProblem, iterate: Iterate, roots: Sequence[Array]) -> Valued:
+    """The sum of all ||(v, U) R||, or with the smallest price of gains, and its gradient."""
     feedback = problem.feedback
     sizes = np.linalg.norm(iterate.burns, axis=1)
     gradient = np.zeros(problem.controls_before[-1])
@@ -99,18 +109,52 @@ def formula(problem: FlybyProblem, iterate: Iterate) -> Valued:
     total = float(sizes.sum())
     if feedback is None:
         return Valued(total, gradient)
-    for burn in feedback.burns:
+    for j, burn in enumerate(feedback.burns):
         first, stop = problem.controls_before[burn : burn + 2]
-        own = problem.controls(iterate.burns, iterate.gains)[first:stop]
-        spent = float(np.linalg.norm(own[3:]))
+        gains = problem.gains_of(iterate, j)
         if feedback.cost == "nominal":
+            spent = float(np.linalg.norm(gains))
             total += SMALLEST * spent
-            gradient[first + 3 : stop] = SMALLEST * own[3:] / max(spent, TINY)
+            gradient[first + 3 : stop] = SMALLEST * gains.ravel() / max(spent, TINY)
             continue
-        size = float(np.linalg.norm(own))
+        weighed = np.column_stack([iterate.burns[burn], gains]) @ roots[j]
+        size = float(np.linalg.norm(weighed))
         total += size - sizes[burn]
-        gradient[first:stop] = own / max(size, TINY)
+        slope = weighed @ roots[j].T / max(size, TINY)
+        gradient[first + _places(gains.shape[1])] = 0.0 if _vanished(problem, iterate, j) else slope
     return Valued(total, gradient)
+
+
+def _vanished(problem: FlybyProblem, iterate: Iterate, j: int) -> bool:
+    """Whether nothing but rounding is left of a corrected burn and its gains: the cost has a kink."""
+    feedback = problem.feedback
+    assert feedback is not None
+    own = np.r_[iterate.burns[feedback.burns[j]], problem.gains_of(iterate, j).ravel()]
+    return bool(np.abs(own).max() <= VANISHED * problem.dv_max)
+
+
+def _places(known: int) -> Indices:
+    """Where (v, U), shape (3, 1 + known), stand among a corrected burn's controls."""
+    return np.column_stack([np.arange(3), 3 + np.arange(3 * known).reshape(3, known)])
+
+
+def roots_of(problem: FlybyProblem, iterate: Iterate) -> list[Array]:
+    """R of each corrected burn j, shape (6 j + 7, 6 j + 7); none where corrections cost nothing.
+
+    Where nothing is corrected yet the quantile has no slope. There R is that of the mean, but for burns
+    without a direction, whose sizes' quantile is that of a norm of normal numbers.
+    """
+    feedback = problem.feedback
+    if feedback is None or feedback.cost == "nominal":
+        return []
+    if feedback.cost == "dv99" and iterate.gains.any():
+        return _Sizes.of(problem, iterate).roots
+    roots = []
+    for j, burn in enumerate(feedback.burns):
+        still = np.linalg.norm(iterate.burns[burn]) < DIRECTED * problem.dv_max
+        steep = STEEPEST if feedback.cost == "dv99" and still else 1.0
+        roots.append(np.diag(np.r_[1.0, np.full(6 * (j + 1), steep)]))
+    return roots
 
 
 def bend(problem: FlybyProblem, iterate: Iterate) -> Bend:
@@ -129,11 +173,17 @@ def bend(problem: FlybyProblem, iterate: Iterate) -> Bend:
         return Bend(root, 0.0)
     sizes = _Sizes.of(problem, iterate)
     at, hessian = sizes.quantile, sizes.curvature()
-    for burn in feedback.burns:
-        own = slice(*problem.controls_before[burn : burn + 2])
-        z = problem.controls(iterate.burns, iterate.gains)[own]
-        size = max(float(np.linalg.norm(z)), TINY)
-        hessian[own, own] -= (np.eye(len(z)) - np.outer(z, z) / size**2) / size
+    for j, (burn, own_root) in enumerate(zip(feedback.burns, sizes.roots, strict=True)):
+        if _vanished(problem, iterate, j):
+            continue
+        gains = problem.gains_of(iterate, j)
+        weighed = np.column_stack([iterate.burns[burn], gains]) @ own_root
+        size = float(np.linalg.norm(weighed))
+        place = int(problem.controls_before[burn]) + _places(gains.shape[1])
+        slope = weighed @ own_root.T / size
+        curved = np.multiply.outer(np.eye(3), own_root @ own_root.T).swapaxes(1, 2)
+        curved -= np.multiply.outer(slope, slope)
+        hessian[np.ix_(place.ravel(), place.ravel())] -= curved.reshape(place.size, -1) / size
     slope = along @ jacobian / at.width
     least = QUANTILE / at.width * (jacobian.T @ jacobian - np.outer(slope, slope))
     values, axes = np.linalg.eigh((least - hessian)[np.ix_(moved, moved)])
@@ -187,7 +237,8 @@ class _Sizes:
             commanded = iterate.burns[burn] + known @ problem.gains_of(iterate, j).T
             size = np.maximum(np.linalg.norm(commanded, axis=1), TINY)
             own = slice(*problem.controls_before[burn : burn + 2])
-            self._burns.append((own, known, size, commanded / size[:, None]))
+            direction = commanded / size[:, None] * (not _vanished(problem, iterate, j))
+            self._burns.append((own, known, size, direction))
             self.total += size
 
     @classmethod
@@ -195,6 +246,16 @@ class _Sizes:
     def of(cls, problem: FlybyProblem, iterate: Iterate) -> Self:
         """Those of an iterate: value and curvature are asked of the same one."""
         return cls(problem, iterate)
+
+    @cached_property
+    def roots(self) -> list[Array]:
+        """R of each corrected burn: see the module."""
+        weights = np.maximum(self.quantile.by_value, 0.0)
+        known = self._burns[-1][1]
+        each = np.sqrt(weights)[:, None] * np.column_stack([np.ones(DRAWS), known])
+        root = np.linalg.cholesky(each.T @ each * weights.sum())
+        sizes = (1 + own.shape[1] for _, own, _, _ in self._burns)
+        return [root[:size, :size] for size in sizes]
 
     @cached_property
     def quantile(self) -> _Quantile:
@@ -219,9 +280,10 @@ class _Sizes:
             n = own.stop - own.start
             d, xi = direction[some], known[some]
             steps[:, own] = np.hstack([d, (d[:, :, None] * xi[:, None]).reshape(len(some), -1)])
-            block, each = np.zeros((n, n)), np.column_stack([np.ones(len(known)), known])
-            # Where U stands among the controls: axis by axis, after the three of the burn.
-            place = np.hstack([np.arange(3)[:, None], np.arange(3, n).reshape(3, -1)])
+            if not direction.any():
+                continue
+            block, place = np.zeros((n, n)), _places(n // 3 - 1)
+            each = np.column_stack([np.ones(len(known)), known])
             for a in range(3):
                 for b in range(3):
                     across = (a == b) - direction[:, a] * direction[:, b]

@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.linearisation import Linearisation
-from formulations.problem.cost import SMALLEST, formula
+from formulations.problem.cost import SMALLEST, formula, roots_of
 from formulations.problem.feedback import Cost
 from formulations.problem.flyby import FlybyProblem
 from formulations.program.certificate import ConeProgram
@@ -153,17 +153,20 @@ def write_cost(
     if shape.cost == "nominal":
         return cp.sum(size) + SMALLEST * sum(cp.norm(one) for one in gains), {}
     fixed = [i for i in range(shape.burns) if i not in shape.corrected]
-    mean = [
-        cp.norm(cp.hstack([burns[i], one])) for i, one in zip(shape.corrected, gains, strict=True)
-    ]
-    total = sum(mean) + cp.sum(size[fixed])
     tilt = cp.Parameter(controls.size)
-    total += tilt @ controls
+    total = cp.sum(size[fixed]) + tilt @ controls
+    for j, (i, one) in enumerate(zip(shape.corrected, gains, strict=True)):
+        if shape.cost == "expected":
+            total += cp.norm(cp.hstack([burns[i], one]))
+            continue
+        known = one.size // 3
+        both = cp.hstack([burns[[i]].T, cp.reshape(one, (3, known), order="C")])
+        total += cp.norm(both @ numbers.array(f"root_{j}", 1 + known, 1 + known), "fro")
     if shape.cost == "expected":
         return total, {"tilt": tilt}
     n = sum(3 + one.size for one in gains)
-    root, constant = numbers.array("bend", n, controls.size), numbers.array("bend_constant", n)
-    total += cp.norm(cp.hstack([root @ controls + constant, numbers.array("bend_over", 1)]))
+    bend, constant = numbers.array("bend", n, controls.size), numbers.array("bend_constant", n)
+    total += cp.norm(cp.hstack([bend @ controls + constant, numbers.array("bend_over", 1)]))
     return total, {"tilt": tilt}
 
 
@@ -172,12 +175,14 @@ def cost_values(lin: Linearisation) -> tuple[Values, float]:
     problem, iterate, feedback = lin.problem, lin.iterate, lin.problem.feedback
     if feedback is None or feedback.cost == "nominal":
         return {}, 0.0
-    at, true, own = lin.controls, lin.cost, formula(problem, iterate)
+    at, true, roots = lin.controls, lin.cost, roots_of(problem, iterate)
+    own = formula(problem, iterate, roots)
     values = {"tilt": true.gradient - own.gradient}
     left = true.value - own.value - float(values["tilt"] @ at)
     if feedback.cost == "dv99":
         root, over = lin.bend
         values |= {"bend": root, "bend_constant": -root @ at, "bend_over": np.array(over)}
+        values |= {f"root_{j}": root for j, root in enumerate(roots)}
         left -= over
     return values, left
 
