@@ -73,22 +73,6 @@ __all__ = [
     "windows",
 ]
 _ELSEWHERE = {
-    **dict.fromkeys(
-        (
-            "Ball",
-            "ComponentwiseErrors",
-            "Cone",
-            "Ellipsoid",
-            "ExpressionFlow",
-            "Feedback",
-            "GatesErrors",
-            "Halfspaces",
-            "ImpulsiveProblem",
-            "Keep",
-            "Polytope",
-        ),
-        "impulsive.problem",
-    ),
     "InputError": "errors",
     "campaign": "api.campaigns",
     "design": "api.designing",
@@ -102,7 +86,7 @@ _ELSEWHERE = {
     "simulate": "api.flights",
     "windows": "api.survey",
 }
-"""Modules of those that `api.files` does not have."""
+"""Modules of what `api.files` does not have; classes are of `impulsive.problem` if not of these."""
 
 
 def __getattr__(name: str) -> Any:
@@ -115,7 +99,8 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    module = import_module(f"{__name__}.{_ELSEWHERE.get(name, 'api.files')}")
+    usual = "impulsive.problem" if name[0].isupper() else "api.files"
+    module = import_module(f"{__name__}.{_ELSEWHERE.get(name, usual)}")
     return getattr(module, name)
 
 

@@ -42,6 +42,18 @@ class Spread:
     leg_errors: Array
 
 
+def factor_of(covariance: Array) -> Array:
+    """S with S S' a covariance, which may be singular, by the eigenvalues of the correlations.
+
+    Negative ones, from rounding, are zero.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    known = np.where(sigma > 0.0, sigma, 1.0)
+    scaled = covariance / np.outer(known, known)
+    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    return np.asarray(known[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
 def propagate_factor(problem: FlybyProblem, stm: Array, iterate: Iterate) -> Spread:
     """Factors of deviation and estimate's error, from the STMs from the last burn to each node.
 

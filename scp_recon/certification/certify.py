@@ -20,14 +20,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Generic
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from formulations.arrays import Array
 from formulations.problem.flyby import Iterate
-from scp_recon.certification.flights import Kept, Watch, fly_round, look_at, with_nodes_at
+from scp_recon.certification.flights import (
+    Fly,
+    Kept,
+    Watch,
+    fly_plan,
+    fly_round,
+    look_at,
+    with_nodes_at,
+)
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import (
     LOOKS_MAX,
@@ -35,7 +44,7 @@ from scp_recon.monte_carlo.estimates import (
     look_flights,
     successes_needed,
 )
-from scp_recon.planning.plan import Plan, as_interrupted
+from scp_recon.planning.plan import Aimed, AimedPlan, Plan, as_interrupted
 from scp_recon.scp.status import Status
 
 ROUNDS_MAX = 6
@@ -46,21 +55,38 @@ BINDING = 0.01
 AimedPlanning = Callable[[Mission, Iterate | Plan, float], Plan]
 """A plan of a mission from a start, or another plan, aiming at a probability."""
 
+Planning = Callable[[Aimed | None, Array, float], Aimed]
+"""A plan that aims at a probability and goes on from the last one, with nodes at times, s, if any."""
+
 
 def certify(
     mission: Mission, start: Iterate | Plan, make_plan: AimedPlanning, watch: Watch | None = None
 ) -> Plan:
+    """Certify a plan of a mission whose allocation is exact: see `certified`.
+
+    Plans after the first go on from the last one, on the grid that it was made on.
+    """
+
+    def anew(last: Plan | None, touched_s: Array, aim: float) -> Plan:
+        if last is None:
+            return make_plan(mission, start, aim)
+        at = with_nodes_at(last.mission, touched_s) if len(touched_s) else last.mission
+        return make_plan(at, last, aim)
+
+    return certified(mission.scenario.risk.p_chance, anew, partial(fly_plan, watch))
+
+
+def certified(asked: float, make_plan: Planning[Aimed], fly: Fly[Aimed]) -> Aimed:
     """Plan so that flights of which planning knows nothing reach the required probability.
 
-    The mission's allocation is exact. Plans after the first go on from the last one, on the grid
-    that it was made on. Ctrl-C ends with the best plan so far, marked as interrupted.
+    Ctrl-C ends with the best plan so far, marked as interrupted.
 
     Returns:
         The plan that passed a look, with its certificate; where none did the one that came nearest,
             whose certificate says so. Where an aim is infeasible, and no plan made until then passes,
             or where the first comes to no verdict, that aim's plan, without a certificate.
     """
-    work = _Certification(mission, start, make_plan, watch)
+    work = _Certification(asked, make_plan, fly)
     try:
         return work.run()
     except KeyboardInterrupt:
@@ -71,23 +97,22 @@ def certify(
 
 
 @dataclass
-class _Certification:
-    """State of one certification: where it plans, the last plan, and the plans flown and looked at."""
+class _Certification(Generic[Aimed]):
+    """State of one certification: the last plan, where to add nodes, the plans flown and looked at."""
 
-    mission: Mission
-    start: Iterate | Plan
-    make_plan: AimedPlanning
-    watch: Watch | None
-    made: Plan | None = None
-    flown: list[tuple[Plan, float]] = field(default_factory=list)
-    looked: list[Plan] = field(default_factory=list)
+    asked: float
+    make_plan: Planning[Aimed]
+    fly: Fly[Aimed]
+    made: Aimed | None = None
+    touched_s: Array = field(default_factory=lambda: np.zeros(0))
+    flown: list[tuple[Aimed, float]] = field(default_factory=list)
+    looked: list[Aimed] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.asked = self.mission.scenario.risk.p_chance
         self.samples, self.fresh = flights_needed(self.asked), look_flights(self.asked)
         self.aiming = Aiming(self.asked, self.samples, self.fresh)
 
-    def run(self) -> Plan:
+    def run(self) -> Aimed:
         while len(self.looked) < LOOKS_MAX:
             plan = self._next()
             if plan.status is not Status.CONVERGED:
@@ -101,31 +126,31 @@ class _Certification:
         return self.nearest
 
     @property
-    def nearest(self) -> Plan | None:
+    def nearest(self) -> Aimed | None:
         """Of the plans that were looked at the one with the largest limit; only the last may pass."""
         return max(self.looked, key=_low, default=None)
 
-    def _next(self) -> Plan:
+    def _next(self) -> Aimed:
         """A plan at the aim."""
-        plan = self.make_plan(self.mission, self.start, self.aiming.next())
+        plan = self.make_plan(self.made, self.touched_s, self.aiming.next())
         if plan.status is Status.INTERRUPTED and self.made is not None:
             raise KeyboardInterrupt
         if plan.status is Status.CONVERGED:
-            self.made, self.start, self.mission = plan, plan, plan.mission
+            self.made = plan
         return plan
 
-    def _aims_well(self, plan: Plan) -> bool:
+    def _aims_well(self, plan: Aimed) -> bool:
         """Fly a round, learn from it, and tell whether the plan is the one to look at."""
-        kept, touched_s = fly_round(plan, self.samples, len(self.flown) + 1, self.watch)
+        kept, touched_s = fly_round(plan, self.fly, self.samples, len(self.flown) + 1)
         self.flown.append((plan, kept.reached))
         self.aiming.worth = kept.samples / self.samples
         close = self._learn(plan, kept, touched_s)
         return close and self.aiming.is_settled(_law(plan), binds=slack(plan) <= BINDING)
 
-    def _passes(self, plan: Plan) -> bool:
+    def _passes(self, plan: Aimed) -> bool:
         """Look at a plan; if it fails, learn from it."""
         number, rounds = len(self.looked) + 1, len(self.flown)
-        plan, kept, touched_s = look_at(plan, self.fresh, number, rounds, self.watch)
+        plan, kept, touched_s = look_at(plan, self.fly, self.fresh, number, rounds)
         self.looked.append(plan)
         assert plan.certificate is not None
         if plan.certificate.certifies(self.asked):
@@ -133,17 +158,17 @@ class _Certification:
         self._learn(plan, kept, touched_s)
         return False
 
-    def _learn(self, plan: Plan, kept: Kept, touched_s: Array) -> bool:
+    def _learn(self, plan: Aimed, kept: Kept, touched_s: Array) -> bool:
         """Take in what flights reached; whether the nodes are close enough."""
         close = kept.are_close(self.asked)
         if close:
             self.aiming.learn(_law(plan), kept.throughout, kept.samples)
         else:
             self.aiming.begin_again(_law(plan), kept.at_nodes, kept.samples)
-            self.mission = with_nodes_at(plan.mission, touched_s)
+        self.touched_s = touched_s[:0] if close else touched_s
         return close
 
-    def _without(self, plan: Plan) -> Plan:
+    def _without(self, plan: Aimed) -> Aimed:
         """What there is where an aim has no plan: the round that reached most is looked at."""
         if self.flown and not self.looked:
             best, _ = max(self.flown, key=lambda flown: flown[1])
@@ -154,20 +179,21 @@ class _Certification:
         return self.nearest
 
 
-def _low(plan: Plan) -> float:
+def _low(plan: AimedPlan) -> float:
     assert plan.certificate is not None
     return plan.certificate.low
 
 
-def _law(plan: Plan) -> float:
+def _law(plan: AimedPlan) -> float:
     """The plan's probability by the normal law, as a quantile: nothing may bind by far."""
     assert plan.target is not None
     return float(ndtri(plan.target)) + max(slack(plan), 0.0)
 
 
-def slack(plan: Plan) -> float:
+def slack(plan: AimedPlan) -> float:
     """By how many standard deviations the normal law's probabilities exceed the aim."""
-    return min(margin for margin, unit in plan.worst_margins.values() if unit == "sigma")
+    of = plan.final
+    return min(float(m.margin.min()) for name, m in of.margins.items() if of.unit(name) == "sigma")
 
 
 SURE = float(ndtri(0.95))

@@ -34,7 +34,7 @@ from scp_recon.monte_carlo.whole_flight import (
     kept_flights,
     seconds_of,
 )
-from scp_recon.planning.plan import Certificate, Plan
+from scp_recon.planning.plan import Aimed, Certificate, Plan
 from scp_recon.results.policy import Policy, policy_of
 
 LOOK_WIDTH, ROUND_WIDTH = 0.97, 1.5
@@ -96,35 +96,40 @@ def kept_of(mission: Mission, flown: KeptFlights) -> Kept:
     return Kept(at_nodes, min(flown.throughout.values()), flown.samples)
 
 
-def fly_round(
-    plan: Plan, samples: int, number: int, watch: Watch | None = None
-) -> tuple[Kept, Array]:
-    """Fly a plan to learn what it reaches.
+class Step(NamedTuple):
+    """Flights of a round or a look: its name, their number and seed, and how sure they are to be.
 
-    Returns:
-        What its flights keep, and the times between nodes at which they touch a limit, s.
+    `width` is that of the interval of flights in strata over that of plain ones.
     """
-    step, seed = f"round {number}", FIRST_SEED + number - 1
-    kept, touched_s = _fly(plan, samples, seed, step, ROUND_WIDTH, watch)
-    if watch:
-        watch(step, plan, flown_of(kept), flown_of(kept), reached_of(kept, CONFIDENCE))
-    return kept, touched_s
+
+    name: str
+    samples: int
+    seed: int
+    width: float
+    confidence: float
+
+
+Fly = Callable[[Aimed, Step], tuple[Kept, Array]]
+"""Flies a plan: what flights keep, and the times between nodes at which they touch a limit, s."""
+
+
+def fly_round(plan: Aimed, fly: Fly[Aimed], samples: int, number: int) -> tuple[Kept, Array]:
+    """Fly a plan to learn what it reaches."""
+    seed = FIRST_SEED + number - 1
+    return fly(plan, Step(f"round {number}", samples, seed, ROUND_WIDTH, CONFIDENCE))
 
 
 def look_at(
-    plan: Plan, samples: int, number: int, rounds: int, watch: Watch | None = None
-) -> tuple[Plan, Kept, Array]:
+    plan: Aimed, fly: Fly[Aimed], samples: int, number: int, rounds: int
+) -> tuple[Aimed, Kept, Array]:
     """Judge a plan by flights of which nothing is known, after so many rounds.
 
     Returns:
-        The plan with its certificate; and as `fly_round`.
+        The plan with its certificate; and as `Fly`.
     """
-    step = f"look {number}"
-    kept, touched_s = _fly(plan, samples, look_seed(number), step, LOOK_WIDTH, watch)
-    judged = replace(plan, certificate=certificate_of(kept, number, rounds))
-    if watch:
-        watch(step, judged, flown_of(kept), flown_of(kept), reached_of(kept, LOOK_CONFIDENCE))
-    return judged, kept, touched_s
+    step = Step(f"look {number}", samples, look_seed(number), LOOK_WIDTH, LOOK_CONFIDENCE)
+    kept, touched_s = fly(plan, step)
+    return replace(plan, certificate=certificate_of(kept, number, rounds)), kept, touched_s
 
 
 def certificate_of(kept: Kept, look: int, rounds: int) -> Certificate:
@@ -162,19 +167,25 @@ def with_nodes_at(mission: Mission, times_s: Array) -> Mission:
     return mission.changed({"grid.nodes_s": nodes})
 
 
-def _fly(
-    plan: Plan, samples: int, seed: int, step: str, width: float, watch: Watch | None
-) -> tuple[Kept, Array]:
-    if watch:
-        watch(step, plan, samples)
-    risk = plan.mission.scenario.risk
+def fly_plan(watch: Watch | None, plan: Plan, step: Step) -> tuple[Kept, Array]:
+    """Fly a mission's plan: see `Fly`."""
+    if watch is None:
+        return _fly(plan, step, None)
+    watch(step.name, plan, step.samples)
+    kept, touched_s = _fly(plan, step, partial(watch, step.name, plan))
+    flown = flown_of(kept)
+    watch(step.name, plan, flown, flown, reached_of(kept, step.confidence))
+    return kept, touched_s
+
+
+def _fly(plan: Plan, step: Step, told: Callable[[int, int], None] | None) -> tuple[Kept, Array]:
+    risk, samples, seed = plan.mission.scenario.risk, step.samples, step.seed
     if risk.sampling == "strata":
         by_strata = _fly_strata if risk.scope == "flight" else _fly_in_time
-        told = partial(watch, step, plan) if watch else None
-        found = by_strata(plan, samples, seed, width, told)
+        found = by_strata(plan, samples, seed, step.width, told)
         if found is not None:
             return found
-    seen = partial(watch, step, plan, samples) if watch else None
+    seen = partial(told, samples) if told else None
     flown = kept_flights(plan.mission, plan.burns_m_s, samples, seed, seen, _policy(plan))
     return kept_of(plan.mission, flown), flown.touched_s
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 from scipy.special import ndtr, ndtri
 
 from formulations.problem.flyby import Iterate
 from scp_recon.certification.certify import ROUNDS_MAX, AimedPlanning
-from scp_recon.certification.flights import Watch, fly_round, look_at, with_nodes_at
+from scp_recon.certification.flights import Watch, fly_plan, fly_round, look_at, with_nodes_at
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo.estimates import FAILURES, FLIGHTS_MAX, flights_needed, look_flights
 from scp_recon.planning.initial_guess import from_burns
@@ -155,7 +156,9 @@ def largest_promise(
         if not certified:
             return promising(best, best.target)
         try:
-            kept, touched_s = fly_round(best, flights_needed(best.target), number, watch)
+            kept, touched_s = fly_round(
+                best, partial(fly_plan, watch), flights_needed(best.target), number
+            )
         except KeyboardInterrupt:
             return as_interrupted(best)
         if kept.are_close(kept.reached):
@@ -170,7 +173,9 @@ def _promised(found: Plan, rounds: int, watch: Watch | None) -> Plan:
     """The plan of a scenario that asks what a look at it reaches at least."""
     assert found.target is not None
     try:
-        judged, _, _ = look_at(found, look_flights(found.target), 1, rounds, watch)
+        judged, _, _ = look_at(
+            found, partial(fly_plan, watch), look_flights(found.target), 1, rounds
+        )
     except KeyboardInterrupt:
         return as_interrupted(found)
     assert judged.certificate is not None

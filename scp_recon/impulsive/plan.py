@@ -72,13 +72,6 @@ class ImpulsivePlan:
         return self.final.result.status
 
     @property
-    def slack(self) -> float:
-        """Standard deviations by which the normal law's probabilities exceed the target."""
-        found = self.final.margins.items()
-        own = [m.margin.min() for name, m in found if self.final.unit(name) == "sigma"]
-        return float(min(own, default=0.0))
-
-    @property
     def ok(self) -> bool:
         """Whether it is a plan."""
         return self.status is Status.CONVERGED

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
 
 from formulations.arrays import Array, Indices
 from formulations.linearisation.dynamics import Dynamics
+from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from formulations.problem.expression_flow import ExpressionFlow
 from formulations.problem.facets import Polytopes, split_risk
@@ -28,20 +28,11 @@ from formulations.problem.flow import Flow, ScaledFlow, check_flow
 from formulations.problem.flyby import FlybyProblem, Iterate, StateConstraint
 from formulations.problem.polytopes import ball
 from formulations.problem.regions import Ball, Cone, Ellipsoid, Halfspaces, Polytope, Region
-from scp_recon.certification.certify import BINDING, ROUNDS_MAX, Aiming
+from scp_recon.certification.certify import certified
+from scp_recon.certification.flights import Kept, Step
 from scp_recon.errors import InputError, one_of
 from scp_recon.impulsive.plan import ImpulsivePlan
-from scp_recon.monte_carlo.estimates import (
-    FIRST_SEED,
-    LOOK_CONFIDENCE,
-    LOOKS_MAX,
-    flights_needed,
-    look_flights,
-    look_interval,
-    look_seed,
-)
 from scp_recon.planning.method import ALGORITHM, FORMULATION, SOLVER, scp_method
-from scp_recon.planning.plan import Certificate
 from scp_recon.planning.planner import ScpStages
 from scp_recon.planning.stages import Observer, StageRunner
 
@@ -161,7 +152,7 @@ class ImpulsiveProblem:
         if self.units is not None and not min(self.units) > 0.0:
             raise InputError("units", f"{self.units}", "must be a positive length and time")
         if self.initial_covariance is not None:
-            _root("initial_covariance", self.initial_covariance)
+            _covariance_factor("initial_covariance", self.initial_covariance)
         names = [name for name, _ in self._named]
         if len(set(names)) < len(names):
             raise InputError("regions", f"the names {', '.join(names)}", "must differ")
@@ -238,7 +229,9 @@ class ImpulsiveProblem:
         unit, nodes, limits = self.unit, np.array(self.burn_nodes, dtype=np.intp), self.final_sigma
         factor = np.zeros((6, 6))
         if self.initial_covariance is not None:
-            factor = _root("initial_covariance", self.initial_covariance) / unit[:, None]
+            factor = (
+                _covariance_factor("initial_covariance", self.initial_covariance) / unit[:, None]
+            )
         feedback = self.feedback
         if feedback is not None:
             measurement = np.asarray(feedback.measurement, dtype=float) / unit[:, None]
@@ -342,52 +335,27 @@ class ImpulsiveProblem:
         Rounds of flights find what to aim at, and fresh ones judge, as `scp_recon.certification` does.
 
         Returns:
-            The plan that passed, or the last one, with its certificate; one without a certificate where
-            there is no plan at an aim.
+            As `scp_recon.certification.certify.certified`.
 
         Raises:
             InputError: as `solve`; or if risk is not exact.
         """
         if self.is_deterministic or self.risk.allocation != "exact":
             raise InputError("scope", self.scope, "must be node or flight, of regions, with errors")
-        p, looks = self.probability, 0
-        aiming, fresh = Aiming(p, flights_needed(p), look_flights(p)), look_flights(p)
-        for number in range(1, ROUNDS_MAX + LOOKS_MAX + 1):
-            plan = self.solve(
-                states,
-                burns=burns,
-                formulation=formulation,
-                algorithm=algorithm,
-                solver=solver,
-                target=aiming.next(),
-            )
-            if not plan.ok:
-                break
-            law = float(ndtri(plan.target)) + max(plan.slack, 0.0)
-            if not looks and number <= ROUNDS_MAX:
-                seed = FIRST_SEED + number
-                aiming.learn(law, self._kept(plan, aiming.samples, seed), aiming.samples)
-                if not aiming.is_settled(law, binds=plan.slack <= BINDING):
-                    continue
-            looks, seed = looks + 1, look_seed(looks + 1)
-            kept = self._kept(plan, fresh, seed)
-            seen = look_interval(kept, fresh)
-            plan = replace(
-                plan,
-                certificate=Certificate(
-                    fresh, seed, *seen, seen.value, min(number, ROUNDS_MAX), looks, LOOK_CONFIDENCE
-                ),
-            )
-            if seen.low >= p or looks == LOOKS_MAX:
-                break
-            aiming.learn(law, kept, fresh)
-        return plan
+        solve = partial(self.solve, formulation=formulation, algorithm=algorithm, solver=solver)
 
-    def _kept(self, plan: ImpulsivePlan, samples: int, seed: int) -> int:
-        """Number of flights that keep what has to hold: all, or each region at its worst node."""
-        flights = plan.fly(samples, seed)
+        def anew(last: ImpulsivePlan | None, _: Array, target: float) -> ImpulsivePlan:
+            start = (states, burns) if last is None else (last.states, last.burns)
+            return solve(start[0], burns=start[1], target=target)
+
+        return certified(self.probability, anew, self._fly)
+
+    def _fly(self, plan: ImpulsivePlan, step: Step) -> tuple[Kept, Array]:
+        """Flights that keep what has to hold: all regions, or each at its worst node."""
+        flights = plan.fly(step.samples, step.seed)
         found = [flights.whole] if self.scope == "flight" else flights.kept.values()
-        return round(samples * min(estimate.value for estimate in found))
+        kept = round(step.samples * min(estimate.value for estimate in found))
+        return Kept(kept, kept, step.samples), np.zeros(0)
 
 
 def scaled(name: str, region: Region, nodes: Indices, length: float) -> Region:
@@ -458,12 +426,11 @@ def _finite(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _root(name: str, covariance: npt.ArrayLike) -> Array:
-    """S with S S' a covariance (6, 6), which may be singular."""
+def _covariance_factor(name: str, covariance: npt.ArrayLike) -> Array:
     matrix = _finite(name, covariance, (6, 6))
-    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale = np.sqrt(np.abs(np.diag(matrix)))
     scale[scale == 0.0] = 1.0
-    values, axes = np.linalg.eigh(matrix / scale / scale[:, None])
+    values = np.linalg.eigvalsh(matrix / scale / scale[:, None])
     if np.abs(matrix - matrix.T).max() > 1e-9 * np.abs(matrix).max() or values[0] < -1e-9:
         raise InputError(name, "a matrix that is no covariance", "must be symmetric, none negative")
-    return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(values, 0.0)))
+    return factor_of(matrix)

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from formulations.arrays import Array
+from formulations.linearisation.factor import factor_of
 from formulations.problem.execution_errors import ComponentwiseErrors, ExecutionErrors, GatesErrors
 from scp_recon.bodies.catalogue import packaged_body
 from scp_recon.errors import InputError, option
@@ -109,7 +110,7 @@ class Scene:
         """
         given, flight = self.scenario.uncertainty, self.scenario.in_flight
         if flight is not None and flight.covariance is not None:
-            root = _root(np.array(flight.covariance))
+            root = factor_of(np.array(flight.covariance))
             entries = ("in_flight.covariance",) * 2
             return self._turned(
                 root, state, flight.covariance_frame, entries, "in_flight.covariance_frame"
@@ -124,7 +125,7 @@ class Scene:
             assert given.initial_sigma_velocity_m_s is not None
             root = np.diag([*given.initial_sigma_position_m, *given.initial_sigma_velocity_m_s])
         else:
-            root = _root(np.array(given.initial_covariance))
+            root = factor_of(np.array(given.initial_covariance))
             entries = ("uncertainty.initial_covariance",) * 2
         frame = str(given.initial_frame)
         return self._turned(root, state, frame, entries, "uncertainty.initial_frame")
@@ -161,7 +162,7 @@ class Scene:
         if given.covariance is None:
             root = np.diag(np.repeat([given.sigma_position_m, given.sigma_velocity_m_s], 3))
             return np.tile(root, (len(states), 1, 1))
-        root = _root(np.array(given.covariance))
+        root = factor_of(np.array(given.covariance))
         if given.frame == "j2000":
             return np.tile(root, (len(states), 1, 1))
         axes = [np.kron(np.eye(2), _rtn_to_j2000(x, "navigation.frame")) for x in states]
@@ -173,15 +174,6 @@ class Scene:
         circular = float(np.sqrt(self.scenario.body.gm_m3_s2 / distance))
         speed = max(float(np.linalg.norm(state[3:])), circular)
         return (distance, "distance from the centre"), (speed, "speed, or that of a circular orbit")
-
-
-def _root(covariance: Array) -> Array:
-    """Square root by the eigenvalues of the correlations; negative ones, from rounding, are zero."""
-    sigma = np.sqrt(np.diag(covariance))
-    known = np.where(sigma > 0.0, sigma, 1.0)
-    scaled = covariance / np.outer(known, known)
-    values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-    return known[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _rtn_to_j2000(state: Array, entry: str) -> Array:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from html import escape
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -383,12 +383,37 @@ class Plan:
         return self.mission.scenario, made, runs
 
 
-def as_interrupted(plan: Plan) -> Plan:
+class AimedPlan(Protocol):
+    """A plan that may aim at a probability: of a mission, or of a problem by hand; a data class."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def final(self) -> Stage:
+        """The run that holds the answer."""
+
+    @property
+    def status(self) -> Status:
+        """Status of the final stage."""
+
+    @property
+    def target(self) -> float | None:
+        """Probability that the rows of an exact plan are held to."""
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """What flights reached."""
+
+
+Aimed = TypeVar("Aimed", bound=AimedPlan)
+
+
+def as_interrupted(plan: Aimed) -> Aimed:
     """The plan marked as interrupted: the best that was found when Ctrl-C came."""
     return ended(plan, Status.INTERRUPTED)
 
 
-def ended(plan: Plan, status: Status) -> Plan:
+def ended(plan: Aimed, status: Status) -> Aimed:
     """The plan with another status."""
     result = replace(plan.final.result, status=status)
     return replace(plan, final=replace(plan.final, result=result))

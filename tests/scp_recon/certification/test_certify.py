@@ -19,7 +19,7 @@ from formulations.risk.strata import Allocation, Counted
 from formulations.rows.exact_flight import FLIGHT
 from scp_recon.certification import flights
 from scp_recon.certification.certify import ROUNDS_MAX, certify
-from scp_recon.certification.flights import LOOK_WIDTH, certificate_of, kept_of, with_nodes_at
+from scp_recon.certification.flights import LOOK_WIDTH, Step, certificate_of, kept_of, with_nodes_at
 from scp_recon.errors import InputError
 from scp_recon.mission.mission import Mission
 from scp_recon.monte_carlo import estimates
@@ -27,6 +27,7 @@ from scp_recon.monte_carlo.estimates import (
     CONFIDENCE,
     FIRST_LOOK_SEED,
     FIRST_SEED,
+    LOOK_CONFIDENCE,
     LOOKS_MAX,
     look_flights,
     look_interval,
@@ -123,7 +124,8 @@ def test_the_lower_limit_is_what_was_asked(certified: Plan) -> None:
     if reached.strata is None:
         assert reached.samples == look_flights(ASKED)
     else:
-        kept, _ = flights._fly(certified, look_flights(ASKED), reached.seed, "", LOOK_WIDTH, None)
+        step = Step("", look_flights(ASKED), reached.seed, LOOK_WIDTH, LOOK_CONFIDENCE)
+        kept, _ = flights.fly_plan(None, certified, step)
         assert certificate_of(kept, reached.looks, reached.rounds) == reached
         assert reached.samples == sum(reached.strata.flown) < look_flights(ASKED)
         assert "draws of look" in str(reached)
